@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
 from msal_cli.batch import interrupts, temporary_files, tile_set
+from msal_cli.batch.denoise_task import denoise_in_worker
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
 from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
+from msal_cli.batch.oversized import Oversized, find_oversized
 from msal_cli.batch.resume import (
     file_states,
     hash_settings,
@@ -27,29 +28,23 @@ from msal_cli.batch.resume import (
 )
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
+from msal_cli.batch.tile_estimate import planned_tiles
+from msal_cli.batch.tile_options import TileJob, TileOptions
+from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed
-from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task
+from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings
 from msal_cli.machine import usable_cores
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
+    from msal_cli.batch.denoise_task import Denoise
     from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
 
-    OnProgress = Callable[[str, int, int], None]
-    Denoise = Callable[..., MeshRecord]
-
-_LOSS_CODES = {
-    "crash": "E_CRASH",
-    "memory": "E_MEMORY",
-    "timeout": "E_TIMEOUT",
-    "exception": "E_INTERNAL",
-    "changed": "E_CHANGED",
-}
 
 _log = logging.getLogger("msal.batch")
 
@@ -67,6 +62,7 @@ def run(
     command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
     engine: EngineFactory | None = None,
+    tiles: TileOptions | None = None,
     cancellation: interrupts.Cancellation | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
@@ -89,6 +85,7 @@ def run(
     command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
+    tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
     cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
         which can be ended at any time.
 
@@ -117,6 +114,7 @@ def run(
             retries=retries,
             stop_after_failures=stop_after_failures,
             engine=engine,
+            tiles=tiles,
             cancellation=cancellation,
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
@@ -133,6 +131,7 @@ class _BatchRun:
     retries: int
     stop_after_failures: int | None
     engine: EngineFactory | None
+    tiles: TileOptions | None
     cancellation: interrupts.Cancellation | None
 
     def __post_init__(self) -> None:
@@ -154,9 +153,14 @@ class _BatchRun:
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
-                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
+                records = tile_set.survey_set(
+                    self.plan, self.settings, self._manifests, self._tile_job(0)
+                )
             else:
-                records = {index: self._planned_record(index) for index in todo}
+                planned = {index: self._planned_record(index) for index in todo}
+                expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
+                tiles = {index: planned_tiles(one) for index, one in expected.items()}
+                records = {n: replace(one, tiles=tiles.get(n)) for n, one in planned.items()}
             for index, record in records.items():
                 self._emit_finished(index, record)
         return self._in_order()
@@ -171,12 +175,8 @@ class _BatchRun:
                 budget = estimate_memory(tasks, self.settings, self.limits)
             if self.plan.is_set:
                 self._run_set(todo)
-                todo = []
-            todo = self._drop_oversized(todo, budget)
-            if self._is_single() or self.plan.is_in_process:
-                self._run_in_process(todo)
-            elif todo and self._failure is None and not self._has_too_many_failures():
-                self._run_engine(todo, budget)
+            else:
+                self._run_files(todo, budget)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
@@ -243,20 +243,40 @@ class _BatchRun:
             )
         return todo, restored
 
-    def _drop_oversized(self, todo: list[int], budget: MemoryBudget) -> list[int]:
-        """The files for which there is memory; the others fail before they are loaded.
-
-        A limit set by the user replaces this check, and other machines have their own memory.
-        """
-        if self.engine is not None or self.limits.memory_bytes is not None:
-            return todo
-        oversized = budget.oversized()
-        for index, failure in oversized.items():
+    def _drop_oversized(self, todo: list[int], oversized: Oversized) -> list[int]:
+        """The files to load; those that fit neither into memory nor into tiles fail."""
+        for index, failure in oversized.failures.items():
             self.on_event(Started(index))
             self._finish({index: self._failed_record(index, failure)})
         return [index for index in todo if index not in oversized]
 
+    def _find_oversized(self, todo: list[int], budget: MemoryBudget | None = None) -> Oversized:
+        tasks = {index: self.plan.tasks[index] for index in todo}
+        budget = budget or estimate_memory(tasks, self.settings, self.limits)
+        return find_oversized(tasks, self.settings, budget, self._tile_job(0))
+
+    def _tile_job(self, index: int) -> TileJob:
+        return TileJob(
+            self.tiles,
+            self.limits,
+            self.jobs or self._cores,
+            self._cores,
+            self.retries,
+            self.engine,
+            self.cancellation,
+            lambda *step: self.on_event(Progress(index, *step)),
+        )
+
     # The work
+
+    def _run_files(self, todo: list[int], budget: MemoryBudget) -> None:
+        oversized = self._find_oversized(todo, budget)
+        todo = self._drop_oversized(todo, oversized)
+        if self._is_single() or self.plan.is_in_process:
+            self._run_in_process(todo)
+        elif todo and self._failure is None and not self._has_too_many_failures():
+            self._run_engine(todo, budget)
+        self._run_by_tiles(oversized)
 
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
@@ -281,26 +301,21 @@ class _BatchRun:
                 if self._failure is not None:
                     return
 
+    def _run_by_tiles(self, oversized: Oversized) -> None:
+        for index in oversized.by_tiles:
+            if self._failure is None and not self._has_too_many_failures():
+                from msal_cli.batch.tile_run import denoise_by_tiles
+
+                self.on_event(Started(index))
+                task, job = self.plan.tasks[index], self._tile_job(index)
+                self._finish({index: denoise_by_tiles(task, self.settings, job)})
+
     def _run_set(self, todo: list[int]) -> None:
-        """Denoise all files as one mesh, in this process."""
-        if not todo:
-            return
-
-        def clean() -> None:
-            for index in todo:
-                self._sweep_after(os.getpid(), index)
-
-        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
-            self._finish(
-                tile_set.denoise_set(
-                    self.plan,
-                    self.settings,
-                    self.on_event,
-                    self.limits,
-                    self.stop_after_failures,
-                    self._manifests,
-                )
-            )
+        """Denoise all files as one mesh, led by this process."""
+        if todo:
+            many, job = self.stop_after_failures, self._tile_job(0)
+            state = self.plan, self.settings, self.on_event, many, self._manifests, job
+            self._finish(tile_set.denoise_set(*state))
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work
@@ -424,33 +439,3 @@ class _BatchRun:
 
 def _local(homes: Iterable[str]) -> list[str]:
     return [home for home in homes if not is_url(home)]
-
-
-def unfinished_record(name: str, settings: Settings, failure: Failure | None = None) -> MeshRecord:
-    """The record of an input that failed outside of the pipeline, or that is not done yet."""
-    return MeshRecord(
-        input=name,
-        status="planned" if failure is None else "failed",
-        version=__version__,
-        method=MethodUsed(settings.method, dict(settings.parameters)),
-        error=failure,
-    )
-
-
-def failure_of(message: Failed) -> Failure:
-    """The failure, with its code, of a task that was lost."""
-    return Failure(_LOSS_CODES[message.cause], message.reason, message.hint)
-
-
-def denoise_in_worker(
-    task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
-) -> MeshRecord:
-    """One file, in a worker.  MemoryError is raised again, so that the file gets its second try
-    alone and the worker, whose heap is fragmented, is replaced.  That there was not enough memory
-    by forecast would come again."""
-    denoise, settings = common
-    record = denoise(task, settings, on_progress)
-    error = record.error
-    if error is not None and error.code == "E_MEMORY" and error.where != FORECAST:
-        raise MemoryError(error.message)
-    return record

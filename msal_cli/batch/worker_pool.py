@@ -72,7 +72,8 @@ class WorkerPool:
         self._assignment = Assignment(
             work.function, work.common, _log.getEffectiveLevel(), work.limits.memory_bytes
         )
-        self._jobs = max(1, min(work.jobs, len(work.tasks)))
+        # A pool that stays gets more tasks than those that it begins with.
+        self._jobs = max(1, work.jobs if stays else min(work.jobs, len(work.tasks)))
         self._files_per_worker = files_per_worker
         self._growth_bytes = growth_bytes
         self._queue = TaskQueue(

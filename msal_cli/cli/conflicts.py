@@ -29,6 +29,8 @@ _FOR_FILES = (
     "fields",
     "retries",
     "max_failures",
+    "tiled",
+    "scratch",
     "tile_set",
 )
 
@@ -75,12 +77,6 @@ _CONFLICTS = (
         "shard",
         "--shard deals out files, and the files of a tile set are one mesh",
         "run the set as a whole, or leave --tile-set away",
-    ),
-    (
-        "tile_set",
-        "dask",
-        "--engine dask deals out files, and the files of a tile set are one mesh",
-        "leave --engine dask away",
     ),
     (
         "tile_set",

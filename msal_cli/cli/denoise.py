@@ -107,6 +107,7 @@ class _Session:
         from msal_cli.batch import interrupts
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
+        from msal_cli.batch.tile_options import TileOptions
         from msal_cli.cli import progress, report_files
 
         request = self._request
@@ -142,6 +143,7 @@ class _Session:
                 stop_after_failures=1 if request.fail_fast else request.max_failures,
                 command=self._command,
                 engine=engine,
+                tiles=TileOptions(request.tiled, request.scratch),
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
             bar.close()
@@ -150,11 +152,7 @@ class _Session:
         finally:
             bar.close()
         if plan.is_set and request.dry_run and not request.quiet:
-            from msal_cli.machine import megabytes
-            from msal_cli.tiles.set_run import memory_of_set
-
-            needed = megabytes(memory_of_set(plan.tasks, settings))
-            console.say(f"as one mesh they take up to {needed} of memory")
+            console.say(_describe_set(plan, settings, records))
         with interrupts.noticed(interrupts.raise_for):
             return self._conclude(settings, records)
 
@@ -273,6 +271,18 @@ class _Session:
             interrupted=interrupted,
             machine=environment.describe_machine() if is_reported else {},
         )
+
+
+def _describe_set(plan: Plan, settings: Settings, records: Sequence[MeshRecord]) -> str:
+    """What the files of a tile set will take together."""
+    from msal_cli.machine import megabytes
+    from msal_cli.report.phrases import tiles_text
+    from msal_cli.tiles.set_run import memory_of_set
+
+    tiles = next((one.tiles for one in records if one.tiles is not None), None)
+    if tiles is not None:
+        return f"as one mesh they are denoised in {tiles_text(tiles)}"
+    return f"as one mesh they take up to {megabytes(memory_of_set(plan.tasks, settings))} of memory"
 
 
 def _log_record(record: MeshRecord) -> None:

@@ -221,6 +221,20 @@ MANY_FILES = group(
         help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
     ),
     click.option(
+        "--tiled",
+        is_flag=True,
+        help="Denoise every mesh in tiles by way of temporary files, which takes little memory "
+        "however large it is; for binary PLY and STL. The result is the same to the last byte.  "
+        "[default: meshes that do not fit into memory, or into --memory-limit]",
+    ),
+    click.option(
+        "--scratch",
+        metavar="FOLDER",
+        type=options.PATH,
+        help="Where the temporary files of tiles go, some 250 bytes for each vertex.  "
+        "[default: a hidden folder beside the output]",
+    ),
+    click.option(
         "--max-faces",
         metavar="N",
         type=click.IntRange(min=1),

@@ -21,6 +21,9 @@ _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
 _SHARE_FORMAT = "{desc} {percentage:3.0f} %|{bar}| [{elapsed}<{remaining}]"
 
+TILES = "tiles"
+"""The stage of a mesh that is denoised by tiles, which is counted in parts of the whole."""
+
 # What takes less time gets no bar (seconds).
 _DELAY_S = 0.4
 _BETWEEN_S = 0.1
@@ -28,7 +31,7 @@ _BETWEEN_S = 0.1
 # A file of this size gets one at once: reading it alone takes longer.
 _LARGE_BYTES = 8 << 20
 
-_COUNTED = ("choose", "sweeps")
+_COUNTED = ("choose", "sweeps", TILES)
 
 
 class Silent:
@@ -75,9 +78,10 @@ class SweepBar(Silent):
             # Another stage is counted from its own beginning, at its own pace.
             self._bar.close()
             self._bar = self._empty()
-        if stage != self._stage or is_counted != (self._bar.bar_format == _FORMAT):
+        if stage != self._stage or is_counted == (self._bar.bar_format == "{desc}"):
             self._stage = stage
-            self._bar.bar_format = _FORMAT if is_counted else "{desc}"
+            counted = _SHARE_FORMAT if stage == TILES else _FORMAT
+            self._bar.bar_format = counted if is_counted else "{desc}"
             self._bar.set_description_str(f"{self._name}: {stage}", refresh=False)
             if time.monotonic() >= self._wakes:
                 self._bar.refresh()
@@ -97,15 +101,19 @@ class FileBar(Silent):
 
     def on_event(self, event: Event) -> None:
         """Show what happened to one file."""
-        from msal_cli.batch.events import Finished, Started
+        from msal_cli.batch.events import Finished, Progress, Started
 
-        if isinstance(event, Started):
+        if isinstance(event, Progress) and event.stage == TILES:
+            share = f"{100.0 * event.done / event.total:.0f} % of the tiles"
+            self._bar.set_postfix_str(share, refresh=False)
+        elif isinstance(event, Started):
             name = pad_name(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
             self._bar.set_description_str(name, refresh=False)
         elif isinstance(event, Finished):
-            if event.record.status == "failed":
-                self._n_failed += 1
-                self._bar.set_postfix_str(f"{self._n_failed} failed", refresh=False)
+            self._n_failed += event.record.status == "failed"
+            if self._n_failed or event.record.tiles is not None:
+                failed = f"{self._n_failed} failed" if self._n_failed else ""
+                self._bar.set_postfix_str(failed, refresh=False)
             self._bar.update(1)
         # A folder of small files must not spend its time on a bar.
         if time.monotonic() >= self._shown + _BETWEEN_S:
@@ -162,11 +170,18 @@ class ReadingBar:
         self._has_signals = False
         self.at_end = ExitStack()
 
+    def on_folder(self) -> None:
+        """Have a signal end the work by an exception, so that what is kept in files is removed."""
+        from msal_cli.batch import interrupts
+
+        if not self._has_signals:
+            self._has_signals = True
+            self.at_end.enter_context(interrupts.noticed(interrupts.raise_for))
+
     def on_text(self, name: str, done: int, total: int) -> None:
         """Show how much of a text was read, whose numbers are kept in a file first."""
         if self._text != name:
             self._text = name
-            self._clean_up_at_signals()
             self._say(f"{escape_for_display(name)}: larger than memory, so it is read in pieces")
             self._begin(f"{_short(name)}: reading text")
         self.on_progress(done, total)
@@ -180,14 +195,6 @@ class ReadingBar:
                 f"{counts}, {mesh.n_polygons:,} faces, {mesh.size:,} bytes"
             )
         self._begin(_short(names[-1]))
-
-    def _clean_up_at_signals(self) -> None:
-        """Have a signal end the work by an exception, so that what is kept in files is removed."""
-        from msal_cli.batch import interrupts
-
-        if not self._has_signals:
-            self._has_signals = True
-            self.at_end.enter_context(interrupts.noticed(interrupts.raise_for))
 
     def _say(self, text: str) -> None:
         self.close()

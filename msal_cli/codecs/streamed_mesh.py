@@ -16,7 +16,8 @@ NewPositions = Callable[[int, int], Floats]
 units; that of a vertex which did not move is exactly the stored one."""
 
 NewNormals = Callable[[int, int], Floats]
-"""The same for the unit normals of vertices, where the file stores such."""
+"""The same for the unit normals of vertices, where the file stores such: those that are computed
+anew, and NaN for those that are kept."""
 
 
 class Survey(NamedTuple):

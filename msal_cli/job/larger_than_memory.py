@@ -68,6 +68,8 @@ def _open(
         return open_streamed(path, format)
     except UnsupportedError:
         pass  # a text, perhaps
+    if listener is not None:
+        listener.on_folder()
     folder = Path(tempfile.mkdtemp(prefix="msal-"))
     at_end.callback(shutil.rmtree, folder, ignore_errors=True)
 

@@ -10,9 +10,13 @@ from msal_cli.errors import InternalError, LossError, MsalError, OutputError
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.storage.buffers import Buffer
+
+_PIECE = 4 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +184,33 @@ def keep_backup(task: Task, data: Buffer) -> None:
             hint="move it away or choose another --backup suffix",
         )
     atomic.write_whole(backup, [data], mode_like=task.input)
+
+
+def keep_backup_of_file(task: Task) -> None:
+    """The same for an original of any size, which gets a second name where the disk can do that."""
+    from msal_cli.storage import atomic
+    from msal_cli.storage.digests import sha256_of_file
+
+    backup = task.input + str(task.backup)
+    if os.path.lexists(backup):
+        is_same = os.path.isfile(backup) and sha256_of_file(backup) == sha256_of_file(task.input)
+        if is_same:
+            return
+        raise OutputError(
+            f"the backup {backup!r} exists and is not this file",
+            hint="move it away or choose another --backup suffix",
+        )
+    try:
+        # The output is moved to the first name, and the second one stays with the original.
+        os.link(task.input, backup)
+    except OSError:
+        atomic.write_whole(backup, _read_pieces(task.input), mode_like=task.input)
+
+
+def _read_pieces(path: str) -> Iterator[bytes]:
+    with open(path, "rb", buffering=0) as file:
+        while piece := file.read(_PIECE):
+            yield piece
 
 
 def write_output(path: str, data: Buffer, companions: tuple[Companion, ...] = ()) -> None:

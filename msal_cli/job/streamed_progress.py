@@ -12,6 +12,10 @@ if TYPE_CHECKING:
 class ReadingListener(Protocol):
     """Hears of meshes that are read in pieces because they do not fit into memory."""
 
+    def on_folder(self) -> None:
+        """A temporary folder is going to be made: a signal should raise, so that it is removed."""
+        ...
+
     def on_text(self, name: str, done: int, total: int) -> None:
         """So many bytes of a text were read, whose numbers are kept in a file first."""
         ...

@@ -30,8 +30,12 @@ SAMPLED = 100_000
 """Vertices of the file that tell how dense it is around the cubes."""
 
 
+_FACTOR, _BITS = 2_654_435_761, 32
+
+
 class SpreadSample:
-    """Every k-th vertex of a mesh that comes in pieces."""
+    """One of every k vertices of a mesh that comes in pieces, here and there among them: at even
+    steps they might all lie in a few columns of a grid."""
 
     def __init__(self, n_vertices: int) -> None:
         self.step = -(-n_vertices // SAMPLED)
@@ -39,8 +43,12 @@ class SpreadSample:
 
     def add(self, start: int, vertices: NDArray[np.floating]) -> None:
         """Add the vertices (n, 3) from number ``start`` on."""
-        first = -start % self.step
-        self._parts.append(vertices[first :: self.step].astype(np.float64))
+        stop = start + len(vertices)
+        rows = np.arange(start // self.step, -(-stop // self.step), dtype=np.int64)
+        mixed = rows * _FACTOR & (1 << _BITS) - 1
+        numbers = rows * self.step + (mixed * self.step >> _BITS)
+        numbers = numbers[(numbers >= start) & (numbers < stop)]
+        self._parts.append(vertices[numbers - start].astype(np.float64))
 
     @property
     def vertices(self) -> Floats:

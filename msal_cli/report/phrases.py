@@ -17,8 +17,9 @@ from msal_cli.job.records import (
     Reference,
     RunnerUp,
     SelfIntersections,
-    TileSetPart,
 )
+from msal_cli.job.tile_records import Tiles, TileSetPart
+from msal_cli.machine import megabytes
 
 Tone = Literal["plain", "good", "bad", "faint"]
 
@@ -182,6 +183,26 @@ def defects_text(record: MeshRecord | InfoRecord) -> str:
 def despiked_text(despiked: int) -> str:
     """``12 outlier vertices brought back``."""
     return format_count(despiked, "outlier vertex", "outlier vertices") + " brought back"
+
+
+def tiles_text(tiles: Tiles) -> str:
+    """Such as ``128 tiles with 6 rings around each, 2 at a time, 21 GB of scratch space``."""
+    parts = [format_count(tiles.number, "tile")]
+    if tiles.rings is not None:
+        parts[0] += f" with {format_count(tiles.rings, 'ring')} around each"
+    parts += [f"{tiles.jobs} at a time", f"{megabytes(tiles.scratch_bytes)} of scratch space"]
+    if tiles.choice_vertices is not None:
+        parts.append(
+            f"noise and choice of {format_count(tiles.choice_vertices, 'vertex', 'vertices')}"
+        )
+    if tiles.resumed_tasks:
+        parts.append(f"{format_count(tiles.resumed_tasks, 'task')} done by an earlier run")
+    is_done = tiles.rings is not None
+    if tiles.memory_bytes is not None and not is_done:
+        parts.append(f"{megabytes(tiles.memory_bytes)} of memory")
+    if tiles.expected_seconds is not None and not is_done:
+        parts.append(f"about {seconds_text(tiles.expected_seconds)}")
+    return ", ".join(parts)
 
 
 def self_intersections_text(one: SelfIntersections) -> str:

@@ -32,6 +32,7 @@ from msal_cli.report.phrases import (
     self_intersections_text,
     storage_text,
     tile_set_text,
+    tiles_text,
     touches_text,
     vertices_text,
 )
@@ -72,7 +73,9 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            yield Line(f"{file_name(record.input)} -> {_output_name(record)}")
+            tiles = record.tiles if record.tile_set is None else None
+            ending = "" if tiles is None else f": {tiles_text(tiles)}"
+            yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
                 counts = vertices_text(record.vertices, record.corners)
                 yield Line(f"  {counts}, {touches_text(record.tile_set)}")
@@ -94,6 +97,8 @@ def _file_lines(run: Run, record: MeshRecord, defaults: Mapping[str, Any] | None
             yield Line(f"{name} was not finished", "bad")
         else:
             yield Line(f"{name} would be written to {_output_name(record)}")
+            if record.tiles is not None:
+                yield Line(f"  {'tiles':<13} {tiles_text(record.tiles)}")
         return
     if record.status == "up-to-date":
         yield Line(f"{_output_name(record)} is up to date", "good")
@@ -180,6 +185,8 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     )
     texts = [f"{format_count(n, 'vertex', 'vertices')} {word}" for n, word in kept if n is not None]
     facts.append(("constraints", ", ".join(texts)))
+    if record.tiles is not None:
+        facts.append(("tiles", tiles_text(record.tiles)))
     facts.append(("tile set", tile_set_text([record])))
     if record.seconds is not None:
         facts.append(("time", _time_text(record)))

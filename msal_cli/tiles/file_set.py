@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions, StreamedMesh
+from msal_cli.codecs.streamed_mesh import FaceChunk, NewNormals, NewPositions, StreamedMesh, Survey
 from msal_cli.errors import InputError, InternalError, UnsupportedError
 from msal_cli.storage.atomic import write_whole
 
@@ -27,7 +27,10 @@ FIXED = "msal:fixed"
 """A property of the vertices of a set: 1 for those that stay where they are, 0 for others."""
 
 _TABLE = "set.npz"
-_KINDS = {"float32": np.float32, "float64": np.float64}
+_KINDS: dict[str, type[np.float32] | type[np.float64]] = {
+    "float32": np.float32,
+    "float64": np.float64,
+}
 
 
 @dataclass(frozen=True)
@@ -180,8 +183,16 @@ class FileSet:
         """None: every file is written by itself."""
         return []
 
+    def survey(self, positions: NewPositions, normals: NewNormals | None) -> Survey | None:
+        """None: there are no texts of its own."""
+        return None
+
     def replace(
-        self, piece: tuple[int, int], positions: NewPositions, normals: NewNormals | None
+        self,
+        piece: tuple[int, int],
+        positions: NewPositions,
+        normals: NewNormals | None,
+        survey: Survey | None = None,
     ) -> memoryview:
         """There is nothing to replace."""
         raise InternalError("a tile set has no bytes of its own")

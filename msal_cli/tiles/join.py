@@ -31,8 +31,8 @@ from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
 
 MOVED, NORMALS = "moved.f8", "normals.f8"
-"""New positions (n, 3) and normals (n, 3) by new number, file units, float64; that of a vertex
-which did not move is the stored one.  Without the first nothing moved."""
+"""New positions (n, 3) and normals (n, 3) by new number, file units, float64: as of
+``codecs.streamed_mesh.NewPositions`` and ``NewNormals``.  Without the first nothing moved."""
 
 OUTPUT = "output.bin"
 """The output of a binary file as far as it is written."""

@@ -19,7 +19,6 @@ from msal_cli.job import changes
 from msal_cli.job.records import NormalChange
 from msal_cli.mesh import Defects
 from msal_cli.tiles import part_volumes
-from msal_cli.tiles.cut import tile_range, weld_numbers
 from msal_cli.tiles.part_files import save_array
 from msal_cli.tiles.plan import load_plan, read_globals
 from msal_cli.tiles.representative import read_settings
@@ -37,7 +36,7 @@ those that count alike differ by 0.1 % at most."""
 
 
 def measure_tile(
-    scratch: Scratch, tile: int, tile_mesh: TileMesh, before: Mesh, moved: Floats, placed: Floats
+    scratch: Scratch, tile: int, tile_mesh: TileMesh, before: Mesh, moved: Floats
 ) -> dict[str, Any]:
     """What a tile contributes to the figures of the whole.
 
@@ -45,7 +44,6 @@ def measure_tile(
     ----------
     before : the mesh of the tile and its halo, ``tile_mesh``.
     moved : (n, 3) its new positions.
-    placed : (count, 3) new positions of all of the tile's vertices, file units.
     """
     from msal_cli.kernels.geometry import distances
     from msal_cli.kernels.surface_change import surface_figures
@@ -64,7 +62,6 @@ def measure_tile(
         "moved": int(np.count_nonzero(lengths)),
         "surface": surface_figures(before.vertices, moved, own_faces).tolist(),
         "folds": _count_folds(scratch, tile_mesh, before),
-        "seam_gap": _measure_seams(scratch, tile, placed),
     }
 
 
@@ -106,18 +103,6 @@ def _count_folds(scratch: Scratch, tile_mesh: TileMesh, before: Mesh) -> int:
     step = harm.sampling_step(read_globals(scratch)["counts"]["faces"])
     chosen = tile_mesh.own_faces & (tile_mesh.triangles % np.uint32(step) == 0)
     return harm.count_folds(before, np.ascontiguousarray(tile_mesh.faces[chosen]))
-
-
-def _measure_seams(scratch: Scratch, tile: int, placed: Floats) -> float:
-    """Largest distance between new positions (count, 3) of vertices that were at one place."""
-    first, stop = tile_range(scratch, tile)
-    ids = np.arange(first, stop, dtype=np.uint32)
-    welded = weld_numbers(scratch, ids)
-    if welded is ids or not len(ids):
-        return 0.0
-    from msal_cli.kernels.welding import widest_gap
-
-    return widest_gap(placed, (welded - np.uint32(first)).astype(np.int32), len(ids))
 
 
 # Figures of the whole

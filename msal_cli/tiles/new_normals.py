@@ -8,6 +8,7 @@ import numpy as np
 
 from msal_cli.tiles.cut import tile_range, tile_records, weld_numbers
 from msal_cli.tiles.halo import other_vertices, read_positions
+from msal_cli.tiles.join import MOVED
 from msal_cli.tiles.vertex_data import STORED_NORMALS
 
 if TYPE_CHECKING:
@@ -19,16 +20,17 @@ if TYPE_CHECKING:
 
 
 def renew_normals(
-    scratch: Scratch, tile: int, mesh: TileMesh, moved: Floats, placed: Floats, origin: Floats
+    scratch: Scratch, tile: int, mesh: TileMesh, moved: Floats, origin: Floats
 ) -> Floats:
-    """New normals (count, 3) of a tile's vertices, as the codecs for whole files compute them.
+    """New normals (count, 3) of a tile's vertices, as the codecs for whole files compute them; NaN
+    for those that are kept.
 
     They come from all triangles of the file, useless ones too, and vertices that are not welded.
 
     Parameters
     ----------
     mesh, moved : the tile and its halo, and the new positions (n, 3) of its vertices.
-    placed : (count, 3) new positions of all of the tile's vertices, file units.
+    origin : (3,) of the whole mesh; new positions in file units are in scratch already.
     """
     from msal_cli.kernels.geometry import regrouped_normals
     from msal_cli.kernels.halos import relabel
@@ -47,12 +49,14 @@ def renew_normals(
     place = _find(mesh, weld_numbers(scratch, others))
     is_used = np.ones(len(mesh.ids), dtype=bool)
     others_new = scatter(mesh.vertices, moved, is_used, place, origin, old[count:])
+    placed = scratch.read_range(MOVED, np.float64, first, stop, 3)
     new = np.concatenate([placed, others_new])
+    del placed
     # Those of others are not looked at: zero is no normal.
     stored = np.zeros((len(numbers), 3))
     stored[:count] = scratch.read_range(STORED_NORMALS, np.float64, first, stop, 3)
-    renewed: Floats = regrouped_normals(old, new, faces, faces, stored)[0][:count]
-    return renewed
+    renewed, is_new = regrouped_normals(old, new, faces, faces, stored)
+    return np.where(is_new[:count, None], renewed[:count], np.nan)
 
 
 def _find(mesh: TileMesh, ids: NDArray[np.uint32]) -> Ints:

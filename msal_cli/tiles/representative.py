@@ -35,6 +35,7 @@ from msal_cli.tiles.cut import (
     tile_faces,
     tile_range,
 )
+from msal_cli.tiles.eligibility import names_with_reach
 from msal_cli.tiles.plan import TilePlan, load_plan, write_globals
 
 if TYPE_CHECKING:
@@ -191,15 +192,6 @@ def _choose_local(mesh: Mesh, settings: Settings, first: Preparation) -> tuple[P
     )
     kept = {name: value for name, value in first.known.items() if name not in made.known}
     return replace(made, known=kept | made.known, noise=made.noise or first.noise), note
-
-
-def names_with_reach() -> list[str]:
-    """The methods that can run by tiles at their defaults."""
-    return [
-        name
-        for name in methods.names()
-        if has_reach(methods.find(name), methods.find(name).validate({}))
-    ]
 
 
 def _look_for_outliers(mesh: Mesh) -> list[str]:

@@ -158,6 +158,10 @@ class Scratch:
         """What ``finish_stage`` recorded; None if the stage is not reduced."""
         return self.read_json(f"{_DONE}/{stage}/{_REDUCED}")
 
+    def forget_stage(self, stage: str) -> None:
+        """Remove the results of a stage, so that it is run again."""
+        shutil.rmtree(self.path / _DONE / stage)
+
     def remove(self) -> None:
         """Remove the folder and all that is in it."""
         shutil.rmtree(self.path, ignore_errors=True)

@@ -25,6 +25,7 @@ NEAR_EDGES = 0.25
 """Distance in mean edge lengths below which a border point lies at the border of another file."""
 
 _MOST_PAIRS = 50_000_000
+_ROUNDING = 2.0**-52
 _MOST_STEPS = 64
 
 _AHEAD = [
@@ -196,7 +197,8 @@ def share_borders(
         leader = leader[first]
         has_leader = leader >= 0
         pairs.append((np.flatnonzero(has_leader), leader[has_leader]))
-    if weld > 0.0:
+    # Within less than positions are rounded by, only the same ones are.
+    if weld > _ROUNDING * float(np.abs(positions).max(initial=0.0)):
         pairs.append(near_pairs(positions, positions, weld, most=_MOST_PAIRS))
     if len(pairs) > 1:
         one = np.concatenate([pair[0] for pair in pairs])

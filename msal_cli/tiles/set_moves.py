@@ -49,6 +49,11 @@ class MovedSet(Protocol):
 class RunTiles(Protocol):
     """What runs all stages of the tiles over a set."""
 
+    @property
+    def is_forced(self) -> bool:
+        """Whether the set is denoised by tiles although it may fit into memory."""
+        ...
+
     def refuse(self, settings: Settings) -> None:
         """Raise UnsupportedError for what cannot be done by tiles."""
         ...

@@ -16,7 +16,7 @@ import numpy as np
 from msal_cli.errors import ResourceError, UnsupportedError, UsageError
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import start_record
-from msal_cli.job.records import Failure, MeshRecord, TileSetPart
+from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import (
     FORECAST,
     NO_LIMITS,
@@ -26,6 +26,7 @@ from msal_cli.job.settings import (
     forecast,
     least_memory_bytes,
 )
+from msal_cli.job.tile_records import TileSetPart
 from msal_cli.machine import available_bytes, megabytes
 from msal_cli.tiles.set_borders import SharedBorders, count_unmatched, share_borders
 from msal_cli.tiles.set_member import Arrays, Member, add_seconds, scan_member, write_member
@@ -68,6 +69,7 @@ _SHARED_FIELDS = (
     "despiked",
     "clamped_vertices",
     "locked_vertices",
+    "tiles",
 )
 
 
@@ -136,11 +138,14 @@ class _SetRun:
     def denoise(self, most_failures: int | None, run_tiles: RunTiles | None) -> list[MeshRecord]:
         """See ``denoise_set``."""
         try:
-            reason = self._find_want_of_memory()
-            if reason is None:
-                run_tiles = None
-            else:
+            if run_tiles is not None and run_tiles.is_forced:
+                run_tiles.refuse(self._settings)
+            elif (reason := self._find_want_of_memory()) is not None:
                 _require_tiles(run_tiles, self._settings, reason)
+            else:
+                run_tiles = None
+            # A file that does not fit by itself fails before it is loaded.
+            self._limits = replace(self._limits, memory_bytes=self._memory_bound)
             arrays: list[Arrays] = []
             self._scan(arrays.append if run_tiles is None else None)
             if most_failures is not None and len(self._records) >= most_failures:
@@ -172,12 +177,16 @@ class _SetRun:
 
     # What there is
 
+    @property
+    def _memory_bound(self) -> int | None:
+        """Bytes that may be used; None where it is not known."""
+        limit, left = self._limits.memory_bytes, available_bytes()
+        return int(_SHARE_OF_MEMORY * left) if limit is None and left is not None else limit
+
     def _find_want_of_memory(self) -> ResourceError | None:
         """Why the joined mesh does not fit into memory, by forecast; None if it does."""
         needed = memory_of_set(self._tasks, self._settings)
-        limit, left = self._limits.memory_bytes, available_bytes()
-        if limit is None and left is not None:
-            limit = int(_SHARE_OF_MEMORY * left)
+        limit = self._memory_bound
         if limit is not None and needed > limit:
             return ResourceError(
                 f"denoising these {len(self._tasks)} files as one takes up to "
@@ -324,7 +333,10 @@ class _SetRun:
             record = add_seconds(
                 record, (member.record.seconds, 1.0), (moved.record.seconds, share)
             )
-            self._records[member.index] = replace(record, tile_set=parts[place])
+            peaks = [one.peak_memory_bytes or 0 for one in (record, moved.record)]
+            self._records[member.index] = replace(
+                record, tile_set=parts[place], peak_memory_bytes=max(peaks) or None
+            )
         mixed = shared.with_single(is_single)
         written[mixed] = written[mixed].astype(np.float32)
         gaps = shared.distances(written)

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 MEAN_EDGE_LENGTH = "mean edge length"
 """Key of this number among those of the whole mesh."""
 
+_BLOCK_ROWS = 1 << 19
+
 _COUNTS = ("faces", "duplicates", "flat", "boundary", "inconsistent", "non_manifold")
 
 
@@ -94,8 +96,7 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
         _write_moved(scratch, tile, None, np.empty((0, 3)))
         if scratch.has(NORMALS):
             first, stop = tile_range(scratch, tile)
-            stored = scratch.read_range(vertex_data.STORED_NORMALS, np.float64, first, stop, 3)
-            _write_rows(scratch, NORMALS, tile, stored)
+            _write_rows(scratch, NORMALS, tile, np.full((stop - first, 3), np.nan))
         return {"locked": vertex_data.count_held_strays(scratch, tile, None)}
     tile_mesh = TileMesh.load(folder)
     saved = load_saved(scratch, tile, tile_mesh, round_number - 1) if round_number else {}
@@ -118,16 +119,16 @@ def run_denoise(scratch: Scratch, round_number: int, tile: int) -> dict[str, Any
     if constraints is not None:
         counts = _count_constrained(scratch, tile, tile_mesh, constraints, moved)
         moved, _ = constraints.apply(moved)
-    placed = _write_moved(scratch, tile, tile_mesh, moved)
-    figures = measures.measure_tile(scratch, tile, tile_mesh, mesh, moved, placed)
+    seam_gap = _write_moved(scratch, tile, tile_mesh, moved)
+    figures = measures.measure_tile(scratch, tile, tile_mesh, mesh, moved)
     sample = measures.sample_fidelity(scratch, tile_mesh, result.fields.get("fidelity"))
     if scratch.has(NORMALS):
         mesh.release_normals()
         del mesh, constraints, result
         origin = np.array(read_globals(scratch)["origin"])
-        normals = new_normals.renew_normals(scratch, tile, tile_mesh, moved, placed, origin)
+        normals = new_normals.renew_normals(scratch, tile, tile_mesh, moved, origin)
         _write_rows(scratch, NORMALS, tile, normals)
-    return {"measures": figures | counts | {"fidelity": sample}}
+    return {"measures": figures | counts | {"fidelity": sample, "seam_gap": seam_gap}}
 
 
 def reduce_denoise(scratch: Scratch, round_number: int) -> bool:
@@ -230,27 +231,38 @@ def _check_result(method: Method | None, mesh: Mesh, result: Result) -> None:
 # New positions
 
 
-def _write_moved(scratch: Scratch, tile: int, mesh: TileMesh | None, moved: Floats) -> Floats:
-    """Write the new positions of all vertices of a tile, and return them (count, 3).
+def _write_moved(scratch: Scratch, tile: int, mesh: TileMesh | None, moved: Floats) -> float:
+    """Write the new positions of all vertices of a tile; the result is the widest seam: the largest
+    distance between those of coincident ones.
 
     A vertex that did not move, or that no face has, keeps its stored value; a welded one gets that
     of the first at its place.
     """
+    from msal_cli.kernels.geometry import distances
     from msal_cli.kernels.welding import scatter
 
     first, stop = tile_range(scratch, tile)
-    ids = np.arange(first, stop, dtype=np.uint32)
-    positions = read_positions(scratch, slice(first, stop))
+    gap = 0.0
     if mesh is not None:
         own = np.flatnonzero(mesh.own_vertices)
         numbers = np.full(stop - first, -1, dtype=np.int32)
         numbers[mesh.ids[own] - np.uint32(first)] = own
-        place = numbers[weld_numbers(scratch, ids) - np.uint32(first)]
         is_used = np.ones(len(mesh.ids), dtype=bool)
         origin = np.array(read_globals(scratch)["origin"])
-        positions = scatter(mesh.vertices, moved, is_used, place, origin, positions)
-    _write_rows(scratch, MOVED, tile, positions)
-    return positions
+    # Facets have six corners for each vertex: all at once would take more than the mesh itself.
+    for start in range(first, stop, _BLOCK_ROWS):
+        ids = np.arange(start, min(start + _BLOCK_ROWS, stop), dtype=np.uint32)
+        rows = read_positions(scratch, slice(start, start + len(ids)))
+        if mesh is not None:
+            welded = weld_numbers(scratch, ids)
+            place = numbers[welded - np.uint32(first)]
+            known = mesh.vertices, moved, is_used, place, origin
+            rows = scatter(*known, rows)
+            if welded is not ids:
+                first_alike = scatter(*known, read_positions(scratch, welded))
+                gap = max(gap, float(distances(rows, first_alike).max()))
+        scratch.write_range(MOVED, start * 3 * rows.itemsize, rows)
+    return gap
 
 
 def _write_rows(scratch: Scratch, name: str, tile: int, rows: Floats) -> None:

@@ -187,6 +187,8 @@ REFUSED = {
     "budget": ((VERTICES, FACES), {"budget": 0.5}, msal.UsageError, "E_USAGE"),
     "max_move": ((VERTICES, FACES), {"max_move": -1}, msal.UsageError, "E_USAGE"),
     "max_move nan": ((VERTICES, FACES), {"max_move": np.nan}, msal.UsageError, "E_USAGE"),
+    "max_move list": ((VERTICES, FACES), {"max_move": [1]}, msal.UsageError, "E_USAGE"),
+    "mixed lock": ((VERTICES, FACES), {"lock": ["boundary", [1]]}, msal.UsageError, "E_USAGE"),
     "no unit": ((VERTICES, FACES), {"max_move": "1mm"}, msal.UsageError, "E_USAGE"),
     "min_noise": ((VERTICES, FACES), {"min_noise": "much"}, msal.UsageError, "E_USAGE"),
     "short mask": ((VERTICES, FACES), {"lock": [True, False]}, msal.UsageError, "E_USAGE"),

@@ -156,7 +156,7 @@ def test_meshio_polygons_float32_and_other_cells():
 
 @pytest.fixture
 def pyvista():
-    return pytest.importorskip("pyvista", reason="pyvista is not installed")
+    return pytest.importorskip("pyvista", exc_type=ImportError, reason="pyvista does not load")
 
 
 def poly_data(pyvista, polygons, vertices=VERTICES):
@@ -219,7 +219,7 @@ def test_pyvista_float32_and_other_data_sets(pyvista):
 
 @pytest.fixture
 def open3d():
-    return pytest.importorskip("open3d", reason="open3d is not installed")
+    return pytest.importorskip("open3d", exc_type=ImportError, reason="open3d does not load")
 
 
 def test_open3d_keeps_colours_and_renews_normals(open3d):

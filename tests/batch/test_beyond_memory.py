@@ -77,7 +77,7 @@ def folder(tmp_path):
 def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
     monkeypatch.setattr(header_check, "read_whole", None)
-    made = msal("denoise", folder, "-o", tmp_path / "out", "-j1")
+    made = msal("denoise", folder, "-o", tmp_path / "out", "-j1", "--despike")
     assert made.exit_code == 3
     assert "this machine has 60 MB left (E_MEMORY)" in made.stderr
     assert (tmp_path / "out/small.ply").exists() and not (tmp_path / "out/large.ply").exists()
@@ -86,9 +86,10 @@ def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
 def test_one_file_alone_is_refused_and_a_limit_of_its_own_tries_it(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
     one = folder / "large.ply"
-    made = msal("denoise", one, "-o", tmp_path / "out.ply")
+    made = msal("denoise", one, "-o", tmp_path / "out.ply", "--despike")
     assert made.exit_code == 1
     assert "E_MEMORY" in made.stderr and "hint: use a machine" in made.stderr
+    assert "--despike needs the whole mesh in memory" in made.stderr
     # Nothing but zeros is no surface, which only reading tells.
     made = msal("denoise", one, "-o", tmp_path / "out.ply", "--memory-limit", "1G")
     assert "E_MEMORY" not in made.stderr and "E_NO_FACES" in made.stderr
@@ -101,6 +102,7 @@ def test_the_command_refuses_two_billion_vertices_without_loading_them(tmp_path)
 
     sparse(tmp_path / "huge.ply", 2_000_000_000, 300_000_000)
     command = [sys.executable, "-m", "msal_cli", "denoise", "huge.ply", "-o", "out.ply"]
+    command += ["--despike"]
     made = subprocess.run(
         command,
         cwd=tmp_path,

@@ -44,7 +44,7 @@ REASON = "noise 0.11 e; organic; MSAL, K = 0.7, 3 sweeps"
 def fixed(name="msal", given=None, **changes):
     """A chooser that chooses always the same; it keeps the wishes that it was given."""
 
-    def chosen(mesh, wishes, on_step=None):
+    def chosen(mesh, wishes, on_step=None, is_allowed=None):
         chosen.wishes.append(wishes)
         if on_step is not None:
             on_step(1, 1)
@@ -456,7 +456,7 @@ def test_trust_without_effect_is_a_warning(tmp_path, choose):
 
 
 def test_ctrl_c_while_choosing_writes_nothing(scan, tmp_path, choose):
-    def interrupted(mesh, wishes, on_step=None):
+    def interrupted(mesh, wishes, on_step=None, is_allowed=None):
         raise KeyboardInterrupt
 
     choose(interrupted)
@@ -477,7 +477,7 @@ def slow_to_choose(tmp_path):
         "import time\n"
         "from pathlib import Path\n"
         "from msal_cli.auto import search\n"
-        "def slow_search(mesh, wishes, on_step=None):\n"
+        "def slow_search(mesh, wishes, on_step=None, is_allowed=None):\n"
         f"    Path({str(begun)!r}).touch()\n"
         "    for at in range(600):\n"
         "        time.sleep(0.1)\n"

@@ -125,7 +125,9 @@ def test_fail_fast_writes_nothing(tiles):
 def test_a_dry_run_lists_neighbours_and_memory(tiles):
     done = denoise(tiles, "--dry-run")
     assert "touches 0.ply, 2.stl, 3.ply" in done.stdout
-    assert "of memory" in done.stderr
+    assert "as one mesh they take up to" in done.stderr
+    done = denoise(tiles, "--dry-run", "--tiled")
+    assert "as one mesh they are denoised in 1 tile, 1 at a time" in done.stderr
     assert not tiles[1].exists()
 
 
@@ -149,7 +151,6 @@ def test_too_long_a_weld_is_refused(tiles, options):
     [
         (("--shard", "1/2"), "--shard deals out files"),
         (("--timeout", "5"), "--timeout is for one file"),
-        (("--engine", "dask", "--scheduler", "local"), "--engine dask deals out files"),
         (("--weld", "0"), "--weld 0: this is no length above 0"),
     ],
 )
@@ -171,6 +172,43 @@ def test_one_file_is_a_set_too(tiles):
     done = msal("denoise", folder / "0.ply", "-o", out / "a.ply", "--tile-set", "-n", "3", "--json")
     (record,) = json.loads(done.stdout)["records"]
     assert record["status"] == "written" and record["tile_set"]["neighbours"] == []
+
+
+def outputs_of(tiles):
+    return {one.name: one.read_bytes() for one in tiles[1].glob("?.*")}
+
+
+def test_by_tiles_the_outputs_are_the_same(tiles):
+    assert states(tiles, "--weld", "0.01e") == ["written"] * 4
+    in_memory = outputs_of(tiles)
+    records = records_of(tiles, "--weld", "0.01e", "--tiled", "--fresh", "-j", "2")
+    assert [one["status"] for one in records] == ["written"] * 4
+    assert all(one["tiles"]["number"] == 1 and one["tile_gap"] == 0.0 for one in records)
+    assert outputs_of(tiles) == in_memory
+    assert not list(tiles[1].glob(".msal-tiles-*"))
+    assert states(tiles, "--weld", "0.01e") == ["up-to-date"] * 4
+
+
+def test_a_set_by_tiles_goes_on_where_it_was_interrupted(tiles, monkeypatch):
+    from msal_cli.tiles import set_run
+
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(set_run, "write_member", interrupted)
+        assert denoise(tiles, "--tiled").exit_code == 130
+    assert len(list(tiles[1].glob(".msal-tiles-*"))) == 1 and not outputs_of(tiles)
+    records = records_of(tiles, "--tiled")
+    assert [one["status"] for one in records] == ["written"] * 4
+    assert records[0]["tiles"]["resumed_tasks"] > 0
+    assert not list(tiles[1].glob(".msal-tiles-*"))
+
+
+def test_what_needs_the_whole_mesh_is_not_done_by_tiles(tiles):
+    done = denoise(tiles, "--tiled", "--fields", "lambda", "--json")
+    assert {one["error"]["code"] for one in json.loads(done.stdout)["records"]} == {"E_UNSUPPORTED"}
+    assert not outputs_of(tiles)
 
 
 def test_a_run_without_the_option_says_that_files_touch(tiles):

@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 
+from tests.cli.scans import msal
 from tests.tiles import mesh_files
 from tests.tiles.test_any_mesh import by_tiles, in_memory, settings
 
@@ -103,3 +104,14 @@ def test_a_list_among_the_properties_of_vertices_is_refused_or_read(tmp_path):
     error = by_tiles(source, settings(), 60, 101)
     assert error.code == "E_UNSUPPORTED"
     assert "list" in error.message
+
+
+@pytest.mark.parametrize("name", ["index beyond the end", "stl, nan"])
+def test_the_command_leaves_nothing_behind(name, tmp_path):
+    suffix, data, code, _ = BAD[name]
+    source = tmp_path / f"scan{suffix}"
+    source.write_bytes(data)
+    made = msal("denoise", source, "-o", tmp_path / f"out{suffix}", "--tiled")
+    assert made.exit_code == 1
+    assert code in made.stderr and "Traceback" not in made.stderr
+    assert sorted(one.name for one in tmp_path.iterdir()) == [source.name]

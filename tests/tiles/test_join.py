@@ -24,6 +24,7 @@ from msal_cli.tiles.plan import TilePlan
 from msal_cli.tiles.scratch import Scratch
 from tests.codecs import plain_ply, plain_stl
 from tests.codecs.plain_ply import Element, Ply
+from tests.codecs.streamed.pieces import new_normals
 from tests.tiles.fakes import run_stages
 
 
@@ -104,8 +105,7 @@ def test_a_joined_ply_is_what_the_whole_file_becomes(tmp_path, encoding, normals
     new = move(whole.vertices)
     run.write_rows(join.MOVED, new)
     if normals:
-        ((rows, _),) = whole._new_normals(new)
-        run.write_rows(join.NORMALS, rows)
+        run.write_rows(join.NORMALS, new_normals(whole, new))
     run.join()
     assert not run.output.exists()
     finished = join.finish_output(run.scratch)

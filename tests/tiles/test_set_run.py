@@ -212,6 +212,22 @@ def test_a_file_that_changes_meanwhile_fails(tmp_path):
     assert records[0].tile_gap == 0.0
 
 
+def test_files_without_borders_are_denoised_too(tmp_path):
+    vertices, faces = noisy_ball()
+    contents = {"a.ply": ply(vertices, faces), "b.ply": ply(vertices + (5.0, 0.0, 0.0), faces)}
+    for weld in (None, "0.1e"):
+        records = denoise_set(tasks_of(tmp_path, contents), replace(MSAL, weld=weld))
+        assert [one.status for one in records] == ["written"] * 2, records[0].error
+        assert [one.tile_set.neighbours for one in records] == [(), ()]
+        assert [one.tile_gap for one in records] == [0.0, 0.0]
+
+
+def test_a_weld_below_rounding_is_none(tmp_path):
+    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
+    records = denoise_set(tasks, replace(MSAL, weld="1e-300"))
+    assert [one.tile_set.welded_vertices for one in records] == [0] * 4, records[0].error
+
+
 def test_a_clean_set_stays_as_it_is(tmp_path):
     tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_ball(level=0.0), 2)))
     records = denoise_set(tasks, replace(MSAL, min_noise="auto"))
@@ -250,6 +266,8 @@ def by_tiles_in(folder):
     """What runs the stages of the tiles in this process."""
 
     class RunHere:
+        is_forced = False
+
         def refuse(self, settings):
             if settings.fields:
                 raise UnsupportedError("--fields needs the whole mesh")

@@ -211,8 +211,7 @@ class StreamedPly:
     def _changed_normals(self, data: Bytes, new: Floats) -> list[Overwrite]:
         """The same for their normals."""
         slots = self._slots(data, NORMAL)
-        # By their bits: a stored normal may be NaN, and a new one minus zero.
-        is_new = (slots.values.view(np.int64) != new.view(np.int64)).any(axis=1)
+        is_new = np.asarray(~np.isnan(new).any(axis=1))
         if not is_new.any():
             return []
         return [Overwrite(slots, new, np.broadcast_to(is_new[:, None], new.shape))]

@@ -134,9 +134,10 @@ class StreamedText:
             new = positions(start, stop)
             is_moved = is_moved or bool((new != self.read_vertices(start, stop)).any())
             largest = max(largest, float(new.max()), -float(new.min()))
-            if normals is not None and self.has_normals and not has_new_normals:
+            if normals is not None and self.facts.normals is not None and not has_new_normals:
                 old = self.read_normals(start, stop)
-                has_new_normals = bool(_differ(normals(start, stop), old).any())
+                _, is_new = merge_normals(normals(start, stop), old, self.facts.normals)
+                has_new_normals = bool(is_new.any())
         return Survey(is_moved, has_new_normals, largest)
 
     def replace(
@@ -154,13 +155,14 @@ class StreamedText:
             return read_range(self.path, *piece).data
         how = self._choose_way(survey)
         parts: list[Any] = []
-        for start, stop, first, count, first_normal, n_normals in blocks:
+        for block in blocks:
+            start, stop, first, count, first_normal, n_normals = block
             data = read_range(self.path, start, stop)
             new = positions(first, first + count)
             new_normals = None
             if normals is not None and self.has_normals:
                 new_normals = normals(first_normal, first_normal + n_normals)
-            text = TextPiece(data.data, self.format, self._parser(start, count))
+            text = TextPiece(data.data, self.format, self._parser(block))
             parts.append(self._replace_block(text, data, first, new, new_normals, how, survey))
         return memoryview(b"".join(parts))
 
@@ -223,8 +225,8 @@ class StreamedText:
         require_replaced(data, np.frombuffer(result, dtype=np.uint8), patches)
         return result
 
-    def _parser(self, start: int, count: int) -> Parse:
-        """What finds the numbers of ``count`` vertices in the block that begins at a byte."""
+    def _parser(self, block: list[int]) -> Parse:
+        """What finds the numbers in a block; see ``TextFacts``."""
         raise NotImplementedError
 
 
@@ -247,11 +249,7 @@ class TextPiece(SlotFile):
             slots = layout.normals[0]
             assert isinstance(slots, TextSlots)
             slots.decimals = facts.normals.decimals
-            stored = slots.values
-            is_changed = _differ(normals, stored)
-            if not slots.whole_rows:
-                is_changed = is_changed & (normals != stored) & ~np.isnan(stored)
-            changes.append(Change(slots, normals, is_changed))
+            changes.append(Change(slots, *merge_normals(normals, slots.values, facts.normals)))
         return [one for one in changes if one.is_changed.any()]
 
     def _position_change(self, slots: Any, facts: ArrayFacts, new: Floats, first: int) -> Change:
@@ -276,7 +274,11 @@ def _row_decimals(facts: ArrayFacts, largest: float) -> Bytes | None:
     return row_decimals(np.zeros(0, dtype=np.uint8), facts.decimals, largest)
 
 
-def _differ(new: Floats, old: Floats) -> Flags:
-    """Which rows (n, 3) have a number with other bits; a stored normal may be NaN."""
-    is_new = (np.ascontiguousarray(new).view(np.int64) != old.view(np.int64)).any(axis=1)
-    return np.broadcast_to(is_new[:, None], new.shape)
+def merge_normals(new: Floats, stored: Floats, facts: ArrayFacts) -> tuple[Floats, Flags]:
+    """Normals (n, 3) as they are written, those that are ``new`` and those that are kept, and which
+    numbers (n, 3) are written."""
+    is_new = np.asarray(~np.isnan(new).any(axis=1))[:, None]
+    merged = np.where(is_new, new, stored)
+    if facts.whole_rows:
+        return merged, np.broadcast_to(is_new, new.shape)
+    return merged, is_new & (merged != stored) & ~np.isnan(stored)

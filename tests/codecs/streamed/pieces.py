@@ -61,3 +61,9 @@ def replace(mesh, vertices, normals=None, step: int = 64) -> bytes:
 def whole(data: bytes, suffix: str):
     """The file as the codec for whole files reads it."""
     return open_mesh(data, f"a.{suffix}")
+
+
+def new_normals(whole, vertices) -> np.ndarray:
+    """Normals (n, 3) of a whole file's vertices at new places; NaN for those that are kept."""
+    normals, is_new = whole._new_normals(vertices)[0]
+    return np.where(is_new[:, None], normals, np.nan)

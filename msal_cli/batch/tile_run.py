@@ -1,0 +1,347 @@
+"""One mesh that does not fit into memory: denoised by tiles in worker processes, to its record.
+
+The tasks are those of ``tiles.stages``; this process leads: it reduces each stage, and moves the
+output to its place.  A run that is killed or interrupted goes on from its finished tasks when it is
+started again; the scratch folder is removed once the output is there, and after an error that would
+come again.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from msal_cli import machine
+from msal_cli.batch import interrupts, tile_scratch
+from msal_cli.batch.engine import Interrupt
+from msal_cli.batch.events import Failed, Returned
+from msal_cli.batch.tile_estimate import estimate_tiles, planned_tiles
+from msal_cli.batch.tile_options import TileJob
+from msal_cli.batch.tile_progress import TileProgress
+from msal_cli.batch.tile_tasks import TileEngine, TileResult
+from msal_cli.batch.unfinished import LOSS_CODES
+from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
+from msal_cli.job import output
+from msal_cli.job.opened_mesh import to_known_error
+from msal_cli.job.pipeline import start_record
+from msal_cli.job.records import Failure, MeshRecord, Seconds
+from msal_cli.job.settings import Settings, Task
+from msal_cli.tiles import outcome, stages
+from msal_cli.tiles import source as sources
+from msal_cli.tiles.eligibility import open_for_tiles
+from msal_cli.tiles.join import finish_output
+from msal_cli.tiles.opening import open_run
+from msal_cli.tiles.plan import read_globals
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from msal_cli.job.tile_records import Tiles
+    from msal_cli.tiles.estimates import TileEstimate
+    from msal_cli.tiles.scratch import Scratch
+
+SECONDS = "seconds.json"
+
+_STAGE_SECONDS = {
+    "open": "read",
+    "count": "read",
+    "number": "read",
+    "faces": "read",
+    "weld": "connectivity",
+    "choose": "choose",
+    "rim": "connectivity",
+    "values": "read",
+    "pins": "connectivity",
+    "prepare": "connectivity",
+    "wind": "connectivity",
+    "turn": "connectivity",
+    "denoise": "sweeps",
+    "join": "write",
+}
+"""Which seconds of a record those of each stage are."""
+
+_log = logging.getLogger("msal.batch")
+
+
+def denoise_by_tiles(task: Task, settings: Settings, job: TileJob) -> MeshRecord:
+    """Denoise one file and report what happened, as ``pipeline.denoise_file``; only
+    KeyboardInterrupt and SystemExit pass."""
+    run = TileRun(task, settings, job)
+    try:
+        return run.run()
+    except Exception as error:
+        return run.fail(error)
+
+
+@dataclass
+class TileRun:
+    """One mesh on its way; a tile set has another source, and writes its files by itself."""
+
+    task: Task
+    settings: Settings
+    job: TileJob
+
+    def __post_init__(self) -> None:
+        self._started = time.perf_counter()
+        self.record = start_record(self.task.input, self.settings)
+        self._peaks: dict[int, int] = {}
+        self._seconds: dict[str, float] = {}
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return repr(self.task.input)
+
+    def run(self) -> MeshRecord:
+        """The record of a file that was written."""
+        task = self.task
+        mesh = open_for_tiles(task, self.settings)
+        self.know(**outcome.describe_source(mesh))
+        expected = estimate_tiles(task, self.settings, self.job)
+        assert self.job.options is not None
+        path = tile_scratch.scratch_path(task.output, self.job.options.scratch)
+        tile_scratch.check_space(path, task.output, expected)
+        output.make_folder_of(task.output)
+        with tile_scratch.lock_scratch(path) as scratch, sweeping_after_errors(scratch):
+            self.work(scratch, expected)
+            return self._finish(scratch, expected)
+
+    def fail(self, error: Exception) -> MeshRecord:
+        """The record of a file that was not written."""
+        known = to_known_error(error, self.task.input)
+        failure = Failure(known.code, known.message, known.hint, known.where)
+        self.know(seconds=self.all_seconds(), peak_memory_bytes=self.peak_bytes())
+        self.know(status="failed", error=failure)
+        return self.record
+
+    def know(self, **values: Any) -> None:
+        """Set fields of the record."""
+        self.record = replace(self.record, **values)
+
+    # The stages
+
+    def work(self, scratch: Scratch, expected: TileEstimate) -> None:
+        """Run all stages that are left."""
+        with self.leading("open", scratch):
+            n_resumed = self._open(scratch, expected)
+        engine = TileEngine(
+            jobs=expected.jobs,
+            cores=self.job.cores,
+            retries=self.job.retries,
+            factory=self.job.engine,
+        )
+        progress = TileProgress(scratch, self.job.on_progress)
+        self.know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
+        received: list[int] = []
+        is_interrupted = False
+        cancellation = self.job.cancellation or interrupts.Cancellation()
+
+        def on_signal(signum: int) -> None:
+            received.append(signum)
+            engine.interrupt()
+
+        try:
+            while (stage := self._next_stage(scratch)) is not None:
+                cancellation.check()
+                if stage.todo:
+                    with (
+                        interrupts.noticed(on_signal),
+                        cancellation.noticed(engine.interrupt),
+                        self._timed(stage.name, scratch),
+                    ):
+                        self._run_stage(engine, scratch, stage, progress)
+                with self.leading(stage.name, scratch):
+                    stages.reduce_stage(scratch, stage.name)
+        except Interrupt:
+            is_interrupted = True
+            interrupts.raise_for(received[0] if received else signal.SIGINT)
+        finally:
+            engine.close()
+            if is_interrupted:
+                _log.warning(
+                    "%s: finished tasks are kept in %r; the same command goes on from there",
+                    self.name,
+                    str(scratch.path),
+                )
+
+    def _open(self, scratch: Scratch, expected: TileEstimate) -> int:
+        """Make the plan, or take that of an earlier run; how many of its tasks are finished."""
+        source = self.describe_source(scratch.path)
+        identity = tile_scratch.identify(self.task, self.settings, source, expected)
+        if tile_scratch.can_go_on(scratch, identity):
+            n_finished = stages.count_finished(scratch)
+            _log.warning(
+                "%s: going on with the tiles of an earlier run, of which %d tasks are finished",
+                self.name,
+                n_finished,
+            )
+            return n_finished
+        tile_scratch.clear(scratch)
+        self.prepare_source(scratch.path)
+        open_run(
+            self.task,
+            self.settings,
+            scratch,
+            tile_vertices=expected.tile_vertices,
+            chunk_vertices=expected.chunk_vertices,
+            source=source,
+        )
+        scratch.write_json(tile_scratch.IDENTITY, identity)
+        return 0
+
+    def describe_source(self, folder: Path) -> dict[str, Any]:
+        """How tasks open the input, see ``TilePlan``; ``folder`` is the scratch folder."""
+        return {"kind": sources.FILE, "path": self.task.input, "format": self.settings.format}
+
+    def prepare_source(self, folder: Path) -> None:
+        """Write into the scratch folder what tasks read beside the input."""
+
+    def describe_tiles(self, scratch: Scratch) -> Tiles:
+        """The tiles that the mesh was cut into, once all are finished."""
+        made, tiles = read_globals(scratch), self.record.tiles
+        assert tiles is not None
+        choice = made["choice"]
+        return replace(
+            tiles,
+            number=len(made["tile_starts"]) - 1,
+            scratch_bytes=tile_scratch.used_bytes(scratch.path),
+            rings=made["rings"],
+            choice_vertices=None if choice["is_whole"] else choice["vertices"],
+        )
+
+    def _next_stage(self, scratch: Scratch) -> stages.Stage | None:
+        stage = stages.next_stage(scratch)
+        if stage is not None and stage.name == "join" and outcome.reject_harmful(scratch):
+            return stages.next_stage(scratch)
+        return stage
+
+    def _run_stage(
+        self, engine: TileEngine, scratch: Scratch, stage: stages.Stage, progress: TileProgress
+    ) -> None:
+        failures: dict[int, MsalError] = {}
+        progress.begin(stage)
+        for message in engine.run(str(scratch.path), stage.name, stage.todo):
+            if isinstance(message, Returned):
+                result: TileResult = message.result
+                self._peaks[result.pid] = max(self._peaks.get(result.pid, 0), result.peak_bytes)
+                if result.error is not None:
+                    failures[message.index] = result.error
+            else:
+                failures[message.index] = _failure_of(message)
+            if failures:
+                engine.stop()
+            else:
+                progress.step()
+                self._check_time()
+        if failures:
+            # The first in the file, however many tasks ran at the same time.
+            raise failures[min(failures)]
+
+    def _check_time(self) -> None:
+        limit = self.job.limits.timeout_s
+        if limit is not None and time.perf_counter() - self._started > limit:
+            raise ResourceError(
+                f"it was not done within {limit:g} s",
+                code="E_TIMEOUT",
+                hint="finished tasks are kept: the same command goes on from there; or raise "
+                "--timeout",
+            )
+
+    # The end
+
+    def _finish(self, scratch: Scratch, expected: TileEstimate) -> MeshRecord:
+        task = self.task
+        with self.leading("join", scratch):
+            mesh = sources.open_source(self.describe_source(scratch.path))
+            known = outcome.describe_result(scratch, mesh)
+            tiles = self.describe_tiles(scratch)
+            if task.in_place and task.backup:
+                output.keep_backup_of_file(task)
+            mode_like = task.input if task.in_place else None
+            finished = finish_output(scratch, path=task.output, mode_like=mode_like)
+            notes: tuple[str, ...] = ()
+            if mesh.references and not task.in_place:
+                from msal_cli.storage import sidecars
+
+                notes = tuple(sidecars.carry(mesh.references, task.input, task.output))
+        known.warnings += [
+            note.removeprefix("warning: ") for note in notes if note.startswith("warning: ")
+        ]
+        seconds = self.all_seconds()
+        n = known.fields.get("vertices") or mesh.n_vertices
+        self.know(
+            **known.fields,
+            status="written" if finished.is_changed else "unchanged",
+            output=task.output,
+            input_sha256=finished.input_sha256,
+            output_sha256=finished.output_sha256,
+            sidecars=notes,
+            warnings=tuple(known.warnings),
+            warning_codes=tuple(known.warning_codes),
+            seconds=seconds,
+            vertices_per_second=n / seconds.total if seconds.total else None,
+            peak_memory_bytes=self.peak_bytes(),
+            tiles=tiles,
+        )
+        scratch.remove()
+        return self.record
+
+    # Seconds and memory
+
+    @contextmanager
+    def leading(self, stage: str, scratch: Scratch) -> Iterator[None]:
+        """What this process does itself: signals end it, and it is counted as part of a stage."""
+        with (
+            interrupts.noticed(interrupts.raise_for),
+            interrupts.ended_late(lambda: None),
+            self._timed(stage, scratch),
+        ):
+            yield
+
+    @contextmanager
+    def _timed(self, stage: str, scratch: Scratch) -> Iterator[None]:
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            name = _STAGE_SECONDS[stage.partition("-")[0]]
+            self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
+
+    def all_seconds(self) -> Seconds:
+        """Seconds of all stages so far."""
+        return Seconds(**self._seconds, total=time.perf_counter() - self._started)
+
+    def peak_bytes(self) -> int | None:
+        """Memory of this process and of as many workers as work at the same time."""
+        own = machine.peak_bytes()
+        jobs = self.record.tiles.jobs if self.record.tiles is not None else 0
+        workers = sorted(self._peaks.values(), reverse=True)[:jobs]
+        return None if own is None else own + sum(workers)
+
+
+@contextmanager
+def sweeping_after_errors(scratch: Scratch) -> Iterator[None]:
+    """Remove the scratch folder after an error that would come again; a lack of space, memory or
+    time may be mended."""
+    try:
+        yield
+    except (OutputError, ResourceError):
+        raise
+    except Exception:
+        scratch.remove()
+        raise
+
+
+def _failure_of(message: Failed) -> MsalError:
+    if message.cause == "exception":
+        return InternalError(message.reason, hint=message.hint)
+    return ResourceError(
+        message.reason,
+        code=LOSS_CODES[message.cause],
+        hint=f"{message.hint}; finished tasks are kept, and the same command goes on from there",
+    )

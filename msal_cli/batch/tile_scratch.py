@@ -1,0 +1,154 @@
+"""The scratch folder of a mesh that is denoised by tiles: its place, its lock, what it holds.
+
+Its name comes from the path of the output, so that the same command finds it again after a run
+that was killed.  What it holds is used if input, settings, output and version are the same as when
+it was begun, and is removed otherwise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msal_cli import __version__
+from msal_cli.batch.lock import NAME as LOCK_NAME
+from msal_cli.batch.lock import FolderLock
+from msal_cli.errors import OutputError
+from msal_cli.machine import megabytes
+from msal_cli.storage.atomic import LONGEST_NAME, make_folders
+from msal_cli.storage.limits import LOOKED_AT
+from msal_cli.tiles import source as sources
+from msal_cli.tiles.scratch import Scratch
+
+if TYPE_CHECKING:
+    from msal_cli.job.settings import Settings, Task
+    from msal_cli.tiles.estimates import TileEstimate
+
+PREFIX = ".msal-tiles-"
+IDENTITY = "identity.json"
+
+
+def scratch_path(output: str, folder: str | None) -> Path:
+    """Where the scratch folder for an output lies: in ``folder``, or else beside the output."""
+    whole = os.path.abspath(output)
+    digest = hashlib.sha256(os.fsencode(whole)).hexdigest()[:12]
+    name = os.path.basename(whole)
+    while len(os.fsencode(name)) > LONGEST_NAME - len(PREFIX) - len(digest) - 1:
+        name = name[:-1]
+    return Path(folder or os.path.dirname(whole)) / f"{PREFIX}{name}-{digest}"
+
+
+@contextmanager
+def lock_scratch(path: Path) -> Iterator[Scratch]:
+    """The scratch folder, made where it is not there, for this process alone.
+
+    Raises
+    ------
+    UsageError
+        if another run uses it (``E_LOCKED``).
+    OutputError
+        if it cannot be made.
+    """
+    try:
+        make_folders(path)
+    except OSError as error:
+        raise OutputError(
+            f"the scratch folder {str(path)!r} cannot be made: {error.strerror}",
+            hint="name another place with --scratch",
+            path=str(path),
+        ) from None
+    with FolderLock(str(path)):
+        yield Scratch(path)
+
+
+def identify(
+    task: Task, settings: Settings, source: dict[str, Any], estimate: TileEstimate
+) -> dict[str, Any]:
+    """What a run must have in common with the one before to go on with its tasks."""
+    return {
+        "version": __version__,
+        "input": sources.identify(source),
+        "header": _hash_header(task.input),
+        "output": os.path.abspath(task.output),
+        # As JSON gives them back.
+        "settings": json.loads(json.dumps(asdict(settings))),
+        "tile_vertices": estimate.tile_vertices,
+    }
+
+
+def can_go_on(scratch: Scratch, identity: dict[str, Any]) -> bool:
+    """Whether what is in the scratch folder is of the same run; its tiles may be smaller than they
+    would be now."""
+    known = scratch.read_json(IDENTITY)
+    if known is None:
+        return False
+    is_fit: bool = known["tile_vertices"] <= identity["tile_vertices"]
+    return is_fit and known | {"tile_vertices": 0} == identity | {"tile_vertices": 0}
+
+
+def clear(scratch: Scratch) -> None:
+    """Remove all that is in the scratch folder, but for its lock."""
+    for one in scratch.path.iterdir():
+        if one.name == LOCK_NAME:
+            continue
+        if one.is_dir() and not one.is_symlink():
+            shutil.rmtree(one)
+        else:
+            one.unlink()
+
+
+def used_bytes(path: Path) -> int:
+    """Bytes that a folder takes on its disk; files may have holes."""
+    total = 0
+    for folder, _, names in os.walk(path):
+        for name in names:
+            status = os.lstat(os.path.join(folder, name))
+            # Where the system does not count blocks, holes count.
+            total += 512 * status.st_blocks if hasattr(status, "st_blocks") else status.st_size
+    return total
+
+
+def check_space(path: Path, output: str, estimate: TileEstimate) -> None:
+    """Refuse to begin where there is not enough space; OutputError."""
+    scratch_room = free_bytes(path) + used_bytes(path)
+    folder = Path(os.path.abspath(output)).parent
+    if estimate.scratch_bytes > scratch_room:
+        raise _no_room(f"the scratch folder {str(path)!r}", estimate.scratch_bytes, scratch_room)
+    if _device(path) != _device(folder) and estimate.output_bytes > free_bytes(folder):
+        raise _no_room(f"the output {output!r}", estimate.output_bytes, free_bytes(folder))
+
+
+def free_bytes(path: Path) -> int:
+    """Bytes that are free where ``path`` is, or is to be."""
+    return shutil.disk_usage(_existing(path)).free
+
+
+def _device(path: Path) -> int:
+    return os.stat(_existing(path)).st_dev
+
+
+def _existing(path: Path) -> Path:
+    """The folder, or the nearest one above it that exists."""
+    path = path.absolute()
+    while not path.is_dir() and path != path.parent:
+        path = path.parent
+    return path
+
+
+def _no_room(what: str, needed: int, free: int) -> OutputError:
+    return OutputError(
+        f"{what} needs {megabytes(needed)}, and {megabytes(free, rounded_up=False)} are free there",
+        hint="free some space, or name another place with --scratch; nothing was begun",
+    )
+
+
+def _hash_header(path: str) -> str:
+    with open(path, "rb") as file:
+        return hashlib.sha256(file.read(LOOKED_AT)).hexdigest()
