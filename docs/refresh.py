@@ -3,8 +3,8 @@
     python docs/refresh.py
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
-commands that install msal take it from ``SOURCE``, and the pages of ``methods/`` and the JSON
-Schemas are made anew.  A test fails where this was forgotten.
+commands that install msal take it from ``SOURCE``, and the pages of ``methods/``, the man pages
+and the JSON Schemas are made anew.  A test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import make_man_pages
 import make_method_pages
 import make_schemas
 
@@ -56,6 +57,7 @@ def install_command(extra: str = "") -> str:
 
 
 def main() -> None:
+    make_man_pages.main()
     make_method_pages.main()
     make_schemas.main()
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
