@@ -101,7 +101,7 @@ class _SetRun(TileRun):
 
     def describe(self, scratch: Scratch) -> MeshRecord:
         """The record of the joined mesh."""
-        with self.leading("join", scratch):
+        with self.leading("join"):
             mesh = open_set(self.describe_source(scratch.path))
             known = outcome.describe_result(scratch, mesh)
             tiles = self.describe_tiles(scratch)

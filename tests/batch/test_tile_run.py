@@ -167,7 +167,7 @@ def test_other_settings_begin_anew(source, output):
 def test_a_lost_worker_costs_its_task(source, output, monkeypatch, tmp_path):
     expected = in_memory(source, *METHOD)
     monkeypatch.setenv(giants.DEATH_MARK, str(tmp_path / "died"))
-    monkeypatch.setattr(tile_tasks.TileEngine, "function", staticmethod(giants.die_once))
+    monkeypatch.setattr(tile_tasks, "run_tile_task", giants.die_once)
     made = tiled(source, output, "-q", "-j2", *METHOD)
     assert made.exit_code == 0, made.stderr
     assert (tmp_path / "died").exists()
@@ -176,7 +176,7 @@ def test_a_lost_worker_costs_its_task(source, output, monkeypatch, tmp_path):
 
 def test_workers_that_always_die_fail_the_file(source, output, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(tile_tasks.TileEngine, "function", staticmethod(giants.die_always))
+        patch.setattr(tile_tasks, "run_tile_task", giants.die_always)
         made = tiled(source, output, "-q", "-j2", *METHOD)
     assert made.exit_code == 1
     assert "E_CRASH" in made.stderr and "goes on from there" in made.stderr
