@@ -68,7 +68,7 @@ def row(option: click.Option, context: click.Context) -> str:
     words = re.search(r" \[(\w[\w|-]*)\]$", names)
     if words:
         names = names[: words.start()] + " WORD"
-        text += " WORD is one of " + ", ".join(f"`{one}`" for one in words[1].split("|")) + "."
+        text += " WORD is one of " + words[1].replace("|", ", ") + "."
     text = inline(text)
     if allowed:
         text += f" Allowed: {code(allowed)}."
