@@ -4,7 +4,7 @@
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
 commands that install msal take it from ``SOURCE``, and the pages of ``methods/``, those of the
-commands and of the Python API, and the JSON Schemas are made anew.  A test fails
+commands and of the Python API, the man pages and the JSON Schemas are made anew.  A test fails
 where this was forgotten.
 """
 
@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import make_api_page
 import make_command_page
+import make_man_pages
 import make_method_pages
 import make_schemas
 
@@ -61,6 +62,7 @@ def install_command(extra: str = "") -> str:
 def main() -> None:
     make_api_page.main()
     make_command_page.main()
+    make_man_pages.main()
     make_method_pages.main()
     make_schemas.main()
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
