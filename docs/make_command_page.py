@@ -36,7 +36,7 @@ def inline(text: str) -> str:
         else:
             escaped = re.sub(r"([*_\\|]|<(?=[A-Za-z/!]))", r"\\\1", part)
             parts[at] = re.sub(
-                r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?:=-?\w+)?", r"`\g<0>`", escaped
+                r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?![\w=-])", r"`\g<0>`", escaped
             )
     return "".join(parts)
 
