@@ -36,7 +36,7 @@ def inline(text: str) -> str:
         else:
             escaped = re.sub(r"([*_\\|]|<(?=[A-Za-z/!]))", r"\\\1", part)
             parts[at] = re.sub(
-                r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?:=-?\w+)?", r"`\g<0>`", escaped
+                r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?![\w=-])", r"`\g<0>`", escaped
             )
     return "".join(parts)
 
@@ -68,7 +68,7 @@ def row(option: click.Option, context: click.Context) -> str:
     words = re.search(r" \[(\w[\w|-]*)\]$", names)
     if words:
         names = names[: words.start()] + " WORD"
-        text += " WORD is one of " + ", ".join(f"`{one}`" for one in words[1].split("|")) + "."
+        text += " WORD is one of " + words[1].replace("|", ", ") + "."
     text = inline(text)
     if allowed:
         text += f" Allowed: {code(allowed)}."
