@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from msal_cli import machine
 from msal_cli.batch import tile_scratch, tile_tasks
 from msal_cli.batch.lock import FolderLock
 from msal_cli.tiles import estimates
+from msal_cli.tiles.scratch import Scratch
 from tests.batch import giants
 from tests.batch.giants import in_memory, n_finished, scan, scratch_of
 from tests.cli.scans import msal
@@ -162,6 +164,18 @@ def test_other_settings_begin_anew(source, output):
     assert record_of(made)["tiles"]["resumed_tasks"] == 0
     assert output.read_bytes() == in_memory(source, "--method", "umbrella")
     assert names(output.parent) == ["b.ply"]
+
+
+def test_tasks_from_before_a_restart_of_the_machine_are_not_trusted(tmp_path, monkeypatch):
+    scratch, identity = Scratch(tmp_path), {"tile_vertices": 5}
+    monkeypatch.setattr(machine, "boot_id", lambda: "before")
+    tile_scratch.begin(scratch, identity)
+    assert tile_scratch.can_go_on(scratch, identity)
+    monkeypatch.setattr(machine, "boot_id", lambda: "after")
+    assert not tile_scratch.can_go_on(scratch, identity)
+    # Another machine that shares the folder cannot know.
+    monkeypatch.setattr(tile_scratch, "machine_tag", lambda: "another")
+    assert tile_scratch.can_go_on(scratch, identity)
 
 
 def test_a_lost_worker_costs_its_task(source, output, monkeypatch, tmp_path):
