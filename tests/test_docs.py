@@ -100,7 +100,7 @@ def test_every_documented_command_parses(
         command, words = known_commands()[call[0]], call[1:]
     else:
         command, words = program, call
-    parent = click.Context(program, info_name="msal")
+    parent = click.Context(program, info_name="msal", **program.context_settings)
     try:
         command.make_context(call[0] if call else "msal", list(words), parent=parent)
     except Exit as ending:

@@ -36,6 +36,7 @@ CASES = {
     "boundary": ({"lock": "boundary"}, ["--lock", "boundary"]),
     "weights": ({"method": "msal", "weights": TRUST}, ["--method", "msal", "--weights", "trust"]),
     "despike": ({"method": "umbrella", "despike": True}, ["--method", "umbrella", "--despike"]),
+    "no despike": ({"despike": False}, ["--no-despike"]),
     "min_noise": ({"min_noise": "5e"}, ["--min-noise", "5e"]),
 }
 
@@ -72,6 +73,7 @@ def check_against_command(tmp_path, given, faces, arguments, options):
     assert result.method == record["method"]["name"]
     assert result.parameters == record["method"]["parameters"]
     assert result.record.locked_vertices == record["locked_vertices"]
+    assert result.record.despiked == record["despiked"]
     assert result.record.clamped_vertices == record["clamped_vertices"]
     assert list(result.warnings) == record["warnings"]
     assert result.noise.mean_edges == record["noise_estimate"]["mean_edges"]
