@@ -64,6 +64,7 @@ def run(
     engine: EngineFactory | None = None,
     tiles: TileOptions | None = None,
     cancellation: interrupts.Cancellation | None = None,
+    is_locked: bool = False,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -88,6 +89,7 @@ def run(
     tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
     cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
         which can be ended at any time.
+    is_locked : the caller has locked the output folder, for several runs.
 
     Raises
     ------
@@ -116,6 +118,7 @@ def run(
             engine=engine,
             tiles=tiles,
             cancellation=cancellation,
+            is_locked=is_locked,
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
@@ -133,6 +136,7 @@ class _BatchRun:
     engine: EngineFactory | None
     tiles: TileOptions | None
     cancellation: interrupts.Cancellation | None
+    is_locked: bool
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -200,7 +204,8 @@ class _BatchRun:
         """Lock the folders, report what is up to date; the indices of what is to be done."""
         tasks, homes = self.plan.tasks, self.plan.folders()
         for home in homes:
-            lock_folder(home, stack, self.plan.shard)
+            if not self.is_locked:
+                lock_folder(home, stack, self.plan.shard)
             self._manifests[home] = open_manifest(home, self.plan.shard)
             stack.callback(self._manifests[home].close)
         temporary_files.sweep({*output_folders(tasks), *map(Path, _local(homes))})
