@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.events import Event
     from msal_cli.batch.inbox import Inbox
     from msal_cli.batch.inputs import DiscoveredInput
+    from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
     from msal_cli.job.records import MeshRecord
 
@@ -78,6 +79,7 @@ class _Session:
         self._failed: set[str] = set()
         self._broken: set[str] = set()
         self._n_new_failures = 0
+        self._manifests: dict[str, Manifest] = {}
         self._signals: list[int] = []
         self._next_report: float | None = None
         self._report_s = 0.0
@@ -86,13 +88,13 @@ class _Session:
         """Watch until the end that was asked for; the exit status."""
         from msal_cli.batch import interrupts
         from msal_cli.batch.inbox import Inbox
-        from msal_cli.batch.manifest_dirs import lock_folder
+        from msal_cli.batch.manifest_dirs import open_folder
 
         request = self._request
         with ExitStack() as stack:
             with interrupts.noticed(interrupts.raise_for):
                 # From the start to the end, so that no other run works on the folder meanwhile.
-                lock_folder(request.output, stack)
+                self._manifests[request.output] = open_folder(request.output, stack)
                 inbox = Inbox(
                     request.inputs[0],
                     request.output,
@@ -180,7 +182,7 @@ class _Session:
                 stop_after_failures=None if most is None else most - self._n_new_failures,
                 command=self._command,
                 tiles=TileOptions(request.tiled, request.scratch),
-                is_locked=True,
+                manifests=self._manifests,
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
             self._keep(list(finished.values()))
