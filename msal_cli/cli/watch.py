@@ -35,7 +35,7 @@ _SHARE_OF_REPORTS = 0.1
 @OPTIONS
 @click.pass_context
 def command(context: click.Context, /, folder: str, **given: Any) -> int:
-    """Denoise the mesh files of a folder, and then every file that arrives in it.
+    """Denoise the mesh files of a folder, and then what arrives in it.
 
     A file is taken when it is complete: its size and its time have stood still for --settle, or it
     got its name from a temporary one (.part, .crdownload, ~, hidden), by which it is not taken. It

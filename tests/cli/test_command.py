@@ -9,7 +9,7 @@ from msal_cli.cli.command import Command, first_clause
 from msal_cli.cli.main import COMMANDS, program
 from tests.cli.scans import msal, process
 
-LONG = ("denoise", "compare", "view", "sweep", "noise", "scan")
+LONG = ("denoise", "watch", "compare", "view", "sweep", "noise", "scan")
 """Commands whose short help leaves options out."""
 
 
