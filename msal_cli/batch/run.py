@@ -29,6 +29,7 @@ from msal_cli.batch.resume import (
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.tile_estimate import planned_tiles
+from msal_cli.batch.tile_files import denoise_oversized, help_others
 from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
@@ -264,10 +265,10 @@ class _BatchRun:
             self.tiles,
             self.limits,
             self.jobs or self._cores,
-            self._cores,
             self.retries,
             self.engine,
             self.cancellation,
+            self.plan.shard,
             lambda *step: self.on_event(Progress(index, *step)),
         )
 
@@ -308,11 +309,10 @@ class _BatchRun:
     def _run_by_tiles(self, oversized: Oversized) -> None:
         for index in oversized.by_tiles:
             if self._failure is None and not self._has_too_many_failures():
-                from msal_cli.batch.tile_run import denoise_by_tiles
-
                 self.on_event(Started(index))
                 task, job = self.plan.tasks[index], self._tile_job(index)
-                self._finish({index: denoise_by_tiles(task, self.settings, job)})
+                self._finish({index: denoise_oversized(task, self.settings, job)})
+        help_others(self.plan, self.settings, self._tile_job(0))
 
     def _run_set(self, todo: list[int]) -> None:
         """Denoise all files as one mesh, led by this process."""

@@ -86,6 +86,11 @@ class _SetRun(TileRun):
 
     source: SetSource
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"the tile set of {len(self.source.files)} files"
+
     def describe_source(self, folder: Path) -> dict[str, Any]:
         """How tasks open the files."""
         return self.source.describe(folder)
@@ -96,7 +101,7 @@ class _SetRun(TileRun):
 
     def describe(self, scratch: Scratch) -> MeshRecord:
         """The record of the joined mesh."""
-        with self.leading("join", scratch):
+        with self.leading("join"):
             mesh = open_set(self.describe_source(scratch.path))
             known = outcome.describe_result(scratch, mesh)
             tiles = self.describe_tiles(scratch)

@@ -13,6 +13,7 @@ from msal_cli.cli.conflicts import find_given
 from msal_cli.cli.denoise_options import OPTIONS
 from msal_cli.cli.denoise_records import describe_run, judge, log_record
 from msal_cli.cli.denoise_request import Request
+from msal_cli.cli.method_parameters import list_defaults
 from msal_cli.errors import MsalError, OutputError, ResourceError
 
 if TYPE_CHECKING:
@@ -238,7 +239,13 @@ class _Session:
             console.say_lines(text.broken_gates(records, verbose=False))
         elif not is_listing:
             console.say_lines(
-                text.summary(run, records, width=console.width(), verbose=request.verbose > 0)
+                text.summary(
+                    run,
+                    records,
+                    width=console.width(),
+                    verbose=request.verbose > 0,
+                    defaults=list_defaults(records),
+                )
             )
 
 
