@@ -6,7 +6,7 @@ import functools
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.batch import interrupts, temporary_files, tile_set
 from msal_cli.batch.denoise_task import denoise_in_worker
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
-from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
+from msal_cli.batch.manifest_dirs import open_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
 from msal_cli.batch.oversized import Oversized, find_oversized
@@ -65,6 +65,7 @@ def run(
     engine: EngineFactory | None = None,
     tiles: TileOptions | None = None,
     cancellation: interrupts.Cancellation | None = None,
+    manifests: Mapping[str, Manifest] | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -89,6 +90,7 @@ def run(
     tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
     cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
         which can be ended at any time.
+    manifests : those of output folders that the caller has opened, and locked, for several runs.
 
     Raises
     ------
@@ -117,6 +119,7 @@ def run(
             engine=engine,
             tiles=tiles,
             cancellation=cancellation,
+            opened=manifests or {},
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
@@ -134,6 +137,7 @@ class _BatchRun:
     engine: EngineFactory | None
     tiles: TileOptions | None
     cancellation: interrupts.Cancellation | None
+    opened: Mapping[str, Manifest]
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -201,9 +205,9 @@ class _BatchRun:
         """Lock the folders, report what is up to date; the indices of what is to be done."""
         tasks, homes = self.plan.tasks, self.plan.folders()
         for home in homes:
-            lock_folder(home, stack, self.plan.shard)
-            self._manifests[home] = open_manifest(home, self.plan.shard)
-            stack.callback(self._manifests[home].close)
+            self._manifests[home] = self.opened.get(home) or open_folder(
+                home, stack, self.plan.shard
+            )
         temporary_files.sweep({*output_folders(tasks), *map(Path, _local(homes))})
         todo, restored = self._outdated()
         for manifest in self._manifests.values():

@@ -126,7 +126,7 @@ class TileRun:
             chunk_vertices=expected.chunk_vertices,
             source=source,
         )
-        scratch.write_json(tile_scratch.IDENTITY, identity)
+        tile_scratch.begin(scratch, identity)
         return 0
 
     def describe_source(self, folder: Path) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from msal_cli.report.phrases import (
     seconds_text,
     self_intersections_text,
     tile_set_text,
+    tiles_text,
     vertices_text,
 )
 
@@ -65,6 +66,8 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[tuple[st
         yield "chosen", escape_for_display(record.choice.reason)
     elif record.method is not None:
         yield "method", _method_text(record.method, defaults)
+    if record.tiles is not None:
+        yield "tiles", tiles_text(record.tiles)
     if record.status == "unchanged":
         return
     if record.left_alone:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import time
 
+import pytest
+
 from msal_cli.batch import tile_claims
 from msal_cli.batch.shard import Shard
 from msal_cli.batch.tile_claims import claim
@@ -44,6 +46,7 @@ def test_shards_take_tasks_of_one_file(source, output):
     assert names(output.parent) == ["b.ply"]
 
 
+@pytest.mark.slow
 def test_a_dead_helper_costs_a_while(source, output):
     expected = in_memory(source, *METHOD)
     number = owner_of(source)
@@ -57,6 +60,7 @@ def test_a_dead_helper_costs_a_while(source, output):
     assert names(output.parent) == ["b.ply"]
 
 
+@pytest.mark.slow
 def test_a_dead_leader_goes_on_where_its_helper_came_to(source, output):
     expected = in_memory(source, *METHOD)
     number = owner_of(source)
