@@ -22,7 +22,7 @@ def read_version(root: Path) -> str:
     """The version of the package in a checkout, without importing it."""
     found = VERSION.search((root / "msal_cli/__init__.py").read_text(encoding="utf-8"))
     if found is None:
-        raise SystemExit("msal_cli/__init__.py: no line __version__ = \"...\"")
+        raise SystemExit('msal_cli/__init__.py: no line __version__ = "..."')
     return found[1]
 
 
