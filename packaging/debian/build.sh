@@ -1,23 +1,24 @@
 #!/bin/sh
 # Make a Debian package from wheels, without a network:
 #
-#     python3 -m pip download --only-binary :all: -d wheels msal_cli-....whl    # with a network
+#     /usr/bin/python3 -m pip download --only-binary :all: -d wheels msal_cli-....whl    # with a network
 #     sh packaging/debian/build.sh wheels dist
 #
-# The wheels are those of msal and of all that it needs, for the python3 that runs here: Debian's
-# own packages of numpy and trimesh are too old in Debian 12.  They are unpacked into
-# /usr/lib/msal-cli, where no other program finds them.  Needs dpkg-deb, and python3 with pip.
+# The wheels are those of msal and of all that it needs, for the system's Python: Debian 12 has no
+# trimesh, and its numpy is too old.  They are unpacked into /usr/lib/msal-cli, where no other
+# program finds them.  Needs dpkg-deb, and PYTHON (/usr/bin/python3) with pip.
 set -eu
 
 wheels=$1
 folder=$2
+python=${PYTHON:-/usr/bin/python3}
 here=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd)
 tree=$(mktemp -d)
 trap 'rm -rf "$tree"' EXIT
 
 library=$tree/usr/lib/msal-cli
 mkdir -p "$library" "$tree/usr/bin" "$tree/usr/share/doc/msal-cli" "$tree/DEBIAN"
-python3 -m pip install --quiet --disable-pip-version-check --root-user-action ignore --no-compile \
+"$python" -m pip install --quiet --disable-pip-version-check --root-user-action ignore --no-compile \
     --no-index --find-links "$wheels" --target "$library" msal-cli
 # pip's scripts name the python3 of this machine.
 rm -rf "$library/bin"
@@ -38,8 +39,8 @@ else
 fi
 sed -e "s/@VERSION@/$version/" -e "s/@ARCHITECTURE@/$architecture/" \
     -e "s/@SIZE@/$(du -sk "$tree/usr" | cut -f1)/" \
-    -e "s/@PYTHON@/$(python3 -c 'import sys; print("3.%d" % sys.version_info[1])')/" \
-    -e "s/@NEXT_PYTHON@/$(python3 -c 'import sys; print("3.%d" % (sys.version_info[1] + 1))')/" \
+    -e "s/@PYTHON@/$("$python" -c 'import sys; print("3.%d" % sys.version_info[1])')/" \
+    -e "s/@NEXT_PYTHON@/$("$python" -c 'import sys; print("3.%d" % (sys.version_info[1] + 1))')/" \
     "$here/control" >"$tree/DEBIAN/control"
 
 chmod -R u=rwX,go=rX "$tree"
