@@ -1,4 +1,4 @@
-# docker build -t msal-cli .                                           compiles the kernels of this checkout
+# docker build -t msal-cli .   compiles the kernels of this checkout
 # docker build -t msal-cli --build-arg SOURCE=dist/msal_cli-....whl .    takes a wheel for Linux
 # docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/work" msal-cli denoise scans -o out
 FROM python:3.12-slim AS build

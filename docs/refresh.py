@@ -4,7 +4,8 @@
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
 commands that install msal, and the GitLab component, take it from ``SOURCE``, and the pages of
-``methods/`` and the JSON Schemas are made anew.  A test fails where this was forgotten.
+``methods/``, those of the commands and of the Python API, the man pages and the JSON Schemas are
+made anew.  A test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import make_api_page
+import make_command_page
+import make_man_pages
 import make_method_pages
 import make_schemas
 
@@ -58,6 +62,9 @@ def install_command(extra: str = "") -> str:
 
 
 def main() -> None:
+    make_api_page.main()
+    make_command_page.main()
+    make_man_pages.main()
     make_method_pages.main()
     make_schemas.main()
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):

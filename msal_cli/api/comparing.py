@@ -39,10 +39,10 @@ def compare(before: Any, after: Any, *, intersections: bool = False) -> Comparis
     with explained_errors():
         if is_path(before) and is_path(after):
             return measure_files(path_text(before), path_text(after), None, intersections)
+        first, first_name = _read(before)
+        second, second_name = _read(after)
         return compare_meshes(
-            *_surfaces(before, after),
-            *(_name(one) for one in (before, after)),
-            with_intersections=intersections,
+            first, second, first_name, second_name, with_intersections=intersections
         )
 
 
@@ -56,18 +56,10 @@ def path_text(path: Any) -> str:
     return os.fsdecode(path)
 
 
-def _surfaces(before: Any, after: Any) -> tuple[Surface, Surface]:
-    first, second = (_surface(one) for one in (before, after))
-    return first, second
-
-
-def _surface(one: Any) -> Surface:
+def _read(one: Any) -> tuple[Surface, str]:
+    """The surface of an argument, and what records call it."""
     if is_path(one):
-        return open_surface(path_text(one))
+        return open_surface(path_text(one)), path_text(one)
     is_pair = isinstance(one, tuple | list) and len(one) == 2
     mesh = from_arrays(*one) if is_pair else read_object(one)
-    return Surface(mesh.vertices, np.asarray(mesh.faces))
-
-
-def _name(one: Any) -> str:
-    return path_text(one) if is_path(one) else type(one).__name__
+    return Surface(mesh.vertices, np.asarray(mesh.faces)), mesh.name

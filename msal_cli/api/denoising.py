@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar, overload
@@ -12,13 +13,15 @@ from numpy.typing import ArrayLike
 from msal_cli.api.explanations import explained_errors
 from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
 from msal_cli.api.mesh_objects import read_object
-from msal_cli.api.settings import build_settings
+from msal_cli.api.settings import build_settings, merge_parameters
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
 from msal_cli.job.settings import NO_LIMITS, Settings
 
 MeshObject = TypeVar("MeshObject")
+
+_log = logging.getLogger("msal.api")
 
 _MASK, _TRUST = "(lock)", "(weights)"
 """Properties that hold the arrays of these arguments; no library has such names."""
@@ -213,7 +216,7 @@ def denoise(
         mesh, locks, trust = _with_constraints(mesh, lock, weights)
         settings = build_settings(
             method,
-            _merge(parameters, more),
+            merge_parameters(parameters, more),
             **wishes,  # type: ignore[arg-type]
             max_move=max_move,
             locks=locks,
@@ -233,14 +236,6 @@ def _read_arrays(vertices: Any, faces: Any) -> MemoryMesh:
             hint=f"of a mesh object the method has to be named: method={faces!r}",
         )
     return from_arrays(vertices, faces)
-
-
-def _merge(parameters: Mapping[str, Any] | None, more: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters of a method; UsageError for one that is given twice."""
-    twice = sorted((parameters or {}).keys() & more.keys())
-    if twice:
-        raise UsageError(f"{twice[0]} is given twice", hint="give it once")
-    return {**(parameters or {}), **more}
 
 
 def _with_constraints(
@@ -266,7 +261,7 @@ def _with_constraints(
 
 def _as_mask(lock: Any, n: int) -> Array:
     """A mask (n,) of a mask or of indices; UsageError for anything else."""
-    values = as_array(lock, "lock")
+    values = as_array(lock, "lock", UsageError)
     if values.dtype == np.bool_ and values.shape == (n,):
         return values
     mask = np.zeros(n, dtype=np.bool_)
@@ -285,7 +280,7 @@ def _as_mask(lock: Any, n: int) -> Array:
 
 def _as_trust(weights: Any, n: int) -> Array:
     """Weights (n,), at least one above 0, all finite; UsageError or ContentError if not."""
-    values = as_array(weights, "weights")
+    values = as_array(weights, "weights", UsageError)
     if values.shape != (n,) or values.dtype.kind not in "fiub":
         raise UsageError(
             f"weights are {values.dtype} of shape {values.shape}",
@@ -311,4 +306,8 @@ def _run(mesh: MemoryMesh, settings: Settings) -> DenoiseResult:
     vertices = run.move_vertices(mesh)
     is_moved = not np.array_equal(vertices, mesh.vertices)
     record = replace(run.finish(None), status="written" if is_moved else "unchanged")
-    return DenoiseResult(mesh.to_given_type(vertices), record)
+    result = DenoiseResult(mesh.to_given_type(vertices), record)
+    _log.info("%s: %s; %s", mesh.name, result.method, result.reason or result.parameters)
+    for warning in result.warnings:
+        _log.info("%s: %s", mesh.name, warning)
+    return result

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.api.background_run import iterate_records
 from msal_cli.api.comparing import path_text
 from msal_cli.api.explanations import explained_errors
-from msal_cli.api.settings import build_settings
+from msal_cli.api.settings import build_settings, merge_parameters
+from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.errors import UsageError
+from msal_cli.job.pipeline import FileRun
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP, Limits, Settings
 
@@ -84,10 +86,12 @@ def denoise_file(
     """
     source, target = path_text(input), path_text(output)
     with explained_errors(path=source):
+        limits = Limits(max_faces=max_faces)
+        check_limits(limits)
         gates = _parse_gates(fail_on, unit)
         settings = build_settings(
             method,
-            {**(parameters or {}), **more},
+            merge_parameters(parameters, more),
             prefer=prefer,
             keep=keep,
             strength=strength,
@@ -105,8 +109,6 @@ def denoise_file(
             strict=strict,
             format=format,
         )
-        from msal_cli.job.pipeline import FileRun
-
         plan = _build_plan([source], target, settings)
         if len(plan.tasks) != 1 or plan.homes != (None,):
             raise UsageError(
@@ -114,7 +116,7 @@ def denoise_file(
                 hint="denoise_folder takes folders",
             )
         task = plan.tasks[0]
-        one = FileRun(task.input, settings, None, Limits(max_faces=max_faces))
+        one = FileRun(task.input, settings, None, limits)
         data = one.read(task)
         record = one.write(task, data, one.denoise(data, task.output))
         return _judge(gates, record)
@@ -206,10 +208,13 @@ def denoise_folder(
     given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     sources = [path_text(one) for one in given]
     with explained_errors(", ".join(sources)):
+        limits = Limits(timeout, memory_limit, max_faces)
+        check_limits(limits)
+        check_numbers(jobs, retries, max_failures)
         gates = _parse_gates(fail_on, unit)
         settings = build_settings(
             method,
-            {**(parameters or {}), **more},
+            merge_parameters(parameters, more),
             prefer=prefer,
             keep=keep,
             strength=strength,
@@ -243,7 +248,7 @@ def denoise_folder(
             plan,
             settings,
             jobs=jobs,
-            limits=Limits(timeout, memory_limit, max_faces),
+            limits=limits,
             retries=retries,
             stop_after_failures=max_failures,
             command=("msal_cli.denoise_folder", *sources),

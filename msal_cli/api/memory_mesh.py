@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from msal_cli.api.explanations import ARRAYS
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.surface_cells import strip_triangles
-from msal_cli.errors import ContentError, InputError
+from msal_cli.errors import ContentError, InputError, MsalError
 
 Array = NDArray[Any]
 
@@ -108,12 +108,12 @@ def from_arrays(
     )
 
 
-def as_array(values: ArrayLike, name: str) -> Array:
-    """An array of what was given; ContentError where its rows are not of one length."""
+def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError) -> Array:
+    """An array of what was given; an ``error`` where its rows are not of one length."""
     try:
         return np.asarray(values)
-    except ValueError as error:
-        raise ContentError(f"{name} are no array: {error}") from None
+    except (TypeError, ValueError) as reason:
+        raise error(f"{name} cannot be read as an array: {reason}") from None
 
 
 def scalar_properties(arrays: Mapping[str, Any], n_vertices: int) -> dict[str, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar, overload
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from msal_cli.api.explanations import explained_errors
 from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
 from msal_cli.api.mesh_objects import read_object
+from msal_cli.api.settings import to_number, to_whole_number
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
 from msal_cli.job.opened_mesh import prepare_mesh
@@ -145,18 +146,23 @@ def add_noise(
         settings = {
             "fraction": fraction,
             "rings": rings,
-            "direction": None if direction is None else tuple(map(float, direction)),
+            "direction": direction,
             "step": step,
             "border": border,
             "property": name,
         }
-        given: dict[str, Any] = {one: value for one, value in settings.items() if value is not None}
+        given = {one: value for one, value in settings.items() if value is not None}
         used = OPTIONS.get(kind, tuple(given))
         for one in given:
             if one not in used:
                 users = ", ".join(kind for kind, names in OPTIONS.items() if one in names)
                 raise UsageError(f"{one} means nothing for {kind} noise", hint=f"for: {users}")
-        noise = AddedNoise(kind, level, seed, **given)
+        noise = AddedNoise(
+            kind,
+            to_number(level, "level"),
+            to_whole_number(seed, "seed"),
+            **{one: _READ[one](value, one) for one, value in given.items()},
+        )
         ready = prepare_mesh(mesh)
         factors = read_weights(mesh, ready, noise.property) if kind == "property" else None
         moved = ready.to_file_vertices(add(ready.mesh, noise, factors), mesh.vertices)
@@ -164,11 +170,29 @@ def add_noise(
         return mesh.copy_with(noisy) if is_object else noisy
 
 
+def _to_vector(value: Any, name: str) -> tuple[float, ...]:
+    vector = as_array(value, name, UsageError)
+    if vector.shape != (3,):
+        raise UsageError(f"{name} is {value!r}, and must be three numbers")
+    return tuple(to_number(one, name) for one in vector.tolist())
+
+
+_READ: dict[str, Callable[[Any, str], Any]] = {
+    "fraction": to_number,
+    "rings": to_whole_number,
+    "direction": _to_vector,
+    "step": to_number,
+    "border": to_number,
+    "property": lambda value, name: value,
+}
+"""How each setting is checked before it is used."""
+
+
 def _with_factors(mesh: MemoryMesh, factors: Any) -> tuple[MemoryMesh, str | None]:
     """The mesh with an array of factors among its properties, and the name of the factors."""
     if factors is None or isinstance(factors, str):
         return mesh, factors
-    values = as_array(factors, "property")
+    values = as_array(factors, "property", UsageError)
     if values.shape != (len(mesh.vertices),) or values.dtype.kind not in "fiub":
         raise UsageError(
             f"property is {values.dtype} of shape {values.shape}",

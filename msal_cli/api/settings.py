@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -95,11 +96,38 @@ def _format_word(word: str | None, name: str, known: Callable[[], tuple[str, ...
     return _word(name, word.lower().lstrip("."), words)
 
 
+def merge_parameters(
+    parameters: Mapping[str, Any] | None, more: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The parameters of a method; UsageError for one that is given twice."""
+    twice = sorted((parameters or {}).keys() & more.keys())
+    if twice:
+        raise UsageError(f"{twice[0]} is given twice", hint="give it once")
+    return {**(parameters or {}), **more}
+
+
 def length_text(value: str | float, name: str, unit: str | None) -> str:
     """A length as settings have it: ``"0.3e"`` in mean edge lengths, a number in file units."""
     from msal_cli.job.constraints import parse_length
 
-    return str(parse_length(value if isinstance(value, str) else repr(float(value)), name, unit))
+    text = value if isinstance(value, str) else repr(to_number(value, name))
+    return str(parse_length(text, name, unit))
+
+
+def to_number(value: Any, name: str) -> float:
+    """A number for an argument; UsageError, which names it, for what is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise UsageError(f"{name} is {value!r}, and must be a number") from None
+
+
+def to_whole_number(value: Any, name: str) -> int:
+    """A whole number for an argument; UsageError, which names it, for what is none."""
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise UsageError(f"{name} is {value!r}, and must be a whole number") from None
 
 
 def _choose_method(
@@ -145,10 +173,7 @@ def _checked_wishes(wishes: dict[str, Any]) -> dict[str, Any]:
         ("budget", _LEAST_BUDGET, float("inf")),
     ):
         if name in wishes:
-            try:
-                checked[name] = float(wishes[name])
-            except (TypeError, ValueError):
-                checked[name] = float("nan")
+            checked[name] = to_number(wishes[name], name)
             if not low <= checked[name] <= high:
                 span = f"{low:g} to {high:g}" if name == "strength" else f"{low:g} or more"
                 raise _refusal(name, wishes[name], span)

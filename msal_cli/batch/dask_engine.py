@@ -75,7 +75,7 @@ class DaskEngine:
         self._run = secrets.token_hex(8)
         self._scheduler = scheduler
         self._inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
-        jobs = max(1, min(work.jobs, len(work.tasks)))
+        jobs = max(1, work.jobs if work.stays else min(work.jobs, len(work.tasks)))
         self._cluster = DaskCluster(scheduler, jobs, lambda *event: self._inbox.put(event))
         self._probes: list[str] = []
         # What is not done yet, and of it: not handed out, the large ones apart, which go first and
@@ -109,6 +109,10 @@ class DaskEngine:
         """See ``Engine.interrupt``."""
         self._inbox.put(("interrupt",))
 
+    def add(self, tasks: dict[int, Any]) -> None:
+        """See ``Engine.add``; each task is handed out singly."""
+        self._inbox.put(("more", tasks))
+
     def batches(self) -> Generator[list[Message], None, None]:
         """See ``Engine.batches``."""
         try:
@@ -130,7 +134,8 @@ class DaskEngine:
                     yield messages
                 if fault is not None:
                     raise fault
-                if self._is_connected and not (self._submitted or self._has_waiting()):
+                is_over = self._is_connected and not (self._submitted or self._has_waiting())
+                if is_over and not self._work.stays:
                     return
         finally:
             self._end()
@@ -236,7 +241,12 @@ class DaskEngine:
         return events
 
     def _handle_event(self, kind: str, rest: list[Any]) -> list[Message]:
-        if kind == "connected":
+        if kind == "more":
+            (tasks,) = rest
+            self._work.tasks.update(tasks)
+            self._open.update(tasks)
+            self._large.extend(tasks)
+        elif kind == "connected":
             self._is_connected = True
             self._seen_workers = time.monotonic()
         elif kind == "fault":

@@ -152,8 +152,9 @@ class _StayingPool:
             limits=order.limits,
             retries=order.retries,
             on_death=self._sweep_after,
+            stays=True,
         )
-        self._pool = WorkerPool(work, stays=True)
+        self._pool = WorkerPool(work)
         threading.Thread(target=self._run, name="msal", daemon=True).start()
 
     def done(

@@ -18,11 +18,13 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from msal_cli.batch.manifest_lines import (
+    LineSpan,
     LogView,
     ManifestEntry,
     encode_line,
     manifest_error,
     merge_entries,
+    parse_line,
     read_lines,
 )
 from msal_cli.batch.shard import Shard
@@ -72,7 +74,10 @@ class Manifest:
         self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in some))
 
     def open(self) -> None:
-        """Prepare to append; drop lines that no longer count.  OutputError if that fails."""
+        """Prepare to append; drop lines that no longer count.  OutputError if that fails.
+
+        Harmless if it is open.
+        """
         raise NotImplementedError
 
     def close(self) -> None:
@@ -98,6 +103,8 @@ class FolderManifest(Manifest):
 
     def open(self) -> None:
         """Prepare to append, under the folder's lock: repair a torn end, drop what is outdated."""
+        if self._file is not None:
+            return
         try:
             n_kept = len(self._own.entries) + min(len(self._own.run_lines), RUN_LINES_KEPT)
             if self._own.n_lines - n_kept > max(_SPARE_LINES, n_kept):
@@ -127,10 +134,17 @@ class FolderManifest(Manifest):
 
     def _write_lines(self, lines: list[bytes], *, at_once: bool) -> None:
         try:
+            start = os.fstat(self._file.fileno()).st_size
             self._write_all(b"".join(lines))
             os.fsync(self._file.fileno())
         except OSError as error:
             raise manifest_error(str(self._path), error) from None
+        # One that stays open for several runs tells the next of them what the last one did.
+        for line in lines:
+            entry = parse_line(line[:-1], LineSpan(self._path, start, len(line) - 1))
+            if isinstance(entry, ManifestEntry):
+                self._entries[entry.name] = entry
+            start += len(line)
 
     def _write_all(self, text: bytes) -> None:
         """Add all of ``text``, or nothing: half a line would spoil the next one."""

@@ -62,6 +62,14 @@ def lock_folder(home: str, stack: ExitStack, shard: Shard | None = None) -> None
     stack.enter_context(FolderLock(home, shard))
 
 
+def open_folder(home: str, stack: ExitStack, shard: Shard | None = None) -> Manifest:
+    """Make and lock a folder, and read its manifests, until ``stack`` ends; errors of both."""
+    lock_folder(home, stack, shard)
+    manifest = open_manifest(home, shard)
+    stack.callback(manifest.close)
+    return manifest
+
+
 def output_folders(tasks: Iterable[Task]) -> set[Path]:
     """The folders of this machine that tasks write to."""
     return {Path(task.output).parent for task in tasks if not is_url(task.output)}

@@ -6,7 +6,7 @@ import functools
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.batch import interrupts, temporary_files, tile_set
 from msal_cli.batch.denoise_task import denoise_in_worker
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
-from msal_cli.batch.manifest_dirs import lock_folder, open_manifest, output_folders
+from msal_cli.batch.manifest_dirs import open_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
 from msal_cli.batch.oversized import Oversized, find_oversized
@@ -29,6 +29,7 @@ from msal_cli.batch.resume import (
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.tile_estimate import planned_tiles
+from msal_cli.batch.tile_files import denoise_oversized, help_others
 from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
@@ -64,6 +65,7 @@ def run(
     engine: EngineFactory | None = None,
     tiles: TileOptions | None = None,
     cancellation: interrupts.Cancellation | None = None,
+    manifests: Mapping[str, Manifest] | None = None,
 ) -> list[MeshRecord]:
     """One record per task, in the plan's order; the same bytes for any number of jobs.
 
@@ -88,6 +90,7 @@ def run(
     tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
     cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
         which can be ended at any time.
+    manifests : those of output folders that the caller has opened, and locked, for several runs.
 
     Raises
     ------
@@ -116,6 +119,7 @@ def run(
             engine=engine,
             tiles=tiles,
             cancellation=cancellation,
+            opened=manifests or {},
         )
         return one.dry_run() if dry_run else one.execute(stack, tuple(command))
 
@@ -133,6 +137,7 @@ class _BatchRun:
     engine: EngineFactory | None
     tiles: TileOptions | None
     cancellation: interrupts.Cancellation | None
+    opened: Mapping[str, Manifest]
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -153,7 +158,9 @@ class _BatchRun:
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
-                records = tile_set.survey_set(self.plan, self.settings, self._manifests)
+                records = tile_set.survey_set(
+                    self.plan, self.settings, self._manifests, self._tile_job(0)
+                )
             else:
                 planned = {index: self._planned_record(index) for index in todo}
                 expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
@@ -198,9 +205,9 @@ class _BatchRun:
         """Lock the folders, report what is up to date; the indices of what is to be done."""
         tasks, homes = self.plan.tasks, self.plan.folders()
         for home in homes:
-            lock_folder(home, stack, self.plan.shard)
-            self._manifests[home] = open_manifest(home, self.plan.shard)
-            stack.callback(self._manifests[home].close)
+            self._manifests[home] = self.opened.get(home) or open_folder(
+                home, stack, self.plan.shard
+            )
         temporary_files.sweep({*output_folders(tasks), *map(Path, _local(homes))})
         todo, restored = self._outdated()
         for manifest in self._manifests.values():
@@ -258,10 +265,10 @@ class _BatchRun:
             self.tiles,
             self.limits,
             self.jobs or self._cores,
-            self._cores,
             self.retries,
             self.engine,
             self.cancellation,
+            self.plan.shard,
             lambda *step: self.on_event(Progress(index, *step)),
         )
 
@@ -302,11 +309,10 @@ class _BatchRun:
     def _run_by_tiles(self, oversized: Oversized) -> None:
         for index in oversized.by_tiles:
             if self._failure is None and not self._has_too_many_failures():
-                from msal_cli.batch.tile_run import denoise_by_tiles
-
                 self.on_event(Started(index))
                 task, job = self.plan.tasks[index], self._tile_job(index)
-                self._finish({index: denoise_by_tiles(task, self.settings, job)})
+                self._finish({index: denoise_oversized(task, self.settings, job)})
+        help_others(self.plan, self.settings, self._tile_job(0))
 
     def _run_set(self, todo: list[int]) -> None:
         """Denoise all files as one mesh, led by this process."""

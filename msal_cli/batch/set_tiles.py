@@ -24,6 +24,7 @@ from msal_cli.tiles.file_set import SetSource, open_set
 if TYPE_CHECKING:
     from msal_cli.batch.tile_options import TileJob, TileOptions
     from msal_cli.job.records import MeshRecord
+    from msal_cli.tiles.estimates import TileEstimate
     from msal_cli.tiles.scratch import Scratch
 
 _NAME = "tile-set"
@@ -57,6 +58,11 @@ class SetTiles:
         # Every file is measured and written by itself.
         refuse_settings(replace(settings, to=None, encoding="same", precision="same", checks=()))
 
+    def estimate(self, source: SetSource, settings: Settings) -> TileEstimate:
+        """What the run will take."""
+        mesh, bound = open_set(source.describe(Path())), memory_bound(self.job.limits)
+        return estimate_run(mesh, settings, jobs=self.job.jobs, memory_bytes=bound)
+
     @contextmanager
     def __call__(
         self, source: SetSource, settings: Settings
@@ -64,9 +70,7 @@ class SetTiles:
         """The scratch folder with the new positions, and the record of the joined mesh."""
         task = Task(source.files[0].path, os.path.join(self.home, _NAME), _NAME)
         run = _SetRun(task, settings, self.job, source)
-        mesh = open_set(source.describe(Path()))
-        bound = memory_bound(self.job.limits)
-        expected = estimate_run(mesh, settings, jobs=self.job.jobs, memory_bytes=bound)
+        expected = self.estimate(source, settings)
         path = tile_scratch.scratch_path(task.output, self.options.scratch)
         tile_scratch.check_space(path, task.output, expected)
         output.make_folder_of(task.output)
@@ -82,6 +86,11 @@ class _SetRun(TileRun):
 
     source: SetSource
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"the tile set of {len(self.source.files)} files"
+
     def describe_source(self, folder: Path) -> dict[str, Any]:
         """How tasks open the files."""
         return self.source.describe(folder)
@@ -92,7 +101,7 @@ class _SetRun(TileRun):
 
     def describe(self, scratch: Scratch) -> MeshRecord:
         """The record of the joined mesh."""
-        with self.leading("join", scratch):
+        with self.leading("join"):
             mesh = open_set(self.describe_source(scratch.path))
             known = outcome.describe_result(scratch, mesh)
             tiles = self.describe_tiles(scratch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli import machine
@@ -29,6 +30,10 @@ def estimate_tiles(task: Task, settings: Settings, job: TileJob) -> TileEstimate
 
     mesh = open_for_tiles(task, settings)
     refuse_faces(mesh.n_polygons, job.limits)
+    if job.engine is not None:
+        # How much memory other machines have is not known: the limit is for each worker.
+        most = job.limits.memory_bytes
+        return replace(estimate_run(mesh, settings, jobs=1, memory_bytes=most), jobs=job.jobs)
     return estimate_run(mesh, settings, jobs=job.jobs, memory_bytes=memory_bound(job.limits))
 
 

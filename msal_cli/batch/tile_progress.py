@@ -21,6 +21,8 @@ COSTS = {
     "weld": 4.0,
     "choose": 2.0,
     "rim": 6.0,
+    "values": 1.0,
+    "pins": 1.0,
     "prepare": 22.0,
     "wind": 0.0,
     "turn": 0.0,

@@ -9,23 +9,17 @@ come again.
 from __future__ import annotations
 
 import logging
-import signal
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import machine
-from msal_cli.batch import interrupts, tile_scratch
-from msal_cli.batch.engine import Interrupt
-from msal_cli.batch.events import Failed, Returned
+from msal_cli.batch import tile_scratch
 from msal_cli.batch.tile_estimate import estimate_tiles, planned_tiles
+from msal_cli.batch.tile_help import KEPT
 from msal_cli.batch.tile_options import TileJob
-from msal_cli.batch.tile_progress import TileProgress
-from msal_cli.batch.tile_tasks import TileEngine, TileResult
-from msal_cli.batch.unfinished import LOSS_CODES
-from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
+from msal_cli.batch.tile_stages import StageRunner
+from msal_cli.errors import OutputError, ResourceError
 from msal_cli.job import output
 from msal_cli.job.opened_mesh import to_known_error
 from msal_cli.job.pipeline import start_record
@@ -44,24 +38,6 @@ if TYPE_CHECKING:
     from msal_cli.job.tile_records import Tiles
     from msal_cli.tiles.estimates import TileEstimate
     from msal_cli.tiles.scratch import Scratch
-
-SECONDS = "seconds.json"
-
-_STAGE_SECONDS = {
-    "open": "read",
-    "count": "read",
-    "number": "read",
-    "faces": "read",
-    "weld": "connectivity",
-    "choose": "choose",
-    "rim": "connectivity",
-    "prepare": "connectivity",
-    "wind": "connectivity",
-    "turn": "connectivity",
-    "denoise": "sweeps",
-    "join": "write",
-}
-"""Which seconds of a record those of each stage are."""
 
 _log = logging.getLogger("msal.batch")
 
@@ -85,10 +61,13 @@ class TileRun:
     job: TileJob
 
     def __post_init__(self) -> None:
-        self._started = time.perf_counter()
+        self._runner = StageRunner(self.name, self.job)
         self.record = start_record(self.task.input, self.settings)
-        self._peaks: dict[int, int] = {}
-        self._seconds: dict[str, float] = {}
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return repr(self.task.input)
 
     def run(self) -> MeshRecord:
         """The record of a file that was written."""
@@ -120,47 +99,10 @@ class TileRun:
 
     def work(self, scratch: Scratch, expected: TileEstimate) -> None:
         """Run all stages that are left."""
-        with self.leading("open", scratch):
+        with self._runner.leading("open"):
             n_resumed = self._open(scratch, expected)
-        engine = TileEngine(
-            jobs=expected.jobs,
-            cores=self.job.cores,
-            retries=self.job.retries,
-            factory=self.job.engine,
-        )
-        progress = TileProgress(scratch, self.job.on_progress)
         self.know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
-        received: list[int] = []
-        is_interrupted = False
-        cancellation = self.job.cancellation or interrupts.Cancellation()
-
-        def on_signal(signum: int) -> None:
-            received.append(signum)
-            engine.interrupt()
-
-        try:
-            while (stage := self._next_stage(scratch)) is not None:
-                cancellation.check()
-                if stage.todo:
-                    with (
-                        interrupts.noticed(on_signal),
-                        cancellation.noticed(engine.interrupt),
-                        self._timed(stage.name, scratch),
-                    ):
-                        self._run_stage(engine, scratch, stage, progress)
-                with self.leading(stage.name, scratch):
-                    stages.reduce_stage(scratch, stage.name)
-        except Interrupt:
-            is_interrupted = True
-            interrupts.raise_for(received[0] if received else signal.SIGINT)
-        finally:
-            engine.close()
-            if is_interrupted:
-                _log.warning(
-                    "%r: finished tasks are kept in %r; the same command goes on from there",
-                    self.task.input,
-                    str(scratch.path),
-                )
+        self._runner.run(scratch, expected.jobs, self._next_stage)
 
     def _open(self, scratch: Scratch, expected: TileEstimate) -> int:
         """Make the plan, or take that of an earlier run; how many of its tasks are finished."""
@@ -169,8 +111,8 @@ class TileRun:
         if tile_scratch.can_go_on(scratch, identity):
             n_finished = stages.count_finished(scratch)
             _log.warning(
-                "%r: going on with the tiles of an earlier run, of which %d tasks are finished",
-                self.task.input,
+                "%s: going on with the tiles of an earlier run, of which %d tasks are finished",
+                self.name,
                 n_finished,
             )
             return n_finished
@@ -184,7 +126,7 @@ class TileRun:
             chunk_vertices=expected.chunk_vertices,
             source=source,
         )
-        scratch.write_json(tile_scratch.IDENTITY, identity)
+        tile_scratch.begin(scratch, identity)
         return 0
 
     def describe_source(self, folder: Path) -> dict[str, Any]:
@@ -209,47 +151,17 @@ class TileRun:
 
     def _next_stage(self, scratch: Scratch) -> stages.Stage | None:
         stage = stages.next_stage(scratch)
-        if stage is not None and stage.name == "join" and outcome.reject_harmful(scratch):
-            return stages.next_stage(scratch)
+        if stage is not None and stage.name == "join" and not scratch.has(KEPT):
+            if outcome.reject_harmful(scratch):
+                return stages.next_stage(scratch)
+            scratch.write_json(KEPT, True)
         return stage
-
-    def _run_stage(
-        self, engine: TileEngine, scratch: Scratch, stage: stages.Stage, progress: TileProgress
-    ) -> None:
-        failures: dict[int, MsalError] = {}
-        progress.begin(stage)
-        for message in engine.run(str(scratch.path), stage.name, stage.todo):
-            if isinstance(message, Returned):
-                result: TileResult = message.result
-                self._peaks[result.pid] = max(self._peaks.get(result.pid, 0), result.peak_bytes)
-                if result.error is not None:
-                    failures[message.index] = result.error
-            else:
-                failures[message.index] = _failure_of(message)
-            if failures:
-                engine.stop()
-            else:
-                progress.step()
-                self._check_time()
-        if failures:
-            # The first in the file, however many tasks ran at the same time.
-            raise failures[min(failures)]
-
-    def _check_time(self) -> None:
-        limit = self.job.limits.timeout_s
-        if limit is not None and time.perf_counter() - self._started > limit:
-            raise ResourceError(
-                f"it was not done within {limit:g} s",
-                code="E_TIMEOUT",
-                hint="finished tasks are kept: the same command goes on from there; or raise "
-                "--timeout",
-            )
 
     # The end
 
     def _finish(self, scratch: Scratch, expected: TileEstimate) -> MeshRecord:
         task = self.task
-        with self.leading("join", scratch):
+        with self.leading("join"):
             mesh = sources.open_source(self.describe_source(scratch.path))
             known = outcome.describe_result(scratch, mesh)
             tiles = self.describe_tiles(scratch)
@@ -284,37 +196,17 @@ class TileRun:
         scratch.remove()
         return self.record
 
-    # Seconds and memory
-
-    @contextmanager
-    def leading(self, stage: str, scratch: Scratch) -> Iterator[None]:
-        """What this process does itself: signals end it, and it is counted as part of a stage."""
-        with (
-            interrupts.noticed(interrupts.raise_for),
-            interrupts.ended_late(lambda: None),
-            self._timed(stage, scratch),
-        ):
-            yield
-
-    @contextmanager
-    def _timed(self, stage: str, scratch: Scratch) -> Iterator[None]:
-        started = time.perf_counter()
-        try:
-            yield
-        finally:
-            name = _STAGE_SECONDS[stage.partition("-")[0]]
-            self._seconds[name] = self._seconds.get(name, 0.0) + time.perf_counter() - started
+    def leading(self, stage: str) -> AbstractContextManager[None]:
+        """What this process does itself, as a part of a stage."""
+        return self._runner.leading(stage)
 
     def all_seconds(self) -> Seconds:
         """Seconds of all stages so far."""
-        return Seconds(**self._seconds, total=time.perf_counter() - self._started)
+        return Seconds(**self._runner.seconds, total=self._runner.total_seconds)
 
     def peak_bytes(self) -> int | None:
         """Memory of this process and of as many workers as work at the same time."""
-        own = machine.peak_bytes()
-        jobs = self.record.tiles.jobs if self.record.tiles is not None else 0
-        workers = sorted(self._peaks.values(), reverse=True)[:jobs]
-        return None if own is None else own + sum(workers)
+        return self._runner.peak_bytes(0 if self.record.tiles is None else self.record.tiles.jobs)
 
 
 @contextmanager
@@ -328,13 +220,3 @@ def sweeping_after_errors(scratch: Scratch) -> Iterator[None]:
     except Exception:
         scratch.remove()
         raise
-
-
-def _failure_of(message: Failed) -> MsalError:
-    if message.cause == "exception":
-        return InternalError(message.reason, hint=message.hint)
-    return ResourceError(
-        message.reason,
-        code=LOSS_CODES[message.cause],
-        hint=f"{message.hint}; finished tasks are kept, and the same command goes on from there",
-    )

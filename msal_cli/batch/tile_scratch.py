@@ -17,12 +17,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
+from msal_cli import __version__, machine
 from msal_cli.batch.lock import NAME as LOCK_NAME
 from msal_cli.batch.lock import FolderLock
 from msal_cli.errors import OutputError
 from msal_cli.machine import megabytes
-from msal_cli.storage.atomic import LONGEST_NAME, make_folders
+from msal_cli.storage.atomic import LONGEST_NAME, machine_tag, make_folders
 from msal_cli.storage.limits import LOOKED_AT
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.scratch import Scratch
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 PREFIX = ".msal-tiles-"
 IDENTITY = "identity.json"
+_BOOTS = "boots.json"
 
 
 def scratch_path(output: str, folder: str | None) -> Path:
@@ -87,10 +88,27 @@ def can_go_on(scratch: Scratch, identity: dict[str, Any]) -> bool:
     """Whether what is in the scratch folder is of the same run; its tiles may be smaller than they
     would be now."""
     known = scratch.read_json(IDENTITY)
-    if known is None:
+    if known is None or _may_have_lost_data(scratch):
         return False
     is_fit: bool = known["tile_vertices"] <= identity["tile_vertices"]
     return is_fit and known | {"tile_vertices": 0} == identity | {"tile_vertices": 0}
+
+
+def begin(scratch: Scratch, identity: dict[str, Any]) -> None:
+    """Record whose tasks the scratch folder holds from now on, and since which start of this
+    machine."""
+    scratch.write_json(_BOOTS, _read_boots(scratch) | {machine_tag(): machine.boot_id()})
+    scratch.write_json(IDENTITY, identity)
+
+
+def _may_have_lost_data(scratch: Scratch) -> bool:
+    """Whether this machine was started anew since.  Tasks do not wait until what they write is on
+    the disk: a killed process loses nothing, a power cut may."""
+    return _read_boots(scratch).get(machine_tag(), machine.boot_id()) != machine.boot_id()
+
+
+def _read_boots(scratch: Scratch) -> dict[str, str]:
+    return scratch.read_json(_BOOTS) or {}
 
 
 def clear(scratch: Scratch) -> None:

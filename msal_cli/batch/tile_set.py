@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.events import Progress
 from msal_cli.batch.manifest_dirs import output_folders
+from msal_cli.errors import UnsupportedError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from msal_cli.batch.events import OnEvent
     from msal_cli.batch.manifest import Manifest
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.tile_options import TileJob
     from msal_cli.job.records import MeshRecord
     from msal_cli.job.settings import Settings
-    from msal_cli.job.tile_records import TileSetPart
+    from msal_cli.job.tile_records import Tiles, TileSetPart
     from msal_cli.tiles.set_run import EarlierRuns
 
 
@@ -62,12 +64,52 @@ def denoise_set(
 
 
 def survey_set(
-    plan: Plan, settings: Settings, manifests: Mapping[str, Manifest]
+    plan: Plan, settings: Settings, manifests: Mapping[str, Manifest], job: TileJob
 ) -> dict[int, MeshRecord]:
-    """What would be denoised: records with counts and neighbours; the files are only read."""
+    """What would be denoised: records with counts, neighbours and the tiles of a set that does not
+    fit into memory; the files are only read."""
     from msal_cli.tiles import set_run
 
-    return dict(enumerate(set_run.survey_set(plan.tasks, settings, read_earlier(plan, manifests))))
+    earlier = read_earlier(plan, manifests)
+    records = set_run.survey_set(plan.tasks, settings, earlier)
+    tiles = _plan_tiles(plan, settings, records, job)
+    return {
+        index: replace(one, tiles=tiles) if one.status == "planned" else one
+        for index, one in enumerate(records)
+    }
+
+
+def _plan_tiles(
+    plan: Plan, settings: Settings, records: Sequence[MeshRecord], job: TileJob
+) -> Tiles | None:
+    """The tiles that a set would be cut into; None where it fits, or tiles are no way."""
+    from msal_cli.batch.tile_estimate import memory_bound, planned_tiles
+    from msal_cli.tiles.file_set import SetFile, SetSource
+    from msal_cli.tiles.set_run import memory_of_set
+
+    run_tiles, bound = _build_tiles(plan, job), memory_bound(job.limits)
+    found = [
+        (task, one)
+        for task, one in zip(plan.tasks, records, strict=True)
+        if one.status == "planned"
+    ]
+    if run_tiles is None or not found:
+        return None
+    fits = bound is None or memory_of_set(plan.tasks, settings) <= bound
+    if fits and not run_tiles.is_forced:
+        return None
+    try:
+        run_tiles.refuse(settings)
+    except UnsupportedError:
+        return None
+    files = [
+        SetFile(task.input, one.vertices or 0, one.triangles or 0, os.stat(task.input).st_size)
+        for task, one in found
+    ]
+    is_single = all(one.precision == "float32" for _, one in found)
+    vertex_type = "float32" if is_single else "float64"
+    source = SetSource(files, settings.format, vertex_type, b"")
+    return planned_tiles(run_tiles.estimate(source, settings))
 
 
 def _build_tiles(plan: Plan, job: TileJob) -> SetTiles | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -67,8 +67,7 @@ def run_tile_task(task: TileTask, common: object, on_progress: object) -> TileRe
 class TileEngine:
     """Runs the tasks of one stage after another.
 
-    Worker processes of this machine stay from stage to stage; on a cluster each stage is an engine
-    of its own.
+    Worker processes stay from stage to stage.
 
     Parameters
     ----------
@@ -76,9 +75,6 @@ class TileEngine:
     retries : how often a task is tried again whose worker was lost.
     factory : makes the engine; None is that of worker processes.
     """
-
-    function = staticmethod(run_tile_task)
-    """What workers call."""
 
     def __init__(
         self, *, jobs: int, cores: int, retries: int, factory: EngineFactory | None = None
@@ -89,6 +85,8 @@ class TileEngine:
         self._batches: Generator[list[Message], None, None] | None = None
         self._n_tasks = 0
         self._is_stopped = False
+        # What workers call.
+        self.function: Callable[..., TileResult] = run_tile_task
 
     def run(self, scratch: str, stage: str, indices: list[int]) -> Iterator[Returned | Failed]:
         """Run tasks of a stage, and give the outcome of each; ``index`` is that of the task.
@@ -121,11 +119,9 @@ class TileEngine:
                 return
 
     def _begin(self, tasks: dict[int, TileTask], scratch: str) -> None:
-        if self._factory is None and self._engine is not None:
-            assert isinstance(self._engine, WorkerPool)
+        if self._engine is not None:
             self._engine.add(tasks)
             return
-        self.close()
         work = Work(
             tasks,
             self.function,
@@ -136,11 +132,9 @@ class TileEngine:
             retries=self._retries,
             # Tasks that weigh something are handed out singly.
             weights=dict.fromkeys(tasks, 1),
+            stays=True,
         )
-        if self._factory is None:
-            self._engine = WorkerPool(work, stays=True)
-        else:
-            self._engine = self._factory(work)
+        self._engine = (self._factory or WorkerPool)(work)
         self._batches = self._engine.batches()
 
     def stop(self) -> None:

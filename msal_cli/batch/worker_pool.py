@@ -54,7 +54,6 @@ class WorkerPool:
 
     files_per_worker : a worker is replaced after so many tasks.
     growth_bytes : ... or once it uses so much more memory than after its first task.
-    stays : when all is done the workers wait for what ``add`` brings, until ``interrupt``.
     """
 
     def __init__(
@@ -63,17 +62,16 @@ class WorkerPool:
         *,
         files_per_worker: int = 1000,
         growth_bytes: int = 512 << 20,
-        stays: bool = False,
     ) -> None:
         self._work = work
         self._tasks = work.tasks
         self._limits = work.limits
-        self._stays = stays
+        self._stays = work.stays
         self._assignment = Assignment(
             work.function, work.common, _log.getEffectiveLevel(), work.limits.memory_bytes
         )
         # A pool that stays gets more tasks than those that it begins with.
-        self._jobs = max(1, work.jobs if stays else min(work.jobs, len(work.tasks)))
+        self._jobs = max(1, work.jobs if work.stays else min(work.jobs, len(work.tasks)))
         self._files_per_worker = files_per_worker
         self._growth_bytes = growth_bytes
         self._queue = TaskQueue(
@@ -93,7 +91,7 @@ class WorkerPool:
         self._queue.drop()
 
     def add(self, tasks: dict[int, Any]) -> None:
-        """Add tasks to a pool that stays; may be called from another thread."""
+        """See ``Engine.add``."""
         self._inbox.put((None, ("more", tasks)))
 
     def interrupt(self) -> None:

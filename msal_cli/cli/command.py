@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from msal_cli.cli import configuration
+
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
@@ -74,17 +76,32 @@ def _parameters(function: Any) -> list[click.Parameter]:
 
 
 class Command(click.Command):
-    """A command with groups of options, ``--help`` for the common ones and ``--help-all``."""
+    """A command with groups of options, ``--help`` for the common ones and ``--help-all``.
 
-    def __init__(self, *given: Any, **settings: Any) -> None:
+    If ``configurable``, its options may come from a configuration file, too.
+    """
+
+    def __init__(self, *given: Any, configurable: bool = True, **settings: Any) -> None:
         super().__init__(*given, **settings)
+        self.configurable = configurable
         groups: list[OptionGroup] = list(getattr(self.callback, _ATTRIBUTE, ()))
+        if configurable:
+            options = configuration.make_options()
+            self.params += options
+            names = tuple(str(one.name) for one in options)
+            groups.append(OptionGroup("Configuration", (), names))
         everything = _help_all()
         self.params.append(everything)
         at = next((k for k, one in enumerate(groups) if one.title == MESSAGES), None)
         own = OptionGroup(MESSAGES, (), ()) if at is None else groups.pop(at)
         self.groups = (*groups, own._replace(common=(*own.common, "help", "help_all")))
         everything.hidden = not self._has_more()
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the command line, with values of a configuration file where it gives none."""
+        if ctx.resilient_parsing or not self.configurable:
+            return super().parse_args(ctx, args)
+        return configuration.parse_args(self, ctx, args, super().parse_args)
 
     def _has_more(self) -> bool:
         """Whether ``--help-all`` shows more than ``--help``."""

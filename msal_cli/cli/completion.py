@@ -12,6 +12,7 @@ from msal_cli.cli.main import COMPLETE_VARIABLE
 
 @grouped_command(
     "completion",
+    configurable=False,
     epilog="""\b
 bash:  msal completion bash > ~/.local/share/bash-completion/completions/msal
 zsh:   msal completion zsh > ~/.zfunc/_msal     (a folder of your fpath)

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
+from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
 AUTOMATIC = ("auto", "keep", "strength", "prefer", "auto_budget")
@@ -124,6 +126,15 @@ _NEEDS = (
 )
 
 
+# The parameters that ``find_given`` has by other names.
+_PARAMETERS = {
+    "automatic": "method",
+    "adaptive": "method",
+    "dask": "engine",
+    "cluster": "scheduler",
+}
+
+
 def find_given(context: click.Context) -> dict[str, str]:
     """The options of a command line that have another value than without them, as users write them.
 
@@ -150,7 +161,40 @@ def _is_given(parameter: click.Parameter, context: click.Context) -> bool:
     value: Any = context.params.get(str(parameter.name))
     # 0 is given, too.
     is_empty = value is None or value is False or value == ()
-    return not is_empty and value != parameter.get_default(context)
+    return not is_empty and value != _default(parameter, context)
+
+
+def _default(parameter: click.Parameter, context: click.Context) -> Any:
+    """The default of the program, whatever a configuration file gives."""
+    from_file, context.default_map = context.default_map, None
+    try:
+        return parameter.get_default(context)
+    finally:
+        context.default_map = from_file
+
+
+def find_overruled(context: click.Context) -> set[str]:
+    """The parameters whose values from a configuration file give way to the command line: they
+    contradict it, or need an option that is not given."""
+    given = find_given(context)
+    from_file = {
+        name
+        for name in given
+        if context.get_parameter_source(_PARAMETERS.get(name, name)) is ParameterSource.DEFAULT_MAP
+    }
+    inputs, output = context.params.get("inputs") or (), context.params.get("output")
+    by_hand = given.keys() - from_file
+    if STREAM in (*inputs, output):
+        by_hand |= {"stream"} | ({"stdout"} if output in (None, STREAM) else set())
+    overruled = {
+        loser
+        for one, other, _, _ in _CONFLICTS
+        for winner, loser in ((one, other), (other, one))
+        if winner in by_hand and loser in from_file
+    }
+    left = given.keys() - overruled
+    overruled |= {one for one, other, _ in _NEEDS if one in from_file and other not in left}
+    return {_PARAMETERS.get(name, name) for name in overruled}
 
 
 def refuse_conflicts(given: Mapping[str, str]) -> None:

@@ -11,7 +11,9 @@ from msal_cli.cli import console, denoise_request, exit_codes, options
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given
 from msal_cli.cli.denoise_options import OPTIONS
+from msal_cli.cli.denoise_records import describe_run, judge, log_record
 from msal_cli.cli.denoise_request import Request
+from msal_cli.cli.method_parameters import list_defaults
 from msal_cli.errors import MsalError, OutputError, ResourceError
 
 if TYPE_CHECKING:
@@ -99,7 +101,7 @@ class _Session:
             record = denoise_stream(stream, settings, bar.on_progress, self._limits)
         finally:
             bar.close()
-        _log_record(record)
+        log_record(record)
         return self._conclude(settings, [record])
 
     def _run_files(self, plan: Plan, settings: Settings) -> int:
@@ -126,7 +128,7 @@ class _Session:
         def on_event(event: Event) -> None:
             if isinstance(event, Finished):
                 finished[event.index] = event.record
-                _log_record(event.record)
+                log_record(event.record)
             bar.on_event(event)
 
         try:
@@ -151,11 +153,7 @@ class _Session:
         finally:
             bar.close()
         if plan.is_set and request.dry_run and not request.quiet:
-            from msal_cli.machine import megabytes
-            from msal_cli.tiles.set_run import memory_of_set
-
-            needed = megabytes(memory_of_set(plan.tasks, settings))
-            console.say(f"as one mesh they take up to {needed} of memory")
+            console.say(_describe_set(plan, settings, records))
         with interrupts.noticed(interrupts.raise_for):
             return self._conclude(settings, records)
 
@@ -190,18 +188,12 @@ class _Session:
         request = self._request
         is_dry = request.dry_run
         n_left = 0 if is_dry else sum(one.status == "planned" for one in records)
-        run = self._describe_run(settings, interrupted or n_left > 0)
-        if self._references and not is_dry and not interrupted:
-            from msal_cli.job.comparison import with_references
-
-            records = with_references(records, self._references, settings.format)
+        is_over = interrupted or n_left > 0
+        run = describe_run(request, settings, self._clock, self._command, interrupted=is_over)
         is_broken = False
-        if self._gates and not is_dry:
-            from msal_cli.report.gates import is_any_broken, with_gates
-
-            records = with_gates(self._gates, records)
-            is_broken = is_any_broken(records)
-            _log_gates(records)
+        if not is_dry:
+            references = () if interrupted else self._references
+            records, is_broken = judge(settings, records, references, self._gates)
         self._print(run, records)
         try:
             if not is_dry:
@@ -247,48 +239,23 @@ class _Session:
             console.say_lines(text.broken_gates(records, verbose=False))
         elif not is_listing:
             console.say_lines(
-                text.summary(run, records, width=console.width(), verbose=request.verbose > 0)
+                text.summary(
+                    run,
+                    records,
+                    width=console.width(),
+                    verbose=request.verbose > 0,
+                    defaults=list_defaults(records),
+                )
             )
 
-    def _describe_run(self, settings: Settings, interrupted: bool) -> Run:
-        from dataclasses import asdict
 
-        from msal_cli import __version__
-        from msal_cli.cli import environment
-        from msal_cli.report.document import Run
+def _describe_set(plan: Plan, settings: Settings, records: Sequence[MeshRecord]) -> str:
+    """What the files of a tile set will take together."""
+    from msal_cli.machine import megabytes
+    from msal_cli.report.phrases import tiles_text
+    from msal_cli.tiles.set_run import memory_of_set
 
-        is_reported = self._request.reports or self._request.as_json
-        return Run(
-            version=__version__,
-            command=self._command,
-            settings=asdict(settings),
-            started=self._clock.started,
-            finished=self._clock.now(),
-            seconds=self._clock.seconds(),
-            interrupted=interrupted,
-            machine=environment.describe_machine() if is_reported else {},
-        )
-
-
-def _log_record(record: MeshRecord) -> None:
-    """One line of the log per file; a failure is printed elsewhere, so it is no warning here."""
-    if record.error is not None:
-        place = f"{record.error.where}: " if record.error.where else ""
-        why = f"{record.error.code}: {place}{record.error.message}"
-        _log.info("%s: failed: %s", record.input, why)
-        return
-    seconds = record.seconds.total if record.seconds is not None else 0.0
-    _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
-    if record.choice is not None:
-        _log.info("%s: %s", record.input, record.choice.reason)
-    if record.left_alone is not None:
-        _log.info("%s: left as it is: %s", record.input, record.left_alone)
-    for warning in record.warnings:
-        _log.info("%s: %s", record.input, warning)
-
-
-def _log_gates(records: Sequence[MeshRecord]) -> None:
-    for record in records:
-        for gate in record.gates:
-            if gate.broken:
-                _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
+    tiles = next((one.tiles for one in records if one.tiles is not None), None)
+    if tiles is not None:
+        return f"as one mesh they are denoised in {tiles_text(tiles)}"
+    return f"as one mesh they take up to {megabytes(memory_of_set(plan.tasks, settings))} of memory"

@@ -172,29 +172,93 @@ FORMATS = group(
     options.FORMAT,
 )
 
+# Options of every command that denoises many files.
+
+JOBS = click.option(
+    "-j",
+    "--jobs",
+    metavar="N|auto",
+    default="auto",
+    show_default=True,
+    type=options.parse_jobs,
+    help="Files at the same time; more is faster and takes more memory. auto is one per core, "
+    "as far as memory allows. The results do not depend on it.",
+)
+
+FRESH = click.option(
+    "--fresh", is_flag=True, help="Denoise again what an earlier run has done already."
+)
+
+RETRY_FAILED = click.option(
+    "--retry-failed",
+    is_flag=True,
+    help="Try again what failed in an earlier run and would fail again.",
+)
+
+TIMEOUT = click.option(
+    "--timeout",
+    metavar="TIME",
+    type=options.parse_duration,
+    help="Most time for one file: seconds, or 90s, 5m, 1h.  [default: none]",
+)
+
+MEMORY_LIMIT = click.option(
+    "--memory-limit",
+    metavar="SIZE",
+    type=options.parse_size,
+    help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
+)
+
+TILED = click.option(
+    "--tiled",
+    is_flag=True,
+    help="Denoise every mesh in tiles by way of temporary files, which takes little memory "
+    "however large it is; for binary PLY and STL. The result is the same to the last byte.  "
+    "[default: meshes that do not fit into memory, or into --memory-limit]",
+)
+
+SCRATCH = click.option(
+    "--scratch",
+    metavar="FOLDER",
+    type=options.PATH,
+    help="Where the temporary files of tiles go, some 250 bytes for each vertex.  "
+    "[default: a hidden folder beside the output]",
+)
+
+MAX_FACES = click.option(
+    "--max-faces",
+    metavar="N",
+    type=click.IntRange(min=1),
+    help="Refuse files with more faces.  [default: none]",
+)
+
+RETRIES = click.option(
+    "--retries",
+    metavar="N",
+    type=click.IntRange(min=0),
+    help="How often a file is tried again, alone, that was lost to a crash, memory or time.  "
+    "[default: 1]",
+)
+
+FAIL_FAST = click.option(
+    "--fail-fast", is_flag=True, help="Begin no more files once one has failed."
+)
+
+MAX_FAILURES = click.option(
+    "--max-failures",
+    metavar="N",
+    type=click.IntRange(min=1),
+    help="Begin no more files once N have failed.  [default: none]",
+)
+
 MANY_FILES = group(
     "Many files",
     options.FILES,
-    click.option(
-        "-j",
-        "--jobs",
-        metavar="N|auto",
-        default="auto",
-        show_default=True,
-        type=options.parse_jobs,
-        help="Files at the same time; more is faster and takes more memory. auto is one per core, "
-        "as far as memory allows. The results do not depend on it.",
-    ),
+    JOBS,
     click.option("--dry-run", is_flag=True, help="List what would be written, and touch nothing."),
-    click.option(
-        "--fresh", is_flag=True, help="Denoise again what an earlier run has done already."
-    ),
+    FRESH,
     MORE,
-    click.option(
-        "--retry-failed",
-        is_flag=True,
-        help="Try again what failed in an earlier run and would fail again.",
-    ),
+    RETRY_FAILED,
     click.option(
         "--tile-set",
         is_flag=True,
@@ -208,52 +272,14 @@ MANY_FILES = group(
         "is mean edge lengths, 0.001 file units; greater closes wider gaps.  [default: only those "
         "at the same place]",
     ),
-    click.option(
-        "--timeout",
-        metavar="TIME",
-        type=options.parse_duration,
-        help="Most time for one file: seconds, or 90s, 5m, 1h.  [default: none]",
-    ),
-    click.option(
-        "--memory-limit",
-        metavar="SIZE",
-        type=options.parse_size,
-        help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
-    ),
-    click.option(
-        "--tiled",
-        is_flag=True,
-        help="Denoise every mesh in tiles by way of temporary files, which takes little memory "
-        "however large it is; for binary PLY and STL. The result is the same to the last byte.  "
-        "[default: meshes that do not fit into memory, or into --memory-limit]",
-    ),
-    click.option(
-        "--scratch",
-        metavar="FOLDER",
-        type=options.PATH,
-        help="Where the temporary files of tiles go, some 250 bytes for each vertex.  "
-        "[default: a hidden folder beside the output]",
-    ),
-    click.option(
-        "--max-faces",
-        metavar="N",
-        type=click.IntRange(min=1),
-        help="Refuse files with more faces.  [default: none]",
-    ),
-    click.option(
-        "--retries",
-        metavar="N",
-        type=click.IntRange(min=0),
-        help="How often a file is tried again, alone, that was lost to a crash, memory or time.  "
-        "[default: 1]",
-    ),
-    click.option("--fail-fast", is_flag=True, help="Begin no more files once one has failed."),
-    click.option(
-        "--max-failures",
-        metavar="N",
-        type=click.IntRange(min=1),
-        help="Begin no more files once N have failed.  [default: none]",
-    ),
+    TIMEOUT,
+    MEMORY_LIMIT,
+    TILED,
+    SCRATCH,
+    MAX_FACES,
+    RETRIES,
+    FAIL_FAST,
+    MAX_FAILURES,
     click.option(
         "--shard",
         metavar="K/N|auto",
@@ -275,41 +301,49 @@ MANY_FILES = group(
     ),
 )
 
+REPORT = click.option(
+    "--report",
+    "reports",
+    metavar="FILE",
+    multiple=True,
+    type=options.PATH,
+    help="Write a record of every file; .json, .jsonl, .csv, .md (Markdown), .xml (JUnit) or "
+    ".html (a page with pictures) by suffix. Repeatable.",
+)
+
+FAIL_ON = click.option(
+    "--fail-on",
+    metavar="EXPR",
+    multiple=True,
+    help="Exit with 4 if this is so for any file; such as 'abs(volume_change) > 1%', "
+    "'max_displacement > 0.5e' (mean edge lengths) or 'flipped_faces > 0'. Repeatable.",
+)
+
+REFERENCE = click.option(
+    "--reference",
+    metavar="TRUTH",
+    type=options.PATH,
+    help="Measure the outputs against the true mesh, as msal compare does: a file, or a folder "
+    "whose files have the relative paths of the inputs.",
+)
+
+FIELDS = click.option(
+    "--fields",
+    metavar="NAME,...",
+    type=options.parse_list,
+    help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
+    "beside each output (scan.fields.ply): properties, and the first one as colours too.",
+)
+
 REPORTS = group(
     "Reports",
-    click.option(
-        "--report",
-        "reports",
-        metavar="FILE",
-        multiple=True,
-        type=options.PATH,
-        help="Write a record of every file; .json, .jsonl, .csv, .md (Markdown), .xml (JUnit) or "
-        ".html (a page with pictures) by suffix. Repeatable.",
-    ),
-    click.option(
-        "--fail-on",
-        metavar="EXPR",
-        multiple=True,
-        help="Exit with 4 if this is so for any file; such as 'abs(volume_change) > 1%', "
-        "'max_displacement > 0.5e' (mean edge lengths) or 'flipped_faces > 0'. Repeatable.",
-    ),
+    REPORT,
+    FAIL_ON,
     options.JSON_REPORT,
     MORE,
-    click.option(
-        "--reference",
-        metavar="TRUTH",
-        type=options.PATH,
-        help="Measure the outputs against the true mesh, as msal compare does: a file, or a folder "
-        "whose files have the relative paths of the inputs.",
-    ),
+    REFERENCE,
     options.CHECK,
-    click.option(
-        "--fields",
-        metavar="NAME,...",
-        type=options.parse_list,
-        help="Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY "
-        "beside each output (scan.fields.ply): properties, and the first one as colours too.",
-    ),
+    FIELDS,
 )
 
 MESSAGES_AND_HELP = group(

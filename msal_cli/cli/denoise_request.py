@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.batch.engine import EngineFactory
+    from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.streams import Stream
     from msal_cli.methods import Method
@@ -234,11 +235,24 @@ def build_plan(request: Request, settings: Settings) -> Plan:
     from msal_cli.batch import shard as shards
 
     shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
-    backup = DEFAULT_BACKUP if request.backup is None else request.backup
-    everything = plan.build_plan(
+    everything = plan_files(
+        request,
+        settings,
         inputs.discover_inputs(
             request.inputs, request.include, request.exclude, output=request.output
         ),
+    )
+    # Everything is checked first, so that each shard refuses what a whole run would.
+    return everything if shard is None else plan.select_shard(everything, shard)
+
+
+def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:
+    """What becomes of each of these files; UsageError for outputs that cannot be."""
+    from msal_cli.batch import plan
+
+    backup = DEFAULT_BACKUP if request.backup is None else request.backup
+    everything = plan.build_plan(
+        found,
         request.output,
         to=settings.to,
         in_place=request.in_place,
@@ -250,5 +264,4 @@ def build_plan(request: Request, settings: Settings) -> Plan:
     )
     if settings.fields:
         _refuse_taken_names(everything)
-    # Everything is checked first, so that each shard refuses what a whole run would.
-    return everything if shard is None else plan.select_shard(everything, shard)
+    return everything

@@ -36,7 +36,12 @@ if TYPE_CHECKING:
 )
 @group(
     MESSAGES,
-    options.verbose,
+    click.option(
+        "-v",
+        "--verbose",
+        count=True,
+        help="Show all that is known of each file, and more of what is done; -vv shows everything.",
+    ),
 )
 def command(
     inputs: tuple[str, ...],
@@ -45,21 +50,30 @@ def command(
     format: str | None,
     checks: tuple[str, ...],
     as_json: bool,
+    verbose: int,
 ) -> int:
     """Report what is in mesh files: format, counts, defects, size, volume, noise, and what is
     carried along.
 
     INPUT is a file, a folder (with all its subfolders), a pattern, a URL of one of these, or - for
-    standard input. Lengths are in file units. Nothing is written.
+    standard input. Of several files there is one line each. Nothing is written.
+
+    Lengths are in file units.
 
     A PLY or STL that is larger than memory is read in pieces: its counts are said at once,
     the rest follows. Parts, welded vertices, duplicate faces and intersections are not counted
     then, and the noise is estimated on a part.
     """
-    known = options.resolve_format(format)
-    paths = _find_paths(inputs, include, exclude)
-    records = _inspect(paths, known, with_intersections=bool(checks))
-    return _print_json(records) if as_json else _print_text(records)
+    from msal_cli.cli import logs
+
+    with logs.log_to_console(verbose):
+        known = options.resolve_format(format)
+        paths = _find_paths(inputs, include, exclude)
+        records = _inspect(paths, known, with_intersections=bool(checks))
+        if as_json:
+            return _print_json(records)
+        is_table = len(paths) > 1 and not verbose
+        return _print_table(records, paths) if is_table else _print_text(records)
 
 
 def _find_paths(
@@ -107,6 +121,28 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
         n_printed += 1
         console.put_lines(info_text.describe_info(record))
         console.flush()
+    return exit_codes.of_files(n_printed + n_failed, n_failed)
+
+
+def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
+    """Print a line for each file as soon as it is known, failures to standard error; the exit
+    status."""
+    from msal_cli.report.info_table import InfoTable
+
+    table = InfoTable(paths, console.width())
+    n_printed = n_failed = 0
+    for record in records:
+        if record.error is not None:
+            n_failed += 1
+            console.say_failure(record.input, record.error)
+            continue
+        if not n_printed:
+            console.put_lines([table.head()])
+        n_printed += 1
+        console.put_lines([table.row(record)])
+        console.flush()
+    if n_printed:
+        console.put_lines([table.foot()])
     return exit_codes.of_files(n_printed + n_failed, n_failed)
 
 

@@ -25,6 +25,7 @@ COMPLETE_VARIABLE = "_MSAL_COMPLETE"
 
 COMMANDS = {
     "denoise": "Denoise files, folders or a stream.",
+    "watch": "Denoise what arrives in a folder.",
     "info": "Report what is in mesh files.",
     "compare": "Measure a mesh against another.",
     "view": "Make a picture, or a page, of one or two meshes.",

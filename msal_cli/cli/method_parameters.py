@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from msal_cli.job.records import MeshRecord
     from msal_cli.methods import Method, ParameterSpec
 
 Given = tuple[str, str, str]
@@ -42,6 +43,19 @@ def resolve(method: Method, given: Iterable[Given]) -> dict[str, Any]:
             )
         options.setdefault(spec.name, option)
     return method.validate(values)
+
+
+def list_defaults(records: Sequence[MeshRecord]) -> dict[str, Any]:
+    """The default parameters of the method of a single record; none of a method of another
+    version of msal, and none for several records."""
+    if len(records) != 1 or records[0].method is None:
+        return {}
+    from msal_cli import methods
+
+    try:
+        return methods.find(records[0].method.name).validate({})
+    except UsageError:
+        return {}
 
 
 def _find_parameter(method: Method, option: str, name: str) -> ParameterSpec:

@@ -25,7 +25,7 @@ SHORTCUTS = {
 """Options of ``msal denoise`` that set a parameter."""
 
 
-@grouped_command("methods")
+@grouped_command("methods", configurable=False)
 @click.argument("name", metavar="[NAME]", required=False, shell_complete=options.complete_method)
 @group(
     "Reports",

@@ -10,6 +10,7 @@ from msal_cli.cli import console, exit_codes, options
 from msal_cli.cli.command import MESSAGES, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
+from msal_cli.cli.method_parameters import list_defaults
 
 if TYPE_CHECKING:
     from msal_cli.cli.run_summary import RunSummary
@@ -91,9 +92,14 @@ def command(
     meshes = [path for one in account.records for path in (one.input, one.output) if path]
     report_files.check(outputs, [*account.paths, *meshes])
     if not quiet:
-        width = console.width()
         console.say_lines(
-            text.summary(account.run, account.records, width=width, verbose=verbose > 0)
+            text.summary(
+                account.run,
+                account.records,
+                width=console.width(),
+                verbose=verbose > 0,
+                defaults=list_defaults(account.records),
+            )
         )
     elif fail_on:
         console.say_lines(text.broken_gates(account.records, verbose=False))

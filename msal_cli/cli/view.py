@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import os
 from collections.abc import Callable
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from msal_cli.view.pictures import Scene, View
 
 _VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
+_COLOURS = ("auto", "file", "deviation", "none")
 _UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 
 
@@ -122,12 +124,28 @@ Exit status: see msal --help.""",
 )
 @view_options(640)
 @group(
+    "Colours",
+    click.option(
+        "--colours",
+        type=click.Choice(_COLOURS),
+        default="auto",
+        show_default=True,
+        help="auto: those of the files, and of two the deviation; or one of these, or none.",
+    ),
+)
+@group(
     MESSAGES,
     options.QUIET,
     options.verbose,
 )
 def command(
-    before: str, after: str | None, output: str, view: View, format: str | None, quiet: bool
+    before: str,
+    after: str | None,
+    output: str,
+    view: View,
+    colours: str,
+    format: str | None,
+    quiet: bool,
 ) -> int:
     """Show mesh A, or A beside B (before and after) and the deviation of B in colours.
 
@@ -138,6 +156,7 @@ def command(
     PLY and STL files that are larger than memory are read in pieces, and decimated; two must
     have the same faces.
     """
+    from msal_cli.job.display_names import escape_for_display
     from msal_cli.storage import atomic
     from msal_cli.view import pictures
     from msal_cli.view.image_files import png_bytes
@@ -147,7 +166,11 @@ def command(
     names = (before,) if after is None else (before, after)
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
+    view = dataclasses.replace(view, colours=colours)
     scene = _build_scene(names, format, quiet=quiet)
+    if view.shows_file_colours and not quiet:
+        for note in scene.notes:
+            console.say(f"msal: {escape_for_display(note)}", "warn")
     if kind == "html":
         data = _build_page(output, scene, view)
     else:
@@ -163,7 +186,7 @@ def command(
 
 def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> Scene:
     from msal_cli.cli.progress import reading_bar
-    from msal_cli.job.comparison import open_surface
+    from msal_cli.job.comparison import open_coloured_surface
     from msal_cli.job.larger_than_memory import opened_in_pieces
     from msal_cli.view import pictures
 
@@ -172,7 +195,7 @@ def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> 
             from msal_cli.view.streamed_scene import scene_of_streamed
 
             return scene_of_streamed(streamed, names, bar)
-    surfaces = [open_surface(name, format) for name in names]
+    surfaces = [open_coloured_surface(name, format) for name in names]
     return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 
 

@@ -40,6 +40,11 @@ class SceneFile(SlotFile):
         self._parts = parts
         super().__init__(scene.data.data, self.format, lambda _: _layout(scene, parts, warnings))
 
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The surfaces, in the order of their vertices."""
+        return tuple(self._parts)
+
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other positions (n, 3), and the normals of what moved recomputed.
 

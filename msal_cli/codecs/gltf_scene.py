@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Longs
 from msal_cli.codecs.gltf_json import as_dict, as_list
@@ -180,6 +181,18 @@ class Scene:
                 hint=EXPORT_AGAIN,
             )
         return corners
+
+    def read_rows(self, index: object, codes: dict[int, str], width: int) -> NDArray[np.generic]:
+        """The rows (count, width) of an accessor whose numbers have one of the types ``codes``."""
+        where = f"accessor {index!r}"
+        component = self.entry("accessors", index).get("componentType")
+        code = codes.get(component) if isinstance(component, int) else None
+        if code is None:
+            raise FormatError("the numbers have another type", where=where, hint=EXPORT_AGAIN)
+        size = np.dtype(code).itemsize
+        place = self._accessor(index, size * width, where)
+        shape, strides = (place.count, width), (place.stride, size)
+        return np.ndarray(shape, code, self.data, place.at, strides)
 
     def parts(self) -> tuple[list[Part], tuple[str, ...]]:
         """All surfaces, those over one list of positions together, and warnings."""

@@ -67,6 +67,7 @@ class Before(NamedTuple):
     lines: int = 0
     vertices: int = 0
     normals: int = 0
+    texture: int = 0
     faces: int = 0
 
 

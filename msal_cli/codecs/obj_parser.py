@@ -110,6 +110,9 @@ class Reading:
         scan = self._scan
         state = np.zeros(scan.N_STATE, dtype=np.int64)
         state[scan.LARGEST_VERTEX] = -1
+        state[scan.VERTICES_BEFORE] = self._before.vertices
+        state[scan.NORMALS_BEFORE] = self._before.normals
+        state[scan.TEXTURE_BEFORE] = self._before.texture
         if not self._before.bytes and self._buf[:3].tobytes() == BYTE_ORDER_MARK:
             state[scan.AT] = 3
         return state

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from msal_cli.analysis.enclosure import Enclosure
     from msal_cli.arrays import Floats, Ints
     from msal_cli.codecs.mesh_file import MeshFile
+    from msal_cli.codecs.surface_colours import SurfaceColours
     from msal_cli.job.records import MeshRecord
     from msal_cli.job.streamed_progress import ReadingListener
     from msal_cli.mesh import Mesh, PreparedMesh
@@ -40,11 +41,15 @@ HEATMAP_QUANTILE = 0.99
 @dataclass(frozen=True, eq=False)
 class Surface:
     """What a file holds: vertices (n, 3) in file units, triangles (m, 3), and how many vertices the
-    file has more because they coincide (see ``codecs.mesh_file.MeshFile``)."""
+    file has more because they coincide (see ``codecs.mesh_file.MeshFile``).
+
+    ``colours`` are those of its vertices where they were read, for pictures.
+    """
 
     vertices: Floats
     faces: Ints
     merged_vertices: int = 0
+    colours: SurfaceColours | None = None
 
     @property
     def n_corners(self) -> int | None:
@@ -72,6 +77,18 @@ def surface_of(mesh_file: MeshFile) -> Surface:
 def open_surface(path: str, format: str | None = None) -> Surface:
     """The surface in the file at ``path``."""
     return surface_of(opened(path, format))
+
+
+def open_coloured_surface(path: str, format: str | None = None) -> Surface:
+    """The surface in the file at ``path`` with its colours, for a picture."""
+    return coloured_surface_of(opened(path, format), path)
+
+
+def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
+    """The surface in an open file, which is at ``path``, with its colours."""
+    from msal_cli.codecs.surface_colours import read_surface_colours
+
+    return replace(surface_of(mesh_file), colours=read_surface_colours(mesh_file, path))
 
 
 def compare_files(

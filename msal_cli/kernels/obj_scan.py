@@ -50,10 +50,11 @@ NO_CORNERS = 6
     KEYWORDS,  # different other keywords
     LIBRARIES,  # mtllib statements
     WORD,  # with an error: first byte of the word that is wrong
-    RELATIVE,  # numbers of faces that count from the statement back
-    RELATIVE_AT,
+    VERTICES_BEFORE,  # what the file has before the text: negative numbers count from here back
+    NORMALS_BEFORE,
+    TEXTURE_BEFORE,
     N_STATE,
-) = range(24)
+) = range(25)
 
 MOST_KEYWORDS = 64
 """Different other keywords that are distinguished; the last row takes the rest."""
@@ -256,7 +257,8 @@ def scanned(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     buf : (size,) uint8, the file.
-    state : (N_STATE,) int64, see the names above; at the start zeros but for AT.
+    state : (N_STATE,) int64, see the names above; at the start zeros but for AT, and of a part of
+        a file for what it has before.
     until : stop before the first statement that begins at this byte or behind it.
     n_faces_wanted : stop before the next face once this many are read.
     vertices, vertex_at, decimals : (n, 3) float64; where each statement begins, (n,) int64; and
@@ -378,35 +380,29 @@ def scanned(  # type: ignore[no-untyped-def]
                 if at == word:
                     result = BAD_CORNER
                     break
-                is_relative = number < 0
                 normal = np.int64(-1)
                 if at < len(buf) and buf[at] == 47:
                     begin = at + 1
                     number_t, at = _read_index(buf, begin)
-                    is_relative |= number_t < 0
                     if at > begin:
                         if number_t > state[LARGEST_TEXTURE]:
                             state[LARGEST_TEXTURE] = number_t
-                        if _resolved(number_t, state[TEXTURE]) < 0:
+                        count = state[TEXTURE] + state[TEXTURE_BEFORE]
+                        if _resolved(number_t, count) < 0:
                             state[BEFORE_FIRST] += 1
                     if at < len(buf) and buf[at] == 47:
                         begin = at + 1
                         number_n, at = _read_index(buf, begin)
-                        is_relative |= number_n < 0
                         if at > begin:
                             if number_n > state[LARGEST_NORMAL]:
                                 state[LARGEST_NORMAL] = number_n
-                            normal = _resolved(number_n, n_normals)
+                            normal = _resolved(number_n, n_normals + state[NORMALS_BEFORE])
                             if normal < 0:
                                 state[BEFORE_FIRST] += 1
                 if not is_word_end(buf, at):
                     result = BAD_CORNER
                     break
-                if is_relative:
-                    if state[RELATIVE] == 0:
-                        state[RELATIVE_AT] = statement
-                    state[RELATIVE] += 1
-                vertex = _resolved(number, n_vertices)
+                vertex = _resolved(number, n_vertices + state[VERTICES_BEFORE])
                 if vertex < 0:
                     result = BAD_INDEX
                     break

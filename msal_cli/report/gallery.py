@@ -203,7 +203,9 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
         return None
     plain, _ = gzip_streams.expand(data, path)
     mesh_file = codecs.open_mesh(plain, path, format)
-    return comparison.surface_of(mesh_file) if len(mesh_file.faces) <= bounds.faces else None
+    if len(mesh_file.faces) > bounds.faces:
+        return None
+    return comparison.coloured_surface_of(mesh_file, path)
 
 
 # Pictures
@@ -217,15 +219,27 @@ def _pictures(scene: Scene, camera: Camera, reach: float) -> Pictures:
         moved = scene.deviation / scene.before.mean_edge_length
         painted = colours.map_colours(moved, -reach, reach, "diverging")
         deviation = jpeg_bytes(_image(after, camera, _SIZE, painted))
-    before = jpeg_bytes(_image(scene.before, camera, _SIZE))
-    return Pictures(before, jpeg_bytes(_image(after, camera, _SIZE)), deviation)
+    before = jpeg_bytes(_painted(scene, 0, camera, _SIZE))
+    return Pictures(before, jpeg_bytes(_painted(scene, 1, camera, _SIZE)), deviation)
+
+
+def _painted(scene: Scene, at: int, camera: Camera, size: tuple[int, int]) -> Image:
+    """The mesh before (0) or after (1) in its file's colours, or of clay."""
+    mesh = scene.after if at and scene.after is not None else scene.before
+    return _image(mesh, camera, size, scene.painted(at), "paint")
 
 
 def _image(
-    mesh: Mesh, camera: Camera, size: tuple[int, int], painted: Image | None = None
+    mesh: Mesh,
+    camera: Camera,
+    size: tuple[int, int],
+    painted: Image | None = None,
+    colours_are: str = "map",
 ) -> Image:
     style = Style(background=(236, 238, 241))
-    return shade(mesh.vertices, mesh.faces, camera, *size, painted, style=style)
+    return shade(
+        mesh.vertices, mesh.faces, camera, *size, painted, style=style, colours_are=colours_are
+    )
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
@@ -264,7 +278,6 @@ def _embed(
     record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
 ) -> str:
 
-    after = scene.after or scene.before
     end = reach * scene.before.mean_edge_length
     drawn = encode_scene(
         scene.before,
@@ -272,9 +285,11 @@ def _embed(
         scene.deviation,
         ends=(-end, end) if scene.is_signed else None,
         view=camera.axes,
+        colours=scene.colours,
         most_faces=most_faces,
     )
-    poster = png_bytes(_image(after, camera, _POSTER))
+    most_colours = None if scene.painted(1) is None else 256
+    poster = png_bytes(_painted(scene, 1, camera, _POSTER), most_colours)
     return viewer.embedded_scene(
         key, drawn, picture=poster, description=f"{record.input}, after", starts="click"
     )

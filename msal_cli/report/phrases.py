@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from msal_cli.job.display_names import escape_for_display, figure
+from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.records import (
     ChoiceMade,
     Failure,
@@ -163,7 +164,7 @@ def storage_text(record: MeshRecord) -> str:
     return " ".join(one for one in (record.format, record.encoding, record.precision) if one)
 
 
-def defects_text(record: MeshRecord) -> str:
+def defects_text(record: MeshRecord | InfoRecord) -> str:
     """What is wrong with a mesh, as counts; empty if nothing is."""
     counts = (
         format_count(record.boundary_edges or None, "boundary edge"),

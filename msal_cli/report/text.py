@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from msal_cli.job.border_marks import count_touching
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Reference
+from msal_cli.report import short_summary
 from msal_cli.report.document import Run, Totals, known_values, totals
 from msal_cli.report.phrases import (
     Line,
@@ -45,15 +47,21 @@ _NARROWEST_NAME = 16
 
 
 def summary(
-    run: Run, records: Sequence[MeshRecord], *, width: int = 100, verbose: bool = False
+    run: Run,
+    records: Sequence[MeshRecord],
+    *,
+    width: int = 100,
+    verbose: bool = False,
+    defaults: Mapping[str, Any] | None = None,
 ) -> list[Line]:
-    """The lines on a run: on one file in some detail, on several as a table.
+    """The lines on a run: on one file in at most eight lines, on several as a table.
 
     ``width`` is in columns and bounds the table only: reasons are never cut.  ``verbose`` lists
-    every file, warning and failure, however many there are.
+    every file, warning and failure, however many there are, and of one file every figure.
+    ``defaults`` are parameters of the method of one file that need not be shown.
     """
     if len(records) == 1:
-        return list(_file_lines(run, records[0]))
+        return list(_file_lines(run, records[0], None if verbose else defaults or {}))
     return list(_batch_lines(run, records, width, verbose))
 
 
@@ -65,7 +73,8 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            ending = "" if record.tiles is None else f": {tiles_text(record.tiles)}"
+            tiles = record.tiles if record.tile_set is None else None
+            ending = "" if tiles is None else f": {tiles_text(tiles)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
                 counts = vertices_text(record.vertices, record.corners)
@@ -75,7 +84,8 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
 # One file
 
 
-def _file_lines(run: Run, record: MeshRecord) -> Iterator[Line]:
+def _file_lines(run: Run, record: MeshRecord, defaults: Mapping[str, Any] | None) -> Iterator[Line]:
+    """The short form, or the long one without ``defaults``."""
     name = file_name(record.input)
     if record.error is not None:
         yield from failure_lines(name, record.error)
@@ -95,8 +105,14 @@ def _file_lines(run: Run, record: MeshRecord) -> Iterator[Line]:
     else:
         why = escape_for_display(record.left_alone or "no vertex moved")
         ending = f", byte for byte as it was: {why}" if record.status == "unchanged" else ""
-        yield Line(f"{name} -> {_output_name(record)}{ending}", "good")
-    for word, text, tone in (*_facts(record), *_remarks(record)):
+        seconds = "" if defaults is None else short_summary.ending(record)
+        yield Line(f"{name} -> {_output_name(record)}{seconds}{ending}", "good")
+    facts = (
+        [*_facts(record), *_remarks(record)]
+        if defaults is None
+        else short_summary.short_facts(record, defaults)
+    )
+    for word, text, tone in facts:
         yield Line(f"  {word:<13} {text}", tone)
 
 

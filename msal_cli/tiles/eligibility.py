@@ -21,9 +21,6 @@ def refuse_settings(settings: Settings) -> None:
         (settings.fields, "--fields needs", "leave it out"),
         (settings.checks, "counting self-intersections needs", "leave the check out"),
         (settings.despike, "--despike needs", "leave it out, or remove the outliers beforehand"),
-        (settings.max_move, "--max-move needs", "leave it out"),
-        (settings.lock, "--lock needs", "leave it out"),
-        (settings.weights, "--weights needs", "leave it out"),
         (
             settings.to or settings.encoding != "same" or settings.precision != "same",
             "another format or encoding of the output needs",

@@ -144,6 +144,8 @@ class _SetRun:
                 _require_tiles(run_tiles, self._settings, reason)
             else:
                 run_tiles = None
+            # A file that does not fit by itself fails before it is loaded.
+            self._limits = replace(self._limits, memory_bytes=self._memory_bound)
             arrays: list[Arrays] = []
             self._scan(arrays.append if run_tiles is None else None)
             if most_failures is not None and len(self._records) >= most_failures:
@@ -175,12 +177,16 @@ class _SetRun:
 
     # What there is
 
+    @property
+    def _memory_bound(self) -> int | None:
+        """Bytes that may be used; None where it is not known."""
+        limit, left = self._limits.memory_bytes, available_bytes()
+        return int(_SHARE_OF_MEMORY * left) if limit is None and left is not None else limit
+
     def _find_want_of_memory(self) -> ResourceError | None:
         """Why the joined mesh does not fit into memory, by forecast; None if it does."""
         needed = memory_of_set(self._tasks, self._settings)
-        limit, left = self._limits.memory_bytes, available_bytes()
-        if limit is None and left is not None:
-            limit = int(_SHARE_OF_MEMORY * left)
+        limit = self._memory_bound
         if limit is not None and needed > limit:
             return ResourceError(
                 f"denoising these {len(self._tasks)} files as one takes up to "

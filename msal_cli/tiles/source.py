@@ -20,7 +20,9 @@ def open_source(description: dict[str, Any]) -> StreamedMesh:
         if it cannot be read piece by piece.
     """
     if description["kind"] == SET:
-        return _find("tiles.file_set", "open_set")(description)  # type: ignore[no-any-return]
+        from msal_cli.tiles.file_set import open_set
+
+        return open_set(description)
     from msal_cli.codecs.streamed import open_streamed
 
     path, format = description["path"], description["format"]
@@ -35,9 +37,3 @@ def identify(description: dict[str, Any]) -> dict[str, Any]:
         stat = os.stat(path)
         files.append([os.path.abspath(path), stat.st_size, stat.st_mtime_ns])
     return {"files": files}
-
-
-def _find(module: str, name: str) -> Any:
-    import importlib
-
-    return getattr(importlib.import_module(f"msal_cli.{module}"), name)

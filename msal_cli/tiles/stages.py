@@ -7,13 +7,13 @@ results to what all tasks of later stages need.  Tasks of one stage do not depen
 
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.errors import InternalError
+from msal_cli.tiles import cut, halo, join, representative, sweep, vertex_data, windings
 from msal_cli.tiles.plan import TilePlan, load_plan
 from msal_cli.tiles.scratch import Scratch
 
@@ -52,16 +52,19 @@ class _Steps:
     Attributes
     ----------
     n_tasks : how many tasks it has.
-    run : module and function of a task, called as ``run(scratch, index) -> result``.
-    reduce : those of the reduction, called as ``reduce(scratch)``; empty if there is none.
-    is_needed : those of what says whether there is such a stage in this run, called as
-        ``is_needed(scratch)`` once the stages before it are finished; empty if there always is.
+    run : a task, called as ``run(scratch, index) -> result``.
+    reduce : the reduction, called as ``reduce(scratch)``; None if there is none.
+    is_needed : says whether there is such a stage in this run, called as ``is_needed(scratch)``
+        once the stages before it are finished; None if there always is.
+
+    The rounds of ``denoise`` have their number before the other arguments, and their reduction
+    returns whether another round is needed.
     """
 
     n_tasks: Callable[[TilePlan], int]
-    run: str
-    reduce: str = ""
-    is_needed: str = ""
+    run: Callable[..., Any]
+    reduce: Callable[..., Any] | None = None
+    is_needed: Callable[[Scratch], bool] | None = None
 
 
 def _n_vertex_chunks(plan: TilePlan) -> int:
@@ -85,24 +88,24 @@ def _one(plan: TilePlan) -> int:
 
 
 _STAGES = {
-    "count": _Steps(_n_vertex_chunks, "cut.run_count", "cut.reduce_count"),
-    "number": _Steps(_n_vertex_chunks, "cut.run_number"),
-    "faces": _Steps(_n_face_chunks, "cut.run_faces", "cut.reduce_faces"),
-    "weld": _Steps(_n_tiles, "cut.run_weld", "cut.reduce_weld"),
-    "choose": _Steps(_one, "representative.run_choose", "representative.reduce_choose"),
-    "rim": _Steps(_n_tiles, "halo.run_rim", "halo.reduce_rim"),
+    "count": _Steps(_n_vertex_chunks, cut.run_count, cut.reduce_count),
+    "number": _Steps(_n_vertex_chunks, cut.run_number),
+    "faces": _Steps(_n_face_chunks, cut.run_faces, cut.reduce_faces),
+    "weld": _Steps(_n_tiles, cut.run_weld, cut.reduce_weld),
+    "choose": _Steps(_one, representative.run_choose, representative.reduce_choose),
+    "rim": _Steps(_n_tiles, halo.run_rim, halo.reduce_rim),
     "values": _Steps(
         _n_vertex_chunks,
-        "vertex_data.run_values",
-        "vertex_data.reduce_values",
-        "vertex_data.has_values",
+        vertex_data.run_values,
+        vertex_data.reduce_values,
+        vertex_data.has_values,
     ),
-    "pins": _Steps(_n_tiles, "vertex_data.run_pins", is_needed="vertex_data.has_pins"),
-    "prepare": _Steps(_n_tiles, "sweep.run_prepare", "sweep.reduce_prepare"),
-    "wind": _Steps(_n_tiles, "windings.run_wind", "windings.reduce_wind", "windings.is_needed"),
-    "turn": _Steps(_n_tiles, "windings.run_turn", "windings.reduce_turn", "windings.is_needed"),
-    DENOISE: _Steps(_n_tiles, "sweep.run_denoise", "sweep.reduce_denoise"),
-    "join": _Steps(_n_pieces, "join.run_join"),
+    "pins": _Steps(_n_tiles, vertex_data.run_pins, is_needed=vertex_data.has_pins),
+    "prepare": _Steps(_n_tiles, sweep.run_prepare, sweep.reduce_prepare),
+    "wind": _Steps(_n_tiles, windings.run_wind, windings.reduce_wind, windings.is_needed),
+    "turn": _Steps(_n_tiles, windings.run_turn, windings.reduce_turn, windings.is_needed),
+    DENOISE: _Steps(_n_tiles, sweep.run_denoise, sweep.reduce_denoise),
+    "join": _Steps(_n_pieces, join.run_join),
 }
 """All stages in their order.  ``denoise`` stands for ``denoise-0``, ``denoise-1`` ...: a round
 follows as long as the reduction of the one before says so."""
@@ -115,7 +118,7 @@ def next_stage(scratch: Scratch) -> Stage | None:
         name = _next_round(scratch) if kind == DENOISE else kind
         if name is None or scratch.stage_result(name) is not None:
             continue
-        if steps.is_needed and not _find_function(steps.is_needed)(scratch):
+        if steps.is_needed is not None and not steps.is_needed(scratch):
             continue
         n_tasks = steps.n_tasks(plan)
         finished = scratch.finished(name)
@@ -158,7 +161,7 @@ def run_task(ref: TaskRef, common: object = None, on_progress: OnProgress | None
         return known
     kind, arguments = _parse_name(name)
     with scratch.explain_failures():
-        result = _find_function(_STAGES[kind].run)(scratch, *arguments, index)
+        result = _STAGES[kind].run(scratch, *arguments, index)
         scratch.finish(name, index, result)
     return result
 
@@ -172,10 +175,10 @@ def reduce_stage(scratch: Scratch, name: str) -> None:
     missing = _STAGES[kind].n_tasks(load_plan(scratch)) - len(scratch.finished(name))
     if missing:
         raise InternalError(f"stage {name} is reduced before {missing} of its tasks are finished")
-    again = False
+    again, reduce = False, _STAGES[kind].reduce
     with scratch.explain_failures():
-        if _STAGES[kind].reduce:
-            again = bool(_find_function(_STAGES[kind].reduce)(scratch, *arguments))
+        if reduce is not None:
+            again = bool(reduce(scratch, *arguments))
         scratch.finish_stage(name, {"again": again})
 
 
@@ -209,12 +212,3 @@ def _parse_name(name: str) -> tuple[str, tuple[int, ...]]:
     """The stage in the table, and the number of the round where there are several."""
     match = _ROUND.fullmatch(name)
     return (DENOISE, (int(match[1]),)) if match else (name, ())
-
-
-def _find_function(name: str) -> Callable[..., Any]:
-    """The function of a stage; its module is imported only where it runs."""
-    module, _, function = name.partition(".")
-    found: Callable[..., Any] = getattr(
-        importlib.import_module(f"msal_cli.tiles.{module}"), function
-    )
-    return found

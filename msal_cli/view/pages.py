@@ -44,12 +44,14 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
     scale = pictures.scale_of_scene(scene)
     still = replace(view, size=min(view.size, STILL_SIZE), style="light")
     titles = pictures.titles_of(scene.names)
+    colours = scene.colours if view.shows_file_colours else ()
     drawn = encode_scene(
         scene.before,
         scene.after,
-        scene.deviation,
+        scene.deviation if view.shows_deviation else None,
         ends=None if scale is None else (scale.low, scale.high),
         view=pictures.camera_of(scene, view).axes,
+        colours=colours,
         most_faces=most_faces,
     )
     code = viewer.script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
@@ -58,6 +60,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
         *_decimation(drawn, scene),
         *_precision(drawn),
         *_warnings(scene),
+        *(f"{note}." for note in scene.notes if view.shows_file_colours),
         f"Made by: {command}",
     ]
     page = Template(asset(__file__, "page.html")).substitute(
@@ -78,7 +81,11 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
         theme=' data-theme="dark"' if view.style == "dark" else "",
         numbers="\n".join(_table(heading, rows) for heading, rows in figures_of(scene)),
         notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in notes),
-        keys=_keys(scene.after is not None, scene.deviation is not None),
+        keys=_keys(
+            scene.after is not None,
+            scene.deviation is not None and view.shows_deviation,
+            any(one is not None for one in colours),
+        ),
         script=code,
     )
     return page.encode("utf-8")
@@ -215,7 +222,7 @@ def _precision(drawn: EncodedScene) -> list[str]:
     return [f"Coordinates are drawn to within {rounding} file units."]
 
 
-def _keys(is_pair: bool, has_deviation: bool) -> str:
+def _keys(is_pair: bool, has_deviation: bool, has_colours: bool) -> str:
     """Rows of the table of keys for what not every page has."""
     rows = ""
     if is_pair:
@@ -226,6 +233,8 @@ def _keys(is_pair: bool, has_deviation: bool) -> str:
         )
     if has_deviation:
         rows += '<tr><th scope="row">Deviation</th><td><kbd>d</kbd></td></tr>\n'
+    if has_colours:
+        rows += '<tr><th scope="row">Colours of the file</th><td><kbd>c</kbd></td></tr>\n'
     return rows
 
 

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from msal_cli.analysis import correspondence as metrics
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.enclosure import measure_enclosure
-from msal_cli.arrays import Floats
+from msal_cli.arrays import Floats, Ints
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import figure
-from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.view.camera import Camera, viewed
 from msal_cli.view.deviation import Scale, scale_of
 from msal_cli.view.panels import Panel, labelled_panels
 from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
+
+COLOURS = ("auto", "file", "deviation", "none")
+"""What colours show: the files' own and the deviation, one of the two, or nothing."""
 
 SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
@@ -55,6 +60,8 @@ class Scene:
     record : the numbers; None for one mesh.
     full_sizes : one for each mesh, where the files are larger than memory and the meshes decimated;
         their mean edge lengths are those of the files.
+    colours : one for each mesh, (n, 3) of its vertices or None; empty where none were read.
+    notes : what could not be shown of the files, by name.
     """
 
     names: tuple[str, ...]
@@ -64,13 +71,19 @@ class Scene:
     is_signed: bool = True
     record: ComparisonRecord | None = None
     full_sizes: tuple[FullSize, ...] = ()
+    colours: tuple[Image | None, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def painted(self, at: int) -> Image | None:
+        """The file's colours of mesh ``at``; None where it has none."""
+        return self.colours[at] if at < len(self.colours) else None
 
 
 @dataclass(frozen=True)
 class View:
     """Where a picture is taken from and how large it is; see ``view.camera.viewed``.
 
-    ``size`` is the width of each panel in pixels.
+    ``size`` is the width of each panel in pixels.  ``colours`` is one of ``COLOURS``.
     """
 
     view: str = "auto"
@@ -80,6 +93,17 @@ class View:
     size: int = 640
     style: str = "light"
     shading: str = "smooth"
+    colours: str = "auto"
+
+    @property
+    def shows_file_colours(self) -> bool:
+        """Whether meshes have the colours of their files."""
+        return self.colours in ("auto", "file")
+
+    @property
+    def shows_deviation(self) -> bool:
+        """Whether the deviation of two meshes is shown in colours."""
+        return self.colours in ("auto", "deviation")
 
 
 def scene_of(
@@ -98,14 +122,15 @@ def scene_of(
 
     first = prepare_surface(before, names[0])
     if after is None:
-        return Scene(names, first.mesh)
+        return _with_colours(Scene(names, first.mesh), (before,), (first,))
     if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
         record = comparison.compare_meshes(before, after, *names, to_surface=False)
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
         along *= measure_enclosure(first).outward_signs(first.mesh)
-        return Scene(names, first.mesh, moved, along, True, record)
+        scene = Scene(names, first.mesh, moved, along, True, record)
+        return _with_colours(scene, (before, after), (first, first))
     to_surface = to_surface and surface_distance.is_available()
     record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
     second = prepare_surface(after, names[1])
@@ -113,7 +138,36 @@ def scene_of(
     distances = None
     if to_surface:
         distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
-    return Scene(names, first.mesh, there, distances, False, record)
+    scene = Scene(names, first.mesh, there, distances, False, record)
+    return _with_colours(scene, (before, after), (first, second))
+
+
+def _with_colours(
+    scene: Scene, surfaces: tuple[Surface, ...], prepared: tuple[PreparedMesh, ...]
+) -> Scene:
+    """The scene with the colours of the surfaces' vertices, means where several were welded."""
+    painted, notes = [], []
+    titles = titles_of(scene.names)
+    for title, surface, one in zip(titles, surfaces, prepared, strict=True):
+        own = surface.colours
+        colours = None if own is None else own.vertices
+        if colours is not None and one.vertex_map is not None:
+            colours = _welded(colours, one.vertex_map, len(one.mesh.vertices))
+        painted.append(colours)
+        notes += [f"{title}: {note}" for note in (own.notes if own is not None else ())]
+    return replace(scene, colours=tuple(painted), notes=tuple(notes))
+
+
+def _welded(colours: Image, vertex_map: Ints, n_vertices: int) -> Image:
+    is_used = vertex_map >= 0
+    places = vertex_map[is_used]
+    count = np.maximum(np.bincount(places, minlength=n_vertices), 1)
+    columns = [
+        np.bincount(places, weights=column[is_used], minlength=n_vertices) / count
+        for column in colours.T
+    ]
+    means: Image = np.rint(np.stack(columns, axis=1)).astype(np.uint8)
+    return means
 
 
 def camera_of(scene: Scene, view: View) -> Camera:
@@ -137,19 +191,20 @@ def draw_picture(scene: Scene, view: View) -> Image:
 
     style, camera = style_of(view), camera_of(scene, view)
 
-    def image(mesh: Mesh, colours: Image | None = None) -> Image:
-        return panel(mesh, camera, view, colours)
+    def image(mesh: Mesh, at: int) -> Image:
+        painted = scene.painted(at) if view.shows_file_colours else None
+        return panel(mesh, camera, view, painted, colours_are="paint")
 
     titles = titles_of(scene.names)
     record = scene.record
-    panels: list[Panel] = [(image(scene.before), titles[0], _counts(scene, 0))]
+    panels: list[Panel] = [(image(scene.before, 0), titles[0], _counts(scene, 0))]
     if scene.after is None or record is None:
         return labelled_panels(panels, style=style)
     lines = [*_counts(scene, 1), *_changes(record)]
     if scene.deviation is None:
         lines.append("Other faces: no deviation without the package fcpw")
-    panels.append((image(scene.after), titles[1], lines))
-    scale = scale_of_scene(scene)
+    panels.append((image(scene.after, 1), titles[1], lines))
+    scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:
         return labelled_panels(panels, style=style)
     edge = scene.before.mean_edge_length
@@ -161,7 +216,7 @@ def draw_picture(scene: Scene, view: View) -> Image:
         ("Above the scale: file units; below: mean edge lengths (e)", ends),
         edge,
     )
-    picture = image(scene.after, scale.paint(scene.deviation))
+    picture = panel(scene.after, camera, view, scale.paint(scene.deviation))
     lines = [_move(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, deviation_name(scene), lines))
     return labelled_panels(panels, legend, style=style)
@@ -207,8 +262,16 @@ def style_of(view: View) -> Style:
     return DARK if view.style == "dark" else LIGHT
 
 
-def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) -> Image:
-    """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay."""
+def panel(
+    mesh: Mesh,
+    camera: Camera,
+    view: View,
+    colours: Image | None = None,
+    *,
+    colours_are: str = "map",
+) -> Image:
+    """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay; see
+    ``shading.shade``."""
 
     return shade(
         mesh.vertices,
@@ -219,6 +282,7 @@ def panel(mesh: Mesh, camera: Camera, view: View, colours: Image | None = None) 
         colours,
         style=style_of(view),
         crease_deg=0.0 if view.shading == "flat" else CREASE_DEG,
+        colours_are=colours_are,
     )
 
 

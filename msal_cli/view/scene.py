@@ -14,11 +14,13 @@ import base64
 import json
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.analysis import colour_maps as colours
+from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.mesh import Mesh
 from msal_cli.view.decimation import Coarse, coarsen
@@ -71,6 +73,7 @@ def encode_scene(
     *,
     ends: tuple[float, float] | None = None,
     view: Floats | None = None,
+    colours: Sequence[NDArray[np.uint8] | None] = (),
     most_faces: int = MOST_FACES,
 ) -> EncodedScene:
     """One scene.
@@ -84,6 +87,7 @@ def encode_scene(
     ends : of the colour scale; two of opposite sign get the diverging map.  None asks
         the numbers.
     view : (3, 3) rotation from the model to right, up, towards the eye, at the start.
+    colours : (n, 3) of the vertices of each mesh, None or left out where it has none.
     most_faces : beyond this a mesh is coarsened.
     """
     shares = after is not None and _same_faces(before, after)
@@ -91,11 +95,13 @@ def encode_scene(
     low, step = _grid(before, after, Mesh(before.vertices[first.kept], first.faces))
     kept, faces, ticks, planes = _mesh_planes(before, first, low, step)
     meshes: list[dict[str, int | bool]] = [{"vertices": len(kept), "faces": len(faces)}]
+    painted = [_kept_colours(colours, 0, kept)]
     drawn_after = None
     if after is not None and shares:
         moved = _ticks(after.vertices[kept], low, step)
         planes += _planes(_zigzag(moved - ticks), 3)
         meshes.append({**meshes[0], "moved": True})
+        painted.append(_kept_colours(colours, 1, kept))
         drawn_after = len(faces)
     elif after is not None:
         second = coarsen(after.vertices, after.faces, most_faces)
@@ -103,6 +109,7 @@ def encode_scene(
         planes += planes_after
         drawn_after = len(faces_after)
         meshes.append({"vertices": len(kept), "faces": drawn_after})
+        painted.append(_kept_colours(colours, 1, kept))
     header: dict[str, object] = {"meshes": meshes, "step": step}
     if view is not None:
         header["view"] = [round(float(one), 6) for one in np.asarray(view).reshape(-1)]
@@ -110,6 +117,10 @@ def encode_scene(
         scale, plane = _deviation(deviation, kept, ends)
         header["deviation"] = scale
         planes += plane
+    for mesh, own in zip(meshes, painted, strict=True):
+        if own is not None:
+            mesh["painted"] = True
+            planes += _planes(own.astype(np.int64), 1)
     head = json.dumps(header, separators=(",", ":")).encode()
     packed = zlib.compress(struct.pack("<I", len(head)) + head + b"".join(planes), 9)
     return EncodedScene(
@@ -120,6 +131,14 @@ def encode_scene(
         drawn_after_faces=drawn_after,
         rounding=step / 2,
     )
+
+
+def _kept_colours(
+    colours: Sequence[NDArray[np.uint8] | None], at: int, kept: Longs
+) -> NDArray[np.uint8] | None:
+    """The colours (k, 3) of the vertices of mesh ``at`` that are drawn."""
+    own = colours[at] if at < len(colours) else None
+    return None if own is None else own[kept]
 
 
 def _mesh_planes(
@@ -243,6 +262,6 @@ def _deviation(
         "span": span,
         "low": low,
         "high": high if high > low else low + 1.0,
-        "colours": base64.b64encode(colours.colour_table(name).tobytes()).decode("ascii"),
+        "colours": base64.b64encode(colour_table(name).tobytes()).decode("ascii"),
     }
     return scale, _planes(steps.astype(np.int64), 2)

@@ -50,6 +50,15 @@ _LAMPS = (
 _SURFACE_OF_MAPS = (0.56, 0.0, 0.0, 1.0)
 _LAMPS_OF_MAPS = (((-0.55, 0.58, 0.60), 0.58, 0.30),)
 
+# Colours of the file are lit as clay is, with less gloss and more light from everywhere, because
+# they may be dark.
+_SURFACE_OF_PAINT = (0.24, 0.05, 0.02, 24.0)
+_LAMPS_OF_PAINT = tuple((towards, 0.72 * strength, reach) for towards, strength, reach in _LAMPS)
+_LIGHTS = {
+    "map": (_SURFACE_OF_MAPS, _LAMPS_OF_MAPS),
+    "paint": (_SURFACE_OF_PAINT, _LAMPS_OF_PAINT),
+}
+
 CREASE_DEG = 80.0
 
 SAMPLES = 2
@@ -75,6 +84,7 @@ def shade(
     *,
     style: Style = LIGHT,
     crease_deg: float = CREASE_DEG,
+    colours_are: str = "map",
 ) -> Image:
     """(height, width, 3) uint8: the mesh as the camera sees it.
 
@@ -85,6 +95,8 @@ def shade(
     colours : (n, 3) uint8, one for each vertex; None for clay, with the insides in another tone.
     crease_deg : edges that turn by more stay sharp, by less than half of it are round; 0 shows
         each face flat.
+    colours_are : ``map`` for colours that mean numbers and keep their tone, ``paint`` for the
+        object's own, which get more of the light and shadow.
     """
     from msal_cli.kernels import z_buffer
 
@@ -97,7 +109,7 @@ def shade(
         paint, lights = clay[None, :], _lights(_SURFACE, _LAMPS)
     else:
         paint = np.ascontiguousarray(colours, dtype=np.float32)
-        lights = _lights(_SURFACE_OF_MAPS, _LAMPS_OF_MAPS)
+        lights = _lights(*_LIGHTS[colours_are])
     seen = camera.seen(vertices)
     normals = z_buffer.corner_normals(seen, faces, float(np.radians(crease_deg)))
     scale = SAMPLES * camera.pixels_per_unit(width, height)
@@ -112,7 +124,7 @@ def shade(
     # Colours 0 to 255 times the share of each pixel that shows the mesh, and that share.
     lit, covered = sums[..., :3], sums[..., 3]
     open_sky = _open_sky(depth / np.float32(SAMPLES), covered)
-    if colours is not None:
+    if colours is not None and colours_are == "map":
         open_sky = 0.5 + 0.5 * open_sky
     behind = np.array(style.background, dtype=np.float32) * (1.0 - covered[..., None])
     image = np.rint(lit * open_sky[..., None] + behind)

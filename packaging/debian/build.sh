@@ -22,6 +22,11 @@ mkdir -p "$library" "$tree/usr/bin" "$tree/usr/share/doc/msal-cli" "$tree/DEBIAN
     --no-index --find-links "$wheels" --target "$library" msal-cli
 # pip's scripts name the python3 of this machine.
 rm -rf "$library/bin"
+mkdir -p "$tree/usr/share/man/man1"
+for page in "$library"/share/man/man1/msal*.1; do
+    if [ -f "$page" ]; then gzip -9n <"$page" >"$tree/usr/share/man/man1/${page##*/}.gz"; fi
+done
+rm -rf "$library/share"
 
 cp "$here/msal" "$tree/usr/bin/msal"
 cp "$here/copyright" "$tree/usr/share/doc/msal-cli/copyright"

@@ -36,6 +36,7 @@ CASES = {
     "boundary": ({"lock": "boundary"}, ["--lock", "boundary"]),
     "weights": ({"method": "msal", "weights": TRUST}, ["--method", "msal", "--weights", "trust"]),
     "despike": ({"method": "umbrella", "despike": True}, ["--method", "umbrella", "--despike"]),
+    "no despike": ({"despike": False}, ["--no-despike"]),
     "min_noise": ({"min_noise": "5e"}, ["--min-noise", "5e"]),
 }
 
@@ -72,6 +73,7 @@ def check_against_command(tmp_path, given, faces, arguments, options):
     assert result.method == record["method"]["name"]
     assert result.parameters == record["method"]["parameters"]
     assert result.record.locked_vertices == record["locked_vertices"]
+    assert result.record.despiked == record["despiked"]
     assert result.record.clamped_vertices == record["clamped_vertices"]
     assert list(result.warnings) == record["warnings"]
     assert result.noise.mean_edges == record["noise_estimate"]["mean_edges"]
@@ -187,6 +189,8 @@ REFUSED = {
     "budget": ((VERTICES, FACES), {"budget": 0.5}, msal.UsageError, "E_USAGE"),
     "max_move": ((VERTICES, FACES), {"max_move": -1}, msal.UsageError, "E_USAGE"),
     "max_move nan": ((VERTICES, FACES), {"max_move": np.nan}, msal.UsageError, "E_USAGE"),
+    "max_move list": ((VERTICES, FACES), {"max_move": [1]}, msal.UsageError, "E_USAGE"),
+    "mixed lock": ((VERTICES, FACES), {"lock": ["boundary", [1]]}, msal.UsageError, "E_USAGE"),
     "no unit": ((VERTICES, FACES), {"max_move": "1mm"}, msal.UsageError, "E_USAGE"),
     "min_noise": ((VERTICES, FACES), {"min_noise": "much"}, msal.UsageError, "E_USAGE"),
     "short mask": ((VERTICES, FACES), {"lock": [True, False]}, msal.UsageError, "E_USAGE"),

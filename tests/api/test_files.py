@@ -20,6 +20,7 @@ from tests.cli.scans import msal as run_command
 from tests.shapes import torus
 
 OPTIONS = {"method": "msal", "K": 0.4}
+ONE = OPTIONS | {"jobs": 1}
 WORDS = ("-K", "0.4")
 
 
@@ -137,16 +138,17 @@ def test_arguments_are_checked_before_the_first_record(scans, tmp_path):
     records = msal.denoise_folder(scans, tmp_path / "out")
     assert inspect.isgenerator(records) and not (tmp_path / "out").exists()
     records.close()
-    with pytest.raises(msal.UsageError, match="jobs"):
-        next(msal.denoise_folder(scans, tmp_path / "out", jobs=0))
+    for wrong in ({"jobs": 0}, {"retries": -1}, {"timeout": 0}, {"memory_limit": 1}, {"K": 2}):
+        with pytest.raises(msal.UsageError):
+            msal.denoise_folder(scans, tmp_path / "out", **wrong)
 
 
 def test_several_inputs_patterns_and_in_place(scans, tmp_path):
     names = [scans / "a.ply", str(scans / "below")]
-    records = list(msal.denoise_folder(names, tmp_path / "out", **OPTIONS))
+    records = list(msal.denoise_folder(names, tmp_path / "out", **ONE))
     assert len(records) == 2
     records = list(
-        msal.denoise_folder(scans, in_place=True, backup=".kept", exclude="c.ply", **OPTIONS)
+        msal.denoise_folder(scans, in_place=True, backup=".kept", exclude="c.ply", **ONE)
     )
     assert len(records) == 3
     assert (scans / "a.ply.kept").read_bytes() == closed_scan()
@@ -154,35 +156,36 @@ def test_several_inputs_patterns_and_in_place(scans, tmp_path):
 
 
 def test_the_loop_may_be_left_and_gone_on_with(scans, tmp_path):
-    for record in msal.denoise_folder(scans, tmp_path / "out", jobs=1, **OPTIONS):
+    for record in msal.denoise_folder(scans, tmp_path / "out", **ONE):
         assert record.status == "written"
         break
     # The lock of the folder is free, and what was finished is known.
-    records = list(msal.denoise_folder(scans, tmp_path / "out", **OPTIONS))
+    records = list(msal.denoise_folder(scans, tmp_path / "out", **ONE))
     statuses = [one.status for one in records]
     assert len(statuses) == 4 and "up-to-date" in statuses
     assert not [one for one in threading.enumerate() if one.name == "msal"]
 
 
 def test_it_works_in_a_thread_and_leaves_signals_alone(scans, tmp_path):
-    handlers = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-    found = []
+    def handlers():
+        return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+    before, during = handlers(), []
 
     def work():
-        found.extend(msal.denoise_folder(scans, tmp_path / "out", **OPTIONS))
+        for _ in msal.denoise_folder(scans, tmp_path / "out", **ONE):
+            during.append(handlers())
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert len(found) == 4
-    for _ in msal.denoise_folder(scans, tmp_path / "again", jobs=1, **OPTIONS):
-        assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == handlers
+    assert during == [before] * 4
 
 
 def test_nothing_is_printed(scans, tmp_path, capfd):
     (scans / "bad.ply").write_bytes(BAD_SCAN)
-    list(msal.denoise_folder(scans, tmp_path / "out", **OPTIONS))
-    msal.denoise_file(scans / "a.ply", tmp_path / "a.ply")
+    list(msal.denoise_folder(scans, tmp_path / "out", **ONE))
+    msal.denoise_file(scans / "a.ply", tmp_path / "a.ply", **OPTIONS)
     assert capfd.readouterr() == ("", "")
 
 

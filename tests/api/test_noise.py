@@ -82,6 +82,11 @@ def test_an_object_comes_back_as_one_with_factors_by_name():
         {"kind": "property"},
         {"kind": "property", "property": [1.0]},
         {"property": FACTORS},
+        {"level": "much"},
+        {"seed": 1.5},
+        {"kind": "view", "direction": "z"},
+        {"kind": "view", "direction": (1, 0)},
+        {"kind": "view", "direction": (1, 0, None)},
     ],
 )
 def test_settings_that_mean_nothing_are_refused(arguments):

@@ -46,13 +46,11 @@ def die(how):
     raise AssertionError(how)
 
 
-def pool(tasks, *, stays=False, files_per_worker=1000, growth_bytes=512 << 20, **options):
+def pool(tasks, *, files_per_worker=1000, growth_bytes=512 << 20, **options):
     """A pool for tasks of `work`, two at once if nothing else is said."""
     tasks = tasks if isinstance(tasks, dict) else dict(enumerate(tasks))
     orders = Work(tasks, work, options.pop("common", None), **({"jobs": 2, "cores": 2} | options))
-    return WorkerPool(
-        orders, stays=stays, files_per_worker=files_per_worker, growth_bytes=growth_bytes
-    )
+    return WorkerPool(orders, files_per_worker=files_per_worker, growth_bytes=growth_bytes)
 
 
 class InProcess:

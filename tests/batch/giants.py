@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli.batch import tile_scratch, tile_tasks
+from msal_cli.batch import tile_claims, tile_scratch, tile_stages, tile_tasks
 from msal_cli.mesh import Mesh
 from msal_cli.tiles import estimates
 from tests.cli.scans import msal
@@ -87,6 +87,12 @@ def do_slowly(task, common, on_progress):
     return tile_tasks.run_tile_task(task, common, on_progress)
 
 
+def claim_slowly(task, common, on_progress):
+    """The same where several processes share the tasks."""
+    time.sleep(float(os.environ.get(SLOW_S, "0.05")))
+    return tile_claims.run_claimed_task(task, common, on_progress)
+
+
 def die_once(task, common, on_progress):
     """The third task of a stage kills its worker the first time."""
     mark = Path(os.environ[DEATH_MARK])
@@ -126,7 +132,8 @@ def main():
         setattr = staticmethod(setattr)
 
     use_small_tiles(Patch)
-    tile_tasks.TileEngine.function = staticmethod(do_slowly)
+    tile_tasks.run_tile_task = do_slowly
+    tile_stages.run_claimed_task = claim_slowly
     sys.exit(run())
 
 

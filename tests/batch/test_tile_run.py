@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from msal_cli import machine
 from msal_cli.batch import tile_scratch, tile_tasks
 from msal_cli.batch.lock import FolderLock
 from msal_cli.tiles import estimates
+from msal_cli.tiles.scratch import Scratch
 from tests.batch import giants
 from tests.batch.giants import in_memory, n_finished, scan, scratch_of
 from tests.cli.scans import msal
@@ -152,6 +154,7 @@ def test_ctrl_c_keeps_what_is_finished(source, output):
     assert output.read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_other_settings_begin_anew(source, output):
     process = giants.start_slowly("denoise", source, "-o", output, "--tiled", *METHOD)
     giants.wait_for(lambda: n_finished(output) >= 6, process)
@@ -164,19 +167,32 @@ def test_other_settings_begin_anew(source, output):
     assert names(output.parent) == ["b.ply"]
 
 
+def test_tasks_from_before_a_restart_of_the_machine_are_not_trusted(tmp_path, monkeypatch):
+    scratch, identity = Scratch(tmp_path), {"tile_vertices": 5}
+    monkeypatch.setattr(machine, "boot_id", lambda: "before")
+    tile_scratch.begin(scratch, identity)
+    assert tile_scratch.can_go_on(scratch, identity)
+    monkeypatch.setattr(machine, "boot_id", lambda: "after")
+    assert not tile_scratch.can_go_on(scratch, identity)
+    # Another machine that shares the folder cannot know.
+    monkeypatch.setattr(tile_scratch, "machine_tag", lambda: "another")
+    assert tile_scratch.can_go_on(scratch, identity)
+
+
 def test_a_lost_worker_costs_its_task(source, output, monkeypatch, tmp_path):
     expected = in_memory(source, *METHOD)
     monkeypatch.setenv(giants.DEATH_MARK, str(tmp_path / "died"))
-    monkeypatch.setattr(tile_tasks.TileEngine, "function", staticmethod(giants.die_once))
+    monkeypatch.setattr(tile_tasks, "run_tile_task", giants.die_once)
     made = tiled(source, output, "-q", "-j2", *METHOD)
     assert made.exit_code == 0, made.stderr
     assert (tmp_path / "died").exists()
     assert output.read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_workers_that_always_die_fail_the_file(source, output, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(tile_tasks.TileEngine, "function", staticmethod(giants.die_always))
+        patch.setattr(tile_tasks, "run_tile_task", giants.die_always)
         made = tiled(source, output, "-q", "-j2", *METHOD)
     assert made.exit_code == 1
     assert "E_CRASH" in made.stderr and "goes on from there" in made.stderr
@@ -216,6 +232,7 @@ def test_too_little_space_is_known_before(source, output, monkeypatch):
     assert names(output.parent) == []
 
 
+@pytest.mark.slow
 def test_a_scratch_folder_of_ones_own(source, output, tmp_path):
     place = tmp_path / "fast"
     process = giants.start_slowly(
@@ -239,6 +256,7 @@ def test_two_runs_on_one_scratch_folder_are_refused(source, output):
     assert str(os.getpid()) in made.stderr
 
 
+@pytest.mark.slow
 def test_one_giant_among_small_files(tmp_path, monkeypatch):
     giants.use_small_tiles(monkeypatch, 20_000)
     monkeypatch.setattr(estimates, "FEWEST_TILE_VERTICES", 20_000)
@@ -320,3 +338,18 @@ def test_a_dry_run_knows_a_billion_triangles_by_their_header(tmp_path, monkeypat
     assert names(tmp_path) == ["city.ply"]
     listed = msal("denoise", path, "-o", tmp_path / "out.ply", "--dry-run", *METHOD)
     assert "512 tiles" in listed.stdout and "of scratch space" in listed.stdout
+
+
+@pytest.mark.slow
+def test_dask_runs_the_tasks(source, output, monkeypatch, tmp_path):
+    pytest.importorskip("distributed")
+    expected = in_memory(source, *METHOD)
+    monkeypatch.setenv(giants.DEATH_MARK, str(tmp_path / "died"))
+    monkeypatch.setattr(tile_tasks, "run_tile_task", giants.die_once)
+    dask = ("--engine", "dask", "--scheduler", "local")
+    made = tiled(source, output, "-q", "-j2", *dask, *METHOD)
+    assert made.exit_code == 0, made.stderr
+    # A lost worker costs its task.
+    assert (tmp_path / "died").exists()
+    assert output.read_bytes() == expected
+    assert names(output.parent) == ["b.ply"]

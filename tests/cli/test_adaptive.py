@@ -53,7 +53,7 @@ def test_the_record_has_the_choice(scans, tmp_path):
 
 
 def test_the_options_repeat_the_bytes(scans, tmp_path):
-    records, made = run(scans / "loud.ply", "-o", tmp_path / "a.ply")
+    records, made = run(scans / "loud.ply", "-o", tmp_path / "a.ply", "-v")
     by_hand = records["loud.ply"]["choice"]["repeat"]
     assert f"by hand       {shlex.join(by_hand)}" in made.stderr
     run(scans / "loud.ply", "-o", tmp_path / "b.ply", *by_hand)

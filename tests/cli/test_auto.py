@@ -182,7 +182,10 @@ def test_a_method_by_hand_is_no_choice(scan, tmp_path):
 
 def test_one_file_is_told_in_one_sentence(scan, tmp_path, choose):
     choose(fixed("msal", {"K": 0.7}))
-    said = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto").stderr
+    short = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto").stderr
+    assert f"  chosen        {REASON}\n" in short
+    assert "next best" not in short
+    said = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto", "-v").stderr
     assert f"  chosen        {REASON}\n" in said
     assert "  next best     AL, 3 sweeps (risk 0.072 e)\n" in said
     assert "  by hand       --method msal --set K=0.7\n" in said

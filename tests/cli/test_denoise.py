@@ -49,7 +49,11 @@ def test_one_file_is_written_and_told(scan, tmp_path):
     made = msal("denoise", scan, "-o", output)
     assert made.exit_code == 0
     assert made.stdout == ""
-    assert made.stderr.startswith(f"{scan} -> {output}\n")
+    assert made.stderr.startswith(f"{scan} -> {output} in 0.")
+    assert "288 vertices, 576 faces, 1 component\n" in made.stderr
+    assert len(made.stderr.splitlines()) <= 8
+    made = msal("denoise", scan, "-o", output, "-v")
+    assert f"\n{scan} -> {output}\n" in made.stderr
     assert "288 vertices, 576 faces, 1 component, ply ascii" in made.stderr
     assert "vertices/s" in made.stderr
     before, after = scan.read_bytes(), output.read_bytes()

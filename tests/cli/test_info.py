@@ -36,12 +36,36 @@ def test_a_closed_file(scans):
 
 
 def test_folders_are_searched_and_failures_counted(scans):
-    made = msal("info", scans)
+    made = msal("info", scans, "-v")
     assert made.exit_code == 3
     assert "closed.ply" in made.stdout
     assert "open, 18 boundary edges" in made.stdout
     assert "\n\n" in made.stdout
+    assert f"msal: error: {scans / 'bad.ply'}: " in made.stderr
+
+
+def test_a_folder_is_a_table(scans):
+    made = msal("info", scans)
+    assert made.exit_code == 3
+    head, open_row, row, foot = made.stdout.splitlines()
+    if "below" not in open_row:
+        open_row, row = row, open_row
+    assert head.split() == ["file", "format", "vertices", "faces", "noise", "surface", "problems"]
+    name, *cells = row.split()
+    assert name.endswith("closed.ply")
+    assert cells == ["ply", "288", "576", "0.031", "closed"]
+    assert open_row.split()[5:] == ["open", "18", "boundary", "edges"]
+    assert "-v" in foot
     assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")
+
+
+def test_the_table_can_be_cut_off_and_leaves_no_row_for_failures(scans):
+    made = msal("info", scans / "bad.ply", scans / "closed.ply", "--check", "self-intersections")
+    assert made.exit_code == 3
+    assert len(made.stdout.splitlines()) == 3
+    made = msal("info", scans / "bad.ply", scans / "bad.ply")
+    assert "(E_INDEX)" in made.stderr
+    assert made.stdout == ""
 
 
 def test_the_only_file_that_fails_is_fatal(scans):

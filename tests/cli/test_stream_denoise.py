@@ -47,7 +47,7 @@ def test_talk_and_data_do_not_mix(denoised):
     made = msal_on(SCAN, "denoise", "-")
     assert made.exit_code == 0
     assert made.stdout_bytes == denoised
-    assert made.stderr.startswith("standard input -> standard output\n")
+    assert made.stderr.startswith("standard input -> standard output in ")
 
 
 def test_a_file_to_standard_output(scan, denoised):

@@ -135,7 +135,7 @@ def test_within_the_limits_the_result_is_the_same(tmp_path, scratch):
     made = msal_on(SCAN, "denoise", "-", "--timeout", "5m", "--memory-limit", "2G")
     assert made.exit_code == 0, made.stderr
     assert made.stdout_bytes == plain
-    assert made.stderr.startswith("standard input -> standard output\n")
+    assert made.stderr.startswith("standard input -> standard output in ")
     output = tmp_path / "new" / "out.obj.gz"
     made = msal_on(SCAN, "denoise", "-", "-o", output, "--timeout", "5m", "--json", "-q")
     record = record_of(made)

@@ -125,7 +125,9 @@ def test_fail_fast_writes_nothing(tiles):
 def test_a_dry_run_lists_neighbours_and_memory(tiles):
     done = denoise(tiles, "--dry-run")
     assert "touches 0.ply, 2.stl, 3.ply" in done.stdout
-    assert "of memory" in done.stderr
+    assert "as one mesh they take up to" in done.stderr
+    done = denoise(tiles, "--dry-run", "--tiled")
+    assert "as one mesh they are denoised in 1 tile, 1 at a time" in done.stderr
     assert not tiles[1].exists()
 
 

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+import tomllib
 
 import pytest
 
@@ -41,6 +42,9 @@ def test_the_context_has_what_the_build_reads():
     assert lines[1] == "*"
     assert kept >= {"pyproject.toml", "hatch_build.py", "kernel_build", "msal_cli", "README.md"}
     assert all((ROOT / one).exists() for one in kept if "*" not in one)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert kept >= {*wheel["packages"], *wheel.get("shared-data", {})}
 
 
 @pytest.mark.skipif(shutil.which("hadolint") is None, reason="no hadolint")

@@ -23,6 +23,7 @@ def write_wheel(folder, version):
     files = {
         "msal_cli/__init__.py": "",
         "msal_cli/__main__.py": "import sys\nprint(sys.argv[1:], sys.flags.safe_path)\n",
+        f"msal_cli-{version}.data/data/share/man/man1/msal.1": ".TH MSAL 1\n",
         f"{about}/METADATA": f"Metadata-Version: 2.1\nName: msal-cli\nVersion: {version}\n",
         f"{about}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     }
@@ -52,6 +53,7 @@ def test_debian_package(tmp_path):
     root = tmp_path / "root"
     subprocess.run(["dpkg-deb", "--extract", str(package), str(root)], check=True)
     assert (root / "usr/share/doc/msal-cli/copyright").exists()
+    assert (root / "usr/share/man/man1/msal.1.gz").exists()
     assert not list(root.rglob("__pycache__"))
     # The command runs the system's Python, which may not be this one.
     asked = ["/usr/bin/python3", "-c", f"import sys; assert sys.version_info[:2] == (3, {minor})"]

@@ -20,7 +20,7 @@ def text(records, **options):
 
 
 def test_one_file_is_told_in_some_detail():
-    said = text([written(degenerate_faces=1, non_manifold_edges=12)])
+    said = text([written(degenerate_faces=1, non_manifold_edges=12)], verbose=True)
     assert said.startswith("scan.ply -> out/scan.ply\n")
     assert "35,947 vertices, 69,451 faces, 1 component, ply ascii float32" in said
     assert "12 non-manifold edges, 1 degenerate face\n" in said
@@ -187,5 +187,6 @@ def test_corners_stand_beside_the_vertices():
 
 def test_inside_out_is_told_of_one_file_and_in_the_table():
     record = written(inside_out=True)
-    assert "defects       inside out" in text([record])
+    assert ", inside out\n" in text([record])
+    assert "defects       inside out" in text([record], verbose=True)
     assert text([record, written("b")]).splitlines()[1].endswith("inside out")

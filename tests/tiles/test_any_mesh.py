@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gzip
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import Settings, Task
 from msal_cli.tiles import join, measures, opening, stages
 from msal_cli.tiles.scratch import Scratch
+from tests.cli.scans import msal
 from tests.tiles import mesh_files
 
 CASES = mesh_files.cases()
@@ -363,3 +365,27 @@ def test_tasks_may_be_lost_at_their_end_and_come_in_any_order(name, tmp_path, mo
     wanted = settings("al", schedule="multiscale", max_move="0.1e", lock=("boundary",))
     assert isinstance(check(tmp_path, CASES[name], wanted), bytes)
     assert len(lost) > 40
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("normals and seams", ["--method", "al"]),
+        ("properties", ["--max-move", "0.1e", "--lock", "boundary", "--lock", "quality < 0"]),
+        ("properties", ["--method", "msal", "--weights", "quality"]),
+    ],
+)
+def test_the_command_writes_the_same(name, words, tmp_path):
+    suffix, data = CASES[name]
+    source = tmp_path / f"scan{suffix}"
+    source.write_bytes(data)
+    records = []
+    for folder, more in (("whole", []), ("tiles", ["--tiled"])):
+        made = msal("denoise", source, "-o", tmp_path / folder / "out.ply", "--json", *more, *words)
+        assert made.exit_code == 0, made.stderr
+        records += json.loads(made.stdout)["records"]
+    whole, tiled = records
+    assert tiled["tiles"] is not None and whole["tiles"] is None
+    assert tiled["output_sha256"] == whole["output_sha256"]
+    for field in ("locked_vertices", "clamped_vertices", "welded_vertices", "seam_gap", "method"):
+        assert tiled[field] == whole[field], field

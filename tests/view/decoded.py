@@ -56,5 +56,7 @@ def decoded(text):
     if "deviation" in header:
         scale = header["deviation"]
         deviation = scale["least"] + numbers(len(meshes[-1][0]), 2) / 65535 * scale["span"]
+    for one in header["meshes"]:
+        at += 3 * one["vertices"] * bool(one.get("painted"))
     assert at == len(raw)
     return header, meshes, deviation

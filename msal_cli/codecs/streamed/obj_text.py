@@ -60,8 +60,7 @@ def convert(
     Raises
     ------
     UnsupportedError
-        for what cannot be read in pieces: relative numbers, and normals other than one for each
-        vertex.
+        for what cannot be read in pieces: normals other than one for each vertex.
     FormatError, TruncatedError, ContentError, TooLargeError
         as ``codecs.obj.read``, with the line.
     """
@@ -134,18 +133,20 @@ class _Conversion:
     def _before(self) -> Before:
         state = self.state
         n_faces = int(state[obj_scan.FACES] + state[obj_scan.SHORT])
-        n_vertices, n_normals = int(state[obj_scan.VERTICES]), int(state[obj_scan.NORMALS])
-        return Before(self.lines.at, self.lines.lines, n_vertices, n_normals, n_faces)
+        return Before(
+            self.lines.at,
+            self.lines.lines,
+            int(state[obj_scan.VERTICES]),
+            int(state[obj_scan.NORMALS]),
+            int(state[obj_scan.TEXTURE]),
+            n_faces,
+        )
 
     def _add(self, data: Any) -> None:
         """Read a block."""
         before = self._before
         reading = Reading(data.data, data, before)
-        try:
-            read = reading.walk()
-        finally:
-            # First, because a number that counts back may look like a wrong one here.
-            self._refuse_relative(reading.state, data, before)
+        read = reading.walk()
         if before.vertices + len(read.vertices) > _MOST_VERTICES:
             raise TooLargeError(
                 f"the file has more than the {_MOST_VERTICES} vertices that an OBJ may have here",
@@ -156,16 +157,6 @@ class _Conversion:
         self._add_numbers(read, len(data))
         self._add_faces(read, reading.state, len(data), before)
         self._add_state(reading, data)
-
-    def _refuse_relative(self, state: Longs, data: Any, before: Before) -> None:
-        if state[obj_scan.RELATIVE]:
-            at = int(state[obj_scan.RELATIVE_AT])
-            raise UnsupportedError(
-                "an OBJ whose faces count vertices from the statement back (negative numbers) "
-                "cannot be read in pieces",
-                where=f"line {before.lines + line_of(data, at)}",
-                hint=_HINT,
-            )
 
     def _add_numbers(self, read: Arrays, n_bytes: int) -> None:
         n_vertices, n_normals = len(read.vertices), len(read.normals)
@@ -265,12 +256,13 @@ def _count_lines(text: bytes) -> int:
 class StreamedObj(StreamedText):
     """A converted OBJ file; see ``codecs.streamed_mesh.StreamedMesh``."""
 
-    def _parser(self, start: int, count: int) -> Parse:
-        return functools.partial(self._parse_block, start)
+    def _parser(self, block: list[int]) -> Parse:
+        before = Before(block[0], vertices=block[2], normals=block[4])
+        return functools.partial(self._parse_block, before)
 
-    def _parse_block(self, start: int, data: Buffer) -> Layout:
+    def _parse_block(self, before: Before, data: Buffer) -> Layout:
         buf = as_bytes(data)
-        read = Reading(data, buf, Before(start)).walk()
+        read = Reading(data, buf, before).walk()
         positions = Statements(buf, read.vertex_at, read.decimals, 1, values=read.vertices)
         normals: tuple[Statements, ...] = ()
         if self.has_normals:

@@ -259,8 +259,8 @@ class StreamedPlyText(StreamedText):
                 parts.append(values[max(start - first, 0) : stop - first])
         return np.concatenate(parts) if parts else np.empty(0)
 
-    def _parser(self, start: int, count: int) -> Parse:
-        return functools.partial(self._parse_block, count)
+    def _parser(self, block: list[int]) -> Parse:
+        return functools.partial(self._parse_block, block[3])
 
     def _parse_block(self, count: int, data: Buffer) -> Layout:
         wanted = wanted_names(self.vertex)

@@ -229,7 +229,7 @@ class StreamedStlText(StreamedText):
             parts.append(result)
         return memoryview(b"".join(parts))
 
-    def _parser(self, start: int, count: int) -> Parse:
+    def _parser(self, block: list[int]) -> Parse:
         raise InternalError("the facets of an STL are no statements")
 
 

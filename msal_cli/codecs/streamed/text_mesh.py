@@ -155,13 +155,14 @@ class StreamedText:
             return read_range(self.path, *piece).data
         how = self._choose_way(survey)
         parts: list[Any] = []
-        for start, stop, first, count, first_normal, n_normals in blocks:
+        for block in blocks:
+            start, stop, first, count, first_normal, n_normals = block
             data = read_range(self.path, start, stop)
             new = positions(first, first + count)
             new_normals = None
             if normals is not None and self.has_normals:
                 new_normals = normals(first_normal, first_normal + n_normals)
-            text = TextPiece(data.data, self.format, self._parser(start, count))
+            text = TextPiece(data.data, self.format, self._parser(block))
             parts.append(self._replace_block(text, data, first, new, new_normals, how, survey))
         return memoryview(b"".join(parts))
 
@@ -224,8 +225,8 @@ class StreamedText:
         require_replaced(data, np.frombuffer(result, dtype=np.uint8), patches)
         return result
 
-    def _parser(self, start: int, count: int) -> Parse:
-        """What finds the numbers of ``count`` vertices in the block that begins at a byte."""
+    def _parser(self, block: list[int]) -> Parse:
+        """What finds the numbers in a block; see ``TextFacts``."""
         raise NotImplementedError
 
 

@@ -45,7 +45,15 @@ async function unpacked(text) {
     }
     meshes.push({ corners, ticks });
   }
-  return { header, meshes, deviation: header.deviation ? numbers(meshes.at(-1).ticks[0].length, 2) : null };
+  const deviation = header.deviation ? numbers(meshes.at(-1).ticks[0].length, 2) : null;
+  header.meshes.forEach(({ vertices, painted }, k) => {
+    if (!painted) return;
+    // Four bytes to a vertex, because odd strides are slow.
+    const colours = (meshes[k].colours = new Uint8Array(4 * vertices));
+    for (let part = 0; part < 3; part++, at += vertices)
+      for (let v = 0; v < vertices; v++) colours[4 * v + part] = bytes[at + v];
+  });
+  return { header, meshes, deviation };
 }
 
 // Positions of all meshes about their common middle, so that they fit a ball of radius 1.

@@ -5,13 +5,15 @@ uniform mat4 view, projection;
 in vec3 position;
 in vec4 normal;
 in float deviation;
-out vec3 place, direction;
+in vec4 own_colour;
+out vec3 place, direction, own;
 out float value;
 void main() {
   vec4 seen = view * vec4(position, 1.0);
   place = seen.xyz;
   direction = mat3(view) * normal.xyz;
   value = deviation;
+  own = own_colour.rgb;
   gl_Position = projection * seen;
 }`;
 
@@ -19,12 +21,12 @@ void main() {
 // the rest.  All of them go with the camera.
 const FRAGMENT_SHADER = `#version 300 es
 precision highp float;
-uniform bool is_flat, is_mapped, is_inside_out;
+uniform bool is_flat, is_mapped, is_painted, is_inside_out;
 uniform float turn;
 uniform vec2 range;
 uniform vec3 clay;
 uniform sampler2D colours;
-in vec3 place, direction;
+in vec3 place, direction, own;
 in float value;
 out vec4 colour;
 vec3 linear(vec3 c) { return pow(c, vec3(2.2)); }
@@ -44,7 +46,10 @@ void main() {
   float light = 0.86 * max(dot(n, key), 0.0) + 0.20 * max(dot(n, fill), 0.0);
   light += 0.11 + 0.09 * n.y + 0.14 * n.z * n.z;
   vec3 paint = linear(clay);
-  if (is_back) paint = mix(paint, vec3(0.12, 0.17, 0.24), 0.62);
+  if (is_painted) {
+    paint = linear(own);
+    light = 0.14 + 0.94 * light; // colours may be dark
+  } else if (is_back) paint = mix(paint, vec3(0.12, 0.17, 0.24), 0.62);
   if (is_mapped) {
     paint = linear(texture(colours, vec2((value - range.x) * range.y, 0.5)).rgb);
     light = 0.42 + 0.60 * light; // colours must be read in the shadow too
@@ -67,7 +72,7 @@ class Drawing {
       gl.compileShader(shader);
       gl.attachShader(this.program, shader);
     }
-    ["position", "normal", "deviation"].forEach((name, k) => gl.bindAttribLocation(this.program, k, name));
+    ["position", "normal", "deviation", "own_colour"].forEach((name, k) => gl.bindAttribLocation(this.program, k, name));
     gl.linkProgram(this.program);
     if (!gl.getProgramParameter(this.program, gl.LINK_STATUS) && !gl.isContextLost())
       throw new Error(gl.getProgramInfoLog(this.program) || "the shader was refused");
@@ -82,7 +87,7 @@ class Drawing {
 
   part(mesh, deviation) {
     const gl = this.gl;
-    const part = { array: gl.createVertexArray(), count: mesh.corners.length };
+    const part = { array: gl.createVertexArray(), count: mesh.corners.length, hasColours: !!mesh.colours };
     gl.bindVertexArray(part.array);
     const fill = (place, values, size, kind, normalized) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
@@ -93,6 +98,7 @@ class Drawing {
     fill(0, mesh.positions, 3, gl.FLOAT, false);
     fill(1, mesh.normals, 4, gl.SHORT, true);
     if (deviation) fill(2, new Uint16Array(deviation), 1, gl.UNSIGNED_SHORT, true);
+    if (mesh.colours) fill(3, mesh.colours, 4, gl.UNSIGNED_BYTE, true);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh.corners, gl.STATIC_DRAW);
     return part;
@@ -111,7 +117,7 @@ class Drawing {
   }
 
   // `split`: the share of the width that shows the first mesh.
-  draw(camera, { split, isFlat, isMapped, turn, clay }) {
+  draw(camera, { split, isFlat, isMapped, isPainted, turn, clay }) {
     const gl = this.gl;
     const { drawingBufferWidth: width, drawingBufferHeight: height } = gl;
     gl.viewport(0, 0, width, height);
@@ -121,17 +127,18 @@ class Drawing {
     gl.uniform1f(this.at("turn"), turn);
     gl.uniform3fv(this.at("clay"), clay);
     const cut = this.parts.length > 1 ? Math.round(split * width) : 0;
-    this.half(this.parts[0], 0, cut, false);
-    this.half(this.parts.at(-1), cut, width - cut, isMapped);
+    this.half(this.parts[0], 0, cut, false, isPainted);
+    this.half(this.parts.at(-1), cut, width - cut, isMapped, isPainted);
   }
 
-  half(part, left, width, isMapped) {
+  half(part, left, width, isMapped, isPainted) {
     if (width <= 0) return;
     const gl = this.gl;
     gl.scissor(left, 0, width, gl.drawingBufferHeight);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniform1i(this.at("is_mapped"), isMapped ? 1 : 0);
+    gl.uniform1i(this.at("is_painted"), isPainted && part.hasColours && !isMapped ? 1 : 0);
     gl.bindVertexArray(part.array);
     gl.drawElements(gl.TRIANGLES, part.count, gl.UNSIGNED_INT, 0);
   }

@@ -15,12 +15,12 @@ class Viewer {
     this.scene = scene;
     this.unit = placed(scene);
     this.camera = new Camera(scene.header.view, scene.meshes.map((mesh) => mesh.positions));
-    this.look = { split: 0.5, isFlat: false, isMapped: false, turn: 2.2, clay: [0.83, 0.79, 0.73] };
+    this.look = { split: 0.5, isFlat: false, isMapped: false, isPainted: true, turn: 2.2, clay: [0.83, 0.79, 0.73] };
     this.isPair = scene.meshes.length > 1;
     this.fingers = new Map();
     this.build();
     this.drawing = new Drawing(this.canvas, scene, this.camera.start);
-    for (const mesh of scene.meshes) mesh.positions = mesh.normals = mesh.corners = null;
+    for (const mesh of scene.meshes) mesh.positions = mesh.normals = mesh.corners = mesh.colours = null;
     this.listen();
     if (box.dataset.show === "deviation") this.map(true);
     if (box.dataset.shading === "flat") this.flat(true);
@@ -44,6 +44,8 @@ class Viewer {
       this.bar.append((this.maps = this.choice(this.isPair ? "Right side" : "Colour", words, (k) => this.map(k === 1))));
       this.stage.append((this.legend = this.scale(this.scene.header.deviation)));
     }
+    if (this.scene.meshes.some((mesh) => mesh.colours))
+      this.bar.append((this.paints = this.choice("Paint", ["Colours", "Clay"], (k) => this.paint(k === 0))));
     this.bar.append((this.facets = this.choice("Shading", ["Smooth", "Facets"], (k) => this.flat(k === 1))));
     const light = element("input", { type: "range", min: 0, max: 360, step: 5, value: 126, "aria-label": "Where the light comes from, degrees" });
     light.addEventListener("input", () => this.set({ turn: (light.value * Math.PI) / 180 }));
@@ -122,6 +124,12 @@ class Viewer {
   flat(isFlat) {
     this.facets.choose(isFlat ? 1 : 0);
     this.set({ isFlat });
+  }
+
+  paint(isPainted) {
+    if (!this.paints) return;
+    this.paints.choose(isPainted ? 0 : 1);
+    this.set({ isPainted });
   }
 
   map(isMapped) {
@@ -268,7 +276,7 @@ class Viewer {
       ",": () => this.camera.turn(0, 0, TURN), ".": () => this.camera.turn(0, 0, -TURN),
       "[": () => this.split(this.look.split - 0.02), "]": () => this.split(this.look.split + 0.02),
       1: () => this.split(1), 2: () => this.split(0.5), 3: () => this.split(0),
-      d: () => this.map(!this.look.isMapped), f: () => this.flat(!this.look.isFlat),
+      d: () => this.map(!this.look.isMapped), f: () => this.flat(!this.look.isFlat), c: () => this.paint(!this.look.isPainted),
       l: () => this.relight(15), L: () => this.relight(-15),
       0: () => this.reset(), Home: () => this.reset(),
     };

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import tempfile
 from pathlib import Path
 
@@ -68,11 +69,12 @@ def files(draw):
         lines = vn + vertices if order == "normals first" else vertices + vn
     smallest, largest = draw(st.sampled_from([(3, 3), (3, 6)]))
     corners = st.lists(st.integers(1, n), min_size=smallest, max_size=largest)
-    form = {"used": "{0}//{0}"}.get(normals, draw(st.sampled_from(["{0}", "{0}/1"])))
+    form = {"used": "{0}//{0}"}.get(normals, draw(st.sampled_from(["{0}", "{0}/1", "-{0}"])))
     for polygon in [*draw(st.lists(corners, max_size=8)), [1, 2, 3]]:
         lines.append("f " + " ".join(form.format(one) for one in polygon))
     if draw(st.booleans()):
-        lines = lines[n:] + lines[:n] if normals == "none" else lines
+        is_free = normals == "none" and not form.startswith("-")
+        lines = lines[n:] + lines[:n] if is_free else lines
     for _ in range(draw(st.integers(0, 6))):
         other = random.choice(OTHERS)
         if normals == "used" and other.startswith("f "):
@@ -85,7 +87,7 @@ def files(draw):
 
 
 @pytest.mark.parametrize("turns", [4096, 4], ids=["usual", "low"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=files(), size=st.integers(1, 300), random=st.randoms(use_true_random=False))
 def test_pieces_are_the_whole_file(turns, data, size, random):
     with pytest.MonkeyPatch.context() as patch:
@@ -168,13 +170,24 @@ def test_what_is_wrong_is_named_with_its_line(tmp_path, row, line):
     assert failure(lambda: pieces.stored(tmp_path, text, "obj")) == expected
 
 
-@pytest.mark.parametrize("form", ["f -1 -2 -3", "f 1/-1 2 3", "f 1//-1 2 3"])
-def test_relative_numbers_are_refused_with_their_line(tmp_path, form):
-    lines = [*scan(), "vt 0 0", "vn 0 0 1", form]
-    with pytest.raises(UnsupportedError) as caught:
-        pieces.stored(tmp_path, "\n".join(lines).encode(), "obj")
-    assert caught.value.where == f"line {len(lines)}"
-    assert caught.value.hint
+@pytest.mark.parametrize("form", ["f {0} 1 {2}", "f {0}/{0} 2 {1}/-1", "f {0}//{0} {1}//{1} 3//3"])
+def test_relative_numbers_count_what_is_before_their_block(tmp_path, form):
+    lines = ["vt 0 0", "vt 0 1", "# filled " + "x" * 70]
+    n = 8
+    for k in range(n):
+        lines += [f"vn 0 0 {k}", f"v {k} {k * k} 0.5"] if "//" in form else [f"v {k} {k * k} 0.5"]
+        if k > 3:
+            lines.append(form.format(*(-one for one in range(1, 4))))
+    data = "\n".join([*lines, ""]).encode()
+    compare(data, 100, random.Random(0))
+
+
+@pytest.mark.parametrize("number", ["-9", "0", "-99999999999"])
+def test_relative_numbers_before_the_first_vertex_are_refused(tmp_path, number):
+    lines = [*(f"v {k} {k * k} 0.5" for k in range(8)), "f 1 2 3", f"f 1 2 {number}", ""]
+    data = "\n".join(lines).encode()
+    expected = failure(lambda: pieces.whole(data, "obj"))
+    assert failure(lambda: pieces.stored(tmp_path, data, "obj")) == expected
 
 
 def test_normals_that_are_shared_are_refused_with_a_hint(tmp_path):

@@ -88,7 +88,7 @@ def in_folder(data: bytes):
     return folder, pieces.stored(Path(folder.name), data, "ply")
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(files(), st.integers(1, 7), st.integers(1, 200), st.randoms(use_true_random=False))
 def test_pieces_are_the_whole_file(data, step, size, random):
     whole = pieces.whole(data, "ply")

@@ -83,7 +83,7 @@ def new_normals(whole, mesh, new):
 
 
 @pytest.mark.parametrize("limits", [(4096, 5000), (4, 1)], ids=["usual", "low"])
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=files(), size=st.integers(1, 300), random=st.randoms(use_true_random=False))
 def test_pieces_are_the_whole_file(limits, data, size, random):
     with pytest.MonkeyPatch.context() as patch:

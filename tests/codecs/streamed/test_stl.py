@@ -28,7 +28,7 @@ FACETS = st.lists(st.lists(NUMBERS, min_size=9, max_size=9), min_size=1, max_siz
 NORMALS = st.sampled_from([None, 0.0, np.nan, -1.0, 3.0])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(FACETS, NORMALS, st.booleans(), st.integers(1, 8), st.randoms(use_true_random=False))
 def test_pieces_are_the_whole_file(corners, normal, has_rest, step, random):
     corners = np.float32(corners).astype(np.float64)

@@ -56,7 +56,7 @@ def files(draw):
     return (mark + "\n".join(lines) + end).replace("\n", newline).encode()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(data=files(), size=st.integers(1, 600), random=st.randoms(use_true_random=False))
 def test_pieces_are_the_whole_file(data, size, random):
     whole = pieces.whole(data, "stl")

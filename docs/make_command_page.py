@@ -1,0 +1,123 @@
+"""Make commands.md, the reference of all commands and options, from the program itself.
+
+    python docs/make_command_page.py
+
+It reads the commands as click knows them, with the groups that help shows.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+
+from msal_cli.cli.main import COMMANDS, program
+
+PAGE = Path(__file__).resolve().parent / "commands.md"
+
+HEAD = """<!-- made by docs/make_command_page.py: change the options and run it again -->
+
+# All commands and options
+
+[usage.md](usage.md) explains the options with examples. `msal denoise --help` shows those that most
+people need, and `msal denoise --help-all` shows all of them, as this page does. So do the other
+commands.
+
+"""
+
+
+def inline(text: str) -> str:
+    """A text of help as Markdown, in one line; code is between backticks there, too."""
+    parts = re.split(r"`([^`]+)`", " ".join(text.split()))
+    for at, part in enumerate(parts):
+        if at % 2:
+            parts[at] = code(part)
+        else:
+            escaped = re.sub(r"([*_\\|]|<(?=[A-Za-z/!]))", r"\\\1", part)
+            parts[at] = re.sub(
+                r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?![\w=-])", r"`\g<0>`", escaped
+            )
+    return "".join(parts)
+
+
+def code(text: str) -> str:
+    """Code that may stand in a table."""
+    return "`" + text.replace("|", "\\|") + "`"
+
+
+def prose(text: str) -> str:
+    """The paragraphs of a command's help; those that click leaves as they are become blocks."""
+    blocks = []
+    for block in re.split(r"\n\s*\n", text.strip()):
+        if block.lstrip().startswith("\b"):
+            blocks.append("```\n" + block.replace("\b\n", "").rstrip() + "\n```")
+        else:
+            blocks.append(inline(block))
+    return "\n\n".join(blocks) + "\n\n"
+
+
+def row(option: click.Option, context: click.Context) -> str:
+    """The table's row of an option."""
+    names, text = option.get_help_record(context) or ("", "")
+    # click writes the default and the range behind the text.
+    text, _, extra = text.partition("  [")
+    extra = extra.removesuffix("]")
+    default = re.search(r"default: ([^;]*)", extra)
+    allowed = re.sub(r"default: [^;]*(; )?", "", extra)
+    words = re.search(r" \[(\w[\w|-]*)\]$", names)
+    if words:
+        names = names[: words.start()] + " WORD"
+        text += " WORD is one of " + words[1].replace("|", ", ") + "."
+    text = inline(text)
+    if allowed:
+        text += f" Allowed: {code(allowed)}."
+    if default:
+        text += f" *Default:* {default_text(default[1])}"
+    return f"| {', '.join(code(one) for one in re.split(r', (?=-)', names))} | {text} |\n"
+
+
+def default_text(text: str) -> str:
+    """A default: a value as code, or words that describe it."""
+    return inline(text) if " " in text else code(text)
+
+
+def section(name: str) -> str:
+    """All about one command."""
+    top = click.Context(program, info_name="msal", terminal_width=1000, **program.context_settings)
+    command = program.get_command(top, name)
+    assert command is not None
+    context = click.Context(command, info_name=name, parent=top, **command.context_settings)
+    usage = command.get_usage(context).removeprefix("Usage: ")
+    text = f"## msal {name}\n\n{COMMANDS[name]}\n\n```\n{usage}\n```\n\n"
+    body = (command.help or "").strip()
+    if body != COMMANDS[name]:
+        text += prose(body.removeprefix(COMMANDS[name]))
+    for title, options in groups(command, context):
+        rows = "".join(row(option, context) for option in options)
+        text += f"**{title}**\n\n| option | meaning |\n|---|---|\n{rows}\n"
+    if command.epilog:
+        text += prose(command.epilog)
+    return text
+
+
+def groups(command: click.Command, context: click.Context) -> list[tuple[str, list[click.Option]]]:
+    """The options by the groups of help, or in one group where there are none."""
+    if hasattr(command, "grouped_options"):
+        return list(command.grouped_options(context))
+    found = [one for one in command.get_params(context) if isinstance(one, click.Option)]
+    return [("Options", [one for one in found if not one.hidden])]
+
+
+def page() -> str:
+    """The whole page."""
+    return HEAD + "".join(map(section, COMMANDS)).rstrip("\n") + "\n"
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(page(), encoding="utf-8", newline="\n")
+
+
+if __name__ == "__main__":
+    main()

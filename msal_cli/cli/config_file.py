@@ -1,0 +1,206 @@
+"""``msal.toml``: values of options from a file, by tables that are named as the commands.
+
+A file gives what the command line may give, and no more: options by their long names without the
+dashes.  The command line wins.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import click
+
+from msal_cli.errors import UsageError
+
+FILE_NAME = "msal.toml"
+
+CONFIG, NO_CONFIG, SHOW_CONFIG = "config", "no_config", "show_config"
+
+_ROOT_MARKS = (".git", ".hg")
+_NEVER = (CONFIG, NO_CONFIG, SHOW_CONFIG)
+
+# A file that lies in a folder of scans from elsewhere must not replace the originals, nor have
+# another machine take part: this it may only when it is named.
+_ONLY_NAMED = ("in_place", "no_backup", "force", "engine", "scheduler")
+
+_MOST_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Config:
+    """A file and what it gives for one command: values as a command line would have them, by the
+    names of parameters."""
+
+    path: str
+    values: Mapping[str, Any]
+
+
+def find_file() -> str | None:
+    """The nearest ``msal.toml``: in the current folder, or in a parent within its repository."""
+    if os.path.isfile(FILE_NAME):
+        return FILE_NAME
+    folder = os.path.realpath(os.curdir)
+    candidates: list[str] = []
+    while True:
+        if any(os.path.exists(os.path.join(folder, mark)) for mark in _ROOT_MARKS):
+            break
+        above = os.path.dirname(folder)
+        if above == folder:
+            # Outside of a repository parents may be anyone's, such as /tmp.
+            return None
+        folder = above
+        candidates.append(os.path.join(folder, FILE_NAME))
+    nearest = next((one for one in candidates if os.path.isfile(one)), None)
+    return None if nearest is None else os.path.relpath(nearest)
+
+
+def read_config(
+    path: str,
+    command: str,
+    commands: Iterable[str],
+    options: Iterable[click.Option],
+    *,
+    is_named: bool,
+) -> Config:
+    """The table of ``command`` in a file that the user ``is_named``, or that was found.
+
+    Raises
+    ------
+    UsageError
+        if the file cannot be read, or has a table, a key or a value that means nothing.
+    """
+    tables = _read_tables(path)
+    for table, content in tables.items():
+        if table not in commands:
+            raise UsageError(
+                f"{path}: there is no command for the table [{table}]",
+                hint=_closest(table, list(commands)) or "tables are named as commands: [denoise]",
+            )
+        if not isinstance(content, dict):
+            raise UsageError(
+                f"{path}: {table} is not a table", hint=f"write [{table}] and options below it"
+            )
+    # Eager ones are --help and --help-all, whose names depend on the version of click.
+    keys = {key_of(one): one for one in options if not (one.name in _NEVER or one.is_eager)}
+    values: dict[str, Any] = {}
+    for key, value in tables.get(command, {}).items():
+        place = f"{path}: [{command}] {key}"
+        option = keys.get(key)
+        if option is None or option.name is None:
+            raise UsageError(
+                f"{place}: there is no such option",
+                hint=_closest(key, list(keys)) or f"msal {command} --help-all lists the options",
+            )
+        if option.name in _ONLY_NAMED and not is_named:
+            raise UsageError(
+                f"{place}: this may stand only in a file that --config names",
+                hint=f"give --config {path} if you trust it, or --no-config",
+            )
+        words = _to_words(option, value, place)
+        if isinstance(option.type, click.Path):
+            below = os.path.dirname(path)
+            several = words if isinstance(words, list) else [words]
+            if not is_named:
+                _refuse_outside(below, several, place)
+            several = [_relative_to(below, one) for one in several]
+            words = several if option.multiple else several[0]
+        values[option.name] = words
+    return Config(path, values)
+
+
+def key_of(option: click.Option) -> str:
+    """The name of an option in a file: ``fail-on``, ``K``."""
+    return max(option.opts, key=len).lstrip("-")
+
+
+def _read_tables(path: str) -> dict[str, Any]:
+    import tomllib
+
+    try:
+        with open(path, "rb") as stream:
+            data = stream.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise UsageError(f"{path}: a configuration has at most {_MOST_BYTES:,} bytes")
+        return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
+    except OSError as error:
+        raise UsageError(f"--config {path}: the file cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: this is not UTF-8", hint="save it as UTF-8") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise UsageError(f"{path}: this is not TOML: {error or 'too deep'}") from None
+
+
+def _closest(name: str, known: list[str]) -> str:
+    import difflib
+
+    close = difflib.get_close_matches(name.replace("_", "-"), known, n=1)
+    return f"did you mean '{close[0]}'?" if close else ""
+
+
+def _to_words(option: click.Option, value: Any, place: str) -> Any:
+    """A value as a command line would give it."""
+    if option.is_flag:
+        if not isinstance(value, bool):
+            raise UsageError(f"{place} is {value!r}", hint="write true or false")
+        return value
+    if option.count:
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 9:
+            raise UsageError(f"{place} is {value!r}", hint="write a whole number such as 1")
+        return value
+    if isinstance(value, dict) and option.multiple:
+        # [denoise.set] iterations = 4
+        value = [f"{name}={_to_word(one, f'{place}.{name}')}" for name, one in value.items()]
+    several = value if isinstance(value, list) else [value]
+    words = [_to_word(one, place) for one in several]
+    return words if option.multiple else ",".join(words)
+
+
+def _to_word(value: Any, place: str) -> str:
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise UsageError(f"{place} is {value!r}", hint="write a text, a number or a list of these")
+    return str(value)
+
+
+def _refuse_outside(folder: str, paths: Iterable[str], place: str) -> None:
+    """Refuse paths that lead out of ``folder``, and URLs; UsageError."""
+    top = os.path.realpath(folder or os.curdir)
+    for path in paths:
+        inside = os.path.realpath(os.path.join(top, path))
+        if "://" in path or os.path.commonpath([top, inside]) != top:
+            raise UsageError(
+                f"{place}: {path!r} leads out of the folder of the file, which may stand only in a "
+                "file that --config names",
+                hint="give the file with --config if you trust it, or --no-config",
+            )
+
+
+def _relative_to(folder: str, path: str) -> str:
+    """A path of a file in ``folder``, from the current folder; URLs and ``-`` stay."""
+    return path if "://" in path or path == "-" else os.path.join(folder, path)
+
+
+def describe(
+    command: str, rows: Iterable[tuple[click.Option, Any, str]], config: Config | None
+) -> str:
+    """What ``--show-config`` prints, which is TOML: options, values and where these come from."""
+    lines = [f"# file: {'none' if config is None else config.path}", f"[{command}]"]
+    written = [(f"{key_of(option)} = {_to_toml(value)}", source) for option, value, source in rows]
+    width = max((len(text) for text, _ in written), default=0)
+    lines += [f"{text.ljust(min(width, 40))}  # {source}" for text, source in written]
+    return "\n".join(lines) + "\n"
+
+
+def _to_toml(value: Any) -> str:
+    import json
+
+    from msal_cli.storage import urls
+
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_to_toml, value))}]"
+    if isinstance(value, bool | int | float):
+        return str(value).lower()
+    # What JSON escapes, TOML reads; it lacks one control character.
+    return json.dumps(urls.redact(str(value)), ensure_ascii=False).replace("\x7f", "\\u007f")

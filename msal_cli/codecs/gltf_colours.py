@@ -1,0 +1,117 @@
+"""Colours of a glTF scene's vertices: COLOR_0 times the base colours of materials."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.colour_values import UNPAINTED, to_bytes
+from msal_cli.codecs.gltf_file import SceneFile
+from msal_cli.codecs.gltf_json import as_dict, as_list
+from msal_cli.codecs.gltf_scene import Part, Scene
+from msal_cli.errors import ContentError, MsalError
+
+_TYPES = {5126: ("<f4", 1.0), 5121: ("<u1", 255.0), 5123: ("<u2", 65535.0)}
+"""Number types of colours and texture coordinates, and what stands for 1."""
+
+_UINT8 = 5121
+_WIDTHS = {"VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def scene_colours(scene_file: SceneFile) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
+    """Colours (n, 3) of all vertices, and notes; None where the scene has no colours."""
+    notes: dict[str, None] = {}
+    parts = [_part_colours(scene_file.scene, part, notes) for part in scene_file.parts]
+    if all(one is None for one in parts):
+        return None, tuple(notes)
+    whole = []
+    for part, colours in zip(scene_file.parts, parts, strict=True):
+        shown = np.tile(np.array(UNPAINTED, dtype=np.uint8), (part.positions.count, 1))
+        if colours is not None:
+            is_painted = np.isfinite(colours[:, 0])
+            shown[is_painted] = to_bytes(_to_srgb(colours[is_painted]), 255.0)
+        whole.append(shown)
+    return np.concatenate(whole), tuple(notes)
+
+
+def _part_colours(scene: Scene, part: Part, notes: dict[str, None]) -> Floats | None:
+    """Linear colours (n, 3) of a part, not-a-number where it has none."""
+    count = part.positions.count
+    colours: Floats | None = None
+    for mesh in as_list(scene.content.get("meshes")):
+        for primitive in as_list(as_dict(mesh).get("primitives")):
+            attributes = as_dict(as_dict(primitive).get("attributes"))
+            if attributes.get("POSITION") != part.positions.index:
+                continue
+            try:
+                own = _primitive_colours(scene, primitive, attributes, count)
+                if own is None:
+                    continue
+                corners = _corners_of(scene, primitive, count)
+            except MsalError as failure:
+                notes[f"colours cannot be read: {failure}"] = None
+                continue
+            if colours is None:
+                colours = np.full((count, 3), np.nan)
+            colours[corners] = own[corners]
+    return colours
+
+
+def _corners_of(scene: Scene, primitive: dict[str, Any], count: int) -> Longs | slice:
+    """The vertices of a primitive."""
+    if "indices" not in primitive:
+        return slice(None)
+    corners = scene.read_rows(primitive["indices"], {5121: "<u1", 5123: "<u2", 5125: "<u4"}, 1)
+    return corners[:, 0].astype(np.int64)
+
+
+def _primitive_colours(
+    scene: Scene, primitive: dict[str, Any], attributes: dict[str, Any], count: int
+) -> Floats | None:
+    """Linear colours (n, 3) of a primitive for the vertices it names; None where it has none."""
+    factor = None
+    if "material" in primitive:
+        material = scene.entry("materials", primitive["material"])
+        surface = as_dict(material.get("pbrMetallicRoughness"))
+        if "baseColorFactor" in surface:
+            factor = np.array(surface["baseColorFactor"], dtype=np.float64).reshape(4)[:3]
+    colours: Floats | None = None
+    if "COLOR_0" in attributes:
+        index = attributes["COLOR_0"]
+        colours = _read_numbers(scene, index, ("VEC3", "VEC4"), count)[:, :3]
+        if scene.entry("accessors", index).get("componentType") == _UINT8:
+            # The format says linear, but programs for scans write a screen's bytes as they are.
+            colours = _to_linear(colours)
+    if factor is not None:
+        colours = np.tile(factor, (count, 1)) if colours is None else colours * factor
+    return colours
+
+
+def _read_numbers(scene: Scene, index: object, types: tuple[str, ...], count: int) -> Floats:
+    """The rows (n, k) of an accessor as floating-point numbers, whole ones as shares of 1."""
+    entry = scene.entry("accessors", index)
+    kind, number = entry.get("type"), entry.get("componentType")
+    if kind not in types or number not in _TYPES or entry.get("count") != count:
+        raise ContentError(f"accessor {index!r} does not fit the positions")
+    code, one = _TYPES[number]
+    rows = scene.read_rows(index, {number: code}, _WIDTHS[kind])
+    return rows.astype(np.float64) / one
+
+
+def _to_linear(shown: Floats) -> Floats:
+    """The inverse of ``_to_srgb``."""
+    value = np.clip(shown, 0.0, 1.0)
+    linear: Floats = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return linear
+
+
+def _to_srgb(linear: Floats) -> Floats:
+    """Linear light as screens take it (IEC 61966-2-1), both from 0 to 1."""
+    value = np.clip(linear, 0.0, 1.0)
+    curved: Floats = np.where(
+        value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055
+    )
+    return curved

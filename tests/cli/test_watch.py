@@ -1,0 +1,196 @@
+"""`msal watch`: what arrives is denoised once, as by `msal denoise`, until the watch is ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from msal_cli.batch.lock import FolderLock
+from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+QUICK = ("--settle", "0.2s", "-n", "1", "--poll")
+
+
+@pytest.fixture
+def inbox(tmp_path):
+    (tmp_path / "in").mkdir()
+    return tmp_path / "in"
+
+
+def watch(inbox, *options, idle="0.6s"):
+    return msal("watch", inbox, "-o", inbox.parent / "out", "--idle-exit", idle, *QUICK, *options)
+
+
+def later(action, after_s=0.3):
+    """Do something while a watch goes on."""
+    timer = threading.Timer(after_s, action)
+    timer.start()
+    return timer
+
+
+def outputs(folder):
+    return {
+        one.relative_to(folder).as_posix(): one.read_bytes()
+        for one in sorted(folder.rglob("*"))
+        if one.is_file() and not one.name.startswith(".msal-")
+    }
+
+
+def done_lines(out):
+    lines = map(json.loads, (out / ".msal-manifest.jsonl").read_text("utf-8").splitlines())
+    return [one for one in lines if one["kind"] == "done"]
+
+
+def test_outputs_and_records_are_those_of_denoise_and_each_command_knows_the_others(inbox):
+    folder_of(inbox, a=closed_scan(), bad=BAD_SCAN)
+    folder_of(inbox / "sub", b=open_scan())
+    out, other = inbox.parent / "out", inbox.parent / "other"
+    report = inbox.parent / "r.json"
+    made = watch(inbox, "--report", report)
+    assert made.exit_code == 3, made.stderr
+    assert made.stdout == ""
+    assert "a.ply -> " in made.stderr
+    assert "sub/b.ply -> " in made.stderr
+    assert made.stderr.count("E_INDEX") == 1
+    assert msal("denoise", inbox, "-o", other, "-n", "1").exit_code == 3
+    assert outputs(out) == outputs(other)
+    keys = ("name", "settings", "status", "input", "output")
+    ours, theirs = (
+        sorted(
+            ({key: one.get(key) for key in keys if key in one} for one in done_lines(folder)),
+            key=lambda one: one["name"],
+        )
+        for folder in (out, other)
+    )
+    for one in (*ours, *theirs):
+        for side in ("input", "output"):
+            if isinstance(one.get(side), dict):
+                one[side].pop("mtime_ns", None)
+    assert ours == theirs
+    states = {one["input"][-5:]: one["status"] for one in json.loads(report.read_text())["records"]}
+    assert states == {"a.ply": "written", "b.ply": "written", "d.ply": "failed"}
+    # Nothing is left to do, for either command.
+    again = msal("denoise", inbox, "-o", out, "-n", "1", "--json")
+    assert sorted(one["status"] for one in json.loads(again.stdout)["records"]) == [
+        "failed",
+        "up-to-date",
+        "up-to-date",
+    ]
+    restarted = watch(inbox)
+    assert restarted.exit_code == 3
+    assert "2 up to date" in restarted.stderr
+    assert "->" not in restarted.stderr
+    assert len(done_lines(out)) == 3
+
+
+def test_what_arrives_later_is_done_once_and_what_changes_again(inbox):
+    folder_of(inbox, a=open_scan())
+    out = inbox.parent / "out"
+    later(lambda: folder_of(inbox / "sub", b=open_scan(), bad=BAD_SCAN), 1.2)
+    later(lambda: (inbox / "a.ply").write_bytes(closed_scan()), 1.2)
+    # Its time changes, but not what is in it.
+    later(lambda: os.utime(inbox / "sub/bad.ply", (1, 1)), 3.0)
+    made = watch(inbox, idle="3s")
+    assert made.exit_code == 3
+    assert made.stderr.count("a.ply -> ") == 2
+    assert made.stderr.count("b.ply -> ") == 1
+    names = [one["name"] for one in done_lines(out)]
+    assert sorted(names) == ["a.ply", "a.ply", "sub/b.ply", "sub/bad.ply"]
+    assert len((out / "a.ply").read_bytes()) > len(open_scan())
+
+
+def test_fresh_is_for_what_is_there_at_the_start(inbox):
+    folder_of(inbox, a=open_scan())
+    assert watch(inbox).exit_code == 0
+    assert "-> " in watch(inbox, "--fresh").stderr
+    assert len(done_lines(inbox.parent / "out")) == 2
+
+
+def test_an_output_that_is_not_ours_is_a_failure_and_the_watch_goes_on(inbox):
+    folder_of(inbox.parent / "out", a=b"foreign")
+    folder_of(inbox, a=open_scan(), b=open_scan())
+    made = watch(inbox, "-q")
+    assert made.exit_code == 3
+    assert "--force" in made.stderr
+    assert (inbox.parent / "out/a.ply").read_bytes() == b"foreign"
+    assert (inbox.parent / "out/b.ply").exists()
+
+
+def test_a_gate_is_reported_and_decides_the_status(inbox):
+    folder_of(inbox, a=closed_scan())
+    made = watch(inbox, "--fail-on", "max_displacement > 0")
+    assert made.exit_code == 4
+    assert "broke a gate" in made.stderr
+
+
+def test_fail_fast_ends_the_watch(inbox):
+    folder_of(inbox, bad=BAD_SCAN)
+    made = watch(inbox, "--fail-fast", idle="60s")
+    assert made.exit_code == 1
+    assert "stopped after 1 failed" in made.stderr
+
+
+def test_an_empty_folder(inbox):
+    made = watch(inbox, idle="0.1s")
+    assert made.exit_code == 0
+    assert made.stderr == f"watching {inbox}; Ctrl-C ends it\n"
+
+
+@pytest.mark.parametrize(
+    ("folder", "out", "words"),
+    [
+        ("none", "out", "there is no folder"),
+        ("in", "in", "is the folder that is watched"),
+        ("in", "file", "is no folder"),
+        ("s3://bucket/in", "out", "folders of this machine"),
+    ],
+)
+def test_what_cannot_be_watched(inbox, folder, out, words, monkeypatch):
+    monkeypatch.chdir(inbox.parent)
+    Path("file").write_text("x")
+    made = msal("watch", folder, "-o", out, "--idle-exit", "1s")
+    assert made.exit_code == 2
+    assert words in made.stderr
+
+
+def test_one_run_at_a_time(inbox):
+    out = inbox.parent / "out"
+    out.mkdir()
+    with FolderLock(str(out)):
+        made = watch(inbox)
+    assert made.exit_code == 2
+    assert "E_LOCKED" in made.stderr
+
+
+@posix
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_it_with_reports_and_no_lock(inbox, number, status):
+    folder_of(inbox, a=open_scan())
+    out, report = inbox.parent / "out", inbox.parent / "r.json"
+    command = [*MSAL, "watch", inbox, "-o", out, *QUICK, "--report", report]
+    with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
+        assert "watching" in process.stderr.readline()
+        assert "a.ply -> " in process.stderr.readline()
+        time.sleep(0.3)
+        process.send_signal(number)
+        words = process.stderr.read()
+        assert process.wait(20) == status
+    assert "msal: interrupted" in words
+    assert "goes on from here" in words
+    assert [one["status"] for one in json.loads(report.read_text())["records"]] == ["written"]
+    with FolderLock(str(out)):
+        pass
+
+
+def test_it_is_imported_without_watchfiles():
+    code = "import sys, msal_cli.cli.watch; sys.exit('watchfiles' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
