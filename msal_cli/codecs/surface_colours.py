@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.codecs.colour_values import UNPAINTED, Colours, average_at_vertices, to_bytes
+from msal_cli.codecs.gltf_buffers import folder_of
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import MsalError
 
@@ -58,13 +59,22 @@ def _read(mesh_file: MeshFile, path: str) -> tuple[Colours | None, tuple[str, ..
     if isinstance(mesh_file, SceneFile):
         from msal_cli.codecs.gltf_colours import scene_colours
 
-        return scene_colours(mesh_file)
+        return scene_colours(mesh_file, folder_of(path))
     if mesh_file.format == "off":
         return _of_off(mesh_file), ()
     if mesh_file.format == "stl":
         return _of_stl(mesh_file), ()
+    notes: dict[str, None] = {}
+    textured = None
+    if mesh_file.format in ("obj", "ply"):
+        from msal_cli.codecs import texture_colours
+
+        read = texture_colours.obj_colours if mesh_file.format == "obj" else None
+        textured = (read or texture_colours.ply_colours)(mesh_file, folder_of(path), notes)
+    if textured is not None:
+        return textured, tuple(notes)
     colours = vertex_colours(mesh_file)
-    return None if colours is None else colours[:, :3], ()
+    return None if colours is None else colours[:, :3], tuple(notes)
 
 
 def _of_off(mesh_file: MeshFile) -> Colours | None:
