@@ -3,9 +3,9 @@
     python docs/refresh.py
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
-commands that install msal take it from ``SOURCE``, and the pages of ``methods/``, those of the
-commands and of the Python API, the man pages and the JSON Schemas are made anew.  A test fails
-where this was forgotten.
+commands that install msal, and the GitLab component, take it from ``SOURCE``, and the pages of
+``methods/``, those of the commands and of the Python API, the man pages and the JSON Schemas are
+made anew.  A test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ SOURCE = " @ https://git.example.com/msal-cli/archive/main.tar.gz"
 """Where pip takes msal from, after its name: an archive of the repository, at a place that stands
 for the real one.  Empty once msal is on the package index."""
 
+COMPONENT = ROOT / "templates/denoise.yml"
+COMPONENT_SOURCE = re.compile(r"(?<=default: )msal-cli(?: @ \S+)?$", re.MULTILINE)
 INSTALL = re.compile(r"pip install '?msal-cli(\[\w+\])?(?: @ [^\s']+)?'?(?![\w-])")
 SHOWN = re.compile(r"^<!-- output: msal (.+?) -->\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -70,6 +72,10 @@ def main() -> None:
         if refreshed(text) != text:
             page.write_text(refreshed(text), encoding="utf-8", newline="\n")
             print(f"refreshed {page.relative_to(ROOT)}")
+    text = COMPONENT.read_text(encoding="utf-8")
+    COMPONENT.write_text(
+        COMPONENT_SOURCE.sub(f"msal-cli{SOURCE}", text), encoding="utf-8", newline="\n"
+    )
 
 
 if __name__ == "__main__":

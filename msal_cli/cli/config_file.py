@@ -136,7 +136,7 @@ def _read_tables(path: str) -> dict[str, Any]:
 def _closest(name: str, known: list[str]) -> str:
     import difflib
 
-    close = difflib.get_close_matches(name.replace("_", "-"), known, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name.replace("_", "-"), known, n=1)
     return f"did you mean '{close[0]}'?" if close else ""
 
 

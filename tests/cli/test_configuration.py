@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -178,3 +180,12 @@ def test_other_commands_have_tables_too(project):
     assert "level = 0.5" in msal("noise", "--show-config").stdout.replace('"', "")
     assert msal("view", "in/a.ply", "-q", "--size", "64").exit_code == 0
     assert (project / "p.png").exists()
+
+
+def test_the_file_on_the_page_is_accepted(project):
+    pages = Path(__file__).resolve().parents[2] / "docs"
+    (text,) = re.findall(r"^```toml\n(.+?)^```$", (pages / "usage.md").read_text(), re.M | re.S)
+    write(project, text)
+    for name in tomllib.loads(text):
+        made = msal(name, "--show-config")
+        assert made.exit_code == 0, made.stderr

@@ -1,0 +1,83 @@
+"""The Debian package is built from wheels alone; the conda recipe needs what the wheel needs."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+
+import pytest
+
+from tests.pipelines import ROOT
+
+BUILD = ROOT / "packaging/debian/build.sh"
+
+
+def write_wheel(folder, version):
+    """A wheel named as msal's, with a command that prints its arguments."""
+    about = f"msal_cli-{version}.dist-info"
+    files = {
+        "msal_cli/__init__.py": "",
+        "msal_cli/__main__.py": "import sys\nprint(sys.argv[1:], sys.flags.safe_path)\n",
+        f"msal_cli-{version}.data/data/share/man/man1/msal.1": ".TH MSAL 1\n",
+        f"{about}/METADATA": f"Metadata-Version: 2.1\nName: msal-cli\nVersion: {version}\n",
+        f"{about}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    record = "".join(f"{name},,\n" for name in (*files, f"{about}/RECORD"))
+    folder.mkdir()
+    with zipfile.ZipFile(folder / f"msal_cli-{version}-py3-none-any.whl", "w") as wheel:
+        for name, text in {**files, f"{about}/RECORD": record}.items():
+            wheel.writestr(name, text)
+
+
+@pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb")
+def test_debian_package(tmp_path):
+    pytest.importorskip("pip")
+    write_wheel(tmp_path / "wheels", "9.8.7rc1")
+    words = ["sh", str(BUILD), str(tmp_path / "wheels"), str(tmp_path / "made")]
+    variables = os.environ | {"PYTHON": sys.executable}
+    done = subprocess.run(words, capture_output=True, text=True, env=variables)
+    assert done.returncode == 0, done.stderr
+    (package,) = (tmp_path / "made").iterdir()
+    assert package.name == "msal-cli_9.8.7~rc1-1_all.deb"
+    control = subprocess.run(
+        ["dpkg-deb", "--field", str(package)], capture_output=True, text=True, check=True
+    ).stdout
+    assert "@" not in control.replace("@example.com", "")
+    minor = sys.version_info.minor
+    assert f"python3 (>= 3.{minor}), python3 (<< 3.{minor + 1})" in control
+    root = tmp_path / "root"
+    subprocess.run(["dpkg-deb", "--extract", str(package), str(root)], check=True)
+    assert (root / "usr/share/doc/msal-cli/copyright").exists()
+    assert (root / "usr/share/man/man1/msal.1.gz").exists()
+    assert not list(root.rglob("__pycache__"))
+    # The command runs the system's Python, which may not be this one.
+    asked = ["/usr/bin/python3", "-c", f"import sys; assert sys.version_info[:2] == (3, {minor})"]
+    if shutil.which(asked[0]) and subprocess.run(asked, capture_output=True).returncode == 0:
+        done = subprocess.run([root / "usr/bin/msal", "a b"], capture_output=True, text=True)
+        assert done.stdout == "['a b'] True\n", done.stderr
+
+
+def test_copyright_is_that_of_the_licence():
+    """Every line of the licence is in Debian's file, in order."""
+    text = (ROOT / "packaging/debian/copyright").read_text("utf-8")
+    licence = (ROOT / "LICENSE").read_text("utf-8").split("\n\n", 2)[2]
+    assert licence.split() == text.partition("License: MIT\n")[2].replace("\n .\n", "\n").split()
+
+
+def test_conda_recipe_needs_what_the_wheel_needs():
+    recipe = pytest.importorskip("yaml").safe_load(
+        (ROOT / "packaging/conda/recipe.yaml").read_text("utf-8")
+    )
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    # fcpw is not on conda-forge; without it some distances are not measured.
+    needed = {one for one in project["dependencies"] if not one.startswith("fcpw")}
+    needed.add(f"python{project['requires-python']}")
+    assert {one.replace(" ", "") for one in recipe["requirements"]["run"]} == needed
+    assert recipe["package"]["name"] == project["name"]
+    assert recipe["about"]["summary"] == project["description"]
+    assert re.search(r"pip install .*--no-index", recipe["build"]["script"][0])

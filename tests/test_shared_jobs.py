@@ -1,0 +1,134 @@
+"""The action, the hooks and the component at the root of the repository, without their services."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.pipelines import (
+    ROOT,
+    action_steps,
+    add_spike,
+    make_project,
+    run_action,
+    run_shell,
+)
+from tests.scripts import load_script
+
+yaml = pytest.importorskip("yaml")
+refresh = load_script("docs/refresh.py")
+ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))
+HOOKS = {one["id"]: one for one in yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())}
+GATES = "volume.valid and abs(volume_change) > 50%\nmax_displacement > 3e\n"
+
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="the jobs are for POSIX shells"),
+    pytest.mark.skipif(shutil.which("bash") is None, reason="no bash"),
+]
+
+
+@pytest.fixture
+def project(tmp_path):
+    return make_project(tmp_path)
+
+
+def test_action_reports_and_stops_at_a_gate(project):
+    given = {
+        "gates": GATES,
+        "options": "--method msal\n--timeout 10m",
+        "report": "a b.json\nc.html",
+    }
+    done = run_action(ACTION, project, given)
+    assert done.status == 0, done.stderr
+    assert done.outputs == {"report": "a b.json\nc.html", "status": "0"}
+    assert "closed.ply" in done.summary
+    assert (project / "denoised/below/open.ply").exists()
+    assert all((project / name).exists() for name in done.outputs["report"].splitlines())
+    add_spike(project)
+    done = run_action(ACTION, project, given)
+    assert done.status == 4
+    assert done.outputs["status"] == "4" and done.outputs["report"]
+    assert "::error" in done.stderr and "spike.ply" in done.summary
+    records = json.loads((project / "a b.json").read_bytes())["records"]
+    assert [one["status"] for one in records].count("up-to-date") == 2
+
+
+def test_action_runs_nothing_of_its_inputs(project):
+    hostile = '$(touch owned) `touch owned` "; touch owned; "'
+    given = dict.fromkeys(("files", "gates", "options", "output", "baseline"), hostile)
+    assert run_action(ACTION, project, given).status not in (0, 4)
+    assert not (project / "owned").exists()
+    scripts = [script for script, _ in action_steps(ACTION, {}).values()]
+    assert not any("${{" in script for script in scripts)
+
+
+def test_action_installs_its_own_checkout_or_a_source(project):
+    python = project.parent / "bin" / "python"
+    python.write_text('#!/bin/sh\nfor word; do echo "$word"; done >words\n')
+    python.chmod(0o755)
+    for given, source in (({}, str(ROOT)), ({"source": "a wheel.whl"}, "a wheel.whl")):
+        script, variables = action_steps(ACTION, given)["Install msal"]
+        assert run_shell(project, script, "bash", **variables).returncode == 0
+        assert (project / "words").read_text().splitlines()[-1] == source
+
+
+def test_action_outputs_are_written_by_its_step(project):
+    named = [one["value"] for one in ACTION["outputs"].values()]
+    written = {name for value in named for name in re.findall(r"denoise\.outputs\.(\w+)", value)}
+    assert written == {"status", "report"}
+    uses = [step["uses"] for step in ACTION["runs"]["steps"] if "uses" in step]
+    assert all(re.fullmatch(r"actions/[\w-]+@v\d+", one) for one in uses)
+
+
+@pytest.mark.parametrize("name", sorted(HOOKS))
+def test_hooks(project, name):
+    hook = HOOKS[name]
+    assert hook["language"] == "python" and hook["pass_filenames"] is False
+    pattern = re.compile(hook["files"])
+    assert pattern.search("scans/a.ply") and not pattern.search("scans/a.txt")
+    (project / ".git").mkdir()
+    add_spike(project)
+    done = run_shell(project, [*shlex.split(hook["entry"]), *hook["args"]])
+    if name == "msal-check":
+        assert done.returncode == 4
+        assert "spike.ply: broken: known(despiked) and despiked > 0" in done.stderr
+        assert (project / ".git/msal/closed.ply").exists()
+    else:
+        assert done.returncode == 0, done.stderr
+        assert (project / "denoised/spike.ply").exists()
+
+
+def component(**given):
+    """The jobs of the GitLab component, inputs filled in as GitLab does: as text."""
+    text = (ROOT / "templates/denoise.yml").read_text("utf-8")
+    head, _, body = text.partition("\n---\n")
+    inputs = yaml.safe_load(head)["spec"]["inputs"]
+    assert set(given) <= set(inputs)
+    used = set(re.findall(r"\$\[\[ inputs\.(\w+) \]\]", body))
+    assert used == set(inputs)
+    values = {name: given.get(name, one["default"]) for name, one in inputs.items()}
+    return yaml.safe_load(re.sub(r"\$\[\[ inputs\.(\w+) \]\]", lambda at: values[at[1]], body))
+
+
+def test_component(project):
+    (job,) = component(options="--include '*.ply'").values()
+    add_spike(project)
+    done = run_shell(project, "\n".join(job["script"]), **job["variables"])
+    assert done.returncode == 4, done.stderr
+    assert all((project / name).exists() for name in job["artifacts"]["paths"])
+    tree = ElementTree.parse(project / job["artifacts"]["reports"]["junit"])
+    assert len(tree.findall(".//testcase")) == 3
+    assert len(tree.findall(".//failure")) >= 1
+
+
+def test_component_takes_its_inputs():
+    jobs = component(job="scans", output="out", image="python:3.13", source="dist/a.whl")
+    assert jobs["scans"]["cache"]["paths"] == ["out"]
+    assert jobs["scans"]["variables"]["MSAL_SOURCE"] == "dist/a.whl"
+    assert component()["denoise"]["variables"]["MSAL_SOURCE"] == f"msal-cli{refresh.SOURCE}"
