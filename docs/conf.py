@@ -62,20 +62,24 @@ def toctree(pages: list[str], **options: str) -> str:
     return "\n```{toctree}\n:hidden:\n" + shown + "\n" + "\n".join(pages) + "\n```\n"
 
 
-def gallery(folder: Path) -> str:
-    """The programs and the notebook of the gallery, as text."""
+def gallery(page: str) -> str:
+    """The programs and notebooks of the gallery as text, in the order of its table."""
     parts = []
-    for path in sorted(folder.glob("*.py")):
-        parts.append(f"## {path.name}\n\n```python\n{path.read_text('utf-8')}```\n")
-    for path in sorted(folder.glob("*.ipynb")):
-        parts.append(f"## {path.name}\n")
-        for cell in json.loads(path.read_text("utf-8"))["cells"]:
-            text = "".join(cell["source"])
-            is_code = cell["cell_type"] == "code"
-            # The title of a notebook is below that of the page.
-            text = f"```python\n{text}\n```" if is_code else re.sub(r"^#", "###", text, flags=re.M)
-            parts.append(text + "\n")
+    for name in re.findall(r"\]\((\w+\.(?:py|ipynb))\)", page):
+        text = (DOCS / "examples" / name).read_text("utf-8")
+        parts.append(f"## {name}\n")
+        parts.append(notebook(text) if name.endswith(".ipynb") else f"```python\n{text}```\n")
     return "\n" + "\n".join(parts)
+
+
+def notebook(text: str) -> str:
+    """The cells of a notebook as Markdown; its headings are below those of the page."""
+    parts = []
+    for cell in json.loads(text)["cells"]:
+        source = "".join(cell["source"])
+        is_code = cell["cell_type"] == "code"
+        parts.append(f"```python\n{source}\n```" if is_code else re.sub("^#", "###", source))
+    return "\n\n".join(parts) + "\n"
 
 
 def with_outside_links(text: str, page: Path) -> str:
@@ -103,7 +107,7 @@ def complete(app: Any, name: str, source: list[str]) -> None:
     elif name == "methods/README":
         text += toctree(["*"], glob="")
     elif name == "examples/README":
-        text += gallery(DOCS / "examples")
+        text += gallery(text)
     source[0] = text
 
 

@@ -305,7 +305,8 @@ def _static_row(columns: Sequence[Mapping[str, str]], row: Mapping[str, Any]) ->
         if column["kind"] == "name":
             cells.append(f'<th scope="row">{escape(value)}</th>')
         elif column["kind"] == "figure":
-            cells.append(f'<td class="figure">{figure(value, ",.4g")}</td>')
+            label = escape(", ".join(filter(None, (column["title"], column["unit"]))))
+            cells.append(f'<td class="figure" data-title="{label}">{figure(value, ",.4g")}</td>')
         else:
             # The detail of the column's name explains the word where one points at it.
             detail = why.get(column["title"], "") if row["kind"] != "failed" else ""

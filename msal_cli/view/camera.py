@@ -206,7 +206,11 @@ def _one_sided(facing: Floats) -> _Stance:
     """A scan of one side is looked at from where it looks."""
     # A head from above is still no picture of something that lies on its back.
     is_upward = abs(facing[1]) > abs(facing[2]) + 0.5 * np.linalg.norm(facing)
-    up = _Z if is_upward or _nearest_axis(facing)[0] else _Y
+    nearest = _nearest_axis(facing)
+    up = _Z if is_upward or nearest[0] else _Y
+    if nearest[2] < 0.0:
+        # Depth cameras look along z with y downwards, so that what they see faces -z.
+        up = -_Y
     front, _, _ = _frame(facing, up)
     axis = _nearest_axis(front)
     level = front @ axis

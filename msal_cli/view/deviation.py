@@ -15,6 +15,9 @@ from msal_cli.view.panels import Legend
 SHARE_WITHIN = 0.99
 """Share of the numbers within the ends of a scale, so that one stray vertex does not pale all."""
 
+_SMALLEST = 1e-290
+"""End of a scale, file units: tenths of much smaller ones are no numbers with all digits."""
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -66,6 +69,7 @@ def scale_of(
 
 def _rounded_up(value: float) -> float:
     """The next number with two significant digits."""
+    value = max(value, _SMALLEST)
     exponent = math.floor(math.log10(value)) - 1
     digits = math.ceil(value / 10.0**exponent - 1e-9)
     return float(f"{digits}e{exponent}")

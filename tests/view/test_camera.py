@@ -87,6 +87,32 @@ def test_what_has_a_base_stands_on_it():
         assert viewed(cut, faces).axes[1] @ np.eye(3)[axis] > 0.5
 
 
+def test_a_scan_in_the_frame_of_a_depth_camera_is_not_upside_down():
+    vertices, faces = grid(30, 30)
+    vertices = vertices - vertices.mean(axis=0)
+    vertices[:, 2] = 0.3 * np.cos(vertices[:, 0]) * np.cos(vertices[:, 1])
+    seen_by_camera = vertices * (1.0, -1.0, -1.0) + (0.0, 0.0, 2.0)
+    axes = viewed(seen_by_camera, faces).axes
+    assert np.allclose(axes, [[1, 0, 0], [0, -1, 0], [0, 0, -1]])
+    assert np.allclose(viewed(seen_by_camera, faces, up="y").axes[1], Y)
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_a_tall_solid_without_a_base_stands(axis):
+    vertices, faces = ball()
+    tall = vertices.copy()
+    tall[:, axis] *= 3.0
+    camera = viewed(tall, faces)
+    assert camera.axes[1] @ np.eye(3)[axis] > 0.9
+    assert camera.aspect < 0.5
+
+
+def test_terrain_is_a_map_with_north_on_top():
+    vertices, faces = grid(30, 30)
+    vertices[:, 2] = 0.05 * np.sin(3.0 * vertices[:, 0]) * np.cos(2.0 * vertices[:, 1])
+    assert np.allclose(viewed(vertices, faces).axes, np.eye(3))
+
+
 def test_no_area_at_all_still_gives_a_camera():
     vertices = np.zeros((3, 3))
     camera = viewed(vertices, np.array([(0, 1, 2)], dtype=np.int32))

@@ -190,3 +190,21 @@ def test_ten_thousand_rows_are_sorted_and_filtered(browser, tmp_path):
     find(browser, "scan77")
     assert count(browser) == "1–50 of 111"
     assert browser.run("document.querySelectorAll('#files tbody tr').length") == 50
+
+
+@pytest.mark.parametrize("width", [1400, 1100, 390, 320])
+def test_the_page_fits_a_desk_and_a_phone(page, width):
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        page.settle()
+        widths = page.run(
+            "[document.documentElement, ...document.querySelectorAll('.scroll')]"
+            ".map((one) => [one.scrollWidth, one.clientWidth])"
+        )
+        assert len(widths) > 1
+        if width != 1100:
+            assert [one for one in widths if one[0] > one[1]] == []
+        assert widths[0][0] <= width
+    finally:
+        page.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

@@ -57,6 +57,9 @@
     return made;
   }
 
+  // What a narrow screen shows before a figure, where there are no heads.
+  const label = ({ title, unit }) => (unit ? `${title}, ${unit}` : title);
+
   function line(k) {
     const row = rows[k];
     const made = element("tr", { class: row.kind });
@@ -74,7 +77,7 @@
       } else if (row.kind === "failed" && column.kind === "figure") {
         // Instead of figures that there are none of.
         if (columns[at - 1].kind !== "figure") made.append(element("td", { class: "why", colspan: columns.length - at }, row.details[0][1]));
-      } else if (column.kind === "figure") made.append(element("td", { class: "figure" }, figure(value, column)));
+      } else if (column.kind === "figure") made.append(element("td", { class: "figure", "data-title": label(column) }, figure(value, column)));
       else {
         // A word that the details explain, such as what was chosen, tells why where one points at it.
         const why = row.details.find(([word]) => word === column.title);
