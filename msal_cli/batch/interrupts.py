@@ -13,11 +13,12 @@ from typing import Any, NoReturn
 AT_LATEST_S = 1.0
 """Seconds after a signal at which `ended_late` ends the process."""
 
-_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+# SIGBREAK is Ctrl-Break, and the only signal by which a program on Windows can ask another to end.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM or SIGHUP asked the run to end; ``exit_status`` is 128 + ``signum``.
+    """SIGTERM, SIGHUP or SIGBREAK asked the run to end; ``exit_status`` is 128 + ``signum``.
 
     It is a KeyboardInterrupt so that code which cleans up after Ctrl-C cleans up after this too.
     """
@@ -84,14 +85,14 @@ class Cancellation:
 
 @contextmanager
 def obeyed_at_once() -> Iterator[None]:
-    """While nothing has been touched, SIGINT, SIGTERM and SIGHUP end the process at once."""
+    """While nothing has been touched, SIGINT, SIGTERM and the like end the process at once."""
     with _take(end_at_once):
         yield
 
 
 @contextmanager
 def noticed(on_signal: Callable[[int], None]) -> Iterator[None]:
-    """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or SIGHUP; the second ends at once.
+    """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or the like; the second ends at once.
 
     Only signals that no other code handles are taken over, only in the main thread (Python offers
     no other), and all are given back at the end.
@@ -126,7 +127,9 @@ def ended_late(clean: Callable[[], object]) -> Iterator[None]:
         # Too many files are open; the handler itself still works.
         yield
         return
-    os.set_blocking(telling, False)
+    # Windows has it from Python 3.12 on, and does not need it.
+    if hasattr(os, "set_blocking"):
+        os.set_blocking(telling, False)
     is_left = threading.Event()
 
     def listen() -> None:

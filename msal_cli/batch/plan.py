@@ -9,7 +9,13 @@ from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
 from msal_cli.batch.manifest_dirs import list_objects, written_names
-from msal_cli.batch.plan_checks import check_outputs, distinct_tasks, refuse_escapes
+from msal_cli.batch.plan_checks import (
+    check_outputs,
+    distinct_tasks,
+    fold_case,
+    ignores_case,
+    refuse_escapes,
+)
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import UsageError
 from msal_cli.job.records import ObjectMark
@@ -258,6 +264,14 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     ]
     own = written_names(output) if existing else frozenset()
     foreign = [plan.tasks[index] for index in existing if plan.manifest_key(index) not in own]
+    if foreign and not is_url(output) and ignores_case(Path(output)):
+        # An input that was renamed from A.ply to a.ply keeps its output.
+        folded = set(map(fold_case, own))
+        foreign = [
+            plan.tasks[index]
+            for index in existing
+            if fold_case(plan.manifest_key(index)) not in folded
+        ]
     if foreign:
         names = ", ".join(repr(task.output) for task in foreign[:3])
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""

@@ -41,7 +41,7 @@ def distinct_tasks(tasks: Sequence[Task]) -> list[int]:
     """
     kept: dict[tuple[object, ...], int] = {}
     for index, task in enumerate(tasks):
-        target = _fold_case(str(resolve(Path(task.input)))) if task.in_place else task.output
+        target = fold_case(str(resolve(Path(task.input)))) if task.in_place else task.output
         kept.setdefault((_identity(task.input) or task.input, target), index)
     return list(kept.values())
 
@@ -87,7 +87,7 @@ def _refuse_collisions(tasks: Sequence[Task]) -> None:
         if is_url(task.output):
             # A store has no folders, and every letter of a name counts.
             continue
-        twin = folded.setdefault(_fold_case(task.output), task)
+        twin = folded.setdefault(fold_case(task.output), task)
         if twin is not task:
             twins.append((twin, task))
         for parent in Path(task.output).parents:
@@ -100,7 +100,7 @@ def _refuse_collisions(tasks: Sequence[Task]) -> None:
             what = f"cannot both be written: {task.output!r} is to be file and folder"
             raise _collision(task, other, what)
     for first, second in twins:
-        if _ignores_case(next(filter(os.path.isdir, Path(first.output).parents), Path())):
+        if ignores_case(next(filter(os.path.isdir, Path(first.output).parents), Path())):
             what = f"would both be written to {second.output!r}: case does not count"
             raise _collision(first, second, what)
 
@@ -113,12 +113,12 @@ def _collision(first: Task, second: Task, what: str) -> UsageError:
     )
 
 
-def _fold_case(path: str) -> str:
+def fold_case(path: str) -> str:
     """Equal for paths that a file system without case and with one form of accents takes as one."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
 
 
-def _ignores_case(folder: Path) -> bool:
+def ignores_case(folder: Path) -> bool:
     """Whether the file system of ``folder`` takes a name in capitals for the same name."""
     import tempfile
 

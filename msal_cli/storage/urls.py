@@ -25,6 +25,9 @@ _PASSWORD = re.compile(r"(://[^/@\s:]*):[^/\s]*@")
 _QUERY = re.compile(r"(https?://[^?\s]*)\?\S*", re.IGNORECASE)
 _ODD = {"": "%2F", ".": "%2E", "..": "%2E%2E"}
 
+# Windows takes these for devices, whatever suffix follows.
+_DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])( *\.| *$)", re.IGNORECASE)
+
 
 def is_url(text: str) -> bool:
     """Whether ``text`` names an object behind a protocol, and not a file of this machine."""
@@ -162,9 +165,21 @@ def harmless(relative: str, *, is_local: bool) -> str:
     """
     parts = [_ODD.get(part, part) for part in relative.split("/")]
     if is_local:
-        forbidden = '\0\\:*?"<>|' if os.name == "nt" else "\0"
-        parts = [
-            "".join(f"%{ord(one):02X}" if one in forbidden else one for one in part)
-            for part in parts
-        ]
+        parts = [_harmless_name(part) for part in parts]
     return "/".join(parts)
+
+
+def _harmless_name(part: str) -> str:
+    """A part of a path without what no file name of this system may hold."""
+    if os.name != "nt":
+        return part.replace("\0", "%00")
+    if _DEVICES.match(part):
+        part = _escape(part[0]) + part[1:]
+    # Windows drops dots and spaces at the end, so that two names would be one.
+    if part[-1:] in (".", " "):
+        part = part[:-1] + _escape(part[-1])
+    return "".join(_escape(one) if one in '\0\\:*?"<>|' or one < " " else one for one in part)
+
+
+def _escape(character: str) -> str:
+    return f"%{ord(character):02X}"

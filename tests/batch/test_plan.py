@@ -175,7 +175,7 @@ class TestCollisions:
     def test_and_refused_where_it_does_not(self, tmp_path, refuses, monkeypatch, twins):
         made(tmp_path, *(f"in/{name}" for name in twins))
         probed = []
-        monkeypatch.setattr(planning, "_ignores_case", lambda folder: probed.append(folder) or True)
+        monkeypatch.setattr(planning, "ignores_case", lambda folder: probed.append(folder) or True)
         if "/" in twins[0]:
             assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out")) == 2
         else:

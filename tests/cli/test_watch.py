@@ -108,6 +108,29 @@ def test_what_arrives_later_is_done_once_and_what_changes_again(inbox):
     assert len((out / "a.ply").read_bytes()) > len(open_scan())
 
 
+@posix
+def test_ctrl_c_while_ten_files_are_done_leaves_whole_files_and_the_next_watch_does_the_rest(inbox):
+    folder_of(inbox, **{f"s{n}": closed_scan(n) for n in range(10)})
+    out = inbox.parent / "out"
+    command = [*MSAL, "watch", inbox, "-o", out, *QUICK, "-j", "1"]
+    with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
+        lines = [process.stderr.readline() for _ in range(3)]
+        process.send_signal(signal.SIGINT)
+        process.stderr.read()
+        assert process.wait(20) == 130
+    # In the order of their arrival, which is that of their times.
+    assert [line.split(" ")[0] for line in lines] == ["watching", "s0.ply", "s1.ply"]
+    n_done = len(done_lines(out))
+    assert n_done >= 2
+    assert len(outputs(out)) in (n_done, n_done + 1)
+    made = watch(inbox)
+    assert made.exit_code == 0
+    assert len(outputs(out)) == 10
+    assert {len(one) for one in outputs(out).values()} != {0}
+    states = [one["name"] for one in done_lines(out)]
+    assert len(set(states)) == 10
+
+
 def test_fresh_is_for_what_is_there_at_the_start(inbox):
     folder_of(inbox, a=open_scan())
     assert watch(inbox).exit_code == 0

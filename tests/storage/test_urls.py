@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 
 from msal_cli.errors import UsageError
@@ -47,11 +45,6 @@ def test_odd_names_stay_below_their_folder_and_apart():
         assert not is_local or all("\0" not in one for one in told)
     assert harmless("../x", is_local=True) == "%2E%2E/x"
     assert harmless("a b/ü%41#?.ply", is_local=False) == "a b/ü%41#?.ply"
-
-
-@pytest.mark.skipif(os.name != "nt", reason="other characters are forbidden elsewhere")
-def test_windows_sees_no_path_in_a_name():
-    assert harmless("..\\x/c:y", is_local=True) == "..%5Cx/c%3Ay"
 
 
 def test_a_password_is_put_away_and_comes_back_only_to_open():

@@ -1,0 +1,255 @@
+"""What Windows and macOS do differently, simulated here: a module gets another ``os``."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from msal_cli.batch import interrupts, plan, plan_checks, worker_process
+from msal_cli.batch.inputs import discover_inputs
+from msal_cli.codecs import header_check
+from msal_cli.errors import OutputError, UsageError
+from msal_cli.storage import atomic, urls
+from tests.cli.scans import closed_scan, folder_of, msal
+
+ROOT = Path(__file__).parent.parent
+
+
+class OtherOs:
+    """``os`` of another system: of another name, or without some of its functions."""
+
+    def __init__(self, *missing, **changed):
+        self._missing = missing
+        self.__dict__.update(changed)
+
+    def __getattr__(self, name):
+        if name in self._missing:
+            raise AttributeError(name)
+        return getattr(os, name)
+
+
+@pytest.fixture
+def windows(monkeypatch):
+    """Have a module take the system for Windows."""
+
+    def change(module, *missing, **changed):
+        monkeypatch.setattr(module, "os", OtherOs(*missing, name="nt", **changed))
+
+    return change
+
+
+# Files that another program looks at
+
+
+@pytest.mark.parametrize(("refusals", "is_written"), [(0, True), (3, True), (4, False)])
+def test_a_file_that_is_open_elsewhere_is_replaced_a_little_later(
+    tmp_path, windows, monkeypatch, refusals, is_written
+):
+    windows(atomic)
+    waits, left = [], [refusals]
+    monkeypatch.setattr(atomic.time, "sleep", waits.append)
+    replace = Path.replace
+
+    def refuse(self, target):
+        if left[0]:
+            left[0] -= 1
+            raise PermissionError(13, "Access is denied")
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"old")
+    if is_written:
+        atomic.write_whole(path, b"new")
+    else:
+        with pytest.raises(OutputError, match="Access is denied") as caught:
+            atomic.write_whole(path, b"new")
+        assert "permissions" in caught.value.hint
+    assert path.read_bytes() == (b"new" if is_written else b"old")
+    assert [one.name for one in tmp_path.iterdir()] == ["a.ply"]
+    assert len(waits) == min(refusals, 3)
+
+
+def test_a_new_file_is_renamed_where_that_does_not_replace(tmp_path, windows, monkeypatch):
+    windows(atomic, "link")
+    rename = Path.rename
+
+    def rename_as_on_windows(self, target):
+        if target.exists():
+            raise FileExistsError(17, "Cannot create a file when that file already exists")
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", rename_as_on_windows)
+    assert atomic.write_new(tmp_path / "a.ply", b"one")
+    assert not atomic.write_new(tmp_path / "a.ply", b"two")
+    assert (tmp_path / "a.ply").read_bytes() == b"one"
+    assert len(os.listdir(tmp_path)) == 1
+
+
+def test_a_folder_is_not_flushed_where_it_cannot_be_opened(tmp_path, windows):
+    def refuse(*given):
+        raise PermissionError(13, "Permission denied")
+
+    windows(atomic, open=refuse)
+    atomic.flush_folder(tmp_path)
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    ("name", "there"),
+    [
+        ("CON.ply", "%43ON.ply"),
+        ("con", "%63on"),
+        ("scans/aux.scan.ply", "scans/%61ux.scan.ply"),
+        ("com1.ply", "%63om1.ply"),
+        ("com1 .ply", "%63om1 .ply"),
+        ("concert.ply", "concert.ply"),
+        ("com10.ply", "com10.ply"),
+        ("a./b.ply", "a%2E/b.ply"),
+        ("a /b.ply ", "a%20/b.ply%20"),
+        ("..\\x/c:y", "..%5Cx/c%3Ay"),
+        ("a\nb?.ply", "a%0Ab%3F.ply"),
+    ],
+)
+def test_an_object_of_any_name_becomes_a_file_of_windows(name, there, windows):
+    assert urls.harmless(name, is_local=True) == name
+    windows(urls)
+    assert urls.harmless(name, is_local=True) == there
+    assert urls.harmless(name, is_local=False) == name
+
+
+def test_a_drive_is_no_protocol(windows):
+    assert not urls.is_url("C:\\scans\\a.ply")
+    assert not urls.is_url("C:/scans/a.ply")
+    windows(urls)
+    assert urls.normalize_url("file:///C:/scans/a.ply") == "C:/scans/a.ply"
+
+
+def test_an_input_that_changed_its_case_keeps_its_output(tmp_path, monkeypatch):
+    folder_of(tmp_path / "in", Scan=closed_scan())
+    assert msal("denoise", tmp_path / "in", "-o", tmp_path / "out", "-n", "1").exit_code == 0
+    (tmp_path / "in/Scan.ply").rename(tmp_path / "in/scan.ply")
+    # Where case does not count, this name finds the same file.
+    if not (tmp_path / "out/scan.ply").exists():
+        (tmp_path / "out/scan.ply").write_bytes((tmp_path / "out/Scan.ply").read_bytes())
+    found = discover_inputs([str(tmp_path / "in")])
+    monkeypatch.setattr(plan, "ignores_case", lambda folder: False)
+    with pytest.raises(UsageError, match="no run of msal denoise put it there"):
+        plan.build_plan(found, str(tmp_path / "out"))
+    monkeypatch.setattr(plan, "ignores_case", lambda folder: True)
+    assert len(plan.build_plan(found, str(tmp_path / "out")).tasks) == 1
+    (tmp_path / "in/other.ply").write_bytes(b"x")
+    (tmp_path / "out/other.ply").write_bytes(b"foreign")
+    with pytest.raises(UsageError, match=r"other\.ply"):
+        plan.build_plan(discover_inputs([str(tmp_path / "in")]), str(tmp_path / "out"))
+
+
+def test_names_are_folded_as_file_systems_do():
+    assert plan_checks.fold_case("S/\u00c9.PLY") == plan_checks.fold_case("s/e\u0301.ply")
+    assert plan_checks.fold_case("a.ply") != plan_checks.fold_case("b.ply")
+
+
+# Signals and processes
+
+
+def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
+    # SIGBREAK is 21 on Windows; here another number plays its part.
+    number = int(getattr(signal, "SIGUSR1", signal.SIGTERM))
+    monkeypatch.setattr(signal, "SIGBREAK", number, raising=False)
+    received = []
+    with interrupts.noticed(received.append):
+        signal.raise_signal(number)
+    assert received == [number]
+    with pytest.raises(interrupts.Terminated) as caught:
+        interrupts.raise_for(number)
+    assert caught.value.exit_status == 128 + number
+
+
+@pytest.mark.skipif(os.name != "posix", reason="it is what Windows does")
+def test_a_run_in_this_process_ends_late_without_set_blocking(windows):
+    def pipe():
+        listening, telling = os.pipe()
+        # Linux, unlike Windows, wants it so.
+        os.set_blocking(telling, False)
+        return listening, telling
+
+    windows(interrupts, "set_blocking", pipe=pipe)
+    received = []
+    with interrupts.noticed(received.append), interrupts.ended_late(lambda: None):
+        signal.raise_signal(signal.SIGTERM)
+    assert received == [signal.SIGTERM]
+
+
+def test_signals_that_a_system_lacks_are_left_out(monkeypatch):
+    if hasattr(signal, "SIGHUP"):
+        monkeypatch.delattr(signal, "SIGHUP")
+    assert set(interrupts._numbers()) >= {signal.SIGINT, signal.SIGTERM}
+
+
+def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
+    started = {}
+
+    def start(command, **settings):
+        started.update(settings)
+        raise OSError(12, "not enough memory")
+
+    monkeypatch.setattr(worker_process.sys, "platform", "win32")
+    monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
+    monkeypatch.setattr(worker_process.subprocess, "Popen", start)
+    with pytest.raises(Exception, match="no worker can be started"):
+        worker_process.start_worker(None, 1, None)
+    assert started["creationflags"] == 0x200
+    assert "process_group" not in started
+
+
+def test_holes_are_not_looked_for_without_seek_hole_and_pread(tmp_path, monkeypatch):
+    monkeypatch.setattr(header_check, "os", OtherOs("SEEK_HOLE", "pread"))
+    (tmp_path / "a").write_bytes(b"x" * 10)
+    with (tmp_path / "a").open("rb") as file:
+        assert header_check._hole(file, 10) == 10
+
+
+@pytest.mark.parametrize("module", ["fcntl", "resource", "pwd", "grp", "termios"])
+def test_the_program_starts_without_modules_of_posix(module):
+    code = (
+        f"import sys; sys.modules[{module!r}] = None\n"
+        "import msal_cli.cli.denoise, msal_cli.cli.watch, msal_cli.batch.run\n"
+        "import msal_cli.batch.lock, msal_cli.batch.worker, msal_cli.job.pipeline, msal_cli.machine"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "cp437", "ascii"])
+def test_a_console_that_lacks_letters_gets_escapes(tmp_path, encoding):
+    scan = tmp_path / "\u65e5\u672c.ply"
+    scan.write_bytes(closed_scan())
+    made = subprocess.run(
+        [sys.executable, "-m", "msal_cli", "info", scan],
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+        capture_output=True,
+        check=True,
+    )
+    assert b"\\u65e5\\u672c.ply" in made.stdout
+
+
+# The workflow
+
+
+def test_the_workflow_runs_on_three_systems_and_pythons():
+    yaml = pytest.importorskip("yaml")
+    workflow = yaml.safe_load((ROOT / ".github/workflows/test.yml").read_text("utf-8"))
+    matrix = workflow["jobs"]["test"]["strategy"]["matrix"]
+    assert matrix["python"] == ["3.11", "3.12", "3.13"]
+    systems = " ".join(matrix["os"])
+    assert all(one in systems for one in ("ubuntu", "windows", "macos-15-intel", "macos-latest"))
+    assert workflow["permissions"] == {"contents": "read"}
+    steps = " ".join(str(step.get("run", "")) for step in workflow["jobs"]["test"]["steps"])
+    assert "python -m pytest" in steps
+    assert "ziglang" in steps
