@@ -15,8 +15,8 @@ from msal_cli.codecs.gltf_buffers import decode_data_uri
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import as_dict, as_list
 from msal_cli.codecs.gltf_scene import Part, Scene
-from msal_cli.codecs.textures import Texture, decode_texture, read_texture, sample_texture
 from msal_cli.errors import ContentError, MsalError
+from msal_cli.view.textures import Texture, decode_texture, read_texture, sample_texture
 
 _TYPES = {5126: ("<f4", 1.0), 5121: ("<u1", 255.0), 5123: ("<u2", 65535.0)}
 """Number types of colours and texture coordinates, and what stands for 1."""

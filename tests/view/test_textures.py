@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from msal_cli.codecs.textures import decode_texture, read_texture, sample_texture
 from msal_cli.errors import ContentError
-from msal_cli.job.comparison import open_coloured_surface
+from msal_cli.view.surface_colours import open_coloured_surface
+from msal_cli.view.textures import decode_texture, read_texture, sample_texture
 
 # Rows from the top: red, green / blue, white.
 FOUR = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)

@@ -14,8 +14,9 @@ import numpy as np
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.colour_values import UNPAINTED, Colours, to_bytes
 from msal_cli.codecs.mesh_file import HasVertexProperties, MeshFile
-from msal_cli.codecs.textures import Texture, read_beside, read_texture, sample_texture
+from msal_cli.codecs.named_files import read_beside
 from msal_cli.errors import ContentError
+from msal_cli.view.textures import Texture, read_texture, sample_texture
 
 _MOST_LIBRARY_BYTES = 16 << 20
 _MOST_IMAGES = 256

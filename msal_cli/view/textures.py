@@ -7,17 +7,15 @@ nothing but regular files, and no image of more pixels than a scanner writes is 
 from __future__ import annotations
 
 import io
-import os
-import re
 import warnings
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats
+from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.named_files import read_beside
 from msal_cli.errors import ContentError
-from msal_cli.storage.regular import NotRegularError, open_regular
 
 MOST_BYTES = 128 << 20
 MOST_PIXELS = 1 << 26
@@ -27,7 +25,6 @@ _LARGEST_SIDE = 4096
 """Pixels of a side to which larger images are reduced; pictures show less."""
 
 _FORMATS = ("PNG", "JPEG", "BMP", "TGA", "WEBP", "TIFF")
-_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
 
 Texture = NDArray[np.uint8]
 """(h, w, 3), the first row on top."""
@@ -62,40 +59,12 @@ def decode_texture(data: bytes, name: str) -> Texture:
     )
 
 
-def read_beside(name: str, folder: Path | None, most_bytes: int) -> bytes:
-    """The file ``name`` in ``folder``, which a mesh file names; ContentError where it cannot be
-    had."""
-    plain = name.replace("\\", "/")
-    shown = name[:200]
-    if folder is None:
-        raise ContentError(f"{shown!r} cannot be found from here")
-    is_outside = (
-        plain.startswith("/")
-        or "\0" in plain
-        or ".." in plain.split("/")
-        or PureWindowsPath(plain).drive
-        or _SCHEME.match(plain) is not None
-    )
-    path = os.path.realpath(folder / plain) if not is_outside else ""
-    if is_outside or not Path(path).is_relative_to(os.path.realpath(folder)):
-        raise ContentError(f"{shown!r} is not in the folder of the mesh")
-    try:
-        with open_regular(path) as file:
-            if os.fstat(file.fileno()).st_size > most_bytes:
-                raise ContentError(f"{shown!r} has more than {most_bytes:,} bytes")
-            return file.read()
-    except NotRegularError:
-        raise ContentError(f"{shown!r} is not a regular file") from None
-    except (OSError, ValueError) as failure:
-        reason = getattr(failure, "strerror", None) or str(failure)
-        raise ContentError(f"{shown!r} cannot be read: {reason}") from None
-
-
 def sample_texture(texture: Texture, places: Floats) -> Floats:
     """Colours (n, 3), 0 to 255, at ``places`` (n, 2): u to the right and v downwards, 0 to 1 once
     over the image, which repeats.  Bilinear; not-a-number where a place is none."""
     height, width = texture.shape[:2]
-    is_known = np.isfinite(places).all(axis=1) & (np.abs(places) < 1e6).all(axis=1)
+    # Not true of what is no number.
+    is_known: Flags = np.asarray((np.abs(places) < 1e6).all(axis=1))
     at = np.where(is_known[:, None], places, 0.0)
     # 1 itself is the last pixel, not the first of the next copy.
     at = np.where((at < 0.0) | (at > 1.0), at - np.floor(at), at)
