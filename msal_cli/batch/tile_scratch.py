@@ -89,17 +89,16 @@ def can_go_on(scratch: Scratch, identity: dict[str, Any]) -> bool:
     would be now."""
     if not is_of_run(scratch, identity):
         return False
-    known: int = scratch.read_json(IDENTITY)["tile_vertices"]
-    return known <= identity["tile_vertices"]
+    is_fit: bool = scratch.read_json(IDENTITY)["tile_vertices"] <= identity["tile_vertices"]
+    return is_fit
 
 
 def is_of_run(scratch: Scratch, identity: dict[str, Any]) -> bool:
     """Whether what is in the scratch folder is of the same run, whatever the size of its tiles."""
-    known = scratch.read_json(IDENTITY)
+    known: dict[str, Any] | None = scratch.read_json(IDENTITY)
     if known is None or _may_have_lost_data(scratch):
         return False
-    is_same: bool = known | {"tile_vertices": 0} == identity | {"tile_vertices": 0}
-    return is_same
+    return known | {"tile_vertices": 0} == identity | {"tile_vertices": 0}
 
 
 def begin(scratch: Scratch, identity: dict[str, Any]) -> None:

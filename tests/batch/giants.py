@@ -59,16 +59,16 @@ def binary_stl(path, around=48, across=24):
 def text(source, suffix):
     """The mesh of a binary PLY as the text of an OBJ, PLY or STL."""
     mesh = open_mesh(source.read_bytes(), source.name)
-    points = ["%.6f %.6f %.6f" % tuple(one) for one in mesh.vertices.tolist()]
+    points = [f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
     faces = mesh.faces.tolist()
     if suffix == ".obj":
         lines = [f"v {one}" for one in points]
-        lines += ["f %d %d %d" % (a + 1, b + 1, c + 1) for a, b, c in faces]
+        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
     elif suffix == ".ply":
         lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
         lines += [f"property float {axis}" for axis in "xyz"]
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-        lines += ["end_header", *points, *("3 %d %d %d" % tuple(one) for one in faces)]
+        lines += ["end_header", *points, *(f"3 {a} {b} {c}" for a, b, c in faces)]
     else:
         lines = ["solid scan"]
         for corners in faces:
