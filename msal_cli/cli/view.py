@@ -186,7 +186,6 @@ def command(
 
 def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> Scene:
     from msal_cli.cli.progress import reading_bar
-    from msal_cli.job.comparison import open_coloured_surface
     from msal_cli.job.larger_than_memory import opened_in_pieces
     from msal_cli.view import pictures
 
@@ -195,6 +194,8 @@ def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> 
             from msal_cli.view.streamed_scene import scene_of_streamed
 
             return scene_of_streamed(streamed, names, bar)
+    from msal_cli.view.surface_colours import open_coloured_surface
+
     surfaces = [open_coloured_surface(name, format) for name in names]
     return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,14 @@ Colours = NDArray[np.uint8]
 
 UNPAINTED = (204, 204, 204)
 """The colour of what has none beside what has one."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceColours:
+    """Colours (n, 3) of the vertices, None where there are none to show, and notes about them."""
+
+    vertices: Colours | None = None
+    notes: tuple[str, ...] = ()
 
 
 def average_at_vertices(faces: Ints | Longs, colours: Floats, n_vertices: int) -> Colours:

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from msal_cli.analysis.enclosure import Enclosure
     from msal_cli.arrays import Floats, Ints
+    from msal_cli.codecs.colour_values import SurfaceColours
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.codecs.surface_colours import SurfaceColours
     from msal_cli.job.records import MeshRecord
     from msal_cli.job.streamed_progress import ReadingListener
     from msal_cli.mesh import Mesh, PreparedMesh
@@ -77,18 +77,6 @@ def surface_of(mesh_file: MeshFile) -> Surface:
 def open_surface(path: str, format: str | None = None) -> Surface:
     """The surface in the file at ``path``."""
     return surface_of(opened(path, format))
-
-
-def open_coloured_surface(path: str, format: str | None = None) -> Surface:
-    """The surface in the file at ``path`` with its colours, for a picture."""
-    return coloured_surface_of(opened(path, format), path)
-
-
-def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
-    """The surface in an open file, which is at ``path``, with its colours."""
-    from msal_cli.codecs.surface_colours import read_surface_colours
-
-    return replace(surface_of(mesh_file), colours=read_surface_colours(mesh_file, path))
 
 
 def compare_files(

@@ -20,7 +20,6 @@ from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.codecs import header_check
 from msal_cli.errors import UnsupportedError
-from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
@@ -37,6 +36,7 @@ from msal_cli.view.image_files import jpeg_bytes, png_bytes
 from msal_cli.view.pictures import Scene
 from msal_cli.view.scene import encode_scene
 from msal_cli.view.shading import Image, Style, shade
+from msal_cli.view.surface_colours import coloured_surface_of
 
 log = logging.getLogger("msal")
 
@@ -205,7 +205,7 @@ def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) 
     mesh_file = codecs.open_mesh(plain, path, format)
     if len(mesh_file.faces) > bounds.faces:
         return None
-    return comparison.coloured_surface_of(mesh_file, path)
+    return coloured_surface_of(mesh_file, path)
 
 
 # Pictures

@@ -48,7 +48,7 @@ void main() {
   vec3 paint = linear(clay);
   if (is_painted) {
     paint = linear(own);
-    light = 0.14 + 0.94 * light; // colours may be dark
+    light = 0.08 + 0.84 * light; // colours may be dark
   } else if (is_back) paint = mix(paint, vec3(0.12, 0.17, 0.24), 0.62);
   if (is_mapped) {
     paint = linear(texture(colours, vec2((value - range.x) * range.y, 0.5)).rgb);

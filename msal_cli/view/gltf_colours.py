@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.colour_values import UNPAINTED, to_bytes
+from msal_cli.codecs.gltf_buffers import decode_data_uri
 from msal_cli.codecs.gltf_file import SceneFile
 from msal_cli.codecs.gltf_json import as_dict, as_list
 from msal_cli.codecs.gltf_scene import Part, Scene
 from msal_cli.errors import ContentError, MsalError
+from msal_cli.view.textures import Texture, decode_texture, read_texture, sample_texture
 
 _TYPES = {5126: ("<f4", 1.0), 5121: ("<u1", 255.0), 5123: ("<u2", 65535.0)}
 """Number types of colours and texture coordinates, and what stands for 1."""
@@ -21,10 +25,16 @@ _UINT8 = 5121
 _WIDTHS = {"VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
-def scene_colours(scene_file: SceneFile) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
-    """Colours (n, 3) of all vertices, and notes; None where the scene has no colours."""
+def scene_colours(
+    scene_file: SceneFile, folder: Path | None
+) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
+    """Colours (n, 3) of all vertices, and notes; None where the scene has no colours.
+
+    Images that have files of their own are in ``folder``.
+    """
     notes: dict[str, None] = {}
-    parts = [_part_colours(scene_file.scene, part, notes) for part in scene_file.parts]
+    images = _Images(scene_file.scene, folder, notes)
+    parts = [_part_colours(scene_file.scene, part, images) for part in scene_file.parts]
     if all(one is None for one in parts):
         return None, tuple(notes)
     whole = []
@@ -37,7 +47,7 @@ def scene_colours(scene_file: SceneFile) -> tuple[NDArray[np.uint8] | None, tupl
     return np.concatenate(whole), tuple(notes)
 
 
-def _part_colours(scene: Scene, part: Part, notes: dict[str, None]) -> Floats | None:
+def _part_colours(scene: Scene, part: Part, images: _Images) -> Floats | None:
     """Linear colours (n, 3) of a part, not-a-number where it has none."""
     count = part.positions.count
     colours: Floats | None = None
@@ -47,17 +57,59 @@ def _part_colours(scene: Scene, part: Part, notes: dict[str, None]) -> Floats | 
             if attributes.get("POSITION") != part.positions.index:
                 continue
             try:
-                own = _primitive_colours(scene, primitive, attributes, count)
+                own = _primitive_colours(scene, primitive, attributes, count, images)
                 if own is None:
                     continue
                 corners = _corners_of(scene, primitive, count)
             except MsalError as failure:
-                notes[f"colours cannot be read: {failure}"] = None
+                images.notes[f"colours cannot be read: {failure}"] = None
                 continue
             if colours is None:
                 colours = np.full((count, 3), np.nan)
             colours[corners] = own[corners]
     return colours
+
+
+class _Images:
+    """The images of a scene, each decoded once."""
+
+    def __init__(self, scene: Scene, folder: Path | None, notes: dict[str, None]) -> None:
+        self.notes = notes
+        self._scene, self._folder = scene, folder
+        self._known: dict[object, Texture | None] = {}
+
+    def sample(self, named: object, attributes: dict[str, Any], count: int) -> Floats | None:
+        """Linear colours (n, 3) of a baseColorTexture at the vertices; None where there is none."""
+        if not isinstance(named, dict):
+            return None
+        key = f"TEXCOORD_{named.get('texCoord', 0)}"
+        number = self._scene.entry("textures", named.get("index")).get("source")
+        if key not in attributes:
+            return None
+        if number not in self._known:
+            try:
+                self._known[number] = self._read(number)
+            except MsalError as failure:
+                self.notes[str(failure)] = None
+                self._known[number] = None
+        texture = self._known[number]
+        if texture is None:
+            return None
+        places = _read_numbers(self._scene, attributes[key], ("VEC2",), count)
+        shown = sample_texture(texture, places)
+        return _to_linear(np.nan_to_num(shown, nan=204.0) / 255.0)
+
+    def _read(self, number: object) -> Texture:
+        image = self._scene.entry("images", number)
+        uri = image.get("uri")
+        if isinstance(uri, str):
+            data = decode_data_uri(uri, f"image {number}")
+            return (
+                read_texture(unquote(uri), self._folder)
+                if data is None
+                else (decode_texture(data, f"image {number}"))
+            )
+        return decode_texture(self._scene.read_view(image.get("bufferView")), f"image {number}")
 
 
 def _corners_of(scene: Scene, primitive: dict[str, Any], count: int) -> Longs | slice:
@@ -69,15 +121,20 @@ def _corners_of(scene: Scene, primitive: dict[str, Any], count: int) -> Longs | 
 
 
 def _primitive_colours(
-    scene: Scene, primitive: dict[str, Any], attributes: dict[str, Any], count: int
+    scene: Scene,
+    primitive: dict[str, Any],
+    attributes: dict[str, Any],
+    count: int,
+    images: _Images,
 ) -> Floats | None:
     """Linear colours (n, 3) of a primitive for the vertices it names; None where it has none."""
-    factor = None
+    factor = textured = None
     if "material" in primitive:
         material = scene.entry("materials", primitive["material"])
         surface = as_dict(material.get("pbrMetallicRoughness"))
         if "baseColorFactor" in surface:
             factor = np.array(surface["baseColorFactor"], dtype=np.float64).reshape(4)[:3]
+        textured = images.sample(surface.get("baseColorTexture"), attributes, count)
     colours: Floats | None = None
     if "COLOR_0" in attributes:
         index = attributes["COLOR_0"]
@@ -85,6 +142,8 @@ def _primitive_colours(
         if scene.entry("accessors", index).get("componentType") == _UINT8:
             # The format says linear, but programs for scans write a screen's bytes as they are.
             colours = _to_linear(colours)
+    if textured is not None:
+        colours = textured if colours is None else colours * textured
     if factor is not None:
         colours = np.tile(factor, (count, 1)) if colours is None else colours * factor
     return colours

@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import logging
 import re
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from msal_cli.codecs.colour_values import UNPAINTED, Colours, average_at_vertices, to_bytes
+from msal_cli.codecs.colour_values import (
+    UNPAINTED,
+    Colours,
+    SurfaceColours,
+    average_at_vertices,
+    to_bytes,
+)
+from msal_cli.codecs.gltf_buffers import folder_of
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import MsalError
+from msal_cli.job import comparison
+from msal_cli.job.comparison import Surface
 
 log = logging.getLogger("msal")
 
@@ -27,12 +36,14 @@ _VALID = 0x8000
 _MATERIALISE = b"COLOR="
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceColours:
-    """Colours (n, 3) of the vertices, None where there are none to show, and notes about them."""
+def open_coloured_surface(path: str, format: str | None = None) -> Surface:
+    """The surface in the file at ``path`` with its colours."""
+    return coloured_surface_of(comparison.opened(path, format), path)
 
-    vertices: Colours | None = None
-    notes: tuple[str, ...] = ()
+
+def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
+    """The surface in an open file, which is at ``path``, with its colours."""
+    return replace(comparison.surface_of(mesh_file), colours=read_surface_colours(mesh_file, path))
 
 
 def read_surface_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
@@ -56,15 +67,24 @@ def _read(mesh_file: MeshFile, path: str) -> tuple[Colours | None, tuple[str, ..
     from msal_cli.codecs.vertex_colours import vertex_colours
 
     if isinstance(mesh_file, SceneFile):
-        from msal_cli.codecs.gltf_colours import scene_colours
+        from msal_cli.view.gltf_colours import scene_colours
 
-        return scene_colours(mesh_file)
+        return scene_colours(mesh_file, folder_of(path))
     if mesh_file.format == "off":
         return _of_off(mesh_file), ()
     if mesh_file.format == "stl":
         return _of_stl(mesh_file), ()
+    notes: dict[str, None] = {}
+    textured = None
+    if mesh_file.format in ("obj", "ply"):
+        from msal_cli.view import texture_colours
+
+        read = texture_colours.obj_colours if mesh_file.format == "obj" else None
+        textured = (read or texture_colours.ply_colours)(mesh_file, folder_of(path), notes)
+    if textured is not None:
+        return textured, tuple(notes)
     colours = vertex_colours(mesh_file)
-    return None if colours is None else colours[:, :3], ()
+    return None if colours is None else colours[:, :3], tuple(notes)
 
 
 def _of_off(mesh_file: MeshFile) -> Colours | None:

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from msal_cli.job.comparison import open_coloured_surface
+from msal_cli.view.surface_colours import open_coloured_surface
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
 RED_GREEN_BLUE = [[255, 0, 0], [0, 128, 0], [0, 0, 255]]
@@ -152,3 +152,34 @@ def test_black_everywhere_is_not_shown(tmp_path):
     text = f"COFF\n3 1 0\n{_rows([[0, 0, 0]] * 3)}3 0 1 2\n"
     found = _colours(tmp_path, "a.off", text)
     assert found.vertices is None and "black" in found.notes[0]
+
+
+def test_glb_texture_in_a_data_reference(tmp_path):
+    import base64
+    import io
+
+    from PIL import Image
+
+    image = io.BytesIO()
+    Image.fromarray(np.array([[RED_GREEN_BLUE[0], RED_GREEN_BLUE[2]]], np.uint8)).save(image, "PNG")
+    places = np.array([[0, 0], [1, 0], [0, 1]], "<f4")
+    plain = _glb(places, 5126, material={"baseColorTexture": {"index": 0}})
+    size = struct.unpack_from("<I", plain, 12)[0]
+    content = json.loads(plain[20 : 20 + size])
+    attributes = content["meshes"][0]["primitives"][0]["attributes"]
+    attributes["TEXCOORD_0"] = attributes.pop("COLOR_0")
+    content["textures"] = [{"source": 0}]
+    uri = "data:image/png;base64," + base64.b64encode(image.getvalue()).decode()
+    content["images"] = [{"uri": uri}]
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    rest = plain[20 + size :]
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    found = _colours(tmp_path, "a.glb", head + text + rest)
+    assert found.vertices.tolist() == [[255, 0, 0], [0, 0, 255], [255, 0, 0]]
+    content["images"] = [{"uri": "../a.png"}]
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    found = _colours(tmp_path, "b.glb", head + text + rest)
+    assert found.vertices is None and "not in the folder" in found.notes[0]
