@@ -21,7 +21,6 @@ from msal_cli.codecs.colour_values import (
 )
 from msal_cli.codecs.gltf_buffers import folder_of
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.errors import MsalError
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface
 
@@ -50,7 +49,7 @@ def read_surface_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
     """The colours that the file at ``path``, already open, has for its vertices."""
     try:
         colours, notes = _read(mesh_file, path)
-    except (MsalError, ValueError, KeyError, IndexError, TypeError, OverflowError) as failure:
+    except Exception as failure:  # colours are an extra, and files come from strangers
         log.info("%s: no colours", path, exc_info=True)
         return SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
     if colours is None:

@@ -87,3 +87,29 @@ def test_notes_of_files_are_on_the_page():
     surface = Surface(vertices, faces, 0, SurfaceColours(None, ("its <b> cannot be read",)))
     page = pages.page_of(pictures.scene_of(surface, None, ("a.ply",)), View(size=60), "msal view")
     assert b"a.ply: its &lt;b&gt; cannot be read." in page
+
+
+@pytest.mark.xdist_group("chromium")
+def test_a_page_shows_colours_on_both_sides_and_clay_by_a_button(browser, tmp_path):
+    vertices, faces = ball()
+    red = np.tile((220, 0, 0), (len(vertices), 1))
+    scene = pictures.scene_of(
+        _painted(vertices, faces, red), _painted(1.01 * vertices, faces, red[:, ::-1]), NAMES
+    )
+    path = tmp_path / "both.html"
+    path.write_bytes(pages.page_of(scene, View(size=60), "msal view"))
+    browser.open(path)
+
+    def sides():
+        image = browser.pixels()
+        height, width = image.shape[:2]
+        middle = slice(height // 3, height // 3 + 9)
+        return [
+            image[middle, at : at + 9].mean(axis=(0, 1)) for at in (width * 2 // 5, width * 3 // 5)
+        ]
+
+    left, right = sides()
+    assert left[0] > left[2] + 80 and right[2] > right[0] + 80
+    browser.click("Clay")
+    assert all(np.ptp(one) < 60 for one in sides())
+    assert browser.complaints() == []
