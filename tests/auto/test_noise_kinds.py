@@ -164,7 +164,11 @@ def weakly_shared():
 def test_noise_like_no_draw_is_rehearsed_as_it_was_taken(kind):
     mesh = weakly_shared()
     search = _Search(
-        mesh, Wishes(), range_level(mesh, kind, 0.95 if kind == "staircase" else 0.6), None, allow_all
+        mesh,
+        Wishes(),
+        range_level(mesh, kind, 0.95 if kind == "staircase" else 0.6),
+        None,
+        allow_all,
     )
     family = search._mirror()
     assert search.added == MIRRORED
