@@ -23,6 +23,7 @@ from msal_cli.auto.noise_model import build_model
 from msal_cli.auto.risk import DRAWN, MIRRORED
 from msal_cli.auto.sample_patch import select_patch
 from msal_cli.auto.search import _Search
+from msal_cli.auto.wishes import allow_all
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods.blend import parse_levels
 from tests.shapes import grid, torus
@@ -145,7 +146,7 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     true = waves()
     shared = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
     mesh = shared.with_vertices(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
-    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
+    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None, allow_all)
     choice = search.choose()
     made = result_of(mesh, choice)
     angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
@@ -163,7 +164,11 @@ def weakly_shared():
 def test_noise_like_no_draw_is_rehearsed_as_it_was_taken(kind):
     mesh = weakly_shared()
     search = _Search(
-        mesh, Wishes(), range_level(mesh, kind, 0.95 if kind == "staircase" else 0.6), None
+        mesh,
+        Wishes(),
+        range_level(mesh, kind, 0.95 if kind == "staircase" else 0.6),
+        None,
+        allow_all,
     )
     family = search._mirror()
     assert search.added == MIRRORED
@@ -175,7 +180,7 @@ def test_noise_like_no_draw_is_rehearsed_as_it_was_taken(kind):
 @pytest.mark.parametrize(("kind", "confidence"), [("correlated", 0.9), ("unknown", 0.3)])
 def test_noise_of_a_sure_kind_or_that_may_be_texture_is_drawn(kind, confidence):
     mesh = weakly_shared()
-    search = _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None)
+    search = _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None, allow_all)
     assert search._mirror() == ()
     assert search.added == DRAWN
 
