@@ -12,29 +12,43 @@ from msal_cli.job.tile_records import Tiles
 if TYPE_CHECKING:
     from msal_cli.batch.tile_options import TileJob
     from msal_cli.tiles.estimates import TileEstimate
+    from msal_cli.tiles.outlook import Found
 
 SHARE = 0.8
 """Of the memory that is free, as much is used."""
 
 
-def estimate_tiles(task: Task, settings: Settings, job: TileJob) -> TileEstimate:
-    """What a file will take, by its header alone.
+def estimate_tiles(
+    task: Task, settings: Settings, job: TileJob, found: Found | None = None
+) -> TileEstimate:
+    """What a file will take, by its header, or by the size of a text or of a compressed file.
+
+    ``found`` is what ``look_for_tiles`` finds, or the mesh once it is opened.
 
     Raises
     ------
     InputError
         if it cannot be denoised by tiles, or is damaged.
     """
-    from msal_cli.tiles.eligibility import open_for_tiles
+    from msal_cli.tiles.eligibility import look_for_tiles
     from msal_cli.tiles.estimates import estimate_run
+    from msal_cli.tiles.outlook import Outlook
 
-    mesh = open_for_tiles(task, settings)
-    refuse_faces(mesh.n_polygons, job.limits)
+    if found is None:
+        found = look_for_tiles(task, settings)
+    converted_bytes = 0
+    if isinstance(found, Outlook):
+        converted_bytes = found.converted_bytes
+    else:
+        refuse_faces(found.n_polygons, job.limits)
     if job.engine is not None:
         # How much memory other machines have is not known: the limit is for each worker.
         most = job.limits.memory_bytes
-        return replace(estimate_run(mesh, settings, jobs=1, memory_bytes=most), jobs=job.jobs)
-    return estimate_run(mesh, settings, jobs=job.jobs, memory_bytes=memory_bound(job.limits))
+        expected = replace(estimate_run(found, settings, jobs=1, memory_bytes=most), jobs=job.jobs)
+    else:
+        most = memory_bound(job.limits)
+        expected = estimate_run(found, settings, jobs=job.jobs, memory_bytes=most)
+    return replace(expected, scratch_bytes=expected.scratch_bytes + converted_bytes)
 
 
 def memory_bound(limits: Limits) -> int | None:

@@ -9,6 +9,7 @@ come again.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
@@ -27,9 +28,10 @@ from msal_cli.job.records import Failure, MeshRecord, Seconds
 from msal_cli.job.settings import Settings, Task
 from msal_cli.tiles import outcome, stages
 from msal_cli.tiles import source as sources
-from msal_cli.tiles.eligibility import open_for_tiles
+from msal_cli.tiles.eligibility import look_for_tiles
 from msal_cli.tiles.join import finish_output
 from msal_cli.tiles.opening import open_run
+from msal_cli.tiles.outlook import Outlook
 from msal_cli.tiles.plan import read_globals
 
 if TYPE_CHECKING:
@@ -72,14 +74,21 @@ class TileRun:
     def run(self) -> MeshRecord:
         """The record of a file that was written."""
         task = self.task
-        mesh = open_for_tiles(task, self.settings)
-        self.know(**outcome.describe_source(mesh))
-        expected = estimate_tiles(task, self.settings, self.job)
         assert self.job.options is not None
         path = tile_scratch.scratch_path(task.output, self.job.options.scratch)
-        tile_scratch.check_space(path, task.output, expected)
+        found = look_for_tiles(task, self.settings)
+        if not isinstance(found, Outlook):
+            self.know(**outcome.describe_source(found))
+        expected = estimate_tiles(task, self.settings, self.job, found)
+        if isinstance(found, Outlook):
+            tile_scratch.check_scratch_room(path, found.converted_bytes)
+        else:
+            tile_scratch.check_space(path, task.output, expected)
         output.make_folder_of(task.output)
         with tile_scratch.lock_scratch(path) as scratch, sweeping_after_errors(scratch):
+            if isinstance(found, Outlook):
+                with self._runner.leading("open"), _sweeping_unbegun(scratch):
+                    expected = self._convert(scratch, expected)
             self.work(scratch, expected)
             return self._finish(scratch, expected)
 
@@ -104,6 +113,21 @@ class TileRun:
         self.know(tiles=replace(planned_tiles(expected), resumed_tasks=n_resumed))
         self._runner.run(scratch, expected.jobs, self._next_stage)
 
+    def _convert(self, scratch: Scratch, expected: TileEstimate) -> TileEstimate:
+        """Convert a text or a compressed file, where that is not done yet; the estimate by what it
+        holds."""
+        source = self.describe_source(scratch.path)
+        identity = tile_scratch.identify(self.task, self.settings, source, expected)
+        if not tile_scratch.is_of_run(scratch, identity):
+            tile_scratch.clear(scratch)
+        mesh = sources.open_source(source)
+        self.know(**outcome.describe_source(mesh))
+        expected = estimate_tiles(self.task, self.settings, self.job, mesh)
+        converted_bytes = tile_scratch.used_bytes(scratch.path / sources.TEXT)
+        expected = replace(expected, scratch_bytes=expected.scratch_bytes + converted_bytes)
+        tile_scratch.check_space(scratch.path, self.task.output, expected)
+        return expected
+
     def _open(self, scratch: Scratch, expected: TileEstimate) -> int:
         """Make the plan, or take that of an earlier run; how many of its tasks are finished."""
         source = self.describe_source(scratch.path)
@@ -116,7 +140,7 @@ class TileRun:
                 n_finished,
             )
             return n_finished
-        tile_scratch.clear(scratch)
+        tile_scratch.clear(scratch, keep=sources.TEXT)
         self.prepare_source(scratch.path)
         open_run(
             self.task,
@@ -131,7 +155,12 @@ class TileRun:
 
     def describe_source(self, folder: Path) -> dict[str, Any]:
         """How tasks open the input, see ``TilePlan``; ``folder`` is the scratch folder."""
-        return {"kind": sources.FILE, "path": self.task.input, "format": self.settings.format}
+        return {
+            "kind": sources.FILE,
+            "path": self.task.input,
+            "format": self.settings.format,
+            "folder": os.path.abspath(folder / sources.TEXT),
+        }
 
     def prepare_source(self, folder: Path) -> None:
         """Write into the scratch folder what tasks read beside the input."""
@@ -219,4 +248,16 @@ def sweeping_after_errors(scratch: Scratch) -> Iterator[None]:
         raise
     except Exception:
         scratch.remove()
+        raise
+
+
+@contextmanager
+def _sweeping_unbegun(scratch: Scratch) -> Iterator[None]:
+    """Remove the scratch folder after whatever ends a conversion, but for the tasks of an earlier
+    run."""
+    try:
+        yield
+    except BaseException:
+        if not scratch.has(tile_scratch.IDENTITY):
+            scratch.remove()
         raise

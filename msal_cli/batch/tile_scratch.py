@@ -87,11 +87,18 @@ def identify(
 def can_go_on(scratch: Scratch, identity: dict[str, Any]) -> bool:
     """Whether what is in the scratch folder is of the same run; its tiles may be smaller than they
     would be now."""
-    known = scratch.read_json(IDENTITY)
+    if not is_of_run(scratch, identity):
+        return False
+    is_fit: bool = scratch.read_json(IDENTITY)["tile_vertices"] <= identity["tile_vertices"]
+    return is_fit
+
+
+def is_of_run(scratch: Scratch, identity: dict[str, Any]) -> bool:
+    """Whether what is in the scratch folder is of the same run, whatever the size of its tiles."""
+    known: dict[str, Any] | None = scratch.read_json(IDENTITY)
     if known is None or _may_have_lost_data(scratch):
         return False
-    is_fit: bool = known["tile_vertices"] <= identity["tile_vertices"]
-    return is_fit and known | {"tile_vertices": 0} == identity | {"tile_vertices": 0}
+    return known | {"tile_vertices": 0} == identity | {"tile_vertices": 0}
 
 
 def begin(scratch: Scratch, identity: dict[str, Any]) -> None:
@@ -111,10 +118,10 @@ def _read_boots(scratch: Scratch) -> dict[str, str]:
     return scratch.read_json(_BOOTS) or {}
 
 
-def clear(scratch: Scratch) -> None:
-    """Remove all that is in the scratch folder, but for its lock."""
+def clear(scratch: Scratch, keep: str = LOCK_NAME) -> None:
+    """Remove all that is in the scratch folder, but for its lock and ``keep``."""
     for one in scratch.path.iterdir():
-        if one.name == LOCK_NAME:
+        if one.name in (LOCK_NAME, keep):
             continue
         if one.is_dir() and not one.is_symlink():
             shutil.rmtree(one)
@@ -135,12 +142,17 @@ def used_bytes(path: Path) -> int:
 
 def check_space(path: Path, output: str, estimate: TileEstimate) -> None:
     """Refuse to begin where there is not enough space; OutputError."""
-    scratch_room = free_bytes(path) + used_bytes(path)
+    check_scratch_room(path, estimate.scratch_bytes)
     folder = Path(os.path.abspath(output)).parent
-    if estimate.scratch_bytes > scratch_room:
-        raise _no_room(f"the scratch folder {str(path)!r}", estimate.scratch_bytes, scratch_room)
     if _device(path) != _device(folder) and estimate.output_bytes > free_bytes(folder):
         raise _no_room(f"the output {output!r}", estimate.output_bytes, free_bytes(folder))
+
+
+def check_scratch_room(path: Path, needed: int) -> None:
+    """Refuse to begin where a scratch folder has no space for so many bytes; OutputError."""
+    room = free_bytes(path) + used_bytes(path)
+    if needed > room:
+        raise _no_room(f"the scratch folder {str(path)!r}", needed, room)
 
 
 def free_bytes(path: Path) -> int:

@@ -213,7 +213,8 @@ TILED = click.option(
     "--tiled",
     is_flag=True,
     help="Denoise every mesh in tiles by way of temporary files, which takes little memory "
-    "however large it is; for binary PLY and STL. The result is the same to the last byte.  "
+    "however large it is; for PLY, STL and OBJ, also .gz. The result is the same to the last "
+    "byte.  "
     "[default: meshes that do not fit into memory, or into --memory-limit]",
 )
 

@@ -143,7 +143,7 @@ def of_beginning(
     packed = 0
     if head[:2] == GZIP_MAGIC:
         packed = size
-        head, size = _expanded(head, size)
+        head, size = expand_beginning(head, size)
     found = format_of_name(name) if format is None else format.lower().removeprefix(".")
     found = found or content_format(head)
     header = read_header(found, head, size, is_packed=bool(packed), beside=beside)
@@ -179,7 +179,7 @@ def _beside(head: bytes, path: str) -> int:
         return 0  # the reader says why
 
 
-def _expanded(head: bytes, size: int) -> tuple[bytes, int]:
+def expand_beginning(head: bytes, size: int) -> tuple[bytes, int]:
     """The beginning of what is compressed, and how large the whole may be.
 
     The last bytes of the file would tell its size, but only modulo 4 GB and of its last member:

@@ -190,7 +190,10 @@ def tiles_text(tiles: Tiles) -> str:
     parts = [format_count(tiles.number, "tile")]
     if tiles.rings is not None:
         parts[0] += f" with {format_count(tiles.rings, 'ring')} around each"
-    parts += [f"{tiles.jobs} at a time", f"{megabytes(tiles.scratch_bytes)} of scratch space"]
+    # The rings are known once tiles are made; before, the rest is an estimate.
+    about = "about " * (tiles.rings is None)
+    space = f"{about}{megabytes(tiles.scratch_bytes)} of scratch space"
+    parts += [f"{tiles.jobs} at a time", space]
     if tiles.choice_vertices is not None:
         parts.append(
             f"noise and choice of {format_count(tiles.choice_vertices, 'vertex', 'vertices')}"

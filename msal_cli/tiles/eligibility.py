@@ -10,7 +10,7 @@ from msal_cli.job.settings import CHOOSING, Settings, Task, is_mesh_name, suffix
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.streamed_mesh import StreamedMesh
+    from msal_cli.tiles.outlook import Found
 
 NAMED = "give a method that can run by tiles: "
 
@@ -39,8 +39,9 @@ def refuse_settings(settings: Settings) -> None:
         )
 
 
-def open_for_tiles(task: Task, settings: Settings) -> StreamedMesh:
-    """The input, opened to be read in pieces, of which its header and size are checked.
+def look_for_tiles(task: Task, settings: Settings) -> Found:
+    """The input, opened to be read in pieces, of which its header and size are checked; of a text
+    or a compressed file, which is converted before it is opened, what is to be expected.
 
     Raises
     ------
@@ -50,17 +51,20 @@ def open_for_tiles(task: Task, settings: Settings) -> StreamedMesh:
         if it is damaged.
     """
     from msal_cli.codecs.streamed import open_streamed
+    from msal_cli.tiles.outlook import look_ahead
 
     refuse_settings(settings)
     if is_url(task.input) or is_url(task.output):
         raise _needs_whole("a mesh in a store needs", "copy it to this machine, and back")
     named = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
-    mesh = open_streamed(task.input, settings.format)
-    if (named and named != mesh.format) or task.output.lower().endswith(".gz"):
+    found: Found | None = look_ahead(task.input, settings.format)
+    if found is None:
+        found = open_streamed(task.input, settings.format)
+    if named and named != found.format:
         raise _needs_whole(
             "another format of the output needs", "give the output the suffix of the input"
         )
-    return mesh
+    return found
 
 
 def names_with_reach() -> list[str]:

@@ -15,7 +15,7 @@ from msal_cli.tiles.opening import CORNERS_PER_VERTEX
 from msal_cli.tiles.plan import CHUNK_VERTICES, TILE_VERTICES
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.streamed_mesh import StreamedMesh
+    from msal_cli.tiles.outlook import Found
 
 PROCESS_BYTES = 60_000_000
 """Resident memory of a process before it has any tile, and of the one that leads."""
@@ -64,7 +64,7 @@ class TileEstimate:
 
 
 def estimate_run(
-    mesh: StreamedMesh, settings: Settings, *, jobs: int, memory_bytes: int | None
+    mesh: Found, settings: Settings, *, jobs: int, memory_bytes: int | None
 ) -> TileEstimate:
     """The estimate for a mesh, with as many ``jobs`` as fit into ``memory_bytes``, if any."""
     n = mesh.n_vertices // (CORNERS_PER_VERTEX if mesh.are_corners else 1)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 CORNERS_PER_VERTEX = 6
 """Corners of facets to each vertex of a closed surface."""
 
-_TEXT = "text"
 _SAMPLE = 200_000
 _SAMPLE_PER_TILE = 400
 _RANGE = 8
@@ -57,7 +56,7 @@ def open_run(
     """
     if source is None:
         path = os.path.abspath(task.input)
-        folder = os.path.abspath(scratch.path / _TEXT)
+        folder = os.path.abspath(scratch.path / sources.TEXT)
         source = {"kind": sources.FILE, "path": path, "format": settings.format, "folder": folder}
     identity = sources.identify(source)
     mesh = sources.open_source(source)

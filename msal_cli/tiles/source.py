@@ -9,6 +9,9 @@ from msal_cli.codecs.streamed_mesh import StreamedMesh
 
 FILE, SET = "file", "set"
 
+TEXT = "text"
+"""In the scratch folder: the numbers of a text, and what a compressed file expands to."""
+
 
 def open_source(description: dict[str, Any]) -> StreamedMesh:
     """Open what ``TilePlan.source`` describes: ``{"kind": "file", "path": ..., "format": ...}``,

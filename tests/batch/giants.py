@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from msal_cli.batch import tile_claims, tile_scratch, tile_stages, tile_tasks
+from msal_cli.codecs import open_mesh
 from msal_cli.mesh import Mesh
 from msal_cli.tiles import estimates
 from tests.cli.scans import msal
@@ -53,6 +54,29 @@ def binary_stl(path, around=48, across=24):
     facets["corners"] = noisy(vertices, 0, 0.05)[faces]
     path.write_bytes(bytes(80) + struct.pack("<I", len(faces)) + facets.tobytes())
     return path
+
+
+def text(source, suffix):
+    """The mesh of a binary PLY as the text of an OBJ, PLY or STL."""
+    mesh = open_mesh(source.read_bytes(), source.name)
+    points = [f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
+    faces = mesh.faces.tolist()
+    if suffix == ".obj":
+        lines = [f"v {one}" for one in points]
+        lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    elif suffix == ".ply":
+        lines = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
+        lines += [f"property float {axis}" for axis in "xyz"]
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        lines += ["end_header", *points, *(f"3 {a} {b} {c}" for a, b, c in faces)]
+    else:
+        lines = ["solid scan"]
+        for corners in faces:
+            lines += ["facet normal 0 0 0", "outer loop"]
+            lines += [f"vertex {points[one]}" for one in corners]
+            lines += ["endloop", "endfacet"]
+        lines += ["endsolid scan"]
+    return "\n".join(lines) + "\n"
 
 
 def use_small_tiles(patch, tile_vertices=TILE_VERTICES):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -240,10 +242,16 @@ def msal(folder, *options, **more):
 @linux
 def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans):
     (scans / "in/big.obj").write_text(obj(9, 800, 400))
-    made = msal(scans, "--memory-limit", "90M")
+    # Not by tiles, because outliers are found in the whole mesh.
+    made = msal(scans, "--memory-limit", "120M", "--despike")
     assert made.returncode == 3
     assert "forecast: denoising this file takes up to" in made.stderr
-    assert "the limit is 90 MB (E_MEMORY)" in made.stderr
+    assert "the limit is 120 MB (E_MEMORY)" in made.stderr
+    made = msal(scans, "--memory-limit", "120M", "--fresh", "--dry-run", "--json")
+    assert made.returncode == 0, made.stderr
+    records = json.loads(made.stdout)["records"]
+    known = {Path(record["input"]).name: record["tiles"] is not None for record in records}
+    assert known == {"0.obj": False, "1.obj": False, "2.obj": False, "big.obj": True}
 
 
 def test_the_command_gives_up(scans):

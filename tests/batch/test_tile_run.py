@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import signal
@@ -106,6 +107,76 @@ def numbers(record, prefix=""):
 def texts(record):
     """All else but the names of what is in records."""
     return {name: one for name, one in record.items() if not isinstance(one, int | float | dict)}
+
+
+def as_text(source, suffix):
+    """The mesh of ``source`` as another file: a text, or compressed."""
+    path = source.with_name("text" + suffix)
+    data = source.read_bytes() if suffix == ".ply.gz" else giants.text(source, suffix[:4]).encode()
+    path.write_bytes(gzip.compress(data, mtime=0) if suffix.endswith(".gz") else data)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl", ".ply.gz", ".obj.gz"])
+def test_texts_and_compressed_files_give_the_same_bytes(source, output, suffix):
+    source = as_text(source, suffix)
+    output = output.with_name("b" + suffix)
+    alone = source.with_name("alone" + suffix)
+    assert msal("denoise", source, "-o", alone, "-q", *METHOD).exit_code == 0
+    made = tiled(source, output, "--json", *METHOD)
+    assert made.exit_code == 0, made.stderr
+    assert output.read_bytes() == alone.read_bytes() != source.read_bytes()
+    assert names(output.parent) == [output.name]
+    record = record_of(made)
+    assert record["tiles"]["number"] == 4
+    assert record["format"] == suffix.split(".")[1]
+
+
+def test_a_conversion_is_kept_with_the_tasks_of_a_killed_run(source, output):
+    source, output = as_text(source, ".obj"), output.with_suffix(".obj")
+    process = giants.start_slowly("denoise", source, "-o", output, "--tiled", *METHOD)
+    giants.wait_for(lambda: n_finished(output) >= 6, process)
+    process.kill()
+    process.communicate()
+    numbers_of_text = scratch_of(output) / "text" / "facts.json"
+    inode = numbers_of_text.stat().st_ino
+    made = tiled(source, output, "--dry-run", *METHOD)
+    assert made.exit_code == 0 and "about" in made.stdout
+    assert numbers_of_text.stat().st_ino == inode
+    made = tiled(source, output, "--json", *METHOD)
+    assert record_of(made)["tiles"]["resumed_tasks"] >= 6
+    assert names(output.parent) == ["b.obj"]
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
+def test_a_fault_of_a_text_is_named_and_leaves_nothing(source, output, suffix):
+    source, output = as_text(source, suffix), output.with_suffix(suffix)
+    data = source.read_bytes()
+    source.write_bytes(data[: len(data) // 2] + b"\nx y z\n" + data[len(data) // 2 :])
+    alone = msal("denoise", source, "-o", output, "-q", *METHOD)
+    made = tiled(source, output, "-q", *METHOD)
+    assert made.exit_code == alone.exit_code == 1
+    assert "line" in made.stderr and "Traceback" not in made.stderr
+    assert made.stderr == alone.stderr
+    assert names(output.parent) == []
+
+
+def test_too_little_space_for_a_text_is_known_before(source, output, monkeypatch):
+    source, output = as_text(source, ".obj"), output.with_suffix(".obj")
+    size = source.stat().st_size
+    for free in (size, 3 * size):
+        monkeypatch.setattr(tile_scratch, "free_bytes", lambda path, free=free: free)
+        made = tiled(source, output, *METHOD)
+        assert made.exit_code == 1 and "nothing was begun" in made.stderr
+        assert names(output.parent) == []
+
+
+def test_a_dry_run_of_a_text_does_not_convert_it(source, output):
+    source, output = as_text(source, ".obj"), output.with_suffix(".obj")
+    made = tiled(source, output, "--dry-run", *METHOD)
+    assert made.exit_code == 0, made.stderr
+    assert "tiles" in made.stdout and "about" in made.stdout
+    assert names(output.parent) == []
 
 
 def test_a_choice_and_what_a_user_reads(source, output):
