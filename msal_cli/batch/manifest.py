@@ -139,8 +139,8 @@ class FolderManifest(Manifest):
             os.fsync(self._file.fileno())
         except OSError as error:
             raise manifest_error(str(self._path), error) from None
-        # One that stays open for several runs tells the next of them what the last one did; what was
-        # only begun does not hide what this run may still ask of the one before.
+        # One that stays open for several runs tells the next of them what the last one did; what
+        # was only begun does not hide what this run may still ask of the one before.
         for line in lines:
             entry = parse_line(line[:-1], LineSpan(self._path, start, len(line) - 1))
             if isinstance(entry, ManifestEntry) and entry.is_done:
