@@ -1,6 +1,6 @@
 # docker build -t msal-cli .   compiles the kernels of this checkout
 # docker build -t msal-cli --build-arg SOURCE=dist/msal_cli-....whl .    takes a wheel for Linux
-# docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/work" msal-cli denoise scans -o out
+# docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/data" msal-cli denoise scans -o out
 FROM python:3.12-slim AS build
 ARG SOURCE=.
 WORKDIR /source
@@ -15,7 +15,7 @@ RUN python -m venv --without-pip /opt/msal \
 FROM python:3.12-slim
 COPY --from=build /opt/msal /opt/msal
 ENV PATH=/opt/msal/bin:$PATH HOME=/tmp
-WORKDIR /work
+WORKDIR /data
 USER 1000:1000
 ENTRYPOINT ["msal"]
 CMD ["--help"]

@@ -2,7 +2,7 @@
 
 A process claims a task by creating a file that must not exist yet, and touches it while it works.
 A claim that has not been touched for a while is that of a process that is gone, and is taken over.
-Tasks write the same bytes whoever does them, so that one that is done twice does no harm.
+A task writes the same bytes in every process, so that one that is done twice does no harm.
 """
 
 from __future__ import annotations

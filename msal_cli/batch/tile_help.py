@@ -60,7 +60,7 @@ class _Helper:
         self._scratch = Scratch(self._path)
 
     def run(self) -> None:
-        """Help until all stages are finished, or until nobody leads any more."""
+        """Help until all stages are finished, or until no process leads any more."""
         try:
             if not self._wait_for_plan():
                 return

@@ -23,8 +23,8 @@ def opened_in_pieces(
 ) -> Iterator[tuple[StreamedMesh, ...] | None]:
     """The files, opened to be read in pieces, if they do not fit into memory together.
 
-    None if they fit, and if one of them has a format that cannot be read in pieces: whoever loads
-    it says that it is too large.  The numbers of a text are kept in a temporary folder until the
+    None if they fit, and if one of them has a format that cannot be read in pieces: loading it
+    then says that it is too large.  The numbers of a text are kept in a temporary folder until the
     end.
 
     Raises
@@ -41,7 +41,7 @@ def opened_in_pieces(
         return
     with ExitStack() as at_end:
         meshes: tuple[StreamedMesh, ...] | None = None
-        # Of another format; whoever loads it says that it is too large.
+        # Of another format: loading it says that it is too large.
         with suppress(UnsupportedError):
             meshes = tuple(_open(path, format, listener, at_end) for path in paths)
         yield meshes

@@ -70,6 +70,6 @@ def test_the_image_denoises_a_folder_as_any_user(tmp_path):
     assert size < 250_000_000
     shutil.copy(ROOT / "sample_meshes/coin_noisy.ply", tmp_path / "scan.ply")
     user = ["--user", f"{os.getuid()}:{os.getgid()}"]
-    run = ["docker", "run", "--rm", *user, "-v", f"{tmp_path}:/work", "msal-test"]
-    subprocess.run([*run, "denoise", "/work/scan.ply", "-o", "/work/out.ply"], check=True)
+    run = ["docker", "run", "--rm", *user, "-v", f"{tmp_path}:/data", "msal-test"]
+    subprocess.run([*run, "denoise", "/data/scan.ply", "-o", "/data/out.ply"], check=True)
     assert (tmp_path / "out.ply").stat().st_uid == os.getuid()
