@@ -2,8 +2,8 @@
 
 In memory ``kernels.components.faces_to_flip`` turns the lesser number of faces of each patch.  Here
 the tiles find pieces of patches; pieces that have a face in common are of one patch.  The tile
-decides for a patch that no other tile shares, else the reduction, which sees no faces but those that
-tiles share.  Files in the folder of a tile, besides those of ``part_files``:
+decides for a patch that no other tile shares, else the reduction, which sees no faces but those
+that tiles share.  Files in the folder of a tile, besides those of ``part_files``:
 
     pieces.npy     (m,) int32, for faces with a vertex of the tile the number of their piece; -1
                    where the tile decided
