@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -28,14 +29,25 @@ LEAST_AREA = 0.05
 def draw_scan(clean: Mesh, generator: Generator) -> tuple[Floats, Ints, Floats, Floats]:
     """Vertices (n, 3) and faces (m, 3) of a scan of the mesh, where the vertices should be, and
     the true normals (m, 3), zero where these are not known."""
+    _, vertices, faces, true_vertices = draw_scan_of(clean, generator)
+    truth, areas = face_normals_and_areas(true_vertices, faces)
+    normals, own_areas = face_normals_and_areas(vertices, faces)
+    is_known = (areas > LEAST_AREA * own_areas) & (np.einsum("ij,ij->i", truth, normals) > -0.2)
+    return vertices, faces, true_vertices, np.where(is_known[:, None], truth, 0.0)
+
+
+def draw_scan_of(
+    clean: Mesh, generator: Generator, is_aligned: bool = False
+) -> tuple[str, Floats, Ints, Floats]:
+    """A scanner, vertices (n, 3) and faces (m, 3) of its scan of the mesh, and where the vertices
+    should be; the scanner looks along the third axis if it ``is_aligned``."""
     shares = np.array(list(SHARES.values()))
     scanner = list(SHARES)[int(generator.choice(len(SHARES), p=shares / shares.sum()))]
-    scan = simulate_scan(clean, _draw_settings(scanner, generator))
-    true_vertices = find_truth(clean, scan)
-    truth, areas = face_normals_and_areas(true_vertices, scan.faces)
-    normals, own_areas = face_normals_and_areas(scan.vertices, scan.faces)
-    is_known = (areas > LEAST_AREA * own_areas) & (np.einsum("ij,ij->i", truth, normals) > -0.2)
-    return scan.vertices, scan.faces, true_vertices, np.where(is_known[:, None], truth, 0.0)
+    settings = _draw_settings(scanner, generator)
+    if is_aligned:
+        settings = dataclasses.replace(settings, direction=(0.0, 0.0, 1.0))
+    scan = simulate_scan(clean, settings)
+    return scanner, scan.vertices, scan.faces, find_truth(clean, scan)
 
 
 def _draw_settings(scanner: str, generator: Generator) -> ScannerSettings:

@@ -23,6 +23,7 @@ from msal_cli.mesh import Mesh
 KINDS = {
     "gaussian-normal": "Gaussian along the vertex normals",
     "gaussian": "Gaussian in each coordinate",
+    "uniform": "uniform in each coordinate, from -level to +level",
     "mixed": "Gaussian along the normals, and as much along a random direction across them",
     "impulsive": "Gaussian along the normals, at a fraction of the vertices only",
     "correlated": "along the normals, shared by neighbours: averaged over one-rings",
@@ -34,11 +35,13 @@ KINDS = {
     "property": "along the normals, times a vertex property of the file",
     "outliers": "along the normals, and a fraction of the vertices moved by 1 to 3 edges anywhere",
 }
-"""The kinds of noise that ``add_noise`` adds; ``mixed`` is that of the paper's Fig. 7."""
+"""The kinds of noise that ``add_noise`` adds; ``uniform`` is that of the paper's Table 1 as
+docs/table1.md remakes it, ``mixed`` that of its Fig. 7."""
 
 OPTIONS = {
     "gaussian-normal": (),
     "gaussian": (),
+    "uniform": (),
     "mixed": (),
     "impulsive": ("fraction",),
     "correlated": ("rings",),
@@ -71,7 +74,7 @@ class AddedNoise:
     kind : one of ``KINDS``.
     level : standard deviation in mean edge lengths: greater is noisier.  Where the noise varies
         over the surface, that of its full strength: ``grazing`` head-on, ``ramp`` at its end,
-        ``property`` where the property is 1.
+        ``property`` where the property is 1.  Of ``uniform`` the largest move of a coordinate.
     seed : from 0; another one gives other noise of the same kind.
     fraction : share of the vertices that ``impulsive`` and ``outliers`` move, 0 to 1.
     rings : how many times heights are averaged over closed one-rings: greater is shared more
@@ -156,6 +159,8 @@ def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> F
     amount = noise.level * edge
     if noise.kind == "gaussian":
         return mesh.vertices + amount * draw.standard_normal((n, 3))
+    if noise.kind == "uniform":
+        return mesh.vertices + draw.uniform(-amount, amount, (n, 3))
     normals = mesh.vertex_normals()
     heights = draw.standard_normal(n)
     if noise.kind == "gaussian-normal":

@@ -1,11 +1,16 @@
 """Changes so large that they are damage rather than denoising.
 
-Two rules.  The volume of a closed surface changed by more than half.  Or more faces flipped (turned
-by more than a right angle) than 2 % of all, and three for every two faces that were folded before:
-strong noise across the normals folds faces over, and unfolding them flips them.  On six models with
-Gaussian noise of 0.1 to 0.6 edges in each coordinate the true surface flips 0 to 30 % of the faces,
-at most 1.2 for each folded one; along the normals it flips 1.7 % at most.  CAD meshes have no
-folds, and where a filter collapses them half of the faces flip.
+Two rules hold whatever the noise is.  The volume of a closed surface changed by more than half.  Or
+more faces flipped (turned by more than a right angle) than 2 % of all, and three for every two
+faces that were folded before: strong noise across the normals folds faces over, and unfolding them
+flips them.  On six models with Gaussian noise of 0.1 to 0.6 edges in each coordinate the true
+surface flips 0 to 30 % of the faces, at most 1.2 for each folded one; along the normals it flips
+1.7 % at most.  CAD meshes have no folds, and where a filter collapses them half of the faces flip.
+
+Three more hold where the noise is known: volume, area, and how far vertices moved, by what noise of
+that level explains.  On seven models with noise of 0.05 to 0.7 edges along the normals and in each
+coordinate the true surface has 0.02 times noise x area of the volume more or less at most, an area
+that is less by 4 times the noise squared, and 95 % of the vertices within 2.8 times the noise.
 """
 
 from __future__ import annotations
@@ -28,15 +33,34 @@ FLIPS_PER_FOLD = 1.5
 VOLUME_SHARE = 0.5
 """Share of its volume that a closed surface may lose or gain."""
 
+LEAST_VOLUME, VOLUME_PER_NOISE = 0.01, 0.1
+"""Share of its volume that a closed surface may lose or gain without noise, and what it may beyond,
+in the volume of a layer over it that is as thick as the noise."""
+
+LEAST_AREA, AREA_PER_NOISE = 0.02, 6.0
+"""Share of its area that a surface may lose or gain without noise, and what it may lose beyond for
+each squared level."""
+
+LEAST_MOVE, MOVE_PER_NOISE = 0.02, 6.0
+"""Mean edge lengths that one in 20 vertices may move without noise, and beyond, in its levels."""
+
+NAMED_LEEWAY = 3.0
+"""Times the bounds that a method may use which the user has named."""
+
+MOST_NOISE = 0.7
+"""Mean edge lengths of noise that bounds allow for; meshes that read more are no scans."""
+
 MOST_SAMPLED = 65_536
 """Faces that are looked at for folds."""
 
 FLIPPED, VOLUME = "W_FLIPPED_FACES", "W_VOLUME_CHANGE"
+AREA, MOVES = "W_AREA_CHANGE", "W_LARGE_MOVES"
 
 
 @dataclass(frozen=True)
 class Harm:
-    """A harmful change: ``code`` is ``FLIPPED`` or ``VOLUME``, ``reason`` has the figures."""
+    """A harmful change: its ``code``, ``FLIPPED``, ``VOLUME``, ``AREA`` or ``MOVES``, and the
+    figures as ``reason``."""
 
     code: str
     reason: str
@@ -56,6 +80,46 @@ def harmful_change(
     return judge_change(
         change, len(before.faces), lambda: folded_faces(before), has_volume=has_volume
     )
+
+
+def excessive_change(
+    change: SurfaceChange,
+    edge: float,
+    noise_edges: float,
+    p95_edges: float,
+    *,
+    has_volume: bool,
+    leeway: float = 1.0,
+) -> Harm | None:
+    """A change that noise of ``noise_edges`` mean edge lengths does not explain, None if it does.
+
+    Parameters
+    ----------
+    edge : mean edge length before, file units.
+    p95_edges : 95th percentile of the displacements, mean edge lengths.
+    leeway : factor of all bounds.
+    """
+    noise = min(noise_edges, MOST_NOISE)
+    words = f"noise of {noise:.2g} e explains"
+    share = None
+    if has_volume:
+        share = relative_volume_change(
+            change.volume_before, change.volume_after, change.area_before
+        )
+    if share is not None:
+        layer = noise * edge * change.area_before / abs(change.volume_before)
+        bound = leeway * (LEAST_VOLUME + VOLUME_PER_NOISE * layer)
+        if abs(share) > bound:
+            percent = f"{100.0 * share:+.1f} %, {words} {100.0 * bound:.1f} %"
+            return Harm(VOLUME, f"the volume changed by {percent}")
+    if change.area_before > 0.0:
+        share = change.area_after / change.area_before - 1.0
+        bound = leeway * (LEAST_AREA + AREA_PER_NOISE * noise * noise)
+        if share > leeway * LEAST_AREA or -share > bound:
+            return Harm(AREA, f"the area changed by {100.0 * share:+.1f} %, more than {words}")
+    if p95_edges > leeway * (LEAST_MOVE + MOVE_PER_NOISE * noise):
+        return Harm(MOVES, f"one in 20 vertices moved by {p95_edges:.2g} e, more than {words}")
+    return None
 
 
 def judge_change(

@@ -75,6 +75,14 @@ def test_how_far_vertices_move_along_their_normals_and_across(kind, along, acros
     assert np.sqrt((rest**2).mean()) == pytest.approx(across, rel=0.03, abs=1e-12)
 
 
+def test_uniform_noise_fills_its_range_in_every_coordinate():
+    mesh = prepare_mesh(*torus(160, 80)).mesh
+    edge = mesh.mean_edge_length
+    steps = (add_plain_noise(mesh, "uniform", 0.1, 1) - mesh.vertices) / edge
+    assert 0.099 < np.abs(steps).max() <= 0.1 + 1e-12
+    assert np.allclose(steps.std(axis=0), 0.1 / np.sqrt(3.0), rtol=0.03)
+
+
 def test_mixed_noise_goes_every_way_across_the_normal():
     vertices, faces = grid(60, 60)
     mesh = prepare_mesh(vertices, faces).mesh

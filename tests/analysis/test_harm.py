@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.harm import FLIPPED, VOLUME, folded_faces, harmful_change
+from msal_cli.analysis.harm import (
+    AREA,
+    FLIPPED,
+    MOVES,
+    NAMED_LEEWAY,
+    VOLUME,
+    excessive_change,
+    folded_faces,
+    harmful_change,
+)
 from msal_cli.analysis.measures import is_negative, measure_surface_change, relative_volume_change
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, grid, torus
@@ -30,6 +39,37 @@ def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order)
     assert found is None or found.code == VOLUME
     if scale == 0.79:
         assert found.reason == "the volume changed by -50.7 %"
+
+
+def excess_of(before, after, noise, has_volume=True, leeway=1.0):
+    change = measure_surface_change(before, after)
+    edge = before.mean_edge_length
+    ways = np.linalg.norm(after.vertices - before.vertices, axis=1)
+    p95 = float(np.quantile(ways, 0.95)) / edge
+    return excessive_change(change, edge, noise, p95, has_volume=has_volume, leeway=leeway)
+
+
+def test_what_noise_does_not_explain_is_harm():
+    mesh = prepare_mesh(*ball()).mesh
+    smaller = mesh.with_vertices(0.99 * mesh.vertices)
+    assert excess_of(mesh, smaller, 0.01).code == VOLUME
+    assert excess_of(mesh, smaller, 0.01).reason.startswith("the volume changed by -3.0 %")
+    shifted = mesh.with_vertices(mesh.vertices + [0.2 * mesh.mean_edge_length, 0.0, 0.0])
+    assert excess_of(mesh, shifted, 0.01).code == MOVES
+    assert excess_of(mesh, smaller, 0.01, leeway=NAMED_LEEWAY) is None
+    stretched = mesh.with_vertices(mesh.vertices * [1.05, 1.0, 1.0])
+    assert excess_of(mesh, stretched, 0.01, has_volume=False).code == AREA
+    assert excess_of(mesh, mesh, 0.0) is None
+
+
+@pytest.mark.parametrize("level", [0.05, 0.1, 0.3, 0.5, 0.7])
+@pytest.mark.parametrize("kind", ["gaussian-normal", "gaussian"])
+@pytest.mark.parametrize("shape", [ball, lambda: torus(96, 48)])
+def test_the_true_surface_is_no_harm(shape, kind, level):
+    clean = prepare_mesh(*shape()).mesh
+    noisy = clean.with_vertices(noise.add_plain_noise(clean, kind, level, seed=3))
+    read = level * clean.mean_edge_length / noisy.mean_edge_length
+    assert excess_of(noisy, clean, read) is None
 
 
 def test_an_open_mesh_has_no_volume_to_lose():

@@ -1,9 +1,10 @@
-"""How much noise there is on a mesh, and what it is like.
+"""How much noise there is on a mesh, and of what kind, or whether it has any.
 
-``white`` estimates the level of noise that each vertex has of its own, from fits over one- and
-two-rings.  ``survey`` looks at fewer places over up to six rings, and ``character`` concludes from
-it over how many rings neighbours share noise (``colour``), along what it is (``direction``),
-whether depths or terraces come in steps (``steps``), and with it the level.
+``white`` measures the level of noise that each vertex has of its own, from fits over one- and
+two-rings.  ``survey`` looks at fewer places over up to six rings; ``colour``, ``direction``,
+``steps``, ``unevenness`` and ``spikes`` measure what each kind of noise would leave there, and
+``evidence`` makes numbers of it all.  ``classifier`` says from these how probable every kind is,
+and ``character`` puts the estimate together.
 """
 
 from __future__ import annotations
@@ -13,7 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli.analysis.noise_estimate.character import characterize
-from msal_cli.analysis.noise_estimate.level import SURE, NoiseCharacter, NoiseLevel
+from msal_cli.analysis.noise_estimate.level import (
+    NOISE,
+    SURE,
+    TEXTURE,
+    NoiseCharacter,
+    NoiseLevel,
+    Reading,
+)
 from msal_cli.analysis.noise_estimate.regions import find_nearest
 from msal_cli.analysis.noise_estimate.white import estimate_white
 from msal_cli.arrays import Floats
@@ -21,17 +29,26 @@ from msal_cli.arrays import Floats
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
-__all__ = ["SURE", "NoiseCharacter", "NoiseLevel", "estimate_noise", "estimate_regions"]
+__all__ = [
+    "NOISE",
+    "SURE",
+    "TEXTURE",
+    "NoiseCharacter",
+    "NoiseLevel",
+    "Reading",
+    "estimate_noise",
+    "estimate_regions",
+]
 
 
 def estimate_noise(mesh: Mesh) -> NoiseLevel:
     """The noise of a mesh.
 
     Noise of 0.05 to 0.7 mean edge lengths is estimated within some per cent where it is white, and
-    within about 15 % where neighbours share it.  Detail as fine as the mesh itself cannot be
-    distinguished from noise: the interval says how much of the level may be that.  The result does
-    not depend on how the mesh is turned, moved or scaled, nor on the number of threads.  Its cost
-    hardly depends on the size of the mesh.
+    within about 15 % where neighbours share it.  Detail as fine as the mesh itself may look like
+    noise: ``readings`` say how probable both are, and where neither is sure the estimate is
+    ``is_unsure``.  The result does not depend on how the mesh is moved or scaled, nor on the number
+    of threads.  Its cost hardly depends on the size of the mesh.
     """
     return characterize(mesh, estimate_white(mesh)).level
 

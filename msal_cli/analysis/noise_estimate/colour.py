@@ -95,10 +95,6 @@ SMOOTH_GROWTH = 0.97
 """What degree 3 over three rings leaves over degree 2 over two, below which it is smooth relief:
 shared noise leaves 1 to 1.16 times as much."""
 
-EVEN = np.array([0.0, 0.74, 0.78, 0.78, 0.0])
-ALIKE = np.array([0.0, 0.66, 0.70, 0.70, 0.0])
-"""The same for white noise, and for noise by the angle to an axis."""
-
 
 @dataclass(frozen=True)
 class Colour:
@@ -112,8 +108,6 @@ class Colour:
     margin : by how much other numbers of rings are worse.
     sharpness : (5,), by fit.
     is_floor : whether what wide fits leave over is the same everywhere, as only noise is.
-    is_even : whether what all fits over two to four rings leave is, as even white noise is.
-    is_alike : the same, with more doubt.
     is_relief : whether a smooth relief that is the same everywhere would leave that, too.
     by_scale : (5,) standard deviation that each fit leaves over, mean edges, taken for white.
     """
@@ -124,8 +118,6 @@ class Colour:
     margin: float
     sharpness: Floats
     is_floor: bool
-    is_even: bool
-    is_alike: bool
     is_relief: bool
     by_scale: Floats
 
@@ -179,8 +171,6 @@ def find_colour(
         margin=float(others.min() - chosen[rings]),
         sharpness=sharpness,
         is_floor=_is_floor(sharpness, rings, level),
-        is_even=bool((sharpness > EVEN)[1:4].all()),
-        is_alike=bool((sharpness > ALIKE)[1:4].all()),
         is_relief=rings > 0 and _is_relief(by_scale, sharpness, rings),
         by_scale=by_scale,
     )

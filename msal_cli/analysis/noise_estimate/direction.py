@@ -44,20 +44,13 @@ HOPELESS = 0.4
 TURNS = (0.3, 0.15, 0.08, 0.04)
 """Tangents of the angles by which an axis is turned in search of a better one."""
 
-WORST_MISFIT, LEAST_GAIN = 0.6, 0.1
-"""Mean error of the logarithms of the groups' variances, with which an axis is taken; and by how
-much it has to be less than without."""
 
-LEAST_SLIDE, LEAST_CONTRAST = 0.5, 1.25
+CLEAR_SLIDE, CLEAR_CONTRAST = 0.7, 2.5
 """Movement along the axis within the surface, as a share of the level, and over that across it,
-that an axis shows at least."""
+that an axis shows at least where it leaves no doubt."""
 
-CLEAR_SLIDE, CLEAR_CONTRAST, WORST_IF_CLEAR = 0.7, 2.5, 0.75
-"""The same where it leaves no doubt, and the misfit that is allowed then."""
-
-PLAIN_GAIN, WORST_IF_PLAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 1.2, 0.35, 1.35
-"""Gain that texture and noise by region do not bring, and the misfit and the least movement then.
-"""
+PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 0.35, 1.35
+"""Gain that texture and noise by region do not bring, and the least movement and contrast then."""
 
 MOST_EXCESS = 1.4
 """Movement along the axis over the level that noise explains where the contrast is low."""
@@ -76,10 +69,6 @@ STEEP = 0.3
 
 FLAT_COSINE = 0.25
 """Squared cosine from which a place tells the level along an axis."""
-
-JITTER_LOW, JITTER_HIGH, JITTER_SHAPE = 0.8, 1.5, 1.25
-"""Movement within the surface over that along the normals, of isotropic noise: the least and the
-most, and by how much more the upper half of places may show than the lowest tenth."""
 
 
 @dataclass(frozen=True)
@@ -116,15 +105,6 @@ class AxisEvidence:
         return self.agreement > LINKED and self.contrast > LINKED_CONTRAST and slides
 
     @property
-    def is_sure(self) -> bool:
-        """Whether the noise is along the axis."""
-        worst = WORST_MISFIT
-        if self.is_clear:
-            worst = WORST_IF_PLAIN if self.gain > PLAIN_GAIN else WORST_IF_CLEAR
-        slides = self.slide > LEAST_SLIDE * self.level and self.contrast > LEAST_CONTRAST
-        return self.misfit < worst and self.gain > LEAST_GAIN and (slides or self.is_clear)
-
-    @property
     def is_clear(self) -> bool:
         """Whether vertices slide along the axis as much as noise along it makes them."""
         # Those that share noise slide less.
@@ -151,12 +131,6 @@ class AxisEvidence:
     def gain(self) -> float:
         """How much better the axis explains the variances than the normals do."""
         return self.without - self.misfit
-
-    @property
-    def confidence(self) -> float:
-        """How sure that is, from 0.5 to 0.99."""
-        linked = 0.6 + 0.4 * self.agreement if self.is_linked else 0.5
-        return min(max(0.5 + self.gain, linked), 0.99)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +176,7 @@ def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
     """The axis that the noise is along, if it is along any; None where that cannot be seen."""
     candidates = [
         _main_axis(groups.levels, groups.squares, groups.counts),
-        _main_offset(survey.offsets),
+        find_main_offset(survey.offsets),
     ]
     without = groups.misfit(None)
     best, misfit = None, math.inf
@@ -212,20 +186,11 @@ def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
         axis, error = _refine(candidate, groups)
         if error < misfit:
             best, misfit = axis, error
-    return None if best is None else _evidence(survey, groups, best)
+    return None if best is None else weigh_axis(survey, groups, best)
 
 
-def find_linked_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
-    """The axis that vertices slide along, if those that do are out of the surface along it, too;
-    else None.
-
-    It needs no flat places, as ``find_axis`` does, but noise that neighbours do not share.
-    """
-    evidence = _evidence(survey, groups, _main_offset(survey.offsets))
-    return evidence if evidence.is_linked else None
-
-
-def _evidence(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
+def weigh_axis(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
+    """What speaks for noise along an axis (3,)."""
     slide, across = _slides(survey, axis)
     return AxisEvidence(
         axis=_signed(axis),
@@ -298,7 +263,7 @@ def _main_axis(levels: Floats, squares: Floats, counts: Floats) -> Floats:
     return main
 
 
-def _main_offset(offsets: Floats) -> Floats:
+def find_main_offset(offsets: Floats) -> Floats:
     """Direction in which vertices are furthest off the middles of their rings."""
     lengths = np.sqrt((offsets * offsets).sum(axis=1))
     most = 2.0 * float(np.median(lengths))
@@ -386,14 +351,3 @@ def _agreement(survey: Survey, axis: Floats) -> float:
 def _signed(axis: Floats) -> Floats:
     """The axis turned so that its largest coordinate is positive."""
     return axis if axis[np.abs(axis).argmax()] > 0.0 else -axis
-
-
-def is_isotropic(survey: Survey, level: float) -> bool:
-    """Whether vertices are moved within the surface as by noise of a level, mean edges."""
-    along = (survey.offsets * survey.normals).sum(axis=1)
-    squares = 0.5 * ((survey.offsets**2).sum(axis=1) - along * along)
-    few, some, half = (quantile(squares, share) for share in (0.1, 0.3, 0.5))
-    # Of chi square with two degrees of freedom, by those.
-    few, some, half = few / 0.10536, some / 0.35667, half / 0.69315
-    low, high = (JITTER_LOW * level) ** 2, (JITTER_HIGH * level) ** 2
-    return bool(low < some < high and few > low and half < JITTER_SHAPE**2 * max(few, low))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
@@ -17,10 +18,6 @@ SPIKES = 0.07
 
 FEWEST_SPIKES = 0.005
 """Share of the vertices that must be spikes for that."""
-
-IMPULSIVE_TAIL, IMPULSIVE_EXCESS = 0.02, 1.03
-"""Share of outliers, and their root mean square over the robust level, from which on the noise is
-taken for impulsive."""
 
 UNEVEN = 2.0
 """Ratio of the most to the least noisy region from which noise is not the same everywhere."""
@@ -42,6 +39,13 @@ KINDS = (
     "unknown",
 )
 DIRECTIONS = ("normals", "isotropic", "axis")
+
+NOISE, TEXTURE = "noise", "texture"
+"""What the roughness of a mesh can be: kinds of ``Reading``."""
+
+
+LEAST_PROBABILITY = 0.9
+"""Probability of a kind of reading from which it is not in doubt."""
 
 RING_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or more")
 
@@ -105,6 +109,22 @@ NO_CHARACTER = NoiseCharacter("none")
 
 
 @dataclass(frozen=True)
+class Reading:
+    """One way to explain the roughness of a mesh.
+
+    Attributes
+    ----------
+    kind : ``NOISE`` or ``TEXTURE``.
+    level : of the noise that there is then, mean edge lengths; 0 where all of it is texture.
+    probability : 0 to 1.
+    """
+
+    kind: str
+    level: float
+    probability: float
+
+
+@dataclass(frozen=True)
 class NoiseLevel:
     """The noise of a mesh: its standard deviation along the direction of its character.
 
@@ -124,6 +144,7 @@ class NoiseLevel:
     lowest, highest : levels of the least and the most noisy region, mean edge lengths.
     regions : how many regions were compared.
     character : what kind of noise it is.
+    readings : the ways to explain the roughness, the most probable first.
     """
 
     mean_edges: float
@@ -138,16 +159,59 @@ class NoiseLevel:
     highest: float
     regions: int
     character: NoiseCharacter = NO_CHARACTER
+    readings: tuple[Reading, ...] = ()
+
+    @property
+    def is_unsure(self) -> bool:
+        """Whether it may be noise or texture: neither has ``LEAST_PROBABILITY``."""
+        return bool(self.readings) and all(
+            sum(reading.probability for reading in self.readings if reading.kind == kind)
+            < LEAST_PROBABILITY
+            for kind in (NOISE, TEXTURE)
+        )
+
+    def assume(self, kind: str | None, edge: float) -> NoiseLevel:
+        """The noise if all readings of another ``kind`` are wrong: with ``NOISE`` of the highest
+        level of its readings, with ``TEXTURE`` of the lowest; unchanged where it is not unsure.
+
+        ``edge`` is the mean edge length, file units.
+        """
+        levels = [reading.level for reading in self.readings if reading.kind == kind]
+        if kind is None or not levels or not self.is_unsure:
+            return self
+        level = max(levels) if kind == NOISE else min(levels)
+        ratio = level / self.mean_edges if self.mean_edges > 0.0 else 1.0
+        has_spikes = are_spikes(self.rms_edges, self.tail)
+        character = NO_CHARACTER
+        if level > 0.0:
+            is_named = self.character.kind != "none"
+            character = self.character if is_named else NoiseCharacter("unknown", confidence=0.0)
+        return dataclasses.replace(
+            self,
+            mean_edges=level,
+            low=level,
+            high=max(level, self.rms_edges if has_spikes else 0.0),
+            file_units=level * edge,
+            clean_edges=to_clean_edges(level),
+            rms_edges=max(level, self.rms_edges),
+            is_negligible=level == 0.0 and not has_spikes,
+            lowest=ratio * self.lowest,
+            highest=ratio * self.highest,
+            character=character,
+            readings=(Reading(kind, level, 1.0),),
+        )
 
     def is_below(self, edges: float) -> bool:
-        """Whether neither the level nor single spikes reach so many mean edge lengths."""
+        """Whether neither the level, nor that of any region where they differ, nor single spikes
+        reach so many mean edge lengths."""
         has_spikes = are_spikes(self.rms_edges, self.tail) and self.rms_edges >= edges
-        return self.mean_edges < edges and not has_spikes
+        level = max(self.mean_edges, self.highest) if self.is_uneven else self.mean_edges
+        return level < edges and not has_spikes
 
     @property
     def is_impulsive(self) -> bool:
-        """Whether it has more outliers than Gaussian noise would."""
-        return self.tail >= IMPULSIVE_TAIL and self.rms_edges > IMPULSIVE_EXCESS * self.mean_edges
+        """Whether single vertices have much more noise than the others."""
+        return self.character.kind in ("impulsive", "outliers")
 
     @property
     def is_uneven(self) -> bool:

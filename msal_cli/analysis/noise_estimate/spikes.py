@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.colour import Colour
 from msal_cli.analysis.noise_estimate.quantiles import quantile
 from msal_cli.analysis.noise_estimate.survey import Survey
 from msal_cli.analysis.noise_estimate.white import WhiteEstimate
@@ -25,64 +23,26 @@ OUTLYING, TIMES_MOST, MOST = 0.9, 3.5, 0.7
 """How far an outlier is off the middle of its ring at least: in mean edge lengths, and compared
 with what this share of the vertices does not exceed."""
 
-SLIDING = 0.3
-"""Mean edge lengths within the surface, as a median, that tells outliers, which lie anywhere, from
-impulses along the normals."""
 
-MIXED, MIXED_TAIL = 0.5, 0.014
-"""Sharpness of fits over one ring below which, with such a tail, a part of the vertices has noise
-and others have none."""
-
-
-@dataclass(frozen=True)
-class Spikes:
-    """Spikes.
-
-    Attributes
-    ----------
-    kind : ``"outliers"`` or ``"impulsive"``.
-    share : of the vertices that are outliers; 0 for impulses.
-    """
-
-    kind: str
-    share: float
-
-
-def find_spikes(
-    mesh: Mesh, white: WhiteEstimate, survey: Survey, colour: Colour | None
-) -> Spikes | None:
-    """The spikes, if there are enough."""
-    share = _outlying_share(mesh, white, survey)
-    if share > 0.0:
-        return Spikes("outliers", share)
-    if white.level.is_negligible:
-        return None
-    # Where half of the vertices have impulses, few are detected, but many one-rings have none.
-    is_mixed = colour is not None and colour.sharpness[0] < MIXED and colour.is_alike
-    if white.level.is_impulsive or (white.level.tail > MIXED_TAIL and is_mixed):
-        return Spikes("impulsive", 0.0)
-    return None
-
-
-def _outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> float:
-    """Share of the vertices that are outliers; 0 for too few."""
+def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[float, float]:
+    """Share of the vertices that lie far off their neighbours, and the median of their ways within
+    the surface, mean edges; 0 and 0 for too few."""
     fewest = FEWEST_OUTLIERS * len(white.places)
     far = white.places[white.far]
     if len(far) <= fewest:
-        return 0.0
+        return 0.0, 0.0
     lengths = np.sqrt((survey.offsets * survey.offsets).sum(axis=1))
     least = max(OUTLYING, TIMES_MOST * quantile(lengths, MOST))
     offsets = _ring_offsets(mesh, far) / white.edge
     squares = (offsets * offsets).sum(axis=1)
     is_out = squares > least * least
     if is_out.sum() <= fewest:
-        return 0.0
+        return 0.0, 0.0
     along = (offsets * mesh.vertex_normals("uniform", 1)[far]).sum(axis=1)
     within = np.sqrt(np.maximum(squares - along * along, 0.0))
-    if float(np.median(within[is_out])) < SLIDING:
-        return 0.0
     # Among many outliers some are not detected, but they are as far off.
-    return max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
+    share = max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
+    return share, float(np.median(within[is_out]))
 
 
 def _ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:

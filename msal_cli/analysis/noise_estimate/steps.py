@@ -44,16 +44,6 @@ OBLIQUE = (0.05, 0.95)
 FEWEST_OBLIQUE = 0.08
 """Share of the places that have to be, for others to be left out."""
 
-ROUGH = (0.15, 40.0)
-"""What is left over, in squared steps / 12, where a step is the cause: the least and the most."""
-
-BENT = 0.05
-"""Height of a vertex above the middle of its ring, mean edges, from which it is at a step."""
-
-LEAST_TURNS, BENT_SHARE = 0.1, 0.35
-"""Share of the vertices at steps that turn the rarer way, or of all that are at steps, from which
-these are terraces.  Blocks with flat sides have 0 to 0.05 and 0.05 to 0.24, scans by voxels and
-slices 0.2 to 0.5 and 0.19 to 0.7; of thin plates the latter only."""
 
 PARALLEL = 1e-6
 """One less the cosine of the angle up to which edges have one direction."""
@@ -68,11 +58,6 @@ which marching cubes have along axes and diagonals; and the share of all edges w
 ACROSS = 2e-3
 """Cosine between axes of a grid at most."""
 
-FACING = 0.6
-"""Mean squared cosine to an axis with which a mesh faces it as a whole."""
-
-LEAST_GAIN = 0.05
-"""By how much an axis explains better what is left over, where it does not."""
 
 OF_VOXELS, OF_SLICES, SAME_HEIGHT = 0.205, 0.145, 1.2
 """Root mean square distance of terraces from the surface, in heights, where they have the same
@@ -80,80 +65,143 @@ height in all directions and where not; median over ten closed shapes, the latte
 three voxels.  It depends on the shape by 10 and by 40 %."""
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Depths in steps.
+@dataclass(frozen=True, eq=False)
+class StepEvidence:
+    """Steps in the differences between neighbours, whatever they come from.
 
     Attributes
     ----------
-    axis : (3,) unit vector; None for terraces in all directions.
-    step : distance of the depths, or height of the terraces, mean edges.
-    level : standard deviation of what is rounded, along the axis, or of the distance of terraces
-        from the surface; mean edges.
-    is_sure : whether nothing but what is assumed would leave them.
+    n_axes : along how many axes of a grid there are steps, 0 to 3.
+    axis : (3,) unit vector across the steps; None where there are none, or along all axes.
+    step : the widest, mean edges; of terraces their height.  0 for none.
+    level : standard deviation that such steps make, mean edges.
+    voxel_share : share of the edges that marching cubes over voxels could have.
+    is_turned : whether the grid is not along the axes of the file.
+    along_gain : by how much the axis explains better what is left over than the normals do.
+    roughness : what is left over where the surface is oblique to the steps, in squared steps / 12.
     """
 
+    n_axes: int
     axis: Floats | None
     step: float
     level: float
-    is_sure: bool
+    voxel_share: float
+    is_turned: bool
+    along_gain: float
+    roughness: float
 
 
-def find_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> Steps | None:
-    """Steps along a coordinate axis of the file, or along all of a grid, which may be turned; None
-    where there are none."""
+NO_STEPS = StepEvidence(0, None, 0.0, 0.0, 0.0, False, 0.0, 0.0)
+
+
+def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvidence:
+    """The steps along the axes of the file, along those of a turned grid, or along one axis."""
     differences = _edge_vectors(mesh, survey.vertices)
+    frame, is_turned = np.eye(3), False
     steps = _axis_steps(differences)
-    if all(steps):
-        is_sure = _has_voxel_edges(differences, steps)
-        return _find_terraces(survey, survey.normals, steps, is_sure)
     if not any(steps):
+        is_turned = True
         for frame in _find_frames(differences):
-            turned = differences @ frame.T
-            steps = _axis_steps(turned)
-            if all(steps) and _has_voxel_edges(turned, steps):
-                return _find_terraces(survey, survey.normals @ frame.T, steps, is_sure=True)
+            steps = _axis_steps(differences @ frame.T)
+            if all(steps):
+                break
+        else:
+            axis = _find_step_axis(differences)
+            if axis is None:
+                return NO_STEPS
+            frame = np.stack([axis, axis, axis])
+            steps = [_step(np.abs(differences @ axis)), 0.0, 0.0]
+    if all(steps):
+        step = 2.0 * max(steps)
+        normals = survey.normals @ frame.T
+        is_even = max(steps) < SAME_HEIGHT * min(steps)
+        return StepEvidence(
+            n_axes=3,
+            axis=None,
+            step=step,
+            level=(OF_VOXELS if is_even else OF_SLICES) * step,
+            voxel_share=_voxel_share(differences @ frame.T, steps),
+            is_turned=is_turned,
+            along_gain=0.0,
+            roughness=_roughness(survey, FOUR, (normals**2).max(axis=1), None, 0.5 * step),
+        )
+    best = int(np.argmax(steps))
+    step, axis = steps[best], frame[best]
+    squares = (survey.normals @ axis) ** 2
+    gain = 0.0 if groups is None else groups.misfit(None) - groups.misfit(axis)
+    return StepEvidence(
+        n_axes=sum(step > 0.0 for step in steps),
+        axis=axis,
+        step=step,
+        level=step / math.sqrt(12.0),
+        voxel_share=0.0,
+        is_turned=is_turned,
+        along_gain=gain,
+        roughness=_roughness(survey, THREE, squares, squares, step),
+    )
+
+
+def _find_step_axis(differences: Floats) -> Floats | None:
+    """The direction across which many edge vectors (d, 3) lie exactly, if their parts along it come
+    in steps; None where there is none."""
+    lengths = np.sqrt((differences * differences).sum(axis=1))
+    some = differences[lengths > SAME] / lengths[lengths > SAME, None]
+    if len(some) < FEWEST_DIFFERENCES:
         return None
-    for axis in np.argsort(steps)[::-1]:
-        squares = survey.normals[:, axis] ** 2
-        if not steps[axis] or not _is_rough(survey, THREE, squares, squares, steps[axis]):
-            continue
-        direction = np.eye(3)[axis]
-        if squares.mean() > FACING or (groups is not None and _is_along(groups, direction)):
-            return Steps(direction, steps[axis], steps[axis] / math.sqrt(12.0), is_sure=True)
+    first = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64)]
+    # Next to one another in a ring.
+    second = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64) + 1]
+    across = np.cross(first, second)
+    sizes = np.sqrt((across * across).sum(axis=1))
+    across = across[sizes > MIN_SINE] / sizes[sizes > MIN_SINE, None]
+    compared = some[:: max(len(some) // MAX_COMPARED, 1)]
+    shares = (np.abs(across @ compared.T) < PARALLEL_SINE).mean(axis=1)
+    for candidate in np.argsort(-shares, kind="stable")[:MAX_STEP_AXES]:
+        if shares[candidate] < MIN_LEVEL_SHARE:
+            return None
+        if _step(np.abs(differences @ across[candidate])):
+            axis: Floats = across[candidate]
+            return axis
     return None
 
 
-def _find_terraces(
-    survey: Survey, normals: Floats, steps: list[float], is_sure: bool
-) -> Steps | None:
-    """Terraces on a grid; the normals (c, 3) are in its axes."""
-    # Surfaces out of voxels have their vertices in the middle of the voxels' edges.
-    step = 2.0 * max(steps)
-    closest = (normals**2).max(axis=1)
-    everywhere = np.ones(len(closest))
-    if not _is_rough(survey, FOUR, closest, everywhere, 0.5 * step):
-        return None
-    if not _turns_both_ways(survey):
-        return None
-    is_even = max(steps) < SAME_HEIGHT * min(steps)
-    return Steps(None, step, (OF_VOXELS if is_even else OF_SLICES) * step, is_sure)
+MAX_PAIRS, MAX_COMPARED, MAX_STEP_AXES = 200, 400, 4
+"""Pairs of edges whose plane may be one of equal depth, edges that are compared with each, and
+planes whose steps are looked at."""
+
+MIN_SINE, PARALLEL_SINE, MIN_LEVEL_SHARE = 0.3, 1e-4, 0.05
+"""Sine between the edges of such a pair, sine to the plane up to which an edge lies in it, and the
+share of all edges that do."""
+
+
+def _voxel_share(differences: Floats, steps: list[float]) -> float:
+    """Share of the edge vectors (d, 3) whose coordinates, in steps, have an even sum.
+
+    All have where each vertex is in the middle of an edge of the voxels, as marching cubes over
+    binary voxels puts it; those of a part that is meshed on a grid have odd sums too.
+    """
+    counts = np.round(differences / np.array(steps)).sum(axis=1)
+    return float((counts % 2.0 == 0.0).mean()) if len(counts) else 0.0
+
+
+def _roughness(
+    survey: Survey, fit: int, squares: Floats, scale: Floats | None, step: float
+) -> float:
+    """What fits leave over in squared steps / 12, where the surface is oblique to the axis."""
+    variances = survey.variances[:, fit]
+    has = np.isfinite(variances) & (squares > OBLIQUE[0])
+    oblique = has & (squares < OBLIQUE[1])
+    if oblique.mean() > FEWEST_OBLIQUE:
+        has = oblique
+    if not has.any():
+        return 0.0
+    ratios = variances[has] if scale is None else variances[has] / scale[has]
+    return min(float(np.median(ratios)) / (step * step / 12.0), 100.0)
 
 
 def _axis_steps(differences: Floats) -> list[float]:
     """The step of edge vectors (d, 3) along each axis; 0 for none."""
     return [_step(np.abs(differences[:, axis])) for axis in range(3)]
-
-
-def _has_voxel_edges(differences: Floats, steps: list[float]) -> bool:
-    """Whether edge vectors (d, 3) are those of marching cubes over binary voxels.
-
-    Each vertex is in the middle of an edge of the voxels, so one of its coordinates, in steps, is
-    odd and the others are even.  All edges have an even sum of steps then; those of a part that is
-    meshed on a grid have odd sums too.
-    """
-    counts = np.round(differences / np.array(steps)).sum(axis=1)
-    return bool((counts % 2.0 == 0.0).mean() > MOSTLY)
 
 
 def _find_frames(differences: Floats) -> Iterator[Floats]:
@@ -186,24 +234,6 @@ def _main_directions(directions: Floats) -> Floats:
     return np.array(main).reshape(-1, 3)
 
 
-def _turns_both_ways(survey: Survey) -> bool:
-    """Whether steps go up and down, or are nearly everywhere.
-
-    The edges of a block that is meshed on a grid look like terraces to fits, but all of them are
-    convex.
-    """
-    heights = (survey.offsets * survey.normals).sum(axis=1)
-    n_convex = int(np.count_nonzero(heights > BENT))
-    n_concave = int(np.count_nonzero(heights < -BENT))
-    n_bent = n_convex + n_concave
-    return min(n_convex, n_concave) >= LEAST_TURNS * n_bent or n_bent >= BENT_SHARE * len(heights)
-
-
-def _is_along(groups: Groups, axis: Floats) -> bool:
-    """Whether what fits leave over is better explained along an axis than along the normals."""
-    return groups.misfit(axis) < groups.misfit(None) - LEAST_GAIN
-
-
 def _edge_vectors(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
     """From the vertices to their neighbours (d, 3), mean edges."""
     starts, ring = mesh.topology.ring_start, mesh.topology.ring
@@ -231,16 +261,3 @@ def _step(differences: Floats) -> float:
         step = float((multiples * some)[near].sum() / (multiples * multiples)[near].sum())
     is_on = np.abs(some / step - np.round(some / step)) < ON_STEP
     return step if step > LEAST_STEP and is_on.mean() > MOSTLY else 0.0
-
-
-def _is_rough(survey: Survey, fit: int, squares: Floats, scale: Floats, step: float) -> bool:
-    """Whether fits leave over what a step makes, where the surface is oblique to its axis."""
-    variances = survey.variances[:, fit]
-    has = np.isfinite(variances) & (squares > OBLIQUE[0])
-    oblique = has & (squares < OBLIQUE[1])
-    if oblique.mean() > FEWEST_OBLIQUE:
-        has = oblique
-    if not has.any():
-        return False
-    ratio = float(np.median(variances[has] / scale[has])) / (step * step / 12.0)
-    return ROUGH[0] < ratio < ROUGH[1]

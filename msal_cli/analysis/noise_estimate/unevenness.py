@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.colour import Colour, find_colour
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
 from msal_cli.analysis.noise_estimate.regions import split_regions
 from msal_cli.analysis.noise_estimate.survey import ONE, TWO, Survey
@@ -30,46 +30,6 @@ LOUD = 0.16
 UNEVEN, LEAST_LOUD = 2.5, 0.05
 """Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
 
-SHARP, SHARP_PLANE, LEAST_PLANE, WORST_FIT = 0.72, 0.3, 0.75, 0.12
-"""What ``find_colour`` finds in the noisy regions, each in its own measure: sharpness of wider fits
-and of those over one ring, what the latter leave over in comparison to fits over two, and
-misfit."""
-
-ONE_RING_MARGIN = 0.03
-"""By how much no sharing has to be worse than sharing over one ring."""
-
-LEAST_PURE, MOST_RINGS = 0.06, 2
-"""Share of the places in loud regions, and most rings, with which noise that differs by region is
-distinguished from texture."""
-
-
-@dataclass(frozen=True, eq=False)
-class Unevenness:
-    """Noise that differs by region, mean edge lengths.
-
-    Attributes
-    ----------
-    middles : (r,) places of the survey that are the middles of the regions.
-    regions : (r,) levels.
-    level : root mean square over the mesh.
-    rings : over how many rings neighbours share it.
-    """
-
-    middles: Longs
-    regions: Floats
-    level: float
-    rings: int
-
-    @property
-    def lowest(self) -> float:
-        """Level of the least noisy region."""
-        return float(self.regions.min())
-
-    @property
-    def highest(self) -> float:
-        """Level of the most noisy region."""
-        return float(self.regions.max())
-
 
 @dataclass(frozen=True, eq=False)
 class Differences:
@@ -79,6 +39,7 @@ class Differences:
     ----------
     middles, labels : places (r,) that are middles, and the region of each place (c,).
     lows, means : (r,) for the level and for its share in the level of all.
+    is_pure : (r,) whether a region is in one part of the mesh only.
     scale : (c,) variance of the region of each place; 0 where it is quiet, or between two parts.
     """
 
@@ -86,6 +47,7 @@ class Differences:
     labels: Longs
     lows: Floats
     means: Floats
+    is_pure: NDArray[np.bool_]
     scale: Floats
 
 
@@ -121,33 +83,10 @@ def find_differences(survey: Survey) -> Differences | None:
     middle = float(np.median(lows[known]))
     lows, means = np.where(known, lows, middle), np.where(known, means, middle)
     scale = np.where(is_pure & (lows > LOUD * highest**2), lows, 0.0)[labels]
-    return Differences(middles, labels, lows, means, scale)
+    return Differences(middles, labels, lows, means, is_pure, scale)
 
 
-def find_unevenness(survey: Survey, differences: Differences) -> Unevenness | None:
-    """Noise that differs by region, if the differences are those of noise."""
-    if (differences.scale > 0.0).mean() < LEAST_PURE:
-        return None
-    colour = find_colour(survey, differences.scale)
-    if colour is None or not _is_noise(colour):
-        return None
-    rings = colour.rings if colour.rings > 1 or colour.margin > ONE_RING_MARGIN else 0
-    # Fits over two rings see a part of shared noise only.
-    growth = colour.level if rings else 1.0
+def weigh_differences(differences: Differences) -> float:
+    """Mean variance over the mesh, squared mean edge lengths."""
     counts = np.bincount(differences.labels, minlength=len(differences.middles))
-    return Unevenness(
-        middles=differences.middles,
-        regions=growth * np.sqrt(differences.lows),
-        level=growth * math.sqrt(float(counts @ differences.means / counts.sum())),
-        rings=rings,
-    )
-
-
-def _is_noise(colour: Colour) -> bool:
-    return (
-        bool((colour.sharpness[1:4] > SHARP).all())
-        and colour.sharpness[0] > SHARP_PLANE
-        and colour.by_scale[ONE] > LEAST_PLANE * colour.by_scale[TWO]
-        and colour.rings <= MOST_RINGS
-        and colour.misfit < WORST_FIT
-    )
+    return float(counts @ differences.means / counts.sum())

@@ -83,7 +83,7 @@ FEWEST_PLACES = 48
 
 
 @dataclass(frozen=True, eq=False)
-class _Fits:
+class Fits:
     """What ``kernels.patch_fits.fit_patches`` gives for the places."""
 
     variances: Floats
@@ -122,6 +122,7 @@ class WhiteEstimate:
     middles : (r, 3) positions of the regions' middles.
     regions : (r,) levels of the regions, file units.
     far : (c,) whether a vertex is far out among its neighbours.
+    fits : what the fits leave over at the places.
     edge : mean edge length, file units.
     """
 
@@ -131,6 +132,7 @@ class WhiteEstimate:
     middles: Floats
     regions: Floats
     far: NDArray[np.bool_]
+    fits: Fits
     edge: float
 
 
@@ -182,7 +184,9 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
         highest=highest / edge,
         regions=len(regions),
     )
-    return WhiteEstimate(noise, places, labels, mesh.vertices[places[middles]], regions, far, edge)
+    return WhiteEstimate(
+        noise, places, labels, mesh.vertices[places[middles]], regions, far, fits, edge
+    )
 
 
 def _places(mesh: Mesh) -> Longs:
@@ -201,12 +205,12 @@ def _places(mesh: Mesh) -> Longs:
     return at if used is None else used[at]
 
 
-def _fits(mesh: Mesh, places: Longs) -> _Fits:
+def _fits(mesh: Mesh, places: Longs) -> Fits:
     from msal_cli.kernels.patch_fits import fit_patches
 
     links = mesh.topology
     normals = mesh.vertex_normals("uniform", 1)
-    return _Fits(*fit_patches(places, mesh.vertices, normals, links.ring_start, links.ring))
+    return Fits(*fit_patches(places, mesh.vertices, normals, links.ring_start, links.ring))
 
 
 def _least(plane: float, near: float, far: float, cubic: float) -> float:
@@ -226,7 +230,7 @@ def _without_texture(best: float, coarse: float) -> float:
     return math.sqrt(best * best - texture)
 
 
-def _tail(fits: _Fits) -> tuple[float, NDArray[np.bool_]]:
+def _tail(fits: Fits) -> tuple[float, NDArray[np.bool_]]:
     """The share of the vertices that are far out, and which they are."""
     from msal_cli.kernels.quantiles import student
 
@@ -236,7 +240,7 @@ def _tail(fits: _Fits) -> tuple[float, NDArray[np.bool_]]:
     return (float(far.sum()) / judged if judged else 0.0), far
 
 
-def _levels(fits: _Fits, labels: Longs, n_regions: int, level: float, is_impulsive: bool) -> Floats:
+def _levels(fits: Fits, labels: Longs, n_regions: int, level: float, is_impulsive: bool) -> Floats:
     """Level of each region (r,), file units, where that of all is ``level``; a region with too few
     places has that."""
     # Few places of a region have no spike.

@@ -1,0 +1,423 @@
+"""What speaks for noise and what for design or texture, as numbers for the classifier.
+
+Noise is everywhere on a scan: what fits leave over has a floor, at every place and over every
+width, and heights of neighbours go against one another.  Design is not: flats are flat to
+rounding, lengths repeat exactly, curvature ends at edges.  Every number is free of scale: after the
+levels by each measurement, logarithms are of ratios to what degree 2 over two rings leaves at half
+of the places.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from msal_cli.analysis.noise_estimate.classifier import MISSING
+from msal_cli.analysis.noise_estimate.colour import Colour, find_colour
+from msal_cli.analysis.noise_estimate.direction import (
+    AxisEvidence,
+    Groups,
+    find_axis,
+    find_main_offset,
+    group_places,
+    weigh_axis,
+)
+from msal_cli.analysis.noise_estimate.quantiles import quantiles
+from msal_cli.analysis.noise_estimate.spikes import outlying_share
+from msal_cli.analysis.noise_estimate.steps import StepEvidence, measure_steps
+from msal_cli.analysis.noise_estimate.survey import (
+    FOUR,
+    ONE,
+    SIX,
+    THREE,
+    TWO,
+    Survey,
+    take_survey,
+)
+from msal_cli.analysis.noise_estimate.unevenness import (
+    Differences,
+    find_differences,
+    weigh_differences,
+)
+from msal_cli.analysis.noise_estimate.white import FAR, WhiteEstimate
+from msal_cli.arrays import Floats, Longs
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
+
+SHARES = (0.02, 0.1, 0.25, 0.5, 0.75, 0.95)
+OFFSET_SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
+PAIRS = ((TWO, ONE), (THREE, TWO), (FOUR, THREE), (SIX, FOUR))
+TINY = 1e-7
+"""Mean edge lengths below which a deviation is rounding."""
+
+MAX_COUNTED = 4_000
+"""Vertices from which more say nothing of the noise."""
+
+MAX_REPEATED_VERTICES = 40_000
+"""Vertices whose edges are compared in length: sorting more would take too long."""
+
+MAX_NEIGHBOUR_PLACES = 400
+"""Places whose neighbours' heights are compared with their own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Measurements of one mesh, and the numbers that are made of them.
+
+    Attributes
+    ----------
+    survey : fits over one to six rings.
+    axis : the best one for noise along an axis.
+    steps : depths in steps.
+    differences : levels by region, where they differ.
+    outliers : share of the vertices that lie far off.
+    tail : share of the vertices that are further out than 99 in 100 are with Gaussian noise.
+    loud_correlation : of the heights of neighbours, in the roughest third of the places; below 0
+        for noise that they do not share.
+    numbers : (k,) for the classifier.
+    """
+
+    survey: Survey
+    axis: AxisEvidence | None
+    steps: StepEvidence
+    differences: Differences | None
+    outliers: float
+    tail: float
+    loud_correlation: float
+    numbers: Floats
+
+
+def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
+    """Measure all that the classifier knows of a mesh."""
+    survey = take_survey(mesh, white.places)
+    groups = group_places(survey)
+    base = _find_base(white)
+    colour = find_colour(survey, fine=white.level.mean_edges)
+    linked, fitted = _find_axes(survey, groups)
+    axis = linked if linked is not None and linked.is_linked else fitted or linked
+    axis_colour = None if axis is None else _colour_along(survey, axis)
+    steps = measure_steps(mesh, survey, groups)
+    differences = find_differences(survey)
+    outliers, within = outlying_share(mesh, white, survey)
+    neighbours = _neighbour_numbers(mesh, survey)
+    numbers = [
+        *_level_numbers(white, colour, axis, axis_colour, steps, differences),
+        *_size_numbers(mesh, survey, white, base),
+        *_white_numbers(white, base),
+        *_survey_numbers(survey, base),
+        *_colour_numbers(colour, base),
+        *_axis_numbers(linked, base),
+        *_axis_numbers(fitted, base),
+        *_colour_numbers(axis_colour, base),
+        *_offset_numbers(survey, base),
+        *neighbours,
+        *_step_numbers(steps, base),
+        *_region_numbers(white, survey, differences, base),
+        outliers,
+        within,
+    ]
+    values = np.nan_to_num(
+        np.array(numbers, dtype=np.float64), nan=MISSING, posinf=30.0, neginf=MISSING
+    )
+    return Evidence(
+        survey=survey,
+        axis=axis,
+        steps=steps,
+        differences=differences,
+        outliers=outliers,
+        tail=white.level.tail,
+        loud_correlation=neighbours[2],
+        numbers=values,
+    )
+
+
+def _log(value: float, base: float = 1.0) -> float:
+    """Logarithm of a length in mean edges, over a base; lengths below ``TINY`` count as that."""
+    return math.log(max(value, TINY) / base) if math.isfinite(value) else MISSING
+
+
+def _logs(values: Floats, base: float) -> list[float]:
+    return [_log(float(value), base) for value in values]
+
+
+def _find_base(white: WhiteEstimate) -> float:
+    """Deviation from degree 2 over two rings at half of the places, mean edges."""
+    variances = white.fits.variances[:, FAR][white.fits.freedoms[:, FAR] > 0]
+    if not len(variances):
+        return TINY
+    return max(math.sqrt(float(quantiles(variances, (0.5,))[0])) / white.edge, TINY)
+
+
+def _level_numbers(
+    white: WhiteEstimate,
+    colour: Colour | None,
+    axis: AxisEvidence | None,
+    axis_colour: Colour | None,
+    steps: StepEvidence,
+    differences: Differences | None,
+) -> list[float]:
+    """Logarithms of the level by each measurement, in the order of ``classifier.LEVELS``; mean
+    edges."""
+    return [
+        _log(white.level.mean_edges),
+        _log(white.level.rms_edges),
+        MISSING if colour is None else _log(colour.level),
+        MISSING if axis is None else _log(axis.best_level),
+        MISSING if axis_colour is None else _log(axis_colour.level),
+        _log(steps.level) if steps.n_axes else MISSING,
+        MISSING if differences is None else _log(math.sqrt(weigh_differences(differences))),
+    ]
+
+
+def _size_numbers(mesh: Mesh, survey: Survey, white: WhiteEstimate, base: float) -> list[float]:
+    topology = mesh.topology
+    n_used = int(np.count_nonzero(topology.has_ring))
+    normal = survey.normals.mean(axis=0) if len(survey.normals) else np.zeros(3)
+    facing = float((survey.normals @ normal > 0.0).mean()) if len(survey.normals) else 0.0
+    counts = np.diff(topology.ring_start)[white.places]
+    return [
+        math.log(min(max(n_used, 1), MAX_COUNTED)),
+        float(topology.boundary[white.places].mean()) if len(white.places) else 0.0,
+        math.sqrt(float(normal @ normal)),
+        facing,
+        float((counts == 6).mean()) if len(counts) else 0.0,
+        float(counts.std()) if len(counts) else 0.0,
+        _log(base),
+        *_repeated_lengths(mesh, white.edge),
+    ]
+
+
+def _repeated_lengths(mesh: Mesh, edge: float) -> list[float]:
+    """How often an edge has the length of another one, beyond chance, and how lengths spread."""
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
+    n = min(len(mesh.vertices), MAX_REPEATED_VERTICES)
+    ends = ring[: starts[n]].astype(np.int64)
+    begins = np.repeat(np.arange(n), np.diff(starts[: n + 1]))
+    once = begins < ends
+    vectors = mesh.vertices[ends[once]] - mesh.vertices[begins[once]]
+    lengths = np.sort(np.sqrt((vectors * vectors).sum(axis=1))) / edge
+    if len(lengths) < 20:
+        return [MISSING] * 6
+    low, few, some, most, high = quantiles(lengths, (0.05, 0.25, 0.5, 0.75, 0.95))
+    inner = lengths[(lengths >= low) & (lengths <= high)]
+    gap = (high - low) / max(len(inner), 1)
+    gaps = np.diff(inner)
+    repeated = float((gaps <= 0.01 * gap).mean()) if gap > TINY and len(gaps) else 1.0
+    return [
+        repeated,
+        _log(float(low)),
+        _log(float(few)),
+        _log(float(some)),
+        _log(float(most)),
+        _log(float(high)),
+    ]
+
+
+def _white_numbers(white: WhiteEstimate, base: float) -> list[float]:
+    level, fits = white.level, white.fits
+    numbers = [
+        _log(level.mean_edges, base),
+        _log(level.low, base),
+        _log(level.high, base),
+        level.tail,
+        _log(level.rms_edges, base),
+        float(level.is_negligible),
+    ]
+    for fit in range(4):
+        variances = fits.variances[:, fit][fits.freedoms[:, fit] > 0]
+        if not len(variances):
+            numbers += [MISSING] * (len(SHARES) + 2)
+            continue
+        deviations = np.sqrt(variances) / white.edge
+        numbers += _logs(quantiles(deviations, SHARES), base)
+        numbers += [float((deviations < 1e-6).mean()), float((deviations < 1e-3).mean())]
+    ratios = fits.ratios[fits.ratios >= 0.0]
+    return numbers + (
+        quantiles(ratios, (0.5, 0.9, 0.97, 0.99)).tolist() if len(ratios) else [0.0] * 4
+    )
+
+
+def _survey_numbers(survey: Survey, base: float) -> list[float]:
+    numbers: list[float] = []
+    for fit in range(5):
+        variances = survey.variances[:, fit]
+        variances = variances[np.isfinite(variances)]
+        if not len(variances):
+            numbers += [MISSING] * len(SHARES)
+            continue
+        numbers += _logs(np.sqrt(quantiles(variances, SHARES)), base)
+    logs = 0.5 * np.log(np.maximum(survey.variances, TINY * TINY))
+    widest = logs[:, SIX]
+    known = np.isfinite(logs).all(axis=1)
+    flat = known & (widest <= (quantiles(widest[known], (0.3,))[0] if known.any() else 0.0))
+    for wide, narrow in PAIRS:
+        ratios = (logs[:, wide] - logs[:, narrow])[np.isfinite(logs[:, wide] - logs[:, narrow])]
+        numbers += quantiles(ratios, (0.1, 0.5, 0.9)).tolist() if len(ratios) else [MISSING] * 3
+        some = (logs[:, wide] - logs[:, narrow])[flat]
+        numbers += [float(np.median(some)), float(some.std())] if len(some) else [MISSING] * 2
+    return numbers
+
+
+def _colour_numbers(colour: Colour | None, base: float) -> list[float]:
+    if colour is None:
+        return [MISSING] * 12
+    return [
+        float(colour.rings),
+        _log(colour.level, base),
+        colour.misfit,
+        colour.margin,
+        *colour.sharpness.tolist(),
+        float(colour.is_floor),
+        float(colour.is_relief),
+        _log(colour.level),
+    ]
+
+
+def _find_axes(
+    survey: Survey, groups: Groups | None
+) -> tuple[AxisEvidence | None, AxisEvidence | None]:
+    """What speaks for the axis along which vertices slide, and for the one that explains best what
+    is left over."""
+    if groups is None:
+        return None, None
+    return weigh_axis(survey, groups, find_main_offset(survey.offsets)), find_axis(survey, groups)
+
+
+def _colour_along(survey: Survey, axis: AxisEvidence) -> Colour | None:
+    cosines = (survey.normals @ axis.axis) ** 2
+    return find_colour(survey, np.where(cosines > MIN_COSINE, cosines, 0.0))
+
+
+MIN_COSINE = 0.1
+"""Squared cosine to an axis from which a place says something of the noise along it."""
+
+
+def _axis_numbers(axis: AxisEvidence | None, base: float) -> list[float]:
+    if axis is None:
+        return [MISSING] * 8
+    return [
+        axis.misfit,
+        axis.gain,
+        _log(axis.slide, base),
+        _log(axis.slide, max(axis.level, TINY)),
+        min(axis.contrast, 30.0),
+        _log(axis.level, base),
+        axis.agreement,
+        _log(axis.excess, base),
+    ]
+
+
+def _offset_numbers(survey: Survey, base: float) -> list[float]:
+    """Ways of the vertices from the middles of their rings, out of the surface and within it."""
+    if not len(survey.offsets):
+        return [MISSING] * (2 * len(OFFSET_SHARES) + 3)
+    out = (survey.offsets * survey.normals).sum(axis=1)
+    within = np.sqrt(np.maximum((survey.offsets**2).sum(axis=1) - out * out, 0.0))
+    high, low = float((out > 0.05).mean()), float((out < -0.05).mean())
+    return [
+        *_logs(quantiles(np.abs(out), OFFSET_SHARES), base),
+        *_logs(quantiles(within, OFFSET_SHARES), base),
+        high,
+        low,
+        float(np.mean(out > 0.0)),
+    ]
+
+
+def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
+    """How heights over the ring, and ways within the surface, go with those of neighbours.
+
+    White noise has a correlation of -0.24 on regular triangles, and smooth shape one near 1.
+    """
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
+    step = max(-(-len(survey.vertices) // MAX_NEIGHBOUR_PLACES), 1)
+    places, normals = survey.vertices[::step], survey.normals[::step]
+    own = survey.offsets[::step]
+    counts = (starts[places + 1] - starts[places]).astype(np.int64)
+    if not counts.sum():
+        return [MISSING] * 8
+    ends = np.cumsum(counts)
+    at = np.arange(int(ends[-1])) + np.repeat(starts[places] - (ends - counts), counts)
+    others = _ring_offsets(mesh, ring[at].astype(np.int64)) / mesh.mean_edge_length
+    of = np.repeat(np.arange(len(places)), counts)
+    heights = (own * normals).sum(axis=1)
+    their_heights = (others * normals[of]).sum(axis=1)
+    tangents = own - heights[:, None] * normals
+    their_tangents = others - their_heights[:, None] * normals[of]
+    products = np.bincount(of, heights[of] * their_heights, len(places)) / np.maximum(counts, 1)
+    squares = 0.5 * (
+        heights**2 + np.bincount(of, their_heights**2, len(places)) / np.maximum(counts, 1)
+    )
+    order = np.argsort(squares, kind="stable")
+    thirds = np.array_split(order, 3)
+    numbers = [
+        float(products[some].sum() / max(squares[some].sum(), TINY * TINY)) for some in thirds
+    ]
+    numbers.append(float((np.sign(heights[of]) == np.sign(their_heights)).mean()))
+    numbers.append(float(np.median(products / np.maximum(squares, TINY * TINY))))
+    along = (tangents[of] * their_tangents).sum(axis=1)
+    their_squares = (their_tangents**2).sum(axis=1)
+    numbers.append(float(along.sum() / max(their_squares.sum(), TINY * TINY)))
+    numbers.append(float((along > 0.0).mean()))
+    known = squares > TINY * TINY
+    kurtosis = heights[known] ** 2 / squares[known]
+    numbers.append(float(kurtosis.std()) if known.any() else MISSING)
+    return numbers
+
+
+def _ring_offsets(mesh: Mesh, vertices: Longs) -> Floats:
+    """From the middles of the one-rings of vertices (c,), which may repeat, to these (c, 3), scaled
+    as those of the survey; file units."""
+    unique, where = np.unique(vertices, return_inverse=True)
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
+    counts = (starts[unique + 1] - starts[unique]).astype(np.int64)
+    ends = np.cumsum(counts)
+    at = np.arange(int(ends[-1])) + np.repeat(starts[unique] - (ends - counts), counts)
+    of = np.repeat(np.arange(len(unique)), counts)
+    around = mesh.vertices[ring[at]]
+    result = np.empty((len(unique), 3))
+    weights = np.sqrt(counts / (counts + 1.0))
+    for axis in range(3):
+        middle = np.bincount(of, around[:, axis], len(unique)) / np.maximum(counts, 1)
+        result[:, axis] = (mesh.vertices[unique, axis] - middle) * weights
+    return result[where]
+
+
+def _step_numbers(steps: StepEvidence, base: float) -> list[float]:
+    return [
+        float(steps.n_axes),
+        _log(steps.step),
+        _log(steps.step, base),
+        steps.voxel_share,
+        float(steps.is_turned),
+        steps.along_gain,
+        steps.roughness,
+    ]
+
+
+def _region_numbers(
+    white: WhiteEstimate, survey: Survey, differences: Differences | None, base: float
+) -> list[float]:
+    regions = np.sort(white.regions) / white.edge
+    numbers = [
+        _log(float(regions[0]), base),
+        _log(float(np.median(regions)), base),
+        _log(float(regions[-1]), base),
+    ]
+    if differences is None:
+        return numbers + [MISSING] * 18
+    lows = np.sqrt(np.maximum(np.sort(differences.lows), 0.0))
+    colour = find_colour(survey, differences.scale)
+    return [
+        *numbers,
+        _log(float(lows[0]), base),
+        _log(float(np.median(lows)), base),
+        _log(float(lows[-1]), base),
+        float((differences.scale > 0.0).mean()),
+        float(differences.is_pure.mean()),
+        _log(math.sqrt(weigh_differences(differences)), base),
+        *_colour_numbers(colour, base),
+    ]

@@ -1,0 +1,233 @@
+"""Train the noise estimate: the classifier of kinds, and the regression of rings.
+
+    python -m training.noise -o msal_cli/analysis/noise_estimate/forests.npz
+
+Clean meshes come from ``training.designs``, noise from ``training.noise_samples``.  The same seed,
+settings and versions give the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.analysis.noise_estimate.classifier import KIND_NAMES, measured_level
+from training.designs import build_design, count_designs
+from training.noise_samples import NoiseSample, draw_samples
+
+Arrays = dict[str, Any]
+Array = NDArray[Any]
+
+MAX_RINGS_KINDS = ("white", "correlated", "view", "quantised", "uneven")
+"""Kinds whose neighbours may share noise."""
+
+WEIGHTS = [{"none": 1.5, "uneven": 0.6}.get(name, 1.0) for name in KIND_NAMES]
+"""How much samples of each kind count: what is clean must stay, and detail that is on a part of a
+design only is more frequent than noise that is."""
+
+NEAR = 0.15
+"""Relative error of a level that is good enough, in what is reported."""
+
+FOLDS = 4
+"""Parts of the shapes, each judged by trees that the others grew, for calibration."""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The options."""
+    parser = argparse.ArgumentParser(prog="python -m training.noise", description=__doc__)
+    add = parser.add_argument
+    add("-o", "--output", type=Path, required=True, metavar="FILE.npz")
+    add("--seed", type=int, default=1)
+    add("--designs", type=int, default=1500, help="clean meshes besides the sampled shapes")
+    add("--jobs", type=int, default=1, help="processes that make and measure meshes")
+    return parser
+
+
+def main(words: list[str] | None = None) -> int:
+    """Make the meshes, measure them, train, and write the trees."""
+    options = build_parser().parse_args(words)
+    samples, shapes = collect_samples(options.seed, options.designs, options.jobs, print)
+    arrays = train(samples, np.array(shapes))
+    np.savez_compressed(options.output, allow_pickle=False, **arrays)
+    return 0
+
+
+def collect_samples(
+    seed: int, designs: int, jobs: int, report: Callable[[str], object]
+) -> tuple[list[NoiseSample], list[int]]:
+    """Samples of all shapes and ``designs``, and the number of the shape each is of."""
+    samples: list[NoiseSample] = []
+    shapes: list[int] = []
+    started = time.monotonic()
+    tasks = [(seed, index, designs) for index in range(count_designs(designs))]
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        for index, made in enumerate(pool.imap(_sample_design, tasks)):
+            samples += made
+            shapes += [index] * len(made)
+            if index % 50 == 0:
+                report(f"{time.monotonic() - started:7.0f} s  {index}: {len(samples)} samples")
+    return samples, shapes
+
+
+def _sample_design(task: tuple[int, int, int]) -> list[NoiseSample]:
+    seed, index, designs = task
+    np.seterr(all="ignore")
+    maker, points, faces = build_design(seed, index, designs)
+    generator = np.random.default_rng([seed, 99, index])
+    return list(draw_samples(maker, points, faces.astype(np.int32), generator))
+
+
+def train(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) -> Arrays:
+    """The arrays of the forests, of samples and the number of the shape each is of."""
+    numbers = np.stack([sample.numbers for sample in samples]).astype(np.float32)
+    kinds = np.array([KIND_NAMES.index(sample.kind) for sample in samples])
+    levels = np.array([sample.level for sample in samples])
+    rings = np.array([sample.rings for sample in samples])
+    arrays: Arrays = {}
+    sharpness = _calibrate(numbers, kinds, shapes, report)
+    classifier = _grow_classifier(numbers, kinds)
+    arrays |= _export("kinds", classifier._predictors, classifier._baseline_prediction[0])
+    arrays["sharpness"] = np.array(sharpness)
+
+    # A staircase is the only kind that is never added.
+    is_added = np.array([not sample.is_scan for sample in samples])
+    has_level = (kinds > 0) & (levels > 0.0)
+    has_level &= is_added | (kinds == KIND_NAMES.index("staircase"))
+    bases = find_bases(numbers, kinds, rings)
+    target = np.log(np.maximum(levels, 1e-6)) - bases
+    arrays["spreads"] = _spread_of_levels(target, kinds, has_level, report)
+
+    shared = np.isin(kinds, [KIND_NAMES.index(kind) for kind in MAX_RINGS_KINDS])
+    grown = _grow_regression(
+        numbers[shared], rings[shared].astype(np.float64), 100, "squared_error"
+    )
+    arrays |= _export(
+        "rings", grown._predictors, np.atleast_1d(np.squeeze(grown._baseline_prediction))
+    )
+    return arrays
+
+
+def find_bases(numbers: Array, kinds: Array, rings: Array) -> Array:
+    """Logarithms of the levels (s,) by the measurement that is made for each kind."""
+    result: Array = np.array(
+        [
+            measured_level(some, KIND_NAMES[kind], int(n_rings)) if kind else 0.0
+            for some, kind, n_rings in zip(numbers, kinds, rings, strict=True)
+        ]
+    )
+    return result
+
+
+def _grow_classifier(numbers: Array, kinds: Array) -> Any:
+    from sklearn.ensemble import HistGradientBoostingClassifier
+
+    model = HistGradientBoostingClassifier(
+        learning_rate=0.08,
+        max_iter=90,
+        max_leaf_nodes=15,
+        min_samples_leaf=12,
+        l2_regularization=2.0,
+        max_features=0.35,
+        early_stopping=False,
+        random_state=1,
+    )
+    return model.fit(numbers, kinds, sample_weight=np.array(WEIGHTS)[kinds])
+
+
+def _grow_regression(numbers: Array, target: Array, rounds: int, loss: str) -> Any:
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    model = HistGradientBoostingRegressor(
+        loss=loss,
+        learning_rate=0.08,
+        max_iter=rounds,
+        max_leaf_nodes=20,
+        min_samples_leaf=12,
+        l2_regularization=1.0,
+        max_features=0.4,
+        early_stopping=False,
+        random_state=2,
+    )
+    return model.fit(numbers, target)
+
+
+def _calibrate(numbers: Array, kinds: Array, shapes: Array, report: Any) -> float:
+    """By what the sums are multiplied so that probabilities hold on shapes that were not seen."""
+    from scipy.optimize import minimize_scalar
+
+    sums = np.zeros((len(kinds), len(KIND_NAMES)))
+    for fold in range(FOLDS):
+        held = shapes % FOLDS == fold
+        model = _grow_classifier(numbers[~held], kinds[~held])
+        sums[np.ix_(held, model.classes_)] = model._raw_predict(numbers[held])
+
+    def loss(sharpness: float) -> float:
+        scaled = sharpness * sums
+        logs = scaled - scaled.max(axis=1, keepdims=True)
+        logs -= np.log(np.exp(logs).sum(axis=1, keepdims=True))
+        return float(-logs[np.arange(len(kinds)), kinds].mean())
+
+    best = float(minimize_scalar(loss, bounds=(0.3, 1.5), method="bounded").x)
+    report(f"held-out: right {np.mean(sums.argmax(axis=1) == kinds):.3f}, sharpness {best:.2f}")
+    return best
+
+
+def _spread_of_levels(errors: Array, kinds: Array, known: Array, report: Any) -> Array:
+    """By kind the 10th, 50th and 90th percentile of the level over the measured one (kinds, 3)."""
+    spreads = np.ones((len(KIND_NAMES), 3))
+    for kind in range(len(KIND_NAMES)):
+        some = known & (kinds == kind)
+        if some.sum() > 10:
+            spreads[kind] = np.exp(np.quantile(errors[some], [0.1, 0.5, 0.9]))
+            near = np.mean(np.abs(np.expm1(-errors[some])) < NEAR)
+            report(f"  {KIND_NAMES[kind]}: level near {near:.3f}, spread {spreads[kind].round(2)}")
+    return spreads
+
+
+def _export(name: str, rounds: Any, start: Array) -> Arrays:
+    """The arrays of a forest, out of the trees of each round and output."""
+    features: list[Array] = []
+    thresholds: list[Array] = []
+    left: list[Array] = []
+    right: list[Array] = []
+    values: list[Array] = []
+    roots: list[int] = []
+    outputs: list[int] = []
+    depth = first = 0
+    for trees in rounds:
+        for output, tree in enumerate(trees):
+            nodes = tree.nodes
+            own = np.arange(len(nodes))
+            leaf = nodes["is_leaf"].astype(bool)
+            features.append(np.where(leaf, 0, nodes["feature_idx"]).astype(np.int16))
+            thresholds.append(np.where(leaf, 0.0, nodes["num_threshold"]).astype(np.float32))
+            left.append(first + np.where(leaf, own, nodes["left"]))
+            right.append(first + np.where(leaf, own, nodes["right"]))
+            values.append(np.where(leaf, nodes["value"], 0.0).astype(np.float32))
+            roots.append(first)
+            outputs.append(output)
+            depth = max(depth, int(nodes["depth"].max()))
+            first += len(nodes)
+    return {
+        f"{name}_features": np.concatenate(features),
+        f"{name}_thresholds": np.concatenate(thresholds),
+        f"{name}_left": np.concatenate(left).astype(np.int32),
+        f"{name}_right": np.concatenate(right).astype(np.int32),
+        f"{name}_values": np.concatenate(values),
+        f"{name}_roots": np.array(roots, dtype=np.int32),
+        f"{name}_outputs": np.array(outputs, dtype=np.int16),
+        f"{name}_start": np.asarray(start, dtype=np.float64),
+        f"{name}_depth": np.array(depth),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())
