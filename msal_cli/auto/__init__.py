@@ -36,11 +36,13 @@ METHODS = (
     "bilateral_normal",
     "blend",
     "guided_normal",
+    "hc",
     "l0",
     "learned",
     "msal",
     "normal_diffusion",
     "normal_threshold",
+    "taubin",
     "wiener",
     "windowed_sinc",
 )
@@ -49,7 +51,7 @@ METHODS = (
 LARGEST_OF_FAMILY = {"schedule": "wiener"}
 """Parameters of ``al`` that take the most memory of all in the family."""
 
-FAMILY_BYTES = 6_000_000
+FAMILY_BYTES = 20_000_000
 """The same as ``BYTES`` for a choice within the family."""
 
 BYTES = 25_000_000

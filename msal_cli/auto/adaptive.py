@@ -6,8 +6,13 @@ schedule is closer to the truth than any single setting of AL or MSAL, in angles
 where texture is as fine as the mesh, the others do better.  So a few candidates run on a part of
 the mesh, Stein's lemma gives the error of each, and the least is taken.
 
+Noise that neighbours share, terraces and spikes are out of their reach.  Linear filters join in
+there, and the error is the distance from what the learned filter makes of the part: that takes too
+long for the whole mesh, but is nearer to the truth than all of them.  Where that is rough all over,
+the mildest linear filter counts as much.
+
 Where there is certainly no noise the mesh stays as it is.  Where the estimate cannot tell noise
-from texture, the mildest setting takes away no more than the upper end of the noise's interval.
+from texture, the setting and the share of it are taken whose error is least in the worse case.
 """
 
 from __future__ import annotations
@@ -18,17 +23,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate import SURE, NoiseLevel, estimate_noise
+from msal_cli import methods
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Floats
-from msal_cli.auto.blend_weights import FLOOR
-from msal_cli.auto.candidates import Candidate, wiener_al
-from msal_cli.auto.choices import build_recipe, describe_noise
-from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, may_follow, spread_levels
-from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
-from msal_cli.auto.risk import DRAWN, SteinRisk
+from msal_cli.auto.blend_weights import FLOOR, hedge
+from msal_cli.auto.candidates import FLATTENER, LEARNED, LINEAR, Candidate, wiener_al
+from msal_cli.auto.choices import build_recipe, describe_noise, describe_rest
+from msal_cli.auto.levels import FEWEST_JUDGED, level_masks, may_follow, spread_levels
+from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
+from msal_cli.auto.risk import SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
-from msal_cli.auto.trials import CandidateRuns
+from msal_cli.auto.search import forecast_seconds
+from msal_cli.auto.surface_kind import MACHINED, TEXTURED, surface_kind
+from msal_cli.auto.trials import CandidateRuns, count_relaxing
 from msal_cli.auto.wishes import FAMILY, NONE, Choice, allow_all
 from msal_cli.methods._triangles import even_out
 
@@ -48,39 +56,57 @@ PROBES = 1
 """One probe of the divergence is enough: the candidates are few, and far apart."""
 
 
+ROBUST_MSAL = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
+
+SINGLE_SWEEP = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
+
+MAX_COST, SMALL = 2.5, 100_000
+"""Cost up to which a linear filter is for meshes of any size, and vertices up to which all are: a
+run of the command takes longer to start than they take."""
+
 MARGIN = 0.1
 """By how much less the logarithms of both errors of another candidate have to be than those of the
 usual one: as much as one probe scatters."""
 
 
+STRONG = 0.25
+"""Mean edge lengths of noise from which ``--auto`` comes much nearer to the truth on any
+surface."""
+
+
 def choose_adaptive(
-    mesh: Mesh, on_step: OnStep | None = None, is_allowed: Allowed = allow_all
+    mesh: Mesh,
+    on_step: OnStep | None = None,
+    is_allowed: Allowed = allow_all,
+    assume: str | None = None,
 ) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
-    The choice depends on the mesh alone, and on what ``is_allowed``: the family always is, and
-    weights by local noise may not be.
+    The choice depends on the mesh alone, on what ``is_allowed``: the family always is, and weights
+    by local noise may not be; and on what to ``assume``, see ``Wishes``.
     """
     step = on_step or (lambda done, total: None)
-    choice = _choose(mesh, step, is_allowed)
+    estimate = estimate_noise(mesh)
+    choice = _choose(mesh, estimate, step, is_allowed, assume)
     step(1, 1)
-    return choice
+    return dataclasses.replace(choice, estimate=estimate)
 
 
-def _choose(mesh: Mesh, on_step: OnStep, is_allowed: Allowed) -> Choice:
-    noise = estimate_noise(mesh)
+def _choose(
+    mesh: Mesh, estimate: NoiseLevel, on_step: OnStep, is_allowed: Allowed, assume: str | None
+) -> Choice:
+    edge = mesh.mean_edge_length
+    noise = estimate.assume(assume, edge)
+    is_unsure = noise.is_unsure
     n_used = int(np.count_nonzero(mesh.topology.has_ring))
     if n_used < FEWEST_VERTICES:
         return _keep_input(noise, f"{n_used:,} vertices are too few to tell noise from shape")
-    if noise.is_negligible and noise.high < SURE:
-        return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; clean")
-    if noise.is_negligible:
-        what = f"noise not separable from texture, at most {noise.high:.2g} e"
-        candidate = wiener_al(noise.high)
-        made = build_recipe([candidate], np.ones((1, 1)), round(noise.high, 4))
-        reason = f"{what}; {made.label}"
-        return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)
-    return _choose_by_risk(_build_case(mesh, noise, is_allowed), noise, on_step)
+    if noise.is_negligible or not noise.mean_edges:
+        why = describe_rest(estimate, noise)
+        return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
+    noise = noise.assume(NOISE, edge)
+    case = _build_case(mesh, noise, is_allowed)
+    return _choose_by_risk(case, noise, on_step, is_allowed, is_unsure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +136,11 @@ def _build_case(mesh: Mesh, noise: NoiseLevel, is_allowed: Allowed) -> _Case:
     levels: tuple[float, ...] = ()
     # Trust scales the pull of one method, not a blend.
     if mesh.trust is None:
-        relax = RELAX if model.direction == ISOTROPIC else 0
+        relax = count_relaxing(mesh, model)
         if model.shares is not None and may_follow(is_allowed):
             local = local_levels(mesh)
             levels = spread_levels(local[mesh.topology.has_ring])
-    model = model.along_normals() if model.direction == ISOTROPIC else model
+    model = model.along_normals()
     loudest = levels[-1] * mesh.mean_edge_length if levels else 0.0
     base = even_out(mesh, relax)
     height = model.height(mesh.topology.has_ring, mesh.vertex_normals("uniform", 1))
@@ -122,43 +148,81 @@ def _build_case(mesh: Mesh, noise: NoiseLevel, is_allowed: Allowed) -> _Case:
     return _Case(base, model, edges, local, levels, relax)
 
 
-def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep) -> Choice:
+def _choose_by_risk(
+    case: _Case, noise: NoiseLevel, on_step: OnStep, is_allowed: Allowed, is_unsure: bool
+) -> Choice:
+    """The setting with the least estimated error, or the share of one that has it in the worse case
+    where it ``is_unsure`` that there is noise."""
     mesh = case.mesh
-    candidates = _candidates(mesh, case.edges, case.model.rings)
-    what = describe_noise(noise)
-    if noise.is_impulsive or not case.model.is_gaussian:
-        # Stein's lemma holds for Gaussian noise.
-        return _build_choice(case, noise, candidates[0], np.ones(1))
+    what = describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART, SEEDS)
-    total = len(candidates) * (1 + PROBES) + 1
-    done = 0
+    surface = _find_surface(part)
+    model = case.model.on_part(part.numbers)
+    done = total = 0
 
     def count() -> None:
         nonlocal done
         done += 1
         on_step(done, total)
 
-    model = case.model.on_part(part.numbers)
     edges = case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length
-    runs = CandidateRuns(part, model, DRAWN, count, edges)
-    first = runs.positions(candidates[:1], np.ones(1))
-    judge = runs.by_stein(candidates, first, PROBES)
-    risk = judge.risk()
-    places, tilts = risk.log_errors(FLOOR)
+    runs = CandidateRuns(part, model, count, edges)
+    is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
+    is_rough = not is_drawn and surface_kind(runs.result(LEARNED)) == TEXTURED
+    candidates = _candidates(case, is_drawn, is_allowed)
+    total = len(candidates) * (2 if is_drawn else 1) + 1
+    shares = np.ones(len(candidates))
+    judge: SteinRisk | None = None
+    if is_drawn:
+        judge = runs.by_stein(candidates, runs.result(candidates[0]).vertices, PROBES)
+        risk = judge.risk()
+        places, tilts = risk.log_errors(FLOOR)
+        errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * model.height(part.judged)
+    else:
+        pilots = [LEARNED, LINEAR[0]] if is_rough else [LEARNED]
+        true = runs.positions(pilots, np.full(len(pilots), 1.0 / len(pilots)))
+        places, tilts, errors = runs.compare(candidates, part.mesh.with_vertices(true))
     # 0 is the error of the input.
     scores = places + tilts
+    if judge is not None and is_unsure:
+        gram = np.diag(risk.positions.gram)
+        shares = np.array([hedge(*pair) for pair in zip(risk.positions.gain, gram, strict=True)])
+        if_noise = 1.0 - 2.0 * shares * risk.positions.gain + shares**2 * gram
+        scores = np.log(np.maximum(np.maximum(if_noise, shares**2 * gram), FLOOR))
     scores[0] -= MARGIN
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
         return _keep_input(noise, f"{what}; every setting would add more error than it takes away")
-    unit = model.height(part.judged) / mesh.mean_edge_length
-    errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * unit
+    errors = errors / mesh.mean_edge_length
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
-    weights = _weights(case, part, judge, order[0])
-    choice = _build_choice(case, noise, candidates[order[0]], weights)
-    return dataclasses.replace(
-        choice, risk=float(errors[order[0]]), tried=len(candidates), runners_up=next_best
+    weights = np.ones(1) if judge is None else _weights(case, part, judge, order[0])
+    choice = _build_choice(
+        case, noise, what, candidates[order[0]], weights, float(shares[order[0]])
     )
+    return dataclasses.replace(
+        choice,
+        surface=surface,
+        risk=float(errors[order[0]]),
+        tried=len(candidates),
+        runners_up=next_best,
+    )
+
+
+def _find_surface(part: Part) -> str:
+    method = methods.find(FLATTENER.method)
+    flat = method.denoise(part.mesh, method.validate(FLATTENER.given))
+    return surface_kind(part.mesh.with_vertices(flat.vertices))
+
+
+def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
+    """Seconds of one core that ``--auto`` takes where it comes much nearer to the truth than a
+    choice within the family: by a half and more on machined parts and under strong noise.  None
+    elsewhere."""
+    if choice.method == NONE or (choice.estimate is not None and choice.estimate.is_unsure):
+        return None
+    if choice.surface != MACHINED and choice.noise.mean_edges < STRONG:
+        return None
+    return forecast_seconds(n_vertices)
 
 
 def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
@@ -174,20 +238,34 @@ def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
     return np.array(weights) if any(weights) else np.ones(1)
 
 
-def _candidates(mesh: Mesh, level: float, rings: int) -> list[Candidate]:
+def _candidates(case: _Case, is_drawn: bool, is_allowed: Allowed) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
-    robust = Candidate("msal", {"schedule": "robust", "K": 0.2, "iterations": 3}, 1.0)
-    single = Candidate("al", {"iterations": 1, "mollify": 0}, 0.5)
-    found = [wiener_al(level, rings), robust]
-    return found if mesh.trust is not None else [*found, single]
+    mesh = case.mesh
+    found = [wiener_al(case.edges, case.model.rings), ROBUST_MSAL]
+    if mesh.trust is not None:
+        return found
+    found.append(SINGLE_SWEEP)
+    if is_drawn:
+        return found
+    is_small = len(mesh.vertices) <= SMALL
+    linear = [(methods.find(one.method), one) for one in LINEAR if is_small or one.cost <= MAX_COST]
+    return found + [one for method, one in linear if is_allowed(method, method.validate(one.given))]
 
 
 def _keep_input(noise: NoiseLevel, why: str) -> Choice:
     return Choice(NONE, {}, f"{why}; left as it is", None, noise, among=FAMILY)
 
 
-def _build_choice(case: _Case, noise: NoiseLevel, candidate: Candidate, weights: Floats) -> Choice:
+def _build_choice(
+    case: _Case,
+    noise: NoiseLevel,
+    what: str,
+    candidate: Candidate,
+    weights: Floats,
+    share: float,
+) -> Choice:
     levels = case.levels if len(weights) > 1 else ()
-    made = build_recipe([candidate], weights[:, None], round(case.edges, 4), levels, case.relax)
-    reason = f"{describe_noise(noise)}; {made.label}"
+    noise_edges = round(case.edges, 4)
+    made = build_recipe([candidate], weights[:, None], noise_edges, levels, case.relax, share)
+    reason = f"{what}; {made.label}"
     return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)

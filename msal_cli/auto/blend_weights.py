@@ -65,6 +65,18 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
     return weights
 
 
+def hedge(gain: float, moved: float) -> float:
+    """The share of a result that is not much worse whether it removes noise or texture, 0 to 1.
+
+    In parts of the squared noise, a share s of a blend with ``gain`` w'b and ``moved`` w'Mw has the
+    squared error s^2 w'Mw if all that it removes is texture, and 1 - 2 s w'b + s^2 w'Mw if it is
+    noise.  The larger of both is least; of a filter that removes noise and nothing else a half.
+    """
+    if gain <= 0.0 or moved <= 0.0:
+        return 0.0
+    return round(min(0.5 / gain, gain / moved, 1.0), 2)
+
+
 def least_over_simplex(gram: Floats, gain: Floats) -> Floats:
     """The w (k,) with w >= 0 and sum(w) <= 1 for which w'Mw - 2 w'b is least; M positive definite.
 

@@ -56,11 +56,13 @@ NAMES = {
     "bilateral_non_iterative": "non-iterative bilateral",
     "bilateral_normal": "bilateral normals",
     "guided_normal": "guided normals",
+    "hc": "HC",
     "l0": "L0",
     "learned": "learned",
     "normal_diffusion": "diffused normals",
     "normal_threshold": "thresholded normals",
     "robust_msal": "robust MSAL",
+    "taubin": "Taubin",
     "wiener": "Wiener",
     "windowed_sinc": "windowed sinc",
     "wiener_al": "AL with Wiener fidelity",
@@ -82,6 +84,7 @@ _WORDS = {
     "al": "{iterations} sweeps, {mollify} mollifications",
     "windowed_sinc": "pass band {pass_band:g}, {iterations} steps",
     "normal_threshold": "threshold {threshold:g}, {iterations} iterations",
+    "hc": "{iterations} iterations",
     "robust_msal": "K = {K:g}, {iterations} sweeps",
     "wiener_al": "{iterations} sweeps",
 }
@@ -127,9 +130,18 @@ def _sinc(iterations: int, pass_band: float, cost: float) -> Candidate:
 LEARNED = Candidate("learned", dict(_SLIDING), 115.0, takes_noise=True)
 """Errs in another way than all others, and is always worth a longer look."""
 
-FARTHER = tuple(dataclasses.replace(LEARNED, times=times) for times in (2.0, 4.0))
+FARTHER = dataclasses.replace(LEARNED, times=2.0)
 """The same for noise that reaches farther than the estimate sees: neighbours share it, or a scanner
 has smoothed it."""
+
+LINEAR = (
+    Candidate("taubin", {}, 1.8),
+    Candidate("hc", {"iterations": 3}, 1.2),
+    Candidate("hc", {"iterations": 10}, 1.8),
+    _sinc(30, 0.05, 5.0),
+    _sinc(50, 0.01, 9.0),
+)
+"""Linear filters, mild to wide, which do well where neighbours share noise."""
 
 CANDIDATES: tuple[Candidate, ...] = (
     _al(1, 1, 0.6),
@@ -194,6 +206,10 @@ def wiener_al(level: float, rings: int = 0) -> Candidate:
     }
     return Candidate("al", given, 2.0, takes_noise=True)
 
+
+FLATTENER = _bilateral(0.45, 10, 12.0)
+"""Shows what kind of surface is beneath noise of up to 0.3 mean edge lengths: of the sample meshes
+only the bracket comes out machined."""
 
 SMOOTHER = _wiener(0.75, 2.25)
 """A cheap one that does well on most meshes: its result gives the directions of the noise."""

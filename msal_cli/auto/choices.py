@@ -4,6 +4,8 @@ A mesh with hardly any noise is left as it is.  An explicit wish counts all the 
 than the automatic choice means some smoothing, by the mildest setting for the upper end of the
 noise's interval.  A wish that does not mean smoothing gets a reason, and the option that smooths
 in spite of it.
+
+Less than a choice is a share of what it moves, which moves less and keeps more by construction.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import SURE, NoiseLevel
+from msal_cli.analysis.noise_estimate import NoiseLevel
 from msal_cli.arrays import Floats
 from msal_cli.auto.candidates import Candidate, wiener_al
 from msal_cli.auto.wishes import NONE, Choice, Wishes
@@ -30,18 +32,42 @@ LEAST = 0.05
 STRENGTH = 1.2
 """Factor of the assumed noise for each step of ``Wishes.strength``."""
 
+LESS, KEEP_TEXTURE = 0.2, 0.9
+"""By how much less each step of ``Wishes.strength`` below 0 moves vertices, in parts of the choice;
+and the share of it that keeps texture."""
+
 SHAPE = 1.25
 """The same where the smooth shape is to be kept."""
 
 
-def describe_noise(noise: NoiseLevel) -> str:
-    """Such as ``noise 0.21 e, shared over two rings``."""
+def wished_share(wishes: Wishes) -> float:
+    """How much of a choice without them ``wishes`` ask for, above 0 to 1."""
+    share = 1.0 + LESS * min(wishes.strength, 0.0)
+    return share * (KEEP_TEXTURE if wishes.keep == "texture" else 1.0)
+
+
+def describe_noise(noise: NoiseLevel, is_unsure: bool = False) -> str:
+    """Such as ``noise 0.21 e, shared over two rings``; where it ``is_unsure`` whether there is any,
+    ``noise of 0.08 e or texture``."""
+    if is_unsure:
+        return f"noise of {noise.mean_edges:.2g} e or texture"
     if noise.is_impulsive:
         text = f"impulsive noise {noise.rms_edges:.2g} e"
     else:
         text = f"noise {noise.mean_edges:.2g} e"
     character = noise.character
     return text if character.kind in PLAIN else f"{text}, {character.words}"
+
+
+def describe_rest(estimate: NoiseLevel, noise: NoiseLevel) -> str:
+    """Why there is nothing to remove: ``noise``, the ``estimate`` or what was assumed instead, is
+    negligible."""
+    if noise is not estimate:
+        return "assumed to be texture"
+    if not estimate.is_unsure:
+        return "clean"
+    most = max(reading.level for reading in estimate.readings)
+    return f"noise of {most:.2g} e or texture"
 
 
 @dataclass(frozen=True)
@@ -59,22 +85,24 @@ def build_recipe(
     noise_edges: float,
     levels: Sequence[float] = (),
     relax: int = 0,
+    share: float = 1.0,
 ) -> Recipe:
     """The blend of ``members`` by weights (k,), in hundredths; the largest first.
 
     ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
     ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is how many
-    passes even out the triangles before.  One member of weight 1 is its method by itself, and no
+    passes even out the triangles before, and ``share`` how much of the way to the result is gone;
+    see the method ``blend``.  One member of weight 1 is its method by itself, and no
     weight at all is ``NONE``.
     """
     rows = np.atleast_2d(weights)
     largest = rows.max(axis=0)
     used = sorted(np.flatnonzero(largest).tolist(), key=lambda k: (-largest[k], k))
-    if not used:
+    if not used or not share:
         return Recipe(NONE, {}, "left as it is")
     settings = [members[k].settings(noise_edges) for k in used]
     first = members[used[0]]
-    if (rows[:, used[0]] == 1.0).all() and not relax:
+    if (rows[:, used[0]] == 1.0).all() and not relax and share == 1.0:
         return Recipe(first.method, methods.find(first.method).validate(settings[0]), first.label)
     if len(rows) > 1 and (rows == rows[0]).all():
         rows, levels = rows[:1], ()
@@ -82,7 +110,12 @@ def build_recipe(
         (rows[:, k].tolist(), members[k].method, given)
         for k, given in zip(used, settings, strict=True)
     ]
-    given = {"members": format_members(listed), "levels": format_levels(levels), "relax": relax}
+    given = {
+        "members": format_members(listed),
+        "levels": format_levels(levels),
+        "relax": relax,
+        "share": share,
+    }
     label = " + ".join(f"{_percent(rows[:, k])} {members[k].label}" for k in used)
     rest = 1.0 - rows.sum(axis=1)
     if rest.max() > 0.005:
@@ -91,6 +124,8 @@ def build_recipe(
         label += " where the noise is " + "/".join(f"{level:.2g}" for level in levels) + " e"
     if relax:
         label += ", after triangles were evened out"
+    if share < 1.0:
+        label = f"{share:.0%} of what {label} moves"
     return Recipe("blend", methods.find("blend").validate(given), label)
 
 
@@ -101,23 +136,17 @@ def _percent(weights: Floats) -> str:
     return "/".join(f"{100.0 * weight:.0f}" for weight in weights) + "%"
 
 
-def choose_least(
-    noise: NoiseLevel, wishes: Wishes, why: str, surface: str, is_harm: bool = False
-) -> Choice:
-    """The choice for a mesh where ``why`` no filter is worth its harm, such as ``clean``; if
-    ``is_harm``, that is not because noise is missing."""
+def choose_least(noise: NoiseLevel, wishes: Wishes, why: str, surface: str) -> Choice:
+    """The choice for a mesh where ``why`` no filter is worth its harm, such as ``clean``: only a
+    wish for more smoothing smooths it."""
     what = f"noise {noise.mean_edges:.2g} e; {why}"
-    is_less = wishes.strength < 0.0 or wishes.keep == "texture"
-    is_more = wishes.strength > 0.0 or wishes.keep == "shape"
-    if wishes == Wishes() or (is_less and not is_more):
-        return Choice(NONE, {}, f"{what}; left as it is", surface, noise)
-    level = max(noise.high, noise.mean_edges)
-    if is_more:
-        level = max(level, LEAST) * STRENGTH**wishes.strength
-        level *= SHAPE if wishes.keep == "shape" else 1.0
-    elif level < SURE or is_harm:
-        hint = "--strength 1 smooths it all the same"
-        return Choice(NONE, {}, f"{what}; left as it is; {hint}", surface, noise)
+    if wishes.strength <= 0.0 and wishes.keep != "shape":
+        is_less = wishes.strength < 0.0 or wishes.keep == "texture"
+        is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
+        hint = "; --strength 1 smooths it all the same" if is_wish else ""
+        return Choice(NONE, {}, f"{what}; left as it is{hint}", surface, noise)
+    level = max(noise.high, noise.mean_edges, LEAST) * STRENGTH**wishes.strength
+    level *= SHAPE if wishes.keep == "shape" else 1.0
     level = round(level, 4)
     candidate = wiener_al(level)
     return Choice(

@@ -25,10 +25,6 @@ LEAST_RATIO, LEAST_GAP = 1.25, 0.01
 FEWEST_JUDGED = 200
 """Vertices that a level of local noise needs for weights of its own."""
 
-RELAX = 2
-"""Passes that even out triangles where noise is in all directions: more hardly help, and move
-vertices from their places."""
-
 EXAMPLE = {"members": "0.5:1*al", "levels": "0:1"}
 """A blend whose weights follow local noise."""
 

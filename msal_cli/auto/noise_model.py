@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""
 
+DRAWN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
+"""Kinds whose noise is drawn, and the confidence of the estimate from which on it is believed: the
+noise of scanners is like no draw of the others."""
+
 QUIETEST = 0.05
 """Least level of a place over that of all: moves there are errors, but not beyond measure."""
 
@@ -74,8 +78,8 @@ class NoiseModel:
         return not self.rings and self.direction == NORMALS and self.shares is None
 
     def along_normals(self) -> NoiseModel:
-        """The same noise, of which only the part along the normals counts."""
-        return dataclasses.replace(self, direction=NORMALS, axis=None)
+        """The same noise; if it is in all directions, only the part along the normals counts."""
+        return dataclasses.replace(self, direction=NORMALS) if self.axis is None else self
 
     def at_level(self, level: float) -> NoiseModel:
         """The same noise, of another level in file units."""
@@ -132,15 +136,12 @@ class NoiseModel:
         scale = self.level if self.shares is None else self.level * self.shares[:, None]
         return np.asarray(scale * moves)
 
-    def _rounded(self, mesh: Mesh, normals: Floats, offset: float) -> Floats:
-        """Displacements (n, 3) that round depths to steps; a layer begins at ``offset`` of one."""
-        if self.axis is None:
-            along = np.zeros_like(normals)
-            along[np.arange(len(normals)), np.abs(normals).argmax(axis=1)] = 1.0
-        else:
-            along = np.broadcast_to(np.asarray(self.axis), normals.shape)
-        depths = np.einsum("ij,ij->i", mesh.vertices, along) / self.step + offset
-        return np.asarray((self.step * (np.round(depths) - depths))[:, None] * along)
+
+def is_like_draws(noise: NoiseLevel) -> bool:
+    """Whether draws of a model are like the noise: it is surely white, and Gaussian."""
+    character = noise.character
+    is_sure = character.kind in DRAWN_KINDS and character.confidence >= SURE_KIND
+    return is_sure and not noise.is_impulsive
 
 
 def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:

@@ -52,7 +52,7 @@ PROBES = 2
 PROBE_STEP = 0.1
 """How far a probe moves vertices, in standard deviations of the noise."""
 
-DRAWN, DEALT, MIRRORED = "drawn", "dealt", "mirrored"
+DRAWN, MIRRORED = "drawn", "mirrored"
 """What a simulation adds to a first result."""
 
 SHORTEST_EDGE = 0.3
@@ -247,9 +247,8 @@ class SteinRisk:
 class SimulatedRisk:
     """Filters on a mesh of known truth: ``pilot`` (m, 3), a result for the part, with ``noise``.
 
-    ``added`` says what is put on it: noise that is ``DRAWN``; or ``DEALT``, with heights that the
-    pilot took from the part, dealt out anew over the vertices and scaled to the level; or
-    ``MIRRORED``, all that the pilot took, with the other sign.
+    ``added`` says what is put on it: noise that is ``DRAWN``; or ``MIRRORED``, all that the pilot
+    took, with the other sign.
     """
 
     def __init__(
@@ -264,20 +263,11 @@ class SimulatedRisk:
         self._part, self._noise = part, _at_least(noise, part.mesh)
         truth = part.mesh.with_vertices(pilot)
         self._normals = truth.vertex_normals("uniform")
-        generator = np.random.Generator(np.random.PCG64(PROBES + 1))
-        taken = part.mesh.vertices - pilot
         if added == MIRRORED:
-            moved = -taken
+            moved = pilot - part.mesh.vertices
         else:
-            heights = np.einsum("ij,ij->i", taken, self._normals)
-            heights -= np.median(heights)
-            spread = float(heights[part.judged].std()) if part.judged.any() else 0.0
-            if added == DEALT and spread > 0.0:
-                moved = self._noise.displace(
-                    truth, self._normals, lambda: generator.permutation(heights) / spread
-                )
-            else:
-                moved = self._noise.draw(truth, self._normals, generator)
+            generator = np.random.Generator(np.random.PCG64(PROBES + 1))
+            moved = self._noise.draw(truth, self._normals, generator)
         self._noisy = truth.with_vertices(pilot + moved)
         self._back = pilot - self._noisy.vertices
         self._moves = np.empty((len(runs), *pilot.shape))

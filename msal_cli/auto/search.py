@@ -9,6 +9,9 @@
 5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
+Noise that no draw is like, or whose kind is not sure, has a shorter search: the learned filter and
+wide linear ones, on a simulation that adds what the learned filter has taken away.
+
 Everything is a function of the mesh and the wishes: probes have fixed seeds, and costs are those
 of a table.  The constants were chosen on the classes of benchmarks/ground_truth.py, by
 benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
@@ -22,16 +25,32 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.blend_weights import FLOOR, best_weights, round_weights
-from msal_cli.auto.candidates import CANDIDATES, FARTHER, LEARNED, ROBUST, SMOOTHER, Candidate
-from msal_cli.auto.choices import SHAPE, STRENGTH, build_recipe, choose_least, describe_noise
-from msal_cli.auto.levels import FEWEST_JUDGED, RELAX, level_masks, may_follow, spread_levels
-from msal_cli.auto.noise_model import ISOTROPIC, build_model
-from msal_cli.auto.risk import DEALT, DRAWN, MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
+from msal_cli.auto.blend_weights import FLOOR, best_weights, hedge, round_weights
+from msal_cli.auto.candidates import (
+    CANDIDATES,
+    FARTHER,
+    LEARNED,
+    LINEAR,
+    ROBUST,
+    SMOOTHER,
+    Candidate,
+)
+from msal_cli.auto.choices import (
+    SHAPE,
+    build_recipe,
+    choose_least,
+    describe_noise,
+    describe_rest,
+    wished_share,
+)
+from msal_cli.auto.levels import FEWEST_JUDGED, level_masks, may_follow, spread_levels
+from msal_cli.auto.noise_model import SURE_KIND, build_model, is_like_draws
+from msal_cli.auto.risk import MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.auto.stronger import strengthen, stronger_candidates
 from msal_cli.auto.surface_kind import (
     CLEAN,
     MACHINED,
@@ -40,7 +59,7 @@ from msal_cli.auto.surface_kind import (
     is_seen_from_one_side,
     surface_kind,
 )
-from msal_cli.auto.trials import CandidateRuns
+from msal_cli.auto.trials import CandidateRuns, count_relaxing
 from msal_cli.auto.wishes import NONE, Choice, Wishes, allow_all
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
@@ -59,6 +78,9 @@ order."""
 
 START = 1_000_000
 """Vertices that the filter would do while a run starts."""
+
+SECONDS = 1.3e-7
+"""Of the filter for one vertex, on one core."""
 
 SEARCH = 0.4
 """Part of the budget that may go into looking at candidates."""
@@ -93,39 +115,47 @@ UNEVEN_WIDTH = 0.18
 HEAVY = 0.35
 """Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
 
-PLAIN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
-"""Kinds whose noise is drawn on any surface, and the confidence of the estimate from which on it is
-believed."""
-
-STAIRCASE = "staircase"
-DOUBTFUL_KINDS = ("correlated", "view", "quantised", STAIRCASE)
-"""Those that a scanner's noise is taken for when it is like none; below ``SURE_KIND``, and on
-texture, which their levels include, no draw of the kind is like it.  Terraces cannot be drawn."""
-
 WEAK = 0.1
 """White noise in mean edge lengths below which a range scan may have more that neighbours share."""
 
-STAIRS = 0.3
-"""Noise in mean edge lengths that terraces are taken for at least: learned filters flatten them."""
+THOUSANDTHS = 1000
+"""Steps of weights."""
 
 HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
 _DRIFT = {"volume": 1000.0}
 # What is to be kept: factor of the noise, share of the slopes.
-_KEEP = {"texture": (0.9, 0.5), "edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
+_KEEP = {"edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
+
+
+def forecast_seconds(n_vertices: int) -> float:
+    """Seconds of one core for a search and its result, by the costs of the candidates and for all
+    that a machined part is tried with."""
+    costs = [one.cost for one in CANDIDATES if one is not LEARNED and not one.is_last_resort]
+    last = [one.cost for one in CANDIDATES if one.is_last_resort]
+    longer = LONGER_LOOK * sum(costs) / len(costs) + LEARNED.cost + sum(last)
+    glance, study = min(n_vertices, GLANCE), min(n_vertices, PART)
+    filters = 2 * glance * sum(costs) + 5 * study * longer + n_vertices * LEARNED.cost
+    return SECONDS * filters
 
 
 def search(
     mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None, is_allowed: Allowed = allow_all
 ) -> Choice:
     """The best method or blend for ``mesh``; see ``auto.choose_method``."""
-    noise = estimate_noise(mesh)
+    edge = mesh.mean_edge_length
+    estimate = estimate_noise(mesh)
+    noise = estimate.assume(wishes.assume, edge)
+    is_unsure = noise.is_unsure
     if noise.is_negligible or not mesh.topology.has_ring.any():
         if on_step is not None:
             on_step(1, 1)
-        return choose_least(noise, wishes, CLEAN, CLEAN)
-    return _Search(mesh, wishes, noise, on_step, is_allowed).choose()
+        choice = choose_least(noise, wishes, describe_rest(estimate, noise), CLEAN)
+    else:
+        noise = noise.assume(NOISE, edge)
+        choice = _Search(mesh, wishes, noise, on_step, is_allowed, is_unsure).choose()
+    return dataclasses.replace(choice, estimate=estimate)
 
 
 class _Search:
@@ -138,35 +168,31 @@ class _Search:
         noise: NoiseLevel,
         on_step: OnStep | None,
         is_allowed: Allowed,
+        is_unsure: bool = False,
     ) -> None:
         self.levels: tuple[float, ...]
+        self.is_unsure = is_unsure
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
         self._on_step, self._is_allowed = on_step, is_allowed
-        self.is_impulsive = noise.is_impulsive
-        self.added = DEALT if self.is_impulsive else DRAWN
-        edges = noise.rms_edges if self.is_impulsive else noise.mean_edges
+        edges = noise.rms_edges if noise.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
         edges -= doubt * self._width * noise.mean_edges
         factor, self.slopes = _KEEP.get(wishes.keep or "", (1.0, _SLOPES[wishes.prefer]))
-        if wishes.keep is not None and wishes.prefer != "balanced":
+        if wishes.prefer != "balanced":
             self.slopes = _SLOPES[wishes.prefer]
         self.drift = _DRIFT.get(wishes.prefer, 0.0)
-        if noise.character.kind == STAIRCASE:
-            edges = max(edges, STAIRS)
-        self.wished = factor * STRENGTH**wishes.strength
-        self.level = edges * self.wished * mesh.mean_edge_length
+        self.wished = factor
+        self.level = self.unit = edges * self.wished * mesh.mean_edge_length
         n = len(mesh.vertices)
         # In filters of the default run over one vertex.
         self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
         self._done = self._total = 0
-        self.pilot, self._is_machined = LEARNED, False
-        self.model = build_model(mesh, noise).at_level(self.level)
-        self.relax = 0
-        if self.model.direction == ISOTROPIC and mesh.trust is None:
-            # Jagged triangles first, and what is left of the noise is along the normals.
-            self.relax = RELAX
-            self.mesh = even_out(mesh, RELAX)
-            self.model = self.model.along_normals()
+        model = build_model(mesh, noise)
+        # Jagged triangles first, and what is left of the noise is along the normals.
+        self.relax = count_relaxing(mesh, model) if mesh.trust is None else 0
+        self.mesh = even_out(mesh, self.relax)
+        self.evened = self.mesh.vertices - mesh.vertices
+        self.model = model.at_level(self.level).along_normals()
         # Of the mesh as the blend gets it, and without the wishes.
         self.local, self.levels = np.empty(0), ()
         if self.model.shares is not None and mesh.trust is None and may_follow(is_allowed):
@@ -182,10 +208,11 @@ class _Search:
         later = [one for one in usable if one is LEARNED]
         last = [one for one in usable if one.is_last_resort]
         at_first = [one for one in usable if one not in (*later, *last)] or usable
-        if LEARNED in later and (self._is_of_other_kind or self._is_range_scan):
-            family = self._mirror()
-            if family:
-                at_first, later, last = list(family), [], []
+        if later and not (self.is_unsure or self._is_drawn):
+            surface = surface_kind(self._trials(PART).result(LEARNED))
+            # What that takes away may be texture, where the kind of the noise is not sure.
+            if surface != TEXTURED or self.noise.character.confidence >= SURE_KIND:
+                return self._choose_by_mirror(surface)
         self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
@@ -202,41 +229,51 @@ class _Search:
         weights = np.concatenate([weights, np.zeros(len(later))])
         tried += len(later)
         study = self._trials(PART)
-        if self.added == MIRRORED:
-            first = study.positions([self.pilot], np.ones(1))
-        else:
-            first = study.positions(members, weights)
+        first = study.positions(members, weights)
         again = study.simulate(members, first)
         weights = self._best([again.risk()])
         # Only the best are simulated twice.
         shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
-        n_simulated = len(members)
         members, weights = [members[k] for k in shortlist], weights[shortlist]
         judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
         if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
             judges.append((study.by_stein(members, first, PROBES), self._doubt))
             both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
             weights = self._best(both)
-        if self.added != MIRRORED:
-            first = study.positions(members, weights)
-        # The same members on the same mesh would give the same.
-        is_known = self.added == MIRRORED and len(members) == n_simulated
-        last_one = again if is_known else study.simulate(members, first)
-        judges.append((last_one, 1.0))
-        self.unit = last_one.level if self.added == MIRRORED else self.level
-        risks = _risks(judges)
-        final = self._prune(members, risks)
-        rows = self._by_level(study.part, judges, final)
-        self._finish()
-        return self._choice(members, final, rows, risks, surface, tried)
+        judges.append((study.simulate(members, study.positions(members, weights)), 1.0))
+        return self._choice(study, members, judges, surface, tried)
+
+    def _choose_by_mirror(self, surface: str) -> Choice:
+        """The best blend of the learned filter and wide linear ones.
+
+        The first result is that of the learned filter; on texture, where it may take too much away,
+        a linear one counts as much.
+        """
+        # Doubt about texture does not reduce the level of noise that is not drawn.
+        edge = self.mesh.mean_edge_length
+        self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
+        self.model, self._whole = self.model.at_level(self.level), None
+        study = self._trials(PART)
+        members = [one for one in (LEARNED, FARTHER, *LINEAR) if self._is_usable(one)]
+        self._total = 3 * len(members)
+        pilots = [LEARNED]
+        if surface == TEXTURED:
+            pilots.append(LINEAR[0])
+        elif surface == ORGANIC:
+            pilots = [FARTHER]
+        mirrors = [
+            study.simulate(members, study.result(pilot).vertices, MIRRORED) for pilot in pilots
+        ]
+        self.unit = mirrors[0].level
+        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = [(one, 1.0) for one in mirrors]
+        return self._choice(study, members, judges, surface, len(members))
 
     def _look(self, glance: CandidateRuns, candidates: Sequence[Candidate]) -> Risk:
         """The risk of all candidates, by Stein's lemma where it holds."""
         if self._is_gaussian:
             first = glance.positions([SMOOTHER], np.ones(1))
             return glance.by_stein(candidates, first, 1).risk()
-        pilot = self.pilot if self.added == MIRRORED else ROBUST
-        first = glance.positions([pilot], np.ones(1))
+        first = glance.positions([ROBUST], np.ones(1))
         return glance.simulate(candidates, first).risk()
 
     def _by_level(
@@ -254,12 +291,48 @@ class _Search:
                 row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
         return rows
 
+    def _hedge(self, risks: Sequence[Risk], weights: Floats) -> float:
+        """The share of a blend that is not much worse if there is only texture."""
+        counted = [risk.positions for risk in risks if risk.importance > 0.0]
+        gain = float(np.mean([weights @ one.gain for one in counted]))
+        moved = float(np.mean([weights @ one.gram @ weights for one in counted]))
+        return hedge(gain, moved)
+
+    def _strengthen(
+        self, study: CandidateRuns, members: Sequence[Candidate], rows: Floats
+    ) -> tuple[list[Candidate], Floats]:
+        """The members and weights (levels, k) with one more, so that vertices move as much farther
+        as the strength asks for."""
+        part, used = study.part, np.flatnonzero(rows.any(axis=0)).tolist()
+        spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
+        spare -= sum(members[k].cost for k in used)
+        stronger = [
+            candidate
+            for candidate in stronger_candidates(self._noise_edges(self.mesh))
+            if candidate.cost <= spare and self._is_usable(candidate)
+        ]
+        if not stronger:
+            return list(members), rows
+        numbers = slice(None) if part.numbers is None else part.numbers
+        evened = self.evened[numbers][part.judged]
+        base = np.zeros_like(part.mesh.vertices)
+        for k in used:
+            weight = rows[0, k]
+            if self.levels:
+                weight = np.interp(self.local[numbers], self.levels, rows[:, k])[:, None]
+            base += weight * study.moves(members[k])
+        moves = [study.moves(candidate)[part.judged] + evened for candidate in stronger]
+        k, share = strengthen(base[part.judged] + evened, moves, self.wishes.strength)
+        mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
+        weights = np.stack([round_weights(row, THOUSANDTHS) for row in mixed])
+        return [*members, stronger[k]], weights
+
     def _trials(self, size: int) -> CandidateRuns:
         """Runs on a sample of about so many vertices; kept where that is the whole mesh."""
         part = select_patch(self.mesh, size)
         if self._whole is not None and part.numbers is None:
             return self._whole
-        trials = CandidateRuns(part, self.model.on_part(part.numbers), self.added, self._step)
+        trials = CandidateRuns(part, self.model.on_part(part.numbers), self._step)
         if part.numbers is None:
             self._whole = trials
         return trials
@@ -267,59 +340,15 @@ class _Search:
     @property
     def _is_gaussian(self) -> bool:
         """Whether Stein's lemma holds for the noise."""
-        return self.added == DRAWN and self.model.is_gaussian
+        return self.model.is_gaussian and not self.noise.is_impulsive
 
     @property
-    def _is_of_other_kind(self) -> bool:
-        """Whether the noise is not surely white, and may differ from its model."""
-        character = self.noise.character
-        is_plain = character.kind in PLAIN_KINDS and character.confidence >= SURE_KIND
-        return not is_plain and not self.is_impulsive
-
-    @property
-    def _is_range_scan(self) -> bool:
-        """Whether weak white noise is but the part of a scanner's that neighbours do not share."""
+    def _is_drawn(self) -> bool:
+        """Whether a draw of the model is like the noise: it is surely white, and all there is."""
         noise = self.noise
-        is_weak = noise.mean_edges < WEAK and self._width > SURE and not self.is_impulsive
-        return is_weak and not noise.is_uneven and is_seen_from_one_side(self.mesh)
-
-    def _mirror(self) -> Sequence[Candidate]:
-        """Let simulations add what the learned filter removes, where that is noise.
-
-        On a machined surface it is, of whatever kind.  Elsewhere it is believed to be where no draw
-        of the noise is like it.  Smooth surfaces bear a farther reach, and what keeps more of the
-        scan only keeps noise: candidates are returned that are then the only ones, or none.
-        """
-        trials = self._trials(GLANCE)
-        moved = trials.positions([LEARNED], np.ones(1))
-        surface = surface_kind(trials.part.mesh.with_vertices(moved))
-        character, is_other = self.noise.character, self._is_of_other_kind
-        is_doubtful = (
-            is_other
-            and character.kind in DOUBTFUL_KINDS
-            and not self.noise.is_uneven
-            and (
-                character.confidence < SURE_KIND
-                or character.kind == STAIRCASE
-                or surface == TEXTURED
-            )
-        )
-        self._is_machined = is_other and surface == MACHINED
-        is_smooth = surface == ORGANIC and (is_doubtful or self._is_range_scan)
-        if not (self._is_machined or is_doubtful or is_smooth):
-            return ()
-        self.added, self._whole = MIRRORED, None
-        # The added noise does not follow the level: doubt about texture does not reduce it.
-        edge = self.mesh.mean_edge_length
-        self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
-        self.model = self.model.at_level(self.level)
-        if not is_smooth:
-            return ()
-        # The level along an axis is that of all the noise.
-        is_whole = character.kind in ("view", "quantised")
-        family = (LEARNED, FARTHER[0]) if is_whole else FARTHER
-        self.pilot = family[0]
-        return family
+        is_weak = noise.mean_edges < WEAK and self._width > SURE and not noise.is_uneven
+        is_range_scan = is_weak and is_seen_from_one_side(self.mesh)
+        return is_like_draws(noise) and not is_range_scan
 
     @property
     def _doubt(self) -> float:
@@ -340,7 +369,7 @@ class _Search:
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _may_be_sharp(self, surface: str) -> bool:
-        return surface == MACHINED or self._is_machined or self._noise_edges(self.mesh) >= HEAVY
+        return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
 
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
@@ -402,34 +431,47 @@ class _Search:
 
     def _choice(
         self,
+        study: CandidateRuns,
         members: Sequence[Candidate],
-        weights: Floats,
-        rows: Floats,
-        risks: Sequence[Risk],
+        judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]],
         surface: str,
         tried: int,
     ) -> Choice:
+        """The best blend of ``members`` by the judges, of ``tried`` candidates."""
+        risks = _risks(judges)
+        weights = self._prune(members, risks)
+        rows = self._by_level(study.part, judges, weights)
+        share = wished_share(self.wishes) * (self._hedge(risks, weights) if self.is_unsure else 1.0)
+        is_strengthened = self.wishes.strength > 0.0 and bool(rows.any())
+        if is_strengthened:
+            members, rows = self._strengthen(study, members, rows)
+        share = round(share, 3)
+        self._finish()
         edge = self.mesh.mean_edge_length
         unit = self.unit / edge
         counted = [risk for risk in risks if risk.importance > 0.0]
         # Stein's estimate scatters about small errors, and may be below zero.
         alone = np.maximum(np.max([risk.positions.singles() for risk in counted], axis=0), 0.0)
-        together = max(*(risk.positions.at(weights) for risk in counted), 0.0)
+        together = None
+        if not is_strengthened:
+            squares = [risk.positions.at(share * weights) for risk in counted]
+            together = max(*squares, 0.0) ** 0.5 * unit
         order = np.argsort(self._scores(risks), kind="stable").tolist()
-        beside = [k for k in order if weights[k] < 1.0][:3]
-        made = build_recipe(members, rows, self._noise_edges(self.mesh), self.levels, self.relax)
+        beside = [k for k in order if rows[:, k].min() < 1.0][:3]
+        noise = self._noise_edges(self.mesh)
+        made = build_recipe(members, rows, noise, self.levels, self.relax, share)
         choice = Choice(
             made.method,
             made.parameters,
-            f"{describe_noise(self.noise)}; {surface}; {made.label}",
+            f"{describe_noise(self.noise, self.is_unsure)}; {surface}; {made.label}",
             surface,
             self.noise,
         )
         if made.method == NONE:
-            choice = choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface, True)
+            choice = choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface)
         return dataclasses.replace(
             choice,
-            risk=together**0.5 * unit,
+            risk=together,
             tried=tried,
             runners_up=tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
         )

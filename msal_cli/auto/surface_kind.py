@@ -17,6 +17,10 @@ blend: 9.3 and more on machined ones, 8.7 and less on others, 5 on most."""
 ROUGH_DEG = 10.0
 """The 90th percentile of the angles, in degrees, from which on a surface is called textured."""
 
+EVEN = 3.3
+"""The same ratio up to which a rough surface is rough all over: 2.3 to 2.8 on texture, 3.9 and more
+where noise is left on smooth parts between edges."""
+
 AWAY = 0.02
 """Share of the area of a range scan that may face away from the scanner: by noise, at grazing
 angles.  Scans by one view have 0.015 and less."""
@@ -42,7 +46,7 @@ def surface_kind(mesh: Mesh) -> str:
     usual, rough, sharp = np.percentile(angles, [75, 90, 98])
     if sharp > SHARP * usual and sharp > ROUGH_DEG:
         return MACHINED
-    return TEXTURED if rough >= ROUGH_DEG else ORGANIC
+    return TEXTURED if rough >= ROUGH_DEG and sharp <= EVEN * usual else ORGANIC
 
 
 def _angles_deg(mesh: Mesh) -> Floats:

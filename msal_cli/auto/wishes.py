@@ -41,12 +41,15 @@ class Wishes:
     strength : -2 to 2, around the automatic choice: greater is smoother.
     budget : most time for choosing and denoising, in default MSAL runs over the same mesh, by what
         candidates are known to cost and not by a clock.
+    assume : ``noise`` or ``texture``, what the roughness of a mesh is where the estimate is unsure
+        of it; None for a choice that is not much worse either way.
     """
 
     prefer: str = "balanced"
     keep: str | None = None
     strength: float = 0.0
     budget: float = 60.0
+    assume: str | None = None
 
 
 @dataclass(frozen=True)
@@ -58,12 +61,13 @@ class Choice:
     method : name of a method, or ``NONE``.
     parameters : all of its parameters; empty for ``NONE``.
     reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
-    surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where that was not asked.
-    noise : the estimated noise.
+    surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where it was not looked at.
+    noise : the noise that it was made for.
     risk : estimated error of the result, mean edge lengths; None if nothing was estimated.
     tried : candidates that were looked at.
     runners_up : label and risk of the next best, best first, at most 3.
     among : ``ALL`` or ``FAMILY``.
+    estimate : the estimated noise where nothing was assumed of it; None where that is ``noise``.
     """
 
     method: str
@@ -75,3 +79,4 @@ class Choice:
     tried: int = 0
     runners_up: tuple[tuple[str, float], ...] = ()
     among: str = ALL
+    estimate: NoiseLevel | None = None

@@ -10,6 +10,7 @@ from msal_cli.job.records import (
     Area,
     Displacement,
     NoiseEstimate,
+    NoiseReading,
     NormalChange,
     SelfIntersections,
     SurfaceDistance,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 INSIDE_OUT = "W_INSIDE_OUT"
 """Code of the warning about a closed surface whose normals point inwards."""
 
+_WITHOUT = "without a method and parameters (--method, -n, -K, --mollify, --schedule, --set)"
 _LEAST_MOVE_EDGES = 0.005
 """Mean displacement in mean edge lengths below which nothing worth a warning has happened."""
 
@@ -105,6 +107,11 @@ def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
         confidence=character.confidence,
         basis=character.basis,
         words=character.words,
+        unsure=level.is_unsure,
+        readings=tuple(
+            NoiseReading(reading.kind, reading.level, reading.probability)
+            for reading in level.readings
+        ),
     )
 
 
@@ -139,13 +146,22 @@ def area_changed(before: float, after: float) -> Area:
     return Area(before, after, 100.0 * (after - before) / before if before else None)
 
 
-def measure(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Measured:
+def measure(
+    ready: PreparedMesh,
+    moved: Floats,
+    noise: NoiseLevel | None,
+    despiked: Mesh | None = None,
+    *,
+    is_named: bool = True,
+) -> Measured:
     """What changed when the mesh's positions became ``moved`` (n, 3).
 
-    ``noise`` is the noise of the mesh where it is known already.
+    ``noise`` is the noise of the mesh where it is known already.  ``despiked`` is the mesh without
+    the outliers that were brought back, whose ways the noise does not explain.
+    ``is_named`` is whether the user named the method, or none ran, rather than a choice.
     """
     from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.harm import harmful_change
+    from msal_cli.analysis.harm import NAMED_LEEWAY, excessive_change, harmful_change
     from msal_cli.analysis.measures import displacement_statistics, measure_surface_change
 
     before, after = ready.mesh, ready.mesh.with_vertices(moved)
@@ -156,7 +172,24 @@ def measure(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Mea
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
     surface = enclosed.change(before, after, surface)
     warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
+    known = noise_field(before, noise)
     harm = harmful_change(before, after, surface, has_volume=not objection)
+    if harm is None and known is not None:
+        level = max(known.high_edges or 0.0, known.rms_edges or 0.0, known.mean_edges)
+        ways, change = statistics, surface
+        if despiked is not None:
+            used = before.topology.has_ring
+            ways = displacement_statistics(despiked.vertices, after.vertices, used)
+            change = enclosed.change(despiked, after, measure_surface_change(despiked, after))
+        edge = before.mean_edge_length
+        harm = excessive_change(
+            change,
+            edge,
+            level,
+            ways.p95 / edge,
+            has_volume=not objection,
+            leeway=NAMED_LEEWAY if is_named else 1.0,
+        )
     if harm is not None:
         warnings.append((harm.code, damage_words(harm)))
     fields = {
@@ -165,7 +198,7 @@ def measure(ready: PreparedMesh, moved: Floats, noise: NoiseLevel | None) -> Mea
             normals.mean_angular_error_deg, normals.max_angular_error_deg
         ),
         "flipped_faces": normals.flipped_faces,
-        "noise_estimate": noise_field(before, noise),
+        "noise_estimate": known,
         "inside_out": enclosed.is_inside_out,
         "volume": volume_changed(
             surface.volume_before, surface.volume_after, surface.area_before, objection
@@ -196,8 +229,9 @@ def method_warnings(
     displacement: Displacement,
     is_ruled: bool,
 ) -> tuple[str, ...]:
-    """Where a method that was given by name harms the mesh: each with the option to try.
+    """Where a method that was given by hand harms the mesh: each with what is better.
 
+    Where noise may be texture it is not known what is better, and none is about noise.
     ``is_ruled`` is what ``is_ruled_by_spike`` gave.
     """
     from msal_cli.analysis.noise_estimate import SURE
@@ -207,15 +241,15 @@ def method_warnings(
     if noise.negligible and (noise.high_edges is None or noise.high_edges < SURE):
         return (
             f"no noise to speak of, and {method.name} moved vertices by "
-            f"{displacement.mean_edges:.2g} e: give no --method, or --min-noise auto, to leave "
-            "such meshes as they are",
+            f"{displacement.mean_edges:.2g} e: --min-noise auto leaves such meshes as they are, "
+            f"and so does msal {_WITHOUT}",
         )
     warnings = []
     most = method.most_noise_edges(parameters)
-    if noise.mean_edges > most:
+    if noise.mean_edges > most and not noise.unsure:
         warnings.append(
             f"noise {noise.mean_edges:.2g} e is more than {method.name} is made for with these "
-            f"parameters (about {most:g} e): give no --method, or try --auto"
+            f"parameters (about {most:g} e): --auto is better, and so is msal {_WITHOUT}"
         )
     if is_ruled and method.uses_largest_sigma(parameters):
         warnings.append(

@@ -57,7 +57,8 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
     noise: NoiseLevel | None = None
     if settings.min_noise is not None:
         noise = estimate_noise(mesh)
-        if why := skip_reason(noise, mesh, settings.min_noise):
+        assumed = noise.assume(settings.assume, mesh.mean_edge_length)
+        if why := skip_reason(assumed, mesh, settings.min_noise):
             known = {"left_alone": why, "method": MethodUsed(NONE, {})}
             return Preparation(mesh, noise=noise, known=known)
     despiked = None
@@ -82,7 +83,8 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
     if is_named:
         method = methods.find(settings.method)
         return Preparation(mesh, method, settings.parameters, noise, known, warnings)
-    made = choose(mesh, settings.parameters if settings.method == AUTO else None, on_step)
+    wishes = settings.parameters if settings.method == AUTO else None
+    made = choose(mesh, wishes, on_step, assume=settings.assume)
     if despiked:
         made.known["choice"] = _with_despiking(made.known["choice"])
     return replace(made, known=known | made.known, warnings=warnings + made.warnings)
@@ -105,14 +107,18 @@ def choose(
     wishes: Mapping[str, Any] | None,
     on_step: Callable[[int, int], None],
     is_allowed: Allowed = allow_all,
+    assume: str | None = None,
 ) -> Preparation:
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
-    the family of equation (2) where they are None; see ``Allowed``."""
+    the family of equation (2) where they are None, with what to ``assume``; see ``Allowed``."""
     from msal_cli import methods
     from msal_cli.auto import adaptive
 
+    auto_seconds = None
     if wishes is None:
-        choice = adaptive.choose_adaptive(mesh, on_step, is_allowed)
+        choice = adaptive.choose_adaptive(mesh, on_step, is_allowed, assume)
+        auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
+        wishes = {} if assume is None else {"assume": assume}
     else:
         choice = choose_method(mesh, Wishes(**wishes), on_step, is_allowed)
     method = None if choice.method == NONE else methods.find(choice.method)
@@ -125,22 +131,64 @@ def choose(
         risk_edges=choice.risk,
         tried=choice.tried,
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
-        wishes=dict(wishes or {}),
+        wishes=dict(wishes),
         repeat=options_of(method, parameters),
         among=choice.among,
+        auto_seconds=auto_seconds,
     )
     warnings: tuple[str, ...] = ()
     if mesh.trust is not None and method is not None and not method.has_data_term(parameters):
         # A choice avoids this where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
     known = {"method": MethodUsed(choice.method, parameters), "choice": made}
-    return Preparation(mesh, method, parameters, choice.noise, known, warnings)
+    noise = choice.estimate or choice.noise
+    return Preparation(mesh, method, parameters, noise, known, warnings)
 
 
 def _with_despiking(made: ChoiceMade) -> ChoiceMade:
     """A choice for a mesh whose outliers were brought back: reason and options say so."""
     reason = made.reason.replace("left as it is", "the rest left as it is")
     return replace(made, reason=reason, repeat=(*made.repeat, "--despike"))
+
+
+MILDER = (0.5, 0.25, 0.0)
+"""Shares of the noise that a mesh is smoothed for, one after the other, where the method that was
+chosen would damage it; 0 leaves it as it is."""
+
+
+def soften_choice(
+    given: Mesh, chosen: Preparation, choice: ChoiceMade, harm: Harm, share: float
+) -> Preparation:
+    """A milder preparation for a mesh that ``chosen`` would damage: by AL with the Wiener schedule
+    for this ``share`` of its noise; for 0 the mesh as it was ``given``.
+
+    ``choice`` is the first one, before anything was milder.
+    """
+    from msal_cli import methods
+    from msal_cli.auto.candidates import wiener_al
+
+    despiked = chosen.known.get("despiked")
+    if share == 0.0 or chosen.noise is None:
+        known = reject_choice(choice, despiked, harm)
+        # Where outliers were brought back, the noise was estimated without them.
+        noise = None if despiked else chosen.noise
+        why = f"every choice would damage the mesh ({harm.reason}): left as it is"
+        return Preparation(given, None, {}, noise, known, (why,))
+    level = round(share * chosen.noise.mean_edges, 4)
+    candidate = wiener_al(level)
+    method = methods.find(candidate.method)
+    parameters = method.validate(candidate.settings(level))
+    what = f"smoothed for noise of {level:.2g} e only"
+    repeat = options_of(method, parameters)
+    made = replace(
+        choice,
+        reason=f"{choice.reason}; rejected, for {harm.reason}; {what}; {candidate.label}",
+        risk_edges=None,
+        repeat=(*repeat, "--despike") if despiked else repeat,
+    )
+    known = chosen.known | {"method": MethodUsed(candidate.method, parameters), "choice": made}
+    why = f"the first choice would damage the mesh ({harm.reason}): {what}"
+    return replace(chosen, method=method, parameters=parameters, known=known, warnings=(why,))
 
 
 def reject_choice(choice: ChoiceMade, despiked: int | None, harm: Harm) -> dict[str, Any]:
@@ -154,6 +202,7 @@ def reject_choice(choice: ChoiceMade, despiked: int | None, harm: Harm) -> dict[
             reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
             risk_edges=None,
             repeat=options_of(None, {}),
+            auto_seconds=None,
         ),
     }
 

@@ -43,13 +43,24 @@ class Surface:
     """What a file holds: vertices (n, 3) in file units, triangles (m, 3), and how many vertices the
     file has more because they coincide (see ``codecs.mesh_file.MeshFile``).
 
-    ``colours`` are those of its vertices where they were read, for pictures.
+    ``colours`` are those of its vertices where they were read, for pictures; ``grid`` are the
+    samples (rows, columns) of a range grid.
     """
 
     vertices: Floats
     faces: Ints
     merged_vertices: int = 0
     colours: SurfaceColours | None = None
+    grid: Ints | None = None
+
+    def has_same_faces(self, other: Surface) -> bool:
+        """Whether the vertices of both correspond one by one."""
+        from msal_cli.analysis.correspondence import have_same_faces
+        from msal_cli.codecs.mesh_file import has_same_grid
+
+        return has_same_grid(self, other) or have_same_faces(
+            self.vertices, self.faces, other.vertices, other.faces
+        )
 
     @property
     def n_corners(self) -> int | None:
@@ -71,7 +82,8 @@ def opened(path: str, format: str | None = None) -> MeshFile:
 
 def surface_of(mesh_file: MeshFile) -> Surface:
     """The surface in an open file."""
-    return Surface(mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices)
+    grid = getattr(mesh_file, "grid", None)
+    return Surface(mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices, grid=grid)
 
 
 def open_surface(path: str, format: str | None = None) -> Surface:
@@ -172,7 +184,7 @@ def compare_meshes(
 
     first = prepare_surface(before, before_name)
     second = prepare_surface(after, after_name)
-    is_same = metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces)
+    is_same = before.has_same_faces(after)
     record = ComparisonRecord(
         before=before_name,
         after=after_name,
@@ -215,7 +227,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis.surface_distance import distances_to_surface
 
-    if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
+    if before.has_same_faces(after):
         return metrics.vertex_distances(before.vertices, after.vertices)
     reference = prepare_surface(before, "")
     return distances_to_surface(after.vertices - reference.origin, reference.mesh)

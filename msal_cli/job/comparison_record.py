@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from msal_cli.job.plain_data import about, known
+from msal_cli.job.plain_data import ScreenRepr, about, known
 from msal_cli.job.records import (
     Area,
     Displacement,
@@ -17,8 +17,8 @@ from msal_cli.job.records import (
 )
 
 
-@dataclass(frozen=True)
-class ComparisonRecord:
+@dataclass(frozen=True, repr=False)
+class ComparisonRecord(ScreenRepr):
     """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
     the unit, its volume, area and normals are what changed.
 

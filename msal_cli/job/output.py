@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import Companion, MeshFile
+    from msal_cli.storage.atomic import Sources
     from msal_cli.storage.buffers import Buffer
 
 _PIECE = 4 << 20
@@ -127,6 +128,7 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
 
     from msal_cli import codecs
     from msal_cli.codecs import detection
+    from msal_cli.codecs.mesh_file import has_same_grid
 
     if f".{target}" not in detection.readable_suffixes():
         return
@@ -134,14 +136,17 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
         again = codecs.open_mesh(bytes(output), f"output.{target}", target)
     except MsalError as error:
         raise InternalError(f"the {target} output cannot be read back: {error}") from error
-    if len(again.faces) != len(mesh_file.faces):
+    faces = mesh_file.faces if has_same_grid(again, mesh_file) else again.faces
+    if len(faces) != len(mesh_file.faces):
         raise InternalError(
-            f"the {target} output has {len(again.faces)} triangles, not {len(mesh_file.faces)}"
+            f"the {target} output has {len(faces)} triangles, not {len(mesh_file.faces)}"
         )
     span = float(np.abs(vertices).max(initial=0.0))
-    corners = again.vertices[again.faces.reshape(-1)]
+    # Whole numbers are rounded; those of a scene are at the coarsest a hundredth of its extent.
+    slack = max(0.5, 1e-2 * span) if again.precision == "integer" else 1e-5 * span
+    corners = again.vertices[faces.reshape(-1)]
     wanted = vertices[mesh_file.faces.reshape(-1)]
-    if float(np.abs(corners - wanted).max(initial=0.0)) > 1e-5 * span:
+    if float(np.abs(corners - wanted).max(initial=0.0)) > slack:
         raise InternalError(f"the {target} output holds other positions than it should")
 
 
@@ -176,14 +181,10 @@ def keep_backup(task: Task, data: Buffer) -> None:
     from msal_cli.storage import atomic, gzip_streams
 
     backup = task.input + str(task.backup)
-    if os.path.lexists(backup):
-        if os.path.isfile(backup) and gzip_streams.read_whole(backup) == data:
-            return
-        raise OutputError(
-            f"the backup {backup!r} exists and is not this file",
-            hint="move it away or choose another --backup suffix",
-        )
-    atomic.write_whole(backup, [data], mode_like=task.input)
+    if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
+        return
+    if not _is_backup(backup) or gzip_streams.read_whole(backup) != data:
+        raise _wrong_backup(backup)
 
 
 def keep_backup_of_file(task: Task) -> None:
@@ -193,18 +194,26 @@ def keep_backup_of_file(task: Task) -> None:
 
     backup = task.input + str(task.backup)
     if os.path.lexists(backup):
-        is_same = os.path.isfile(backup) and sha256_of_file(backup) == sha256_of_file(task.input)
-        if is_same:
-            return
-        raise OutputError(
-            f"the backup {backup!r} exists and is not this file",
-            hint="move it away or choose another --backup suffix",
-        )
+        if not _is_backup(backup) or sha256_of_file(backup) != sha256_of_file(task.input):
+            raise _wrong_backup(backup)
+        return
     try:
         # The output is moved to the first name, and the second one stays with the original.
         os.link(task.input, backup)
     except OSError:
-        atomic.write_whole(backup, _read_pieces(task.input), mode_like=task.input)
+        atomic.write_whole(backup, _read_pieces(task.input), sources=[task.input])
+
+
+def _is_backup(path: str) -> bool:
+    """Whether a backup may be there: a link could lead to the very file that is to be replaced."""
+    return os.path.isfile(path) and not os.path.islink(path)
+
+
+def _wrong_backup(path: str) -> OutputError:
+    return OutputError(
+        f"the backup {path!r} exists and is not this file",
+        hint="move it away or choose another --backup suffix",
+    )
 
 
 def _read_pieces(path: str) -> Iterator[bytes]:
@@ -213,12 +222,17 @@ def _read_pieces(path: str) -> Iterator[bytes]:
             yield piece
 
 
-def write_output(path: str, data: Buffer, companions: tuple[Companion, ...] = ()) -> None:
-    """Write a file after those that hold a part of it; its folder is made if it is not there."""
+def write_output(
+    path: str, data: Buffer, companions: tuple[Companion, ...] = (), sources: Sources = ()
+) -> None:
+    """Write a file after those that hold a part of it; its folder is made if it is not there.
+
+    ``sources`` limit the permission bits, see ``atomic.write_whole``.
+    """
     from msal_cli.codecs.companions import write_companions
     from msal_cli.storage import atomic
 
     make_folder_of(path)
     if companions:
-        write_companions(companions, path)
-    atomic.write_whole(path, [data])
+        write_companions(companions, path, sources)
+    atomic.write_whole(path, [data], sources=sources)

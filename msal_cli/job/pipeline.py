@@ -16,7 +16,7 @@ from msal_cli import __version__, machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
 from msal_cli.job.border_marks import mark_border
-from msal_cli.job.choice import Preparation, looks_at_mesh, prepare, reject_choice
+from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
 from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
 from msal_cli.job.settings import (
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from msal_cli.job.constraints import Constraints
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
+    from msal_cli.storage.atomic import Sources
     from msal_cli.storage.buffers import Buffer
 
 OnProgress = Callable[[str, int, int], None]
@@ -276,17 +277,18 @@ class FileRun:
 
     def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:
         """Write the output and what belongs to it; ``data`` are the bytes of the input."""
+        from msal_cli.codecs.companions import list_sources
         from msal_cli.storage import atomic
 
         with self.stage("write"):
             if task.in_place and task.backup:
                 output.keep_backup(task, data)
             output.make_folder_of(task.output)
+            sources = list_sources(task.input, data)
             # Before the output: as soon as that exists, all that belongs to it does.
-            self._write_fields()
-            sidecars = self._carry_sidecars(task, made)
-            mode_like = task.input if task.in_place else None
-            mark = atomic.write_whole(task.output, [made.data], mode_like=mode_like)
+            self._write_fields(sources)
+            sidecars = self._carry_sidecars(task, made, sources)
+            mark = atomic.write_whole(task.output, [made.data], sources=sources)
             self.know(output_object=None if mark is None else ObjectMark(*mark))
         return self.finish(task.output, sidecars=sidecars)
 
@@ -310,41 +312,23 @@ class FileRun:
             mesh_file.forget_vertices()
         given = ready.mesh if constraints is None else constraints.mesh
         chosen = self._prepare(given)
-        method, noise = chosen.method, chosen.noise
-        fidelity, is_ruled = None, False
-        with self.stage("sweeps"):
-            moved, normals_s = chosen.mesh.vertices, 0.0
-            if method is not None:
-                result = method.denoise(
-                    chosen.mesh, chosen.parameters, self._report_steps("sweeps")
-                )
-                self._check_result(ready, result.vertices)
-                moved, normals_s = result.vertices, result.seconds.get("normals", 0.0)
-                fidelity = result.fields.get("fidelity")
-                is_ruled = settings.method not in CHOOSING and changes.is_ruled_by_spike(fidelity)
-                if not settings.fields:
-                    fidelity = None
-                # It may hold more arrays, which nothing needs here.
-                del result
-            if constraints is not None:
-                moved, n_clamped = constraints.apply(moved)
-                if constraints.limit is not None:
-                    self.know(clamped_vertices=n_clamped)
-        if method is not None:
-            # The method itself measures how much of its time went into normals.
-            self._seconds["sweeps"] -= normals_s
-            self._seconds["normals"] = normals_s
+        moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
+        measured = self._measure(chosen, ready, moved)
+        choice = self._record.choice
+        softened: tuple[str, ...] = ()
+        for share in MILDER:
+            if measured.harm is None or choice is None:
+                break
+            chosen = soften_choice(given, chosen, choice, measured.harm, share)
+            softened = chosen.warnings
+            self.know(**chosen.known)
+            moved, fidelity, _ = self._run_method(chosen, ready, constraints)
+            measured = self._measure(chosen, ready, moved)
+        self.warn(*softened)
         with self.stage("measure"):
-            measured = changes.measure(ready, moved, noise)
-            choice, despiked = self._record.choice, self._record.despiked
-            if measured.harm is not None and choice is not None:
-                self.know(**reject_choice(choice, despiked, measured.harm))
-                moved, method, fidelity = given.vertices, None, None
-                # Where outliers were brought back, the noise was estimated without them.
-                measured = changes.measure(ready, moved, None if despiked else noise)
             self.know_changes(measured)
-            if choice is None and method is not None:
-                self._warn_of_method(method, chosen.parameters, is_ruled)
+            if choice is None and chosen.method is not None:
+                self._warn_of_method(chosen.method, chosen.parameters, is_ruled)
             if settings.fields:
                 from msal_cli.job import fields
 
@@ -356,6 +340,42 @@ class FileRun:
             vertices = ready.to_file_vertices(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
+
+    def _run_method(
+        self, chosen: Preparation, ready: PreparedMesh, constraints: Constraints | None
+    ) -> tuple[Floats, Floats | None, bool]:
+        """New positions (n, 3), lambda of the first sweep (n,) where fields need it, and whether
+        one spike rules it."""
+        settings = self._settings
+        fidelity, is_ruled = None, False
+        moved, normals_s = chosen.mesh.vertices, 0.0
+        with self.stage("sweeps"):
+            if chosen.method is not None:
+                result = chosen.method.denoise(
+                    chosen.mesh, chosen.parameters, self._report_steps("sweeps")
+                )
+                self._check_result(ready, result.vertices)
+                moved, normals_s = result.vertices, result.seconds.get("normals", 0.0)
+                fidelity = result.fields.get("fidelity")
+                is_ruled = settings.method not in CHOOSING and changes.is_ruled_by_spike(fidelity)
+                # Other arrays, which nothing needs here, are freed.
+                del result
+            if constraints is not None:
+                moved, n_clamped = constraints.apply(moved)
+                if constraints.limit is not None:
+                    self.know(clamped_vertices=n_clamped)
+        if chosen.method is not None:
+            # The method itself measures how much of its time went into normals.
+            self._seconds["sweeps"] -= normals_s
+            self._seconds["normals"] = self._seconds.get("normals", 0.0) + normals_s
+        return moved, fidelity if settings.fields else None, is_ruled
+
+    def _measure(self, chosen: Preparation, ready: PreparedMesh, moved: Floats) -> changes.Measured:
+        """What changed, by the noise of the mesh without its outliers."""
+        with self.stage("measure"):
+            despiked = chosen.mesh if self._record.despiked else None
+            is_named = self._record.choice is None
+            return changes.measure(ready, moved, chosen.noise, despiked, is_named=is_named)
 
     def know_changes(self, measured: changes.Measured) -> None:
         """Set the fields of what changed, and the warnings about it."""
@@ -415,7 +435,7 @@ class FileRun:
 
     # Beside the output
 
-    def _write_fields(self) -> None:
+    def _write_fields(self, sources: Sources) -> None:
         """Write the file of fields, if it was requested; only a file of fields is replaced."""
         if self._fields_file is None:
             return
@@ -425,10 +445,10 @@ class FileRun:
         data, described = self._fields_file
         if not urls.is_url(described.path):
             fields.refuse_foreign(described.path)
-        atomic.write_whole(described.path, [data])
+        atomic.write_whole(described.path, [data], sources=sources)
         self.know(fields=described)
 
-    def _carry_sidecars(self, task: Task, made: output.Output) -> tuple[str, ...]:
+    def _carry_sidecars(self, task: Task, made: output.Output, sources: Sources) -> tuple[str, ...]:
         """Notes on the files beside the output, copied or written, that it names."""
         notes: tuple[str, ...] = ()
         if made.references and not task.in_place:
@@ -440,5 +460,5 @@ class FileRun:
         if made.companions:
             from msal_cli.codecs.companions import write_companions
 
-            notes += write_companions(made.companions, task.output)
+            notes += write_companions(made.companions, task.output, sources)
         return notes

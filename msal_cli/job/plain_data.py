@@ -30,6 +30,44 @@ def known(description: str, default: Any = None) -> Any:
     return dataclasses.field(default=default, metadata=about(description))
 
 
+_SCREEN_LINES, _SCREEN_WIDTH = 20, 100
+
+
+class ScreenRepr:
+    """A record whose ``repr`` fits one screen: what is not known is left out, the rest is cut."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        facts = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}  # type: ignore[arg-type]
+        return screen_repr(type(self).__name__, facts)
+
+
+def screen_repr(name: str, facts: Mapping[str, Any]) -> str:
+    """A line for each fact that is known, as many as fit one screen."""
+    lines = []
+    for key, value in facts.items():
+        if value is None or value in ("", (), {}):
+            continue
+        line = f"    {key}={value}" if isinstance(value, str) else f"    {key}={value!r}"
+        line = " ".join(line.split("\n"))
+        lines.append(line if len(line) <= _SCREEN_WIDTH else f"{line[: _SCREEN_WIDTH - 3]}...")
+    if len(lines) > _SCREEN_LINES:
+        lines[_SCREEN_LINES:] = [f"    ... and {len(lines) - _SCREEN_LINES} more"]
+    return "\n".join([f"{name}(", *lines, ")"])
+
+
+def kept(description: str, default: Any = None) -> Any:
+    """As ``known``, for what later runs need and reports leave out."""
+    return dataclasses.field(default=default, metadata=about(description) | {"is_reported": False})
+
+
+def reported_fields(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
+    """The fields of a record that reports have."""
+    every = dataclasses.fields(kind)
+    return tuple(one for one in every if one.metadata.get("is_reported", True))
+
+
 def as_data(record: Any) -> Any:
     """A record as plain dicts, lists, texts and numbers, ready for JSON.
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from msal_cli.job.plain_data import about, known
+from msal_cli.job.plain_data import ScreenRepr, about, kept, known
 from msal_cli.job.tile_records import Tiles, TileSetPart
 
 SCHEMA = "msal.report/1"
@@ -97,6 +97,17 @@ class NormalChange:
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseReading:
+    """One way to explain the roughness of a mesh."""
+
+    kind: str = field(metadata=about("noise or texture"))
+    level_edges: float = field(
+        metadata=about("noise that there is then, mean edge lengths; 0 if all of it is texture")
+    )
+    probability: float = field(metadata=about("probability, 0 to 1"))
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseEstimate:
     """Estimated standard deviation of the noise along its direction, and what is behind it.
 
@@ -146,6 +157,12 @@ class NoiseEstimate:
     confidence: float | None = known("how sure the kind is, 0 to 1; below 0.5 a guess")
     basis: str | None = known("what the kind rests on, in words")
     words: str | None = known("what the noise is like, in words; empty for none")
+    unsure: bool | None = known(
+        "whether it may be noise or texture: neither has a probability of 0.9"
+    )
+    readings: tuple[NoiseReading, ...] = known(
+        "the ways to explain the roughness, the most probable first", ()
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +197,7 @@ class ChoiceMade:
     reason: str = field(metadata=about("in one sentence: the noise, the surface, the method"))
     surface: str | None = field(
         metadata=about(
-            "machined, organic, textured or clean; null where the choice does not depend on it"
+            "machined, organic, textured or clean, as it seems; null where it was not looked at"
         )
     )
     noise_edges: float = field(
@@ -196,7 +213,10 @@ class ChoiceMade:
         metadata=about("the next best candidates, best first, at most three")
     )
     wishes: dict[str, Any] = field(
-        metadata=about("what was wished for: prefer, keep, strength, budget; empty without --auto")
+        metadata=about(
+            "what was wished for: prefer, keep, strength, budget, assume; without --auto only "
+            "assume, or nothing"
+        )
     )
     repeat: tuple[str, ...] = field(
         metadata=about("options of msal denoise that do the same without --auto")
@@ -205,6 +225,10 @@ class ChoiceMade:
         "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
         "methods and their mixtures, with --auto",
         "all",
+    )
+    auto_seconds: float | None = known(
+        "seconds of one core that --auto is expected to take, where it is expected to come much "
+        "nearer to the truth: on machined parts and under strong noise; null elsewhere"
     )
 
 
@@ -327,7 +351,16 @@ class FieldsFile:
 
 
 @dataclass(frozen=True, slots=True)
-class MeshRecord:
+class Planned:
+    """What a file will take, by its header and its size; null where these do not show it."""
+
+    bytes: int | None = known("bytes of the input")
+    vertices: int | None = known("vertices, of a text about")
+    seconds: float | None = known("seconds of one core of an idle machine, about")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class MeshRecord(ScreenRepr):
     """One row per file; fields that could not be determined are None.
 
     ``status`` is ``written``; ``unchanged`` (written, but no vertex moved, so the bytes are the
@@ -377,7 +410,7 @@ class MeshRecord:
         "of a tile set, largest distance between the new positions, as written, of border vertices "
         "that this file shares with others, file units; null without --tile-set"
     )
-    border_marks: tuple[int, ...] = known(
+    border_marks: tuple[int, ...] = kept(
         "hashes of a few border vertices, the same in files that share these; empty for a closed "
         "surface",
         (),
@@ -421,6 +454,7 @@ class MeshRecord:
     peak_memory_bytes: int | None = known(
         "highest memory of the process so far; by tiles, of all processes together"
     )
+    planned: Planned | None = known("of a dry run, what the file will take (below)")
     tiles: Tiles | None = known("how it was denoised by tiles; null if it was in memory as a whole")
     input_sha256: str | None = known("SHA-256 of the input's bytes, hexadecimal")
     output_sha256: str | None = known("SHA-256 of the output's bytes, hexadecimal")
@@ -436,7 +470,7 @@ class MeshRecord:
     warnings: tuple[str, ...] = known("what a user should know although the file was written", ())
     warning_codes: tuple[str, ...] = known(
         "stable codes of the warnings that have one: W_INSIDE_OUT, W_FLIPPED_FACES, "
-        "W_VOLUME_CHANGE",
+        "W_VOLUME_CHANGE, W_AREA_CHANGE, W_LARGE_MOVES",
         (),
     )
     gates: tuple[GateResult, ...] = known(

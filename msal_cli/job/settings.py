@@ -40,7 +40,7 @@ class Settings:
     Attributes
     ----------
     method, parameters : the method's name and all its parameters, resolved; with
-        ``AUTO`` the fields of ``selection.Wishes``, with ``ADAPTIVE`` none.
+        ``AUTO`` the fields of ``selection.Wishes``, with ``ADAPTIVE`` none but ``assume``.
     to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
         output name's.
     encoding : ``same``, ``ascii`` or ``binary``.
@@ -75,6 +75,11 @@ class Settings:
     despike: bool | None = None
     tile_set: bool = False
     weld: str | None = None
+
+    @property
+    def assume(self) -> str | None:
+        """What the choice assumes where noise and texture cannot be told apart, see ``Wishes``."""
+        return self.parameters.get("assume") if self.method in CHOOSING else None
 
     @property
     def looks_for_outliers(self) -> bool:

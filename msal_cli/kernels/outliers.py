@@ -64,6 +64,27 @@ the fit, what the fit leaves over at the others, and the roughness of the corner
 across the surface has 1.  By logistic regression over outliers, noise and clean meshes; a score of
 1 more is about 300 times the odds."""
 
+LEAST_SCORE = 0.4
+"""Scores up to which no vertex is ever an outlier, and it is not asked whether it is designed."""
+
+FLAT = 1e-4
+"""Mean edges of the mesh by which a face may leave the plane of the next one, where both are one
+flat side of a design; by chance 1 in 1,000 outliers has such faces."""
+
+STRAIGHT = 1e-3
+"""Length of a chord over which its middle may leave it where three neighbours lie on a line."""
+
+TOUCHING = 0.15
+"""Local edges from its nearest neighbour below which a vertex is not off the surface by itself:
+needle triangles end so, and 1 in 500 outliers."""
+
+UNLIKE_EDGES = 6.0
+"""Ratio of the longest tenth to the shortest tenth of the edges around, above which no fit says
+what is off: meshes from scanners have 1.5 to 4, coarse exports of designs up to 1,000."""
+
+MOST_LENGTHS = 512
+"""Edges around a vertex that are compared."""
+
 NOT_JUDGED = -np.inf
 """The score of a vertex that is no outlier whatever the bound."""
 
@@ -220,6 +241,64 @@ def _height(u, w, c):
 
 
 @compiled
+def _has_flat_side(px, py, pz, n, x, faces, after, following, outer, normals, outer_normals, flat):
+    """Whether two of the faces around a vertex and next to those lie on one plane.
+
+    Two with a straight link do wherever the vertex is, so they do not count.
+    """
+    for k in range(n):
+        j = following[k]
+        a, b, c = after[k], after[j], after[following[j]]
+        rise = (
+            normals[k, 0] * (x[c, 0] - px)
+            + normals[k, 1] * (x[c, 1] - py)
+            + normals[k, 2] * (x[c, 2] - pz)
+        )
+        if abs(rise) < flat:
+            cx, cy, cz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+            bx, by, bz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+            nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+            chord = cx * cx + cy * cy + cz * cz
+            if nx * nx + ny * ny + nz * nz > (STRAIGHT * chord) ** 2:
+                return True
+        f = outer[k]
+        if f >= 0:
+            rise = (
+                outer_normals[k, 0] * (px - x[a, 0])
+                + outer_normals[k, 1] * (py - x[a, 1])
+                + outer_normals[k, 2] * (pz - x[a, 2])
+            )
+            most = 0.0
+            for corner in range(3):
+                d = faces[f, corner]
+                height = (
+                    normals[k, 0] * (x[d, 0] - px)
+                    + normals[k, 1] * (x[d, 1] - py)
+                    + normals[k, 2] * (x[d, 2] - pz)
+                )
+                most = max(most, abs(height))
+            if abs(rise) < flat or most < flat:
+                return True
+    return False
+
+
+@compiled
+def _spread(i, x, found, count, ring_start, ring, lengths, ranking):
+    """The longest tenth over the shortest tenth of the edges at found[1:count] but those to i."""
+    n = 1
+    for near in range(1, count):
+        k = found[near]
+        for place in range(ring_start[k], ring_start[k + 1]):
+            j = ring[place]
+            if j != i and n < MOST_LENGTHS:
+                dx, dy, dz = x[j, 0] - x[k, 0], x[j, 1] - x[k, 1], x[j, 2] - x[k, 2]
+                lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
+                n += 1
+    shortest = _rank(lengths, n, 0.1, ranking)
+    return _rank(lengths, n, 0.9, ranking) / max(shortest, 1e-300)
+
+
+@compiled
 def _judge(
     start,
     stop,
@@ -244,7 +323,7 @@ def _judge(
     normals, outer_normals = np.empty((MOST_FACES, 3)), np.empty((MOST_FACES, 3))
     normal, local = np.empty(3), np.empty((MOST_VERTICES, 3))
     weights, rests = np.empty(MOST_VERTICES), np.empty(MOST_VERTICES)
-    ranking = np.empty(MOST_VERTICES)
+    ranking, lengths = np.empty(MOST_LENGTHS), np.empty(MOST_LENGTHS)
     matrix, coefficients = np.empty((TERMS, TERMS)), np.empty(TERMS)
     for at in range(start, stop):
         i = chosen[at]
@@ -332,9 +411,27 @@ def _judge(
             rests[near] = agreements[found[near]]
         quiet = _rank(rests, count, QUIET, ranking)
         texture = np.sqrt(max(1.0 - quiet, 0.0))
-        scores[at] = (
-            across + ALONG * along + ROUGH * now - SMOOTH * then - NOISE * noise - TEXTURE * texture
-        )
+        score = across + ALONG * along + ROUGH * now
+        score -= SMOOTH * then + NOISE * noise + TEXTURE * texture
+        if score <= LEAST_SCORE:
+            scores[at] = score
+            continue
+        nearest = np.inf
+        for k in range(n):
+            a = after[k]
+            dx, dy, dz = x[a, 0] - px, x[a, 1] - py, x[a, 2] - pz
+            nearest = min(nearest, dx * dx + dy * dy + dz * dz)
+        if nearest < (TOUCHING * size) ** 2:
+            continue
+        # Of the faces as they are; those with the vertex in its place were the last.
+        _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
+        if _has_flat_side(
+            px, py, pz, n, x, faces, after, following, outer, normals, outer_normals, FLAT * edge
+        ):
+            continue
+        if _spread(i, x, found, count, ring_start, ring, lengths, ranking) > UNLIKE_EDGES:
+            continue
+        scores[at] = score
 
 
 @compiled

@@ -94,6 +94,37 @@ def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _match(buf, at, word):  # type: ignore[no-untyped-def]
+    """The end of ``word`` at ``at``, as it may be written; -1 where another word is there."""
+    stop = _skip_word(buf, at, word)
+    if stop < 0 and word >= ENDLOOP:
+        return _skip_two_words(buf, at, word)
+    if stop < 0 and _is_bare(buf, at, word):
+        return at
+    return stop
+
+
+@compiled
+def _skip_remark(buf, end, at):  # type: ignore[no-untyped-def]
+    """The first word behind words that stand on the line of a statement, which ends at ``end``.
+
+    That is ``at``, the next word, where it stands on another line, or is a number or a keyword:
+    one too many is damage.
+    """
+    for k in range(end, at):
+        if buf[k] == 10 or buf[k] == 13:
+            return at
+    if at < len(buf) and (buf[at] == 43 or 45 <= buf[at] <= 46 or 48 <= buf[at] <= 57):
+        return at
+    for word in range(len(_LENGTHS)):
+        if _skip_word(buf, at, word) >= 0:
+            return at
+    while at < len(buf) and buf[at] != 10 and buf[at] != 13:
+        at += 1
+    return _skip_spaces(buf, at)
+
+
+@compiled
 def _number(buf, at):  # type: ignore[no-untyped-def]
     """The number at ``at``: value, end (-1 for none), decimals.
 
@@ -134,15 +165,16 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
     """
     at, n, n_solids = state[AT], state[FACETS], state[SOLIDS]
     inside = state[INSIDE] != 0
+    behind = -1
     while True:
         at = _skip_spaces(buf, at)
+        if behind >= 0 and _match(buf, at, ENDSOLID) < 0:
+            at = _skip_remark(buf, behind, at)
         state[AT], state[FACETS], state[SOLIDS], state[INSIDE] = at, n, n_solids, inside
         if at >= len(buf):
             return (CUT if inside else WHOLE), at, FACET
-        word = ENDSOLID if inside else SOLID
-        stop = _skip_word(buf, at, word)
-        if stop < 0 and inside and (buf[at] | 32) == 101:
-            stop = _skip_two_words(buf, at, ENDSOLID)
+        behind = -1
+        stop = _match(buf, at, ENDSOLID) if inside else _skip_word(buf, at, SOLID)
         if stop >= 0:
             if not inside:
                 if n_solids < len(solid_at):
@@ -160,17 +192,16 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
         facet = at
         token = 0
         for word in (FACET, NORMAL, OUTER, LOOP, VERTEX, VERTEX, VERTEX, ENDLOOP, ENDFACET):
+            end = at
             at = _skip_spaces(buf, at)
+            stop = _match(buf, at, word)
+            if stop < 0 and word >= OUTER and word != LOOP:
+                at = _skip_remark(buf, end, at)
+                stop = _match(buf, at, word)
             if at >= len(buf):
                 return CUT, at, word
-            stop = _skip_word(buf, at, word)
             if stop < 0:
-                if word >= ENDLOOP:
-                    stop = _skip_two_words(buf, at, word)
-                elif _is_bare(buf, at, word):
-                    stop = at
-                if stop < 0:
-                    return WRONG, at, word
+                return WRONG, at, word
             at = stop
             if word != NORMAL and word != VERTEX:
                 continue
@@ -207,6 +238,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                 at = stop
         facet_at[n] = facet
         n += 1
+        behind = at
 
 
 @compiled

@@ -221,10 +221,13 @@ class Method:
         specs |= {spec.name: spec for spec in self.parameters}
         if word not in specs:
             names = [spec.name for spec in self.parameters]
-            close = difflib.get_close_matches(word, names, n=1)
+            folded = {name.casefold(): name for name in names}
+            close = difflib.get_close_matches(word.casefold(), folded, n=1)
             raise UsageError(
                 f"{self.name} has no parameter '{word}'",
-                hint=f"did you mean {close[0]}?" if close else f"it has: {', '.join(names)}",
+                hint=f"did you mean {folded[close[0]]}?"
+                if close
+                else f"it has: {', '.join(names)}",
             )
         return specs[word]
 

@@ -288,12 +288,15 @@ def normal_rings(parameters: NormalParameters) -> int:
 
 
 def resolve_noise_level(mesh: Mesh, noise: float) -> float:
-    """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate."""
-    from msal_cli.analysis.noise_estimate import estimate_noise
+    """Noise in file units from the parameter ``noise`` in mean edge lengths, 0 for the estimate,
+    which is taken for noise where it is unsure."""
+    from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
     if not noise and mesh.whole is not None:
         raise InternalError("the noise of a part of a mesh is not that of the mesh")
-    return noise * mesh.mean_edge_length if noise else estimate_noise(mesh).file_units
+    if noise:
+        return noise * mesh.mean_edge_length
+    return estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length).file_units
 
 
 def _restore(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:

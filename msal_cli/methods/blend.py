@@ -19,6 +19,8 @@ Where the noise is not the same everywhere, weights may follow it: with ``levels
 member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
 on, and in between in proportion.
 
+``share`` is how much of the way from the input to all that is gone: x_i <- v_i + share (x_i - v_i).
+
 ``relax`` evens triangles out within the surface before the members run.  Noise in all directions
 makes them jagged, and two passes take most of that away.
 
@@ -205,10 +207,23 @@ class Parameters:
         high=100,
         more="more even triangles, vertices farther from the scan",
     )
+    share: float = parameter(
+        1.0,
+        "how much of the way from the mesh to the result is gone, after everything else",
+        low=0.0,
+        high=1.0,
+        more="farther from the scan; 0 returns the mesh as it is",
+    )
 
     def __post_init__(self) -> None:
         """Refuse members that mean nothing."""
         parse_members(self.members, len(parse_levels(self.levels)))
+
+    @property
+    def has_data_term(self) -> bool:
+        """Whether every member pulls to the scanned positions; see ``Method``."""
+        members = parse_members(self.members, len(parse_levels(self.levels)))
+        return all(one.method.has_data_term(one.parameters) for one in members)
 
     @property
     def bytes_per_face(self) -> int:
@@ -233,8 +248,9 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     levels = parse_levels(parameters.levels)
     members = parse_members(parameters.members, len(levels))
     local = local_levels(mesh) if levels else None
+    scanned = mesh.vertices
     mesh = even_out(mesh, parameters.relax)
-    if [member.weights for member in members] == [(1.0,)]:
+    if [member.weights for member in members] == [(1.0,)] and parameters.share == 1.0:
         return members[0].method.denoise(mesh, members[0].parameters, on_sweep)
     saved = {} if mesh.whole is None else mesh.whole.state()
     move = saved["move"].copy() if saved else np.zeros_like(mesh.vertices)
@@ -259,6 +275,10 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         # Each set of them takes as much as the vertices, and far less time than a filter.
         mesh.release_normals()
     move += mesh.vertices
+    if parameters.share < 1.0:
+        move -= scanned
+        move *= parameters.share
+        move += scanned
     return timer.finish(move)
 
 

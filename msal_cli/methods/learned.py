@@ -122,13 +122,14 @@ def resolve_noise(mesh: Mesh, given: float) -> float | None:
     """The level in mean edge lengths, ``given`` or else estimated.
 
     None where no level says what is wrong: on staircases, and where the estimate finds hardly any
-    noise and is not sure that there is none.
+    noise and is not sure that there is none.  Where it is unsure it is taken for noise: who names
+    the method wants that.
     """
-    from msal_cli.analysis.noise_estimate import estimate_noise
+    from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
     if given:
         return given
-    level = estimate_noise(mesh)
+    level = estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length)
     kind = level.character.kind
     is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < LEAST_KNOWN)
     return None if is_open else level.mean_edges

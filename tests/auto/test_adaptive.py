@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
-from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
 from msal_cli.analysis.measures import normal_statistics
-from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.auto import FAMILY, NONE, adaptive
+from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
+from msal_cli.auto import FAMILY, NONE, adaptive, allow_all
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube, torus
 
@@ -89,27 +89,30 @@ def test_the_risk_is_near_the_error():
     assert adaptive.choose_adaptive(mesh).risk == pytest.approx(error, rel=0.3)
 
 
-def test_what_may_be_texture_gets_the_mildest_setting(monkeypatch):
-    mesh, _ = torus_with(0.03)
-    doubtful = dataclasses.replace(
-        estimate_noise(mesh), mean_edges=0.014, low=0.0, high=0.03, is_negligible=True
-    )
-    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: doubtful)
-    choice = adaptive.choose_adaptive(mesh)
-    assert choice.parameters["noise"] == 0.03
-    assert "at most 0.03 e" in choice.reason
-    certain = dataclasses.replace(doubtful, high=0.02)
-    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: certain)
-    assert adaptive.choose_adaptive(mesh).method == NONE
+def test_noise_or_texture_comes_out_well_either_way(monkeypatch):
+    mesh, true = torus_with(0.1)
+    estimate = estimate_noise(mesh)
+    readings = (Reading(NOISE, estimate.mean_edges, 0.5), Reading(TEXTURE, 0.0, 0.5))
+    unsure = dataclasses.replace(estimate, readings=readings)
+    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: unsure)
+    mild = adaptive.choose_adaptive(mesh)
+    assert mild.reason.startswith("noise of 0.1 e or texture; ") and mild.estimate is unsure
+    made = result_of(mesh, mild.method, mild.parameters)
+    # As texture: what it moves.  As noise: what is left of it.
+    assert 0.3 * distance(true, mesh) < distance(mesh, made) < 0.65 * distance(true, mesh)
+    assert distance(true, made) < 0.65 * distance(true, mesh)
+    assert adaptive.choose_adaptive(mesh, assume=TEXTURE).method == NONE
+    noise = adaptive.choose_adaptive(mesh, assume=NOISE)
+    assert distance(true, result_of(mesh, noise.method, noise.parameters)) < distance(true, made)
 
 
 def test_impulsive_noise_is_filtered_for_its_root_mean_square():
     mesh, _ = torus_with(0.4, "impulsive")
     noise = estimate_noise(mesh)
     assert noise.is_impulsive
-    choice = adaptive.choose_adaptive(mesh)
-    assert choice.reason.startswith("impulsive noise")
-    assert choice.parameters["noise"] == round(noise.rms_edges, 4)
+    assert adaptive.choose_adaptive(mesh).reason.startswith("impulsive noise")
+    case = adaptive._build_case(mesh, noise, allow_all)
+    assert case.edges == pytest.approx(noise.rms_edges)
 
 
 def test_one_spike_changes_nothing_elsewhere():
@@ -144,7 +147,7 @@ def test_texture_as_fine_as_the_mesh_gets_less_smoothing():
     mesh_file = codecs.open_mesh(path.read_bytes(), path.name)
     mesh = prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
     choice = adaptive.choose_adaptive(mesh)
-    assert choice.tried == 3 and len(choice.runners_up) == 2
+    assert choice.tried > 2 and choice.runners_up
     assert (choice.method, choice.parameters.get("schedule")) != ("al", "wiener")
 
 
@@ -171,3 +174,34 @@ def test_steps_are_counted_to_the_end():
     adaptive.choose_adaptive(mesh, lambda done, total: steps.append((done, total)))
     assert steps[-1][0] == steps[-1][1]
     assert [done for done, _ in steps[:-1]] == sorted(done for done, _ in steps[:-1])
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "surface", "is_better"),
+    [
+        ("bracket_clean.ply", 0.1, "machined", True),
+        ("bear_clean.obj", 0.1, "organic", False),
+        ("bear_clean.obj", 0.35, None, True),
+    ],
+)
+def test_it_knows_where_a_search_comes_nearer(name, level, surface, is_better):
+    path = SAMPLES / name
+    mesh_file = codecs.open_mesh(path.read_bytes(), path.name)
+    true = prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
+    mesh = true.with_vertices(add_plain_noise(true, "gaussian-normal", level, 1))
+    choice = adaptive.choose_adaptive(mesh)
+    assert surface in (None, choice.surface)
+    seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
+    assert (seconds is not None) == is_better
+    assert adaptive.forecast_seconds(10_000) < adaptive.forecast_seconds(1_000_000)
+
+
+def test_noise_that_neighbours_share_may_take_a_linear_filter():
+    true = torus_mesh()
+    mesh = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.2, seed=1, rings=2)))
+    choice = adaptive.choose_adaptive(mesh)
+    made = result_of(mesh, choice.method, choice.parameters)
+    assert angle(true, made) < 1.05 * angle(true, result_of(mesh, "taubin", {}))
+    # Methods with other needs, such as tiles, keep to the family.
+    kept = adaptive.choose_adaptive(mesh, None, lambda method, _: method.name in ("al", "msal"))
+    assert kept.method in ("al", "msal")

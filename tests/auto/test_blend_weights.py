@@ -7,8 +7,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.auto.blend_weights import best_weights, least_over_simplex, round_weights
+from msal_cli.auto.blend_weights import best_weights, hedge, least_over_simplex, round_weights
 from msal_cli.auto.risk import Quadratic, Risk
+
+
+@pytest.mark.parametrize(
+    ("gain", "moved", "share"),
+    [
+        # It removes the noise and nothing else: half of it.
+        (1.0, 1.0, 0.5),
+        # It removes little of the noise: all of it.
+        (0.4, 0.4, 1.0),
+        # It moves more than it gains: as for noise alone, since less would be worse.
+        (0.5, 2.0, 0.25),
+        (-0.1, 1.0, 0.0),
+        (0.0, 0.0, 0.0),
+    ],
+)
+def test_a_hedge_is_least_in_the_worse_case(gain, moved, share):
+    found = hedge(gain, moved)
+    assert found == share
+    shares = np.linspace(0.0, 1.0, 1001)
+    worse = np.maximum(shares**2 * moved, 1.0 - 2.0 * shares * gain + shares**2 * moved)
+    assert max(found**2 * moved, 1.0 - 2.0 * found * gain + found**2 * moved) <= worse.min() + 1e-3
 
 
 def value(gram, gain, weights):

@@ -7,7 +7,8 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.analysis.added_noise import add_plain_noise
-from msal_cli.job.changes import is_ruled_by_spike
+from msal_cli.job.changes import is_ruled_by_spike, method_warnings
+from msal_cli.job.records import Displacement, NoiseEstimate
 from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import msal, ply_text, record_of
 from tests.shapes import torus
@@ -33,7 +34,7 @@ def test_no_noise_to_speak_of(tmp_path):
     scan = scan_with(tmp_path / "a.ply", 0.0)
     (warning,) = warnings_of(scan, "--method", "taubin")
     assert warning.startswith("no noise to speak of, and taubin moved vertices by 0.")
-    assert "give no --method" in warning
+    assert "--min-noise auto leaves such meshes as they are" in warning
     assert warnings_of(scan, "--method", "msal", "-n", "0") == []
     assert warnings_of(scan) == []
 
@@ -56,6 +57,14 @@ def test_noise_beyond_what_the_method_is_made_for(tmp_path, words, is_too_much):
     assert any("is more than" in warning and "--auto" in warning for warning in warnings) == (
         is_too_much
     )
+
+
+@pytest.mark.parametrize(("unsure", "count"), [(False, 1), (True, 0)])
+def test_no_advice_where_noise_may_be_texture(unsure, count):
+    found = methods.find("msal")
+    noise = NoiseEstimate(0.3, 0.1, 0.0, 0.4, negligible=False, unsure=unsure)
+    moved = Displacement(*[0.1] * 8, moved_vertices=100)
+    assert len(method_warnings(found, found.validate({}), noise, moved, False)) == count
 
 
 def test_a_spike_that_rules_lambda(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 
 import numpy as np
 import pytest
@@ -44,6 +45,21 @@ def test_positions_may_differ_by_rounding_and_not_by_more(scale, sign):
         else:
             with pytest.raises(InternalError, match="other positions than it should"):
                 check(obj(other), vertices)
+
+
+def test_whole_numbers_are_rounded_when_they_are_encoded_anew():
+    rows = "".join(f"{x} {y} {z}\n" for x, y, z in 7 * cube()[0].astype(int))
+    faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in cube()[1])
+    header = "ply\nformat ascii 1.0\nelement vertex 8\n"
+    header += "".join(f"property int {name}\n" for name in "xyz")
+    header += "element face 12\nproperty list uchar int vertex_indices\nend_header\n"
+    data = (header + rows + faces).encode()
+    mesh_file = files.open_mesh(data, "in.ply")
+    vertices = mesh_file.vertices + 0.375
+    encoded = mesh_file.encoded(vertices, "binary", "same")
+    output._check_reopened(encoded, "ply", mesh_file, vertices)
+    with pytest.raises(InternalError, match="other positions"):
+        output._check_reopened(encoded, "ply", mesh_file, vertices + 0.5)
 
 
 def test_an_output_has_all_triangles_and_can_be_read():
@@ -147,6 +163,20 @@ def test_a_folder_is_made_if_need_be(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="cannot be made"):
         (tmp_path / "file").touch()
         output.make_folder_of("file/out.obj")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links of POSIX")
+def test_a_link_to_the_original_is_no_backup_of_it(tmp_path):
+    path = tmp_path / "scan.obj"
+    path.write_bytes(b"old")
+    (tmp_path / "scan.obj.orig").symlink_to(path)
+    task = Task(str(path), str(path), "scan.obj", backup=".orig")
+    for keep in (
+        lambda: output.keep_backup(task, b"old"),
+        lambda: output.keep_backup_of_file(task),
+    ):
+        with pytest.raises(OutputError, match="exists and is not this file"):
+            keep()
 
 
 def test_a_backup_is_kept_once(tmp_path):

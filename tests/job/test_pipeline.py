@@ -264,6 +264,23 @@ def test_re_encoding(scan, tmp_path, encoding, precision):
     assert again.encoding.startswith(encoding)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="permission bits of POSIX")
+@pytest.mark.parametrize("name", ["out.ply", "out.obj", "out.glb", "deep/out.stl"])
+def test_an_output_is_as_private_as_its_input(tmp_path, name):
+    scan = tmp_path / "scan.ply"
+    vertices, faces = torus()
+    scan.write_bytes(ply_binary(noisy(vertices, 1, 0.1), faces))
+    scan.chmod(0o600)
+    out = tmp_path / "made" / name
+    record = pipeline.denoise_file(
+        Task(str(scan), str(out), scan.name), settings(fields=("curvature",))
+    )
+    assert record.error is None
+    made = [path for path in (tmp_path / "made").rglob("*") if path.is_file()]
+    assert len(made) == 2
+    assert {path.stat().st_mode & 0o777 for path in made} == {0o600}
+
+
 def test_in_place_with_and_without_a_backup(scan):
     original = scan.read_bytes()
     scan.chmod(0o640)
@@ -362,7 +379,7 @@ def test_inspection(scan):
     assert info.polygon_sizes == {"3": 576}
     assert info.volume_valid
     assert info.bytes == scan.stat().st_size
-    assert info.noise_estimate.mean_edges > 0
+    assert info.noise_estimate.readings
     assert inspection.inspect_file(str(scan.parent / "none.ply")).error.code == "E_READ"
 
 
@@ -524,11 +541,11 @@ def test_a_mesh_that_is_inside_out_has_the_figures_of_the_other_side(tmp_path):
     assert turned.volume.change_percent == pytest.approx(plain.volume.change_percent)
     assert turned.volume.change == pytest.approx(plain.volume.change)
     assert turned.volume.before == pytest.approx(plain.volume.before)
-    assert turned.warning_codes == ("W_INSIDE_OUT",)
-    assert turned.warnings == (
-        "the surface is inside out: its normals point inwards (W_INSIDE_OUT)",
+    assert "W_INSIDE_OUT" in turned.warning_codes
+    assert turned.warnings[0] == (
+        "the surface is inside out: its normals point inwards (W_INSIDE_OUT)"
     )
-    assert plain.warning_codes == plain.warnings == ()
+    assert "W_INSIDE_OUT" not in plain.warning_codes
 
 
 def test_an_open_mesh_has_no_figures_of_volume(tmp_path):

@@ -213,7 +213,8 @@ def test_whole_hundredths_are_written_short():
 def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
     most = max(methods.find(one.method).bytes_per_face for one in CANDIDATES)
     assert BLEND.bytes_per_face >= most + KEPT_PER_FACE
-    assert {one.method for one in CANDIDATES} | {"blend"} == set(selection.METHODS)
+    of_plain = {"blend", "hc", "taubin"}
+    assert {one.method for one in CANDIDATES} | of_plain == set(selection.METHODS)
 
 
 def test_memory_follows_the_members_that_are_given():
@@ -241,7 +242,7 @@ def test_from_the_command_line(tmp_path):
     (record,) = json.loads(made.stdout)["records"]
     assert record["method"] == {
         "name": "blend",
-        "parameters": {"members": members, "levels": "", "relax": 0},
+        "parameters": {"members": members, "levels": "", "relax": 0, "share": 1.0},
     }
     assert (tmp_path / "o.ply").read_bytes() != scan.read_bytes()
     refused = msal(*words, "-o", tmp_path / "no.ply", "--set", "members=0.25*al+2*msal")
@@ -336,3 +337,20 @@ def test_vertices_that_are_held_or_at_open_edges_are_not_evened_out():
     assert (even.vertices[still] == vertices[still]).all()
     assert (even.vertices[~still] != vertices[~still]).any(axis=1).all()
     assert even_out(rough, 0) is rough
+
+
+@pytest.mark.parametrize("relax", [0, 2])
+def test_a_share_goes_part_of_the_way(relax):
+    mesh = prepare_mesh(noisy(torus(20, 12)[0], 0, 0.05), torus(20, 12)[1]).mesh
+
+    def made(share):
+        given = {"members": "0.8*al(iterations=2)", "relax": relax, "share": share}
+        return BLEND.denoise(mesh, BLEND.validate(given)).vertices
+
+    assert made(0.3) == pytest.approx(0.7 * mesh.vertices + 0.3 * made(1.0), abs=1e-12)
+    assert (made(0.0) == mesh.vertices).all()
+
+
+def test_it_has_a_data_term_if_every_member_has():
+    for members, has in (("0.5*msal", True), ("0.5*msal+0.5*learned", False)):
+        assert BLEND.has_data_term(BLEND.validate({"members": members})) == has
