@@ -9,15 +9,29 @@ from pathlib import Path
 from msal_cli.codecs.gltf import names_of_buffers
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import MsalError, OutputError
-from msal_cli.storage.atomic import write_whole
+from msal_cli.storage.atomic import Sources, write_whole
+from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import expand, read_whole
 
 
-def write_companions(companions: Sequence[Companion], output_path: str) -> tuple[str, ...]:
+def list_sources(path: str, data: Buffer) -> list[str]:
+    """The files that a mesh is read from: that at ``path``, whose bytes are ``data``, and those
+    that hold the buffers of a .gltf."""
+    if not path.lower().removesuffix(".gz").endswith(".gltf"):
+        return [path]
+    folder = Path(path).parent
+    names = names_of_buffers(expand(data, path)[0])
+    return [path, *(os.fspath(folder / name) for name in sorted(names))]
+
+
+def write_companions(
+    companions: Sequence[Companion], output_path: str, sources: Sources = ()
+) -> tuple[str, ...]:
     """Write the files that belong to an output, before the output itself.
 
     A file that is there is replaced only if an output of an earlier run, at ``output_path``, names
-    it as its own.  Returns what was done, one line for each file.
+    it as its own.  ``sources`` limit the permission bits, see ``storage.atomic.write_whole``.
+    Returns what was done, one line for each file.
 
     Raises
     ------
@@ -28,10 +42,10 @@ def write_companions(companions: Sequence[Companion], output_path: str) -> tuple
         return ()
     folder = Path(output_path).parent
     earlier = _names_of_earlier(output_path)
-    return tuple(_write(one, folder, earlier) for one in companions)
+    return tuple(_write(one, folder, earlier, sources) for one in companions)
 
 
-def _write(companion: Companion, folder: Path, earlier: Collection[str]) -> str:
+def _write(companion: Companion, folder: Path, earlier: Collection[str], sources: Sources) -> str:
     target = folder / companion.name
     try:
         is_within = Path(os.path.realpath(target)).is_relative_to(os.path.realpath(folder))
@@ -57,7 +71,7 @@ def _write(companion: Companion, folder: Path, earlier: Collection[str]) -> str:
             path=os.fspath(target),
             hint="check the permissions of the output folder",
         ) from failure
-    write_whole(target, [companion.data])
+    write_whole(target, [companion.data], sources=sources)
     return f"wrote {companion.name}"
 
 

@@ -17,6 +17,9 @@ OWN_FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf")
 SCENES = {"glb", "gltf"}
 """Containers of one format, which hold the same."""
 
+_WIDE_TEXT = re.compile(rb"\xff\xfe(?:[^\0]\0){4}|\xfe\xff(?:\0[^\0]){4}")
+"""How text in UTF-16 begins; no binary format does."""
+
 _NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _OBJ_VERTEX = rb"(?m)^[ \t]*v(?:[ \t]+" + _NUMBER + rb"){3}"
 _OBJ_LINE = (
@@ -39,7 +42,7 @@ _BEGINNINGS = (
     ),
     (rb"# vtk DataFile", "vtk"),
     (rb"\s*\$MeshFormat", "msh"),
-    (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(?:ST)?C?N?4?n?OFF\b", "off"),
+    (rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(?:(?:ST)?C?N?|NC?(?:ST)?)4?n?OFF(?:\d|\b)", "off"),
     (rb"\s*MeshVersionFormatted", "mesh"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile[^>]*[\"']PolyData[\"']", "vtp"),
     (rb"\s*(?:<\?xml[^>]*>\s*)?<VTKFile", "vtu"),
@@ -82,6 +85,16 @@ def content_format(data: Buffer, expected: str = "", size: int | None = None) ->
     return "obj" if is_obj else ""
 
 
+def refuse_utf16(head: Buffer) -> None:
+    """Raise FormatError for a file that begins as UTF-16 text does, whatever its format."""
+    if _WIDE_TEXT.match(head):
+        raise FormatError(
+            "the file is UTF-16 text, which mesh formats are not written in",
+            where="byte 0",
+            hint="save it again with the encoding UTF-8, in an editor or with iconv -t UTF-8",
+        )
+
+
 def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
     """Whether every line begins with a keyword of OBJ: the last one looked at may be cut off, and
     the rest of a continued line is no line of its own."""
@@ -104,8 +117,9 @@ def resolve_format(data: Buffer, name: str, format: str | None, size: int | None
     UnsupportedError
         for a format that is not known.
     FormatError, TruncatedError
-        for a content of another format than the name says, and for an empty file.
+        for a content of another format than the name says, for UTF-16, and for an empty file.
     """
+    refuse_utf16(data)
     wanted = _wanted(data, name, format)
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")

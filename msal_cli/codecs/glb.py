@@ -36,7 +36,7 @@ def read(data: Buffer, name: str) -> GlbFile:
     FormatError, TruncatedError, TooLargeError
         if the file is not what its format says.
     UnsupportedError
-        for compressed or quantised positions, version 1, and data in other files.
+        for compressed positions, version 1, and data in other files.
     ContentError
         ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
     """

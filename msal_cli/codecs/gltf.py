@@ -56,7 +56,7 @@ def read(data: Buffer, name: str) -> GltfFile:
     InputError
         with code ``E_READ`` if a buffer cannot be read.
     UnsupportedError
-        for compressed or quantised positions, and buffers outside its folder.
+        for compressed positions, and buffers outside its folder.
     ContentError
         ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
     """

@@ -73,10 +73,11 @@ class SceneFile(SlotFile):
         super().check(data, vertices)
         expected = json.loads(json.dumps(self.scene.content))
         for part in self._parts:
-            entry = expected["accessors"][part.positions.index]
-            for word, new in part.bounds(as_bytes(data)).items():
-                if word in entry:
-                    entry[word] = json.loads(write_bound(json.dumps(entry[word]), new))
+            bounds = part.bounds(as_bytes(data))
+            for entry in (expected["accessors"][index] for index in part.accessors):
+                for word, new in bounds.items():
+                    if word in entry:
+                        entry[word] = json.loads(write_bound(json.dumps(entry[word]), new))
         # As text, because a number that is none, which Python reads, is not equal to itself.
         is_right = json.dumps(content) == json.dumps(expected)
         if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
@@ -97,11 +98,12 @@ class SceneFile(SlotFile):
         spans = find_entries(self.text, "accessors")
         edits = []
         for part in self._parts:
-            own = spans[part.positions.index]
-            for word, new in part.bounds(as_bytes(data)).items():
-                if word in own:
-                    start, stop = own[word]
-                    edits.append((own[word], write_bound(self.text[start:stop], new)))
+            bounds = part.bounds(as_bytes(data))
+            for own in (spans[index] for index in part.accessors):
+                for word, new in bounds.items():
+                    if word in own:
+                        start, stop = own[word]
+                        edits.append((own[word], write_bound(self.text[start:stop], new)))
         return replace_spans(self.text, edits).encode("latin-1")
 
     def _pack(self, data: memoryview) -> Buffer:
@@ -137,7 +139,7 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
     ]
     return Layout(
         "binary_little_endian",
-        "float32",
+        "float32" if any(part.positions.code == "<f4" for part in parts) else "integer",
         positions,
         normals=tuple(slots for _, slots, _, _ in normals),
         renew_normals=lambda old, new: [

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
 
@@ -28,11 +28,14 @@ from msal_cli.errors import (
     UnsupportedError,
 )
 
-_FLOAT32 = 5126
+_FLOAT_TYPES = {5126: "<f4"}
+_POSITION_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", **_FLOAT_TYPES}
+"""Those of whole numbers are of the extension KHR_mesh_quantization."""
+
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _ALWAYS_READ = 1 << 16
-"""Corners that are read however often the same ones are named; see ``_require_room``."""
+"""Corners that are read however small the file is; see ``_require_room``."""
 
 _DEEPEST = 200
 _PLAIN = "export it without compression, or convert it to PLY"
@@ -40,20 +43,34 @@ _PLAIN = "export it without compression, or convert it to PLY"
 
 @dataclass(frozen=True)
 class Accessor:
-    """Rows of three float32: ``count`` rows, the first at byte ``at``, ``stride`` bytes apart.
+    """Rows of three numbers: ``count`` rows, the first at byte ``at``, ``stride`` bytes apart.
 
-    ``index`` is its number in the description.
+    ``index`` is its number in the description; several may have the same rows.  A number of numpy's
+    type ``code`` stands for ``unit`` times what is stored.
     """
 
-    index: int
+    index: int = field(compare=False)
     at: int
     stride: int
     count: int
+    code: str = "<f4"
+    unit: float = 1.0
+
+    @property
+    def width(self) -> int:
+        """Bytes of a row."""
+        return 3 * np.dtype(self.code).itemsize
+
+    def rows(self, data: Bytes) -> NDArray[Any]:
+        """The rows (n, 3) in ``data``, a view."""
+        strides = self.stride, self.width // 3
+        return np.ndarray((self.count, 3), self.code, data, self.at, strides)
 
     def slots(self, data: Bytes) -> Strided:
-        """The rows in ``data``."""
-        codes = ("<f4", "<f4", "<f4")
-        return Strided(data, self.at, self.count, self.stride, (0, 4, 8), codes, whole_rows=True)
+        """Where the rows are in ``data``."""
+        places = 0, self.width // 3, 2 * self.width // 3
+        codes = (self.code,) * 3
+        return Strided(data, self.at, self.count, self.stride, places, codes, whole_rows=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +82,47 @@ class Part:
     faces : triangles (m, 3) into the positions.
     mesh : the number of its mesh.
     normals : one to a position, if it has any that can be recomputed.
-    source : the accessor and the mode that the triangles come from.
+    accessors : the numbers of all accessors that its positions have.
     """
 
     positions: Accessor
     faces: Longs
     mesh: int
     normals: Accessor | None
-    source: tuple[object, object] = (None, None)
+    accessors: tuple[int, ...]
 
     def bounds(self, data: Bytes) -> dict[str, list[float]]:
         """The least and the largest of each coordinate in ``data``."""
-        own = self.positions
-        rows = np.ndarray((own.count, 3), "<f4", data, own.at, (own.stride, 4))
         # Column by column, because numpy reduces the first of two axes slowly.
+        columns = self.positions.rows(data).T
         return {
-            "min": [float(column.min()) for column in rows.T],
-            "max": [float(column.max()) for column in rows.T],
+            "min": [column.min().item() for column in columns],
+            "max": [column.max().item() for column in columns],
         }
+
+
+@dataclass(eq=False)
+class _Surfaces:
+    """All primitives over one list of positions, whichever ``accessors`` it has.
+
+    Attributes
+    ----------
+    normals : those of every primitive, None where they differ.
+    mesh : the number of the first mesh.
+    triangles : (m, 3) by the indices and the mode that they come from, so that a mesh that is twice
+        in a file, with other materials perhaps, is read once.
+    """
+
+    positions: Accessor
+    normals: Accessor | None
+    mesh: int
+    triangles: dict[object, Longs] = field(default_factory=dict)
+    accessors: dict[int, None] = field(default_factory=dict)
+
+    def join(self) -> Part:
+        triangles = list(self.triangles.values())
+        faces = triangles[0] if len(triangles) == 1 else np.concatenate(triangles)
+        return Part(self.positions, faces, self.mesh, self.normals, tuple(self.accessors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,27 +191,35 @@ class Scene:
         assert isinstance(index, int)
         return Accessor(index, begin + offset + within, stride, count)
 
-    def _triples(self, index: object, where: str) -> Accessor | None:
-        """An accessor of three float32; None if it is of another type."""
+    def _triples(self, index: object, codes: dict[int, str], where: str) -> Accessor | None:
+        """An accessor of three numbers of one of the types ``codes``; None if it is of another."""
         entry = self.entry("accessors", index)
-        if entry.get("componentType") != _FLOAT32 or entry.get("type") != "VEC3":
+        component = entry.get("componentType")
+        code = codes.get(component) if isinstance(component, int) else None
+        if code is None or entry.get("type") != "VEC3":
             return None
-        return self._accessor(index, 12, where)
+        is_share = entry.get("normalized") is True and code != "<f4"
+        unit = 1.0 / np.iinfo(code).max if is_share else 1.0
+        accessor = self._accessor(index, 3 * np.dtype(code).itemsize, where)
+        return dataclasses.replace(accessor, code=code, unit=unit)
 
-    def _corners(self, primitive: dict[str, Any], count: int, where: str, room: int) -> Longs:
-        """The vertex numbers (k,) of a primitive, strips and fans not yet unrolled, k <= room."""
+    def _indices(self, primitive: dict[str, Any], where: str) -> tuple[Accessor, str] | None:
+        """The vertex numbers of a primitive, and numpy's type of them; None for all in turn."""
         if "indices" not in primitive:
-            _require_room(count, room, where)
-            return np.arange(count, dtype=np.int64)
+            return None
         index = primitive["indices"]
         component = self.entry("accessors", index).get("componentType")
         code = _INDEX_TYPES.get(component) if isinstance(component, int) else None
         if code is None:
             raise FormatError("the indices have no integer type", where=where, hint=EXPORT_AGAIN)
-        accessor = self._accessor(index, np.dtype(code).itemsize, where)
-        _require_room(accessor.count, room, where)
-        shape, strides = (accessor.count,), (accessor.stride,)
-        corners = np.ndarray(shape, code, self.data, accessor.at, strides).astype(np.int64)
+        return self._accessor(index, np.dtype(code).itemsize, where), code
+
+    def _corners(self, indices: tuple[Accessor, str] | None, count: int, where: str) -> Longs:
+        """The vertex numbers (k,) of a primitive of ``count`` vertices, strips not unrolled."""
+        if indices is None:
+            return np.arange(count, dtype=np.int64)
+        own, code = indices
+        corners = np.ndarray((own.count,), code, self.data, own.at, (own.stride,)).astype(np.int64)
         highest = int(corners.max(initial=-1))
         if highest >= count:
             raise ContentError(
@@ -210,18 +258,17 @@ class Scene:
 
     def parts(self) -> tuple[list[Part], tuple[str, ...]]:
         """All surfaces, those over one list of positions together, and warnings."""
-        by_positions: dict[int, list[Part]] = {}
+        surfaces: dict[Accessor, _Surfaces] = {}
         notes: dict[str, None] = {}
         room = max(self._data_size, _ALWAYS_READ)
         for number in range(len(as_list(self.content.get("meshes")))):
             primitives = self.entry("meshes", number).get("primitives")
             for k, primitive in enumerate(as_list(primitives)):
                 where = f"mesh {number}, primitive {k}"
-                part, n_corners = self._part(notes, number, as_dict(primitive), where, room)
-                room -= n_corners
-                if part is not None:
-                    by_positions.setdefault(part.positions.index, []).append(part)
-        parts = [_merge(pieces, notes) for pieces in by_positions.values()]
+                room -= self._add_primitive(
+                    surfaces, notes, number, as_dict(primitive), where, room
+                )
+        parts = [own.join() for own in surfaces.values()]
         _separate(parts, self._data_size, notes)
         if not sum(len(part.faces) for part in parts):
             raise ContentError(
@@ -231,28 +278,38 @@ class Scene:
             )
         return parts, tuple(notes)
 
-    def _part(
-        self, notes: dict[str, None], mesh: int, primitive: dict[str, Any], where: str, room: int
-    ) -> tuple[Part | None, int]:
-        """The surface of a primitive, and the number of its corners, at most ``room``."""
+    def _add_primitive(
+        self,
+        surfaces: dict[Accessor, _Surfaces],
+        notes: dict[str, None],
+        mesh: int,
+        primitive: dict[str, Any],
+        where: str,
+        room: int,
+    ) -> int:
+        """Add a primitive to those over the same positions; returns the number of corners that were
+        read, at most ``room``."""
         if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
             raise UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         mode = primitive.get("mode", _TRIANGLES)
         attributes = as_dict(primitive.get("attributes"))
         if mode not in (_TRIANGLES, _STRIP, _FAN):
             notes["points and lines are kept as they are"] = None
-            return None, 0
+            return 0
         if "POSITION" not in attributes:
-            return None, 0
-        positions = self._triples(attributes["POSITION"], where)
+            return 0
+        positions = self._triples(attributes["POSITION"], _POSITION_TYPES, where)
         if positions is None:
-            raise UnsupportedError("quantised positions are not read", where=where, hint=_PLAIN)
+            raise UnsupportedError(
+                "the positions have a type that glTF does not allow", where=where, hint=_PLAIN
+            )
         if not positions.count:
-            return None, 0
-        corners = self._corners(primitive, positions.count, where, room)
+            return 0
+        if positions.code != "<f4":
+            notes["positions are whole numbers (quantised): new ones are rounded"] = None
         normals = None
         if "NORMAL" in attributes:
-            normals = self._triples(attributes["NORMAL"], where)
+            normals = self._triples(attributes["NORMAL"], _FLOAT_TYPES, where)
             if normals is None or normals.count != positions.count:
                 normals = None
                 notes["normals that are not float32 are kept as they are"] = None
@@ -260,8 +317,20 @@ class Scene:
             notes["tangents are kept as they are"] = None
         if primitive.get("targets"):
             notes["the displacements of morph targets are kept as they are"] = None
-        source = primitive.get("indices"), mode
-        return Part(positions, _triangles(corners, mode), mesh, normals, source), len(corners)
+        own = surfaces.setdefault(positions, _Surfaces(positions, normals, mesh))
+        own.accessors[positions.index] = None
+        if own.normals != normals:
+            notes["normals of parts that share positions are kept as they are"] = None
+            own.normals = None
+        indices = self._indices(primitive, where)
+        source = mode, indices and (indices[0].at, indices[0].stride, indices[0].count, indices[1])
+        if source in own.triangles:
+            return 0
+        n_corners = positions.count if indices is None else indices[0].count
+        _require_room(n_corners, room, where)
+        corners = self._corners(indices, positions.count, where)
+        own.triangles[source] = _triangles(corners, mode)
+        return n_corners
 
     def properties(self) -> tuple[str, ...]:
         """What is carried along."""
@@ -305,7 +374,11 @@ class Scene:
                     shown_by.setdefault(node["mesh"], number)
             with np.errstate(all="ignore"):
                 known: dict[int, Floats] = {}
-                return [self._frame(parents, known, shown_by.get(part.mesh)) for part in parts]
+                units = (np.diag([*3 * [part.positions.unit], 1.0]) for part in parts)
+                return [
+                    self._frame(parents, known, shown_by.get(part.mesh)) @ unit
+                    for part, unit in zip(parts, units, strict=True)
+                ]
         except (TypeError, ValueError, OverflowError, FormatError):
             return [np.eye(4) for _ in parts]
 
@@ -346,46 +419,37 @@ def has_scheme(uri: str) -> bool:
 def _require_room(count: int, room: int, where: str) -> None:
     """Raise TooLargeError for more corners than ``room``.
 
-    Any number of primitives may name the same indices, so that a small file can ask for more
-    faces than a machine has memory.
+    Any number of lists of positions may be joined with any number of lists of indices, so that a
+    small file can ask for more faces than a machine has memory.
     """
     if count > room:
         raise TooLargeError(
             "the primitives together have more corners than the file has bytes",
             where=where,
-            hint="the file repeats the same faces; remove the copies",
+            hint="the same indices are used with very many lists of positions; export the mesh "
+            "alone",
         )
-
-
-def _merge(pieces: list[Part], notes: dict[str, None]) -> Part:
-    """Primitives over the same positions as one part, the same triangles once: a mesh that is twice
-    in a file, with other materials perhaps, is one surface."""
-    if len(pieces) == 1:
-        return pieces[0]
-    normals = pieces[0].normals
-    if any(one.normals != normals for one in pieces):
-        notes["normals of parts that share positions are kept as they are"] = None
-        normals = None
-    distinct = {one.source: one.faces for one in pieces}
-    faces = np.concatenate(list(distinct.values()))
-    return Part(pieces[0].positions, faces, pieces[-1].mesh, normals)
 
 
 def _separate(parts: list[Part], data_size: int, notes: dict[str, None]) -> None:
     """Drop normals that two of the parts share; raise UnsupportedError if rows overlap."""
-    used: set[int] = set()
+    used: set[Accessor] = set()
     for k, part in enumerate(parts):
-        if part.normals is not None and part.normals.index in used:
+        if part.normals is not None and part.normals in used:
             notes["normals that several parts share are kept as they are"] = None
             parts[k] = dataclasses.replace(part, normals=None)
         elif part.normals is not None:
-            used.add(part.normals.index)
+            used.add(part.normals)
     regions = [one for part in parts for one in (part.positions, part.normals) if one is not None]
     # Rows that do not fit beside one another are not compared: there may be very many.
-    is_overlap = sum(12 * one.count for one in regions) > data_size
+    is_overlap = sum(one.width * one.count for one in regions) > data_size
     if len(regions) > 1 and not is_overlap:
-        starts = [one.at + one.stride * np.arange(one.count, dtype=np.int64) for one in regions]
-        is_overlap = bool((np.diff(np.sort(np.concatenate(starts))) < 12).any())
+        starts = np.concatenate(
+            [one.at + one.stride * np.arange(one.count, dtype=np.int64) for one in regions]
+        )
+        widths = np.repeat([one.width for one in regions], [one.count for one in regions])
+        order = np.argsort(starts)
+        is_overlap = bool((np.diff(starts[order]) < widths[order][:-1]).any())
     if is_overlap:
         raise UnsupportedError(
             "lists of positions or normals overlap", where="accessors", hint=_PLAIN

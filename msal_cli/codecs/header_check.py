@@ -53,6 +53,18 @@ def read_input(
     return read_whole(path, size)
 
 
+def check_beginning(path: str | os.PathLike[str], format: str | None = None) -> None:
+    """Raise what ``read_input`` would for a large file that cannot be what it says, by its size and
+    its beginning; nothing where the system cannot read it."""
+    try:
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            if size > LOOKED_AT:
+                _look(file, size, os.fspath(path), format)
+    except (OSError, ValueError):
+        return
+
+
 def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
     """Raise for a file of ``size`` bytes that cannot be what it says."""
     if size > largest_bytes():

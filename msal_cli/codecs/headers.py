@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from msal_cli.codecs import ply_header
+from msal_cli.codecs.detection import refuse_utf16
 from msal_cli.errors import MsalError, TruncatedError
 
 _ALWAYS_BELIEVED = 256 << 20
@@ -69,6 +70,7 @@ def read_header(
     if beside:
         readers["gltf"] = lambda: Header("glb", **_described(head, size + beside))
     try:
+        refuse_utf16(head)
         return readers[format]() if format in readers else Header(format)
     except MsalError as error:
         return Header(format, error=error)
@@ -90,6 +92,7 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         return Header("ply", error=error)
     vertex, face = header.find("vertex"), header.find("face")
     strips = header.find("tristrips") if face is None else None
+    grid = header.find("range_grid") if face is None else None
     n_vertices = vertex.count if vertex is not None else 0
     n_faces = face.count if face is not None else 0
     is_text = header.encoding == "ascii"
@@ -105,6 +108,9 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         # Each item of a strip but its first two is a triangle; how many there are, only reading
         # the strips tells.
         n_triangles = 4 * strips.count if is_packed else (size - least) // (2 if is_text else 4)
+    elif grid is not None:
+        # Most of its samples may be empty; a vertex has two triangles.
+        n_triangles = 2 * min(grid.count, n_vertices)
     elif face is not None and not is_text and not is_packed:
         n_triangles = max(n_faces, _most_triangles(header, face, size - least))
     elif face is not None and not is_text:
@@ -180,15 +186,14 @@ def _described(text: bytes, size: int) -> dict[str, Any]:
     try:
         document = json.loads(text)
         accessors = document["accessors"]
-        positions: set[int] = set()
-        n_triangles = 0
-        for mesh in document["meshes"]:
-            for part in mesh["primitives"]:
-                position = part["attributes"]["POSITION"]
-                positions.add(position)
-                corners = part.get("indices", position)
-                n_triangles += int(accessors[corners]["count"]) // 3
-        n_vertices = sum(int(accessors[one]["count"]) for one in positions)
+        parts = [part for mesh in document["meshes"] for part in mesh["primitives"]]
+        # What is shared is read once.
+        corners = {(part["attributes"]["POSITION"], part.get("indices")) for part in parts}
+        n_vertices = sum(int(accessors[each]["count"]) for each in {each for each, _ in corners})
+        n_triangles = sum(
+            int(accessors[position if indices is None else indices]["count"]) // 3
+            for position, indices in corners
+        )
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
         return {}
     if not 0 <= n_vertices <= size or not 0 <= n_triangles <= size:

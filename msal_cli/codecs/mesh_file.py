@@ -115,6 +115,15 @@ class MeshFile(Protocol):
         ...
 
 
+def has_same_grid(mesh: object, other: object) -> bool:
+    """Whether both are range grids of the same samples.
+
+    Their vertices correspond, even where their triangles, which depend on positions, differ.
+    """
+    own, others = getattr(mesh, "grid", None), getattr(other, "grid", None)
+    return own is not None and others is not None and np.array_equal(own, others)
+
+
 def corner_count(mesh_file: MeshFile) -> int | None:
     """Corners that a file stores where it has no vertices of its own (STL), None for others."""
     n_merged = mesh_file.merged_vertices

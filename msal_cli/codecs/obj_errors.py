@@ -25,12 +25,6 @@ def refuse_binary(data: Buffer) -> None:
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")
     head = bytes(memoryview(data)[:_LOOKED_AT])
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise FormatError(
-            "the file is UTF-16 text, but OBJ is plain ASCII or UTF-8",
-            where="byte 0",
-            hint="save it again with the encoding UTF-8",
-        )
     # Old systems end a text with this mark; it is kept as a line that is no statement.
     control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
     # Zeros are looked for farther on: the first pages of a file may be sound.

@@ -33,6 +33,7 @@ _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
 _NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
 _POSITION = re.compile(rb"v" + 3 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n]|\Z)")
+_PLANE_POSITION = re.compile(rb"v" + 2 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n#])")
 _KEYWORD = re.compile(
     rb"(?!(?:v|vt|vn|f|fo)[ \t\r\n])([^\x00-\x20\\#][^\x00-\x20\\]*+)"
     rb"(?:[ \t][^\\\r\n]*+)?(?=[\r\n])"
@@ -312,6 +313,7 @@ class Reading:
             return TruncatedError(
                 "the last line breaks off", where=place, hint="copy or export the file again"
             )
+        hint = "correct the line, or export the file again"
         if result in (scan.BAD_NUMBER, scan.FEW_NUMBERS):
             is_normal = statement == b"vn"
             number = int(state[scan.NORMALS if is_normal else scan.VERTICES]) + 1
@@ -321,21 +323,21 @@ class Reading:
                 message = f"{shown!r} is not a number"
             else:
                 message = f"a {what} needs three numbers"
+            is_flat = _PLANE_POSITION.match(memoryview(self._data), int(state[scan.AT]))
+            if is_flat and number == 1:
+                message += ", but it has two: the file is a drawing in the plane"
+                hint = "msal denoises surfaces in space; add a third number to every v line"
             return FormatError(
                 message,
                 where=f"{place}, {what} {number}",
-                hint=number_hint(word, "correct the line, or export the file again"),
+                hint=number_hint(word, hint),
             )
         message = (
             "a face has no corners"
             if result == scan.NO_CORNERS
             else f"{shown!r} is not a corner of a face: v, v/vt, v//vn or v/vt/vn in whole numbers"
         )
-        return FormatError(
-            message,
-            where=f"{place}, face {self._next_face}",
-            hint="correct the line, or export the file again",
-        )
+        return FormatError(message, where=f"{place}, face {self._next_face}", hint=hint)
 
     @property
     def _next_face(self) -> int:

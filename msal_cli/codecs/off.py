@@ -1,8 +1,9 @@
 """OFF files: positions and normals replaced inside the original bytes.
 
 Read are ``OFF`` and its variants with colours, normals and texture coordinates (``COFF``,
-``NOFF``, ``STOFF`` and their combinations), comments and blank lines anywhere, counts on the line
-of ``OFF`` or below, with or without the number of edges.  Where readers differ:
+``NOFF``, ``STOFF`` and their combinations, also ``NCOFF`` of MeshLab), comments and blank lines
+anywhere, counts on the line of ``OFF`` or below, with or without the number of edges.  Where
+readers differ:
 
 - a line is a vertex or a face, as nearly all programs write them; a file in which that does not
   come out is read word by word, as Geomview does;
@@ -25,7 +26,8 @@ from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError,
 from msal_cli.storage.buffers import Buffer
 
 _HEADER = re.compile(
-    rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(ST)?(C)?(N)?(4?)(n?)OFF\b(?:[ \t]+(BINARY))?"
+    rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+((?:ST)?C?N?|NC?(?:ST)?)(4?n?)OFF(?=\d|\b)"
+    rb"(?:[ \t]+(BINARY))?"
 )
 _CONVERT = "convert it to PLY"
 
@@ -35,9 +37,10 @@ def parse(data: Buffer) -> Layout:
     header = _HEADER.match(data)
     if not header:
         raise FormatError("the file does not begin with OFF", where="line 1", hint=_CONVERT)
-    has_texture, has_colours, has_normals, four, any_dimension, binary = header.groups()
-    if four or any_dimension:
-        kind = (four + any_dimension + b"OFF").decode()
+    kinds, dimension, binary = header.groups()
+    has_texture, has_colours, has_normals = (kind in kinds for kind in (b"ST", b"C", b"N"))
+    if dimension:
+        kind = (dimension + b"OFF").decode()
         raise UnsupportedError(f"{kind} files are not read", hint=_CONVERT)
     if binary:
         raise UnsupportedError("binary OFF is not read", hint=_CONVERT)
@@ -51,7 +54,7 @@ def parse(data: Buffer) -> Layout:
         line_of_faces = int(words.lines[1])
         n_counts = int(np.searchsorted(words.lines, line_of_faces, side="right"))
         n_counts = min(n_counts, 3)
-    width = 3 + 3 * bool(has_normals) + 2 * bool(has_texture) + 4 * bool(has_colours)
+    width = 3 + 3 * has_normals + 2 * has_texture + 4 * has_colours
     warnings = []
     try:
         parsed = _by_lines(words, n_counts, n_vertices, n_faces)
@@ -69,9 +72,11 @@ def parse(data: Buffer) -> Layout:
     positions = words.float_rows(at)
     normals: tuple[Tokens, ...] = ()
     if has_normals:
-        if extra < 3:
+        # MeshLab writes NCOFF, and colours of four numbers first; all others CNOFF, normals first.
+        first_normal = 7 if kinds.startswith(b"NC") else 3
+        if extra < first_normal:
             raise FormatError("a NOFF file without normals", hint=EXPORT_AGAIN)
-        normals = (words.float_rows(at + 3, unit_length=True),)
+        normals = (words.float_rows(at + first_normal, unit_length=True),)
     announced = width - 3
     properties = [
         word

@@ -1,9 +1,9 @@
 """PLY files: positions and normals replaced inside the original bytes.
 
 Read are ascii and both binary encodings, any elements and properties in any order, polygons
-(``vertex_indices`` or ``vertex_index`` of ``face``) and triangle strips (``tristrips``).  Written
-is a copy of the file in which only ``x y z`` of moved vertices, and the normals ``nx ny nz`` of
-vertices and faces around them, differ.
+(``vertex_indices`` or ``vertex_index`` of ``face``), triangle strips (``tristrips``) and range
+grids (``range_grid``).  Written is a copy of the file in which only ``x y z`` of moved vertices,
+and the normals ``nx ny nz`` of vertices and faces around them, differ.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def parse(data: Buffer) -> PlyLayout:
         if name in ("vertex", "face") and has_normals(section.element)
     ]
     normals = {name: sections[name].slots(NORMAL) for name in elements}
-    found = find_surface(sections, len(vertices))
+    found = find_surface(sections, header, vertices)
     if not found.n_faces:
         normals.pop("face", None)
     rest = content[end:]
@@ -105,7 +105,7 @@ def parse(data: Buffer) -> PlyLayout:
         renew_normals=functools.partial(_renew_normals, found, normals),
         vertices=vertices,
         faces=found.triangles,
-        properties=properties_of(header),
+        properties=properties_of(header, found.grid),
         references=header.textures,
         warnings=(
             *warnings_of(header, vertex),
@@ -152,6 +152,7 @@ class PlyFile(SlotFile):
     def __init__(self, data: Buffer) -> None:
         super().__init__(data, "ply", parse)
         self.n_polygons = self._layout.surface.n_polygons
+        self.grid = self._layout.surface.grid
 
     def vertex_property(self, name: str) -> Floats:
         """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from msal_cli.arrays import Ints
+from msal_cli.codecs import ply_grid
 from msal_cli.codecs.ply_faces import CORNERS, corner_list
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, Property
 from msal_cli.errors import FormatError, InputError
@@ -15,7 +17,7 @@ def wanted_names(element: Element) -> Sequence[str]:
         return POSITION + NORMAL
     if element.name == "face":
         return CORNERS + NORMAL
-    return CORNERS if element.name == "tristrips" else ()
+    return CORNERS if element.name in ("tristrips", ply_grid.NAME) else ()
 
 
 def has_normals(element: Element) -> bool:
@@ -73,10 +75,14 @@ def precision_of(header: Header, vertex: Element) -> str:
     return "float64" if "f8" in codes else "integer"
 
 
-def properties_of(header: Header) -> tuple[str, ...]:
-    """What the file carries besides positions and corners, in file order."""
+def properties_of(header: Header, grid: Ints | None = None) -> tuple[str, ...]:
+    """What the file carries besides positions and corners, in file order; ``grid`` (rows, columns)
+    is that of a range grid whose surface is read."""
     carried: list[str] = []
     for element in header.elements:
+        if element.name == ply_grid.NAME and grid is not None:
+            carried.append(f"range grid of {grid.shape[0]} rows and {grid.shape[1]} columns")
+            continue
         if element.name not in ("vertex", "face", "tristrips"):
             carried.append(f"element {element.name} ({element.count})")
             continue

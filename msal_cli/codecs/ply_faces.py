@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Longs
-from msal_cli.codecs.ply_header import Element
+from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.codecs import ply_grid
+from msal_cli.codecs.ply_header import Element, Header
 from msal_cli.codecs.ply_sections import Fixed, Section
 from msal_cli.errors import ContentError, FormatError, TooLargeError
 
@@ -33,6 +34,8 @@ class Surface:
     triangles : (m, 3) int32; the first ones, face by face, are the faces' fans.
     lengths : corners of every face: one number where all agree, else (n_faces,) int64.
     n_faces : faces in the element ``face``, also those of fewer than three corners.
+    n_strip_triangles : triangles of strips or of a range grid.
+    grid : the samples (rows, columns) of a range grid whose triangles these are, else None.
     """
 
     triangles: Triangles
@@ -42,6 +45,7 @@ class Surface:
     warnings: tuple[str, ...]
     faces: Section | None
     list_name: str
+    grid: Ints | None = None
 
     @property
     def n_polygons(self) -> int:
@@ -131,12 +135,14 @@ def corner_list(element: Element) -> str:
     return ""
 
 
-def find_surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
-    """The surface in the elements ``face`` and ``tristrips``.
+def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floats) -> Surface:
+    """The surface in the elements ``face`` and ``tristrips``, or between the samples of a range
+    grid where these have no triangles.
 
     Raises ContentError (``E_INDEX`` with the face, ``E_NO_FACES``), FormatError (a corner is not
-    a whole number) and TooLargeError.
+    a whole number, a range grid of unknown size) and TooLargeError.
     """
+    n_vertices = len(vertices)
     if n_vertices > MOST_VERTICES:
         raise TooLargeError(
             f"{n_vertices} vertices are more than the {MOST_VERTICES} that are read"
@@ -160,6 +166,11 @@ def find_surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
     strip_name = corner_list(strip_section.element) if strip_section is not None else ""
     if strip_section is not None and strip_name:
         strips = _strip_triangles(strip_section, strip_name, n_vertices)
+    grid = sections.get(ply_grid.NAME)
+    samples = None
+    if not len(triangles) and not len(strips) and grid is not None and corner_list(grid.element):
+        samples = _grid_samples(grid, header, n_vertices)
+        strips = ply_grid.triangulate_grid(samples, vertices)
     if not len(triangles) and not len(strips):
         face = sections.get("face")
         raise no_faces(face.element if face is not None else None, n_vertices)
@@ -171,7 +182,29 @@ def find_surface(sections: Mapping[str, Section], n_vertices: int) -> Surface:
         warnings=tuple(warnings),
         faces=faces if name else None,
         list_name=name,
+        grid=samples,
     )
+
+
+def _grid_samples(section: Section, header: Header, n_vertices: int) -> Ints:
+    """The samples (rows, columns) of a range grid, -1 for none."""
+    shape = ply_grid.grid_shape(header, section.element)
+    name = corner_list(section.element)
+    items, lengths = section.items(name)
+    if (lengths > 1).any():
+        raise FormatError(
+            "a sample of the range grid has more than one vertex",
+            where=section.where(int(np.argmax(lengths > 1))),
+            hint="each sample is a list of no vertex or one",
+        )
+    corners = _as_indices(items, section, name).reshape(-1)
+    if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
+        raise bad_index(
+            section, name, int(np.argmax(corners.view(np.uint32) >= n_vertices)), n_vertices
+        )
+    samples = np.full(section.element.count, -1, dtype=np.int32)
+    samples[lengths > 0] = corners
+    return samples.reshape(shape)
 
 
 def warn_of_few(n_few: int) -> str:

@@ -7,7 +7,7 @@ CR LF or CR; the first line shows which.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
@@ -161,6 +161,7 @@ class Header:
     n_lines : lines of the header, ``end_header`` included.
     format_line : which line (from 0) states the encoding.
     strays : lines that say nothing that is known.
+    infos : words behind ``obj_info``, by the first of them.
     """
 
     encoding: str
@@ -171,6 +172,7 @@ class Header:
     n_lines: int
     format_line: int
     strays: tuple[Stray, ...]
+    infos: Mapping[str, str]
 
     def find(self, name: str) -> Element | None:
         """The element of that name, or None."""
@@ -273,6 +275,7 @@ class _Parser:
         self.textures: list[str] = []
         self.elements: list[Element] = []
         self.strays: list[Stray] = []
+        self.infos: dict[str, str] = {}
         self.line = 0
 
     def fail(self, message: str, hint: str = "") -> FormatError:
@@ -333,9 +336,12 @@ class _Parser:
 
     def read(self, text: bytes) -> None:
         words = text.split()
-        if not words or words[0] == b"obj_info":
+        if not words:
             return
-        if words[0] == b"comment":
+        if words[0] == b"obj_info":
+            if len(words) == 3:
+                self.infos[_decoded(words[1])] = _decoded(words[2])
+        elif words[0] == b"comment":
             if len(words) > 2 and words[1].lower() == b"texturefile":
                 self.textures.append(_decoded(text.split(None, 2)[2].strip()))
         elif words[0] == b"format":
@@ -392,6 +398,7 @@ def parsed(data: memoryview, is_whole: bool = True) -> Header:
         n_lines=len(lines),
         format_line=parser.format_line,
         strays=tuple(parser.strays),
+        infos=parser.infos,
     )
 
 

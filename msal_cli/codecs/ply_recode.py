@@ -24,6 +24,8 @@ from msal_cli.errors import ContentError, UsageError
 _ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
 _CODES = {"float32": "f4", "float64": "f8"}
 
+_COMMENT = re.compile(rb"[ \t]*(?:comment|obj_info)(?:\s|\Z)")
+
 _CHUNK = 65_536
 """Records turned into text at a time."""
 
@@ -97,6 +99,11 @@ class Recoding:
         written in place of the file's; ``end`` is the byte behind the last element."""
         output = bytearray(self.header())
         at = self._header.size
+        if not self.keeps_encoding and self._header.encoding == "ascii":
+            # Binary records leave no room for comments: they become the last lines of the header.
+            lines = find_body_comments(self._data[at:end].tobytes())
+            place = output.rindex(b"end_header")
+            output[place:place] = b"".join(line + self._header.newline for line in lines)
         for element in self._header.elements:
             section = section_at(
                 self._data, self._header, element, at, _all_names(element), self._is_stream
@@ -140,6 +147,13 @@ class Recoding:
                 _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
             return Column(one, column, lengths)
         return Column(one, given.astype(dtype), lengths)
+
+
+def find_body_comments(body: bytes) -> list[bytes]:
+    """The comments among ascii records, without the blanks around them."""
+    if b"comment" not in body and b"obj_info" not in body:
+        return []
+    return [line.strip() for line in re.split(rb"[\r\n]+", body) if _COMMENT.match(line)]
 
 
 def _all_names(element: Element) -> Sequence[str]:

@@ -25,7 +25,6 @@ from msal_cli.codecs.stl_facets import (
 )
 from msal_cli.codecs.stl_writer import ascii_stl, refuse_float64
 from msal_cli.errors import (
-    FormatError,
     InternalError,
     TruncatedError,
 )
@@ -73,11 +72,6 @@ def wanted_bytes(head: bytes, size: int) -> int:
     """
     count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
     wanted = _FIRST_FACET + FACET.itemsize * count
-    # The free text of a binary file may begin with these bytes too.
-    if size < max(wanted, _FIRST_FACET) and head[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise FormatError(
-            "the file is UTF-16 text", where="byte 0", hint="save it as ASCII or UTF-8"
-        )
     if size < _FIRST_FACET:
         raise TruncatedError(
             f"the file has {size} bytes; a binary STL file has at least {_FIRST_FACET}",

@@ -9,9 +9,11 @@ import logging
 import os
 import platform
 import stat
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from msal_cli.errors import OutputError
@@ -20,6 +22,8 @@ from msal_cli.storage.urls import is_url
 
 LONGEST_NAME = 140
 """Bytes in the name of a temporary file; some encrypting file systems allow only 143."""
+
+Sources = Iterable["str | os.PathLike[str] | int"]
 
 _PIECE = 64 << 20
 _log = logging.getLogger("msal.files")
@@ -41,22 +45,23 @@ def write_whole(
     path: str | os.PathLike[str],
     buffers: Buffer | Iterable[Buffer],
     *,
-    mode_like: str | os.PathLike[str] | None = None,
+    sources: Sources = (),
 ) -> tuple[int, str] | None:
     """Write a file so that it is seen whole or not at all, even after a crash.
 
     The bytes go to a temporary file in the same folder, are flushed to the disk and counted, and
     the file is then moved to its name; on any failure, and on an interrupt, it is removed.
 
-    A file that is replaced hands down its permission bits; a new one gets those of ``mode_like``
-    or else what the umask leaves.  A symbolic link is itself replaced, never the file that it
-    leads to, because that could be an input: who wants to write through a link resolves it first.
+    A file that is replaced hands down its permission bits, a new one gets what the umask leaves,
+    and in both cases nobody may do with it what they may not do with all of its ``sources``.  A
+    symbolic link is itself replaced, never the file that it leads to, because that could be an
+    input: who wants to write through a link resolves it first.
 
     Parameters
     ----------
     path : the file to write; its folder must exist.  A URL is an object, see ``remote``.
     buffers : the content, in one piece or in several.
-    mode_like : an existing file whose permission bits a new file gets.
+    sources : files, paths or open, whose content is in it; URLs and pipes count for nothing.
 
     Returns
     -------
@@ -72,7 +77,7 @@ def write_whole(
 
         return remote.write_whole(path, buffers)
     try:
-        _write(Path(path), _pieces(buffers), mode_like, _move)
+        _write(Path(path), _pieces(buffers), sources, _move)
     except (OSError, ValueError) as failure:
         raise _not_written(path, failure) from failure
     return None
@@ -82,7 +87,7 @@ def write_new(
     path: str | os.PathLike[str],
     buffers: Buffer | Iterable[Buffer],
     *,
-    mode_like: str | os.PathLike[str] | None = None,
+    sources: Sources = (),
 ) -> bool:
     """Write a file whole unless there is one already; whether it was written.
 
@@ -94,7 +99,7 @@ def write_new(
         if the system refuses, with the reason.
     """
     try:
-        _write(Path(path), _pieces(buffers), mode_like, _place)
+        _write(Path(path), _pieces(buffers), sources, _place)
     except FileExistsError:
         return False
     except (OSError, ValueError) as failure:
@@ -107,7 +112,7 @@ def publish(
     path: str | os.PathLike[str],
     size: int,
     *,
-    mode_like: str | os.PathLike[str] | None = None,
+    sources: Sources = (),
 ) -> tuple[int, str] | None:
     """Give a file that was written in parts, ``source``, its name, as ``write_whole`` does.
 
@@ -126,18 +131,17 @@ def publish(
         return known
     target = Path(path)
     try:
-        mode = _permissions(target, mode_like)
+        mode = _choose_mode(target, sources)
         with open(source, "r+b") as file:
+            mode.apply(file.fileno(), source)
             os.fsync(file.fileno())
             _require_size(os.fstat(file.fileno()).st_size, size)
         try:
-            if mode is not None:
-                Path(source).chmod(mode)
             _move(Path(source), target)
         except OSError as failure:
             if failure.errno != errno.EXDEV:
                 raise
-            _write(target, _read_pieces(source), mode_like, _move)
+            _write(target, _read_pieces(source), sources, _move)
             os.unlink(source)
         else:
             flush_folder(target.parent)
@@ -180,15 +184,16 @@ def _pieces(buffers: Buffer | Iterable[Buffer]) -> Iterable[Buffer]:
 def _write(
     target: Path,
     buffers: Iterable[Buffer],
-    mode_like: str | os.PathLike[str] | None,
+    sources: Sources,
     publish: Callable[[Path, Path], None],
 ) -> None:
-    mode = _permissions(target, mode_like)
+    mode = _choose_mode(target, sources)
     temporary = target.with_name(temporary_name(target.name))
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
     # Windows would translate line ends and hand the handle down to children.
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
-    handle = os.open(temporary, flags, 0o666)
+    # Never wider than in the end: another process may keep open what it could read for a moment.
+    handle = os.open(temporary, flags, mode.widest & 0o666 | 0o200)
     try:
         try:
             expected = 0
@@ -197,12 +202,11 @@ def _write(
                 expected += len(view)
                 while len(view):
                     view = view[os.write(handle, view[:_PIECE]) :]
+            mode.apply(handle, temporary)
             os.fsync(handle)
             _require_size(os.fstat(handle).st_size, expected)
         finally:
             os.close(handle)
-        if mode is not None:
-            temporary.chmod(mode)
         publish(temporary, target)
     except BaseException:
         with contextlib.suppress(OSError):
@@ -222,18 +226,70 @@ def _read_pieces(path: str | os.PathLike[str]) -> Iterator[bytes]:
             yield piece
 
 
-def _permissions(target: Path, mode_like: str | os.PathLike[str] | None) -> int | None:
-    """Permission bits for the new file, None for the umask's; refuses what must not be replaced."""
+@dataclass(frozen=True)
+class _Mode:
+    """Permission bits of a file to be: ``widest``, of which the umask takes its part unless it
+    ``replaces`` a file."""
+
+    widest: int
+    replaces: bool
+
+    def apply(self, handle: int, path: str | os.PathLike[str]) -> None:
+        """Set the bits of a file that was made under the umask."""
+        now = os.fstat(handle).st_mode & 0o777
+        wanted = self.widest if self.replaces else self.widest & now
+        if wanted == now:
+            return
+        if hasattr(os, "fchmod"):
+            os.fchmod(handle, wanted)
+        else:
+            os.chmod(path, wanted)
+
+
+def _choose_mode(target: Path, sources: Sources) -> _Mode:
+    """The permission bits for the new file; refuses what must not be replaced."""
+    group = _group_of_new_file(target.parent)
+    widest = 0o777
+    for source in sources:
+        if not (isinstance(source, str) and is_url(source)):
+            widest &= _source_bits(source, group)
     try:
         present = target.stat()
     except FileNotFoundError:
-        return None if mode_like is None else Path(mode_like).stat().st_mode & 0o777
+        return _Mode(widest & 0o666, replaces=False)
     if stat.S_ISDIR(present.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(present.st_mode):
         # Moving a file onto /dev/null would destroy the device.
         raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
-    return present.st_mode & 0o777
+    widest &= _bits_for_group(present, group)
+    return _Mode(widest, replaces=not target.is_symlink())
+
+
+def _source_bits(source: str | os.PathLike[str] | int, group: int | None) -> int:
+    try:
+        status = os.stat(source)
+    except OSError:
+        # It may be gone meanwhile.
+        return 0o600
+    return _bits_for_group(status, group) if stat.S_ISREG(status.st_mode) else 0o777
+
+
+def _bits_for_group(status: os.stat_result, group: int | None) -> int:
+    """Permission bits; another ``group`` than that of the file may do what all others may."""
+    bits = status.st_mode & 0o777
+    if group is None or status.st_gid == group:
+        return bits
+    return bits & (0o707 | (bits & 0o007) << 3)
+
+
+def _group_of_new_file(folder: Path) -> int | None:
+    """The group that the system gives to a file made in ``folder``; None where it has none."""
+    if os.name != "posix":
+        return None
+    status = folder.stat()
+    inherits = status.st_mode & stat.S_ISGID or sys.platform != "linux"
+    return status.st_gid if inherits else os.getegid()
 
 
 def temporary_name(name: str) -> str:

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
 
-from msal_cli.errors import FormatError, InputError, TooLargeError, TruncatedError
+from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.limits import largest_bytes, too_large
 from msal_cli.storage.regular import NotRegularError, open_regular
@@ -51,7 +51,9 @@ def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
             return _read_to_end(file)
     except (OSError, ValueError) as failure:
         reason = getattr(failure, "strerror", None) or str(failure)
-        raise InputError(
+        is_missing = isinstance(failure, FileNotFoundError)
+        error_class = MissingFileError if is_missing else InputError
+        raise error_class(
             f"the file cannot be read: {reason}",
             path=os.fspath(path),
             code="E_READ",

@@ -196,7 +196,7 @@ def _copy(source: Path, target: Path) -> None:
     """Copy a file to a place that is free; a second run finds it taken and compares."""
     try:
         make_folders(target.parent)
-        if not write_new(target, _pieces(source), mode_like=source) and not _is_same(
+        if not write_new(target, _pieces(source), sources=[source]) and not _is_same(
             source, target
         ):
             raise _take(source, target)

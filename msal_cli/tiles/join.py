@@ -23,7 +23,7 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs.streamed_mesh import NewNormals, NewPositions, StreamedMesh, Survey
 from msal_cli.errors import InputError, InternalError, OutputError
 from msal_cli.storage import digests
-from msal_cli.storage.atomic import publish, write_whole
+from msal_cli.storage.atomic import Sources, publish, write_whole
 from msal_cli.storage.gzip_streams import compress_pieces, is_gzip_name
 from msal_cli.storage.regular import open_regular
 from msal_cli.tiles import source as sources
@@ -87,12 +87,11 @@ def run_join(scratch: Scratch, piece: int) -> dict[str, Any]:
     return {"crc32": zlib.crc32(data), "size": len(data)}
 
 
-def finish_output(
-    scratch: Scratch, *, path: str | None = None, mode_like: str | None = None
-) -> Finished:
+def finish_output(scratch: Scratch, *, path: str | None = None, files: Sources = ()) -> Finished:
     """Move the output, all of whose pieces are written, to its place: that of the plan or ``path``.
 
-    A call that was killed is repeated.  A new file gets the permission bits of ``mode_like``.
+    A call that was killed is repeated.  ``files``, from which it was made, limit its permission
+    bits, see ``atomic.write_whole``.
 
     Raises
     ------
@@ -112,16 +111,16 @@ def finish_output(
     content = sources.open_source(plan.source).path
     is_packed = os.path.abspath(content) != os.path.abspath(plan.source["path"])
     if not scratch.has(OUTPUT) or is_packed or is_gzip_name(target):
-        return _write_copy(scratch, plan, content if is_packed else None, target, mode_like)
+        return _write_copy(scratch, plan, content if is_packed else None, target, files)
     finished = _check_pieces(scratch, plan, target)
     # Written before the file is moved, so that a repeated call knows what became of it.
     scratch.write_json(_FINISHED, asdict(finished))
-    publish(scratch.path / OUTPUT, target, finished.size, mode_like=mode_like)
+    publish(scratch.path / OUTPUT, target, finished.size, sources=files)
     return finished
 
 
 def _write_copy(
-    scratch: Scratch, plan: TilePlan, content: str | None, target: str, mode_like: str | None
+    scratch: Scratch, plan: TilePlan, content: str | None, target: str, files: Sources
 ) -> Finished:
     """``finish_output`` for pieces in files of their own, and where gzip is involved.
 
@@ -139,7 +138,7 @@ def _write_copy(
         output = _HashedPieces(pieces)
     with ThreadPoolExecutor(1) as other:
         source = other.submit(digests.sha256_of_file, path)
-        write_whole(target, output, mode_like=mode_like)
+        write_whole(target, output, sources=files)
         known = _result_of(source)
     made = output.digest.hexdigest()
     finished = Finished(target, known, made, output.size, made != known)
@@ -229,6 +228,7 @@ def gather_rows(scratch: Scratch, name: str) -> NewPositions:
 def _write_at(scratch: Scratch, start: int, data: memoryview) -> None:
     """Write a piece of the output; the file is made where it is not there yet."""
     flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
+    flags |= getattr(os, "O_NOFOLLOW", 0)
     with open(os.open(scratch.path / OUTPUT, flags, 0o666), "wb", buffering=0) as file:
         file.seek(start)
         view = data.cast("B")

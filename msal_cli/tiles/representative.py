@@ -179,7 +179,7 @@ def _choose_local(mesh: Mesh, settings: Settings, first: Preparation) -> tuple[P
             hint=f"by tiles these can run: {', '.join(names_with_reach())}",
         )
     wishes = settings.parameters if settings.method == AUTO else None
-    made = choose(mesh, wishes, lambda done, total: None, has_reach)
+    made = choose(mesh, wishes, lambda done, total: None, has_reach, settings.assume)
     if made.method is not None and not has_reach(made.method, made.parameters):
         raise UsageError(
             "every method that suits this mesh needs the whole of it in memory",
@@ -211,12 +211,12 @@ def set_noise(
 ) -> dict[str, Any]:
     """The parameters with the estimate of ``mesh`` in place of a noise of 0, which would have each
     tile estimate its own."""
-    from msal_cli.analysis.noise_estimate import estimate_noise
+    from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
     def given(level: float) -> float:
         if level:
             return level
-        found = noise or estimate_noise(mesh)
+        found = (noise or estimate_noise(mesh)).assume(NOISE, mesh.mean_edge_length)
         return max(_quotient(found.file_units, mesh.mean_edge_length), LEAST_NOISE)
 
     return _map_noise(method, parameters, given)

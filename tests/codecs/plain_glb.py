@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-TYPES = {"<f4": 5126, "<u1": 5121, "<u2": 5123, "<u4": 5125, "<i1": 5120}
+TYPES = {"<f4": 5126, "<u1": 5121, "<u2": 5123, "<u4": 5125, "<i1": 5120, "<i2": 5122}
 
 
 class Scene:

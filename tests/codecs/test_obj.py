@@ -537,7 +537,8 @@ def test_the_check_refuses(edit) -> None:
 
 
 def real_files(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.obj"))
+    # trimesh and meshio merge or drop what some files of others have.
+    return sorted(path for path in folder.rglob("*.obj") if "foreign" not in str(path))
 
 
 def test_real_files_come_back(real_data: Path) -> None:

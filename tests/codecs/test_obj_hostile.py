@@ -32,14 +32,13 @@ MALFORMED: dict[str, tuple[bytes, type[InputError], str, str, str]] = {
     "binary": (bytes(range(1, 256)), FormatError, "E_FORMAT", "byte 0", "control"),
     "gzip": (b"\x1f\x8b\x08\x00" + V, FormatError, "E_FORMAT", "byte 0", "control"),
     "control behind text": (V + b"\x02" + F, FormatError, "E_FORMAT", "line 4", "control"),
-    "utf-16": ((V + F).decode().encode("utf-16"), FormatError, "E_FORMAT", "byte 0", "UTF-16"),
-    "utf-16 big": (
-        b"\xfe\xff" + (V + F).decode().encode("utf-16-be"), FormatError, "E_FORMAT", "byte 0",
-        "UTF-8",
-    ),
     # positions
     "one number": (b"v 1\n" + V + F, FormatError, "E_FORMAT", "line 1, vertex 1", "three numbers"),
     "two numbers": (V + b"v 1 2\n" + F, FormatError, "E_FORMAT", "line 4, vertex 4", "three"),
+    "in the plane": (
+        b"# 2-D\nv 0 0\nv 1 0 \nv 0 1\n" + F, FormatError, "E_FORMAT", "line 2, vertex 1",
+        "it has two",
+    ),
     "no number": (b"\n\nv\n" + V + F, FormatError, "E_FORMAT", "line 3, vertex 1", "three numbers"),
     "two and a comment": (b"v 1 2 # 3\n" + V + F, FormatError, "E_FORMAT", "line 1", "three"),
     "a word": (V + b"v 1 zwei 3\n" + F, FormatError, "E_FORMAT", "line 4, vertex 4", "'zwei'"),

@@ -21,6 +21,8 @@ HEADS = [
     "OFF\n4 4 6",
     "OFF\n4 4",
     "OFF 4 4 6",
+    "OFF4 4 6",
+    "# a comment\nOFF4 4",
     "OFF # made by hand\n\n# caf\xe9\n4 4 6 # counts\n",
     "# a comment\n\n  OFF\n\n4 4 6\n\n",
     "\n\nOFF\n4\n4 6",
@@ -66,6 +68,25 @@ def test_variants(kind, tail, words):
         assert [row[6:] for row in rows] == [[word.encode() for word in own[3:]]] * 4
     else:
         assert [row[3:] for row in rows] == [[word.encode() for word in own]] * 4
+
+
+@pytest.mark.parametrize("head", ["COFF 4 4 6", "COFF4 4 6", "COFF 4 4 0 # counts"])
+def test_counts_beside_the_word(head):
+    data = off(head, [point + " 255 0 0 255" for point in POINTS])
+    file, _, output = patched(data, "a.off")
+    assert (file.warnings, len(file.vertices)) == ((), 4)
+    assert output.startswith(head.encode() + b"\n")
+
+
+def test_meshlab_writes_colours_before_normals():
+    head = "NCSTOFF\n4 4 0"
+    data = off(head, [point + " 255 0 0 255 0 0 2 .5 .5" for point in POINTS])
+    file, _, output = patched(data, "a.off")
+    assert file.warnings == ()
+    for line in output.splitlines()[2:6]:
+        words = line.split()
+        assert words[3:7] == [b"255", b"0", b"0", b"255"] and words[10:] == [b".5", b".5"]
+        assert abs(np.linalg.norm([float(word) for word in words[7:10]]) - 1) < 1e-5
 
 
 def test_colours_behind_plain_positions_are_kept_and_told_of():

@@ -10,6 +10,7 @@ import pytest
 
 from msal_cli.codecs import convert, open_mesh, writable_formats
 from msal_cli.codecs.detection import content_format, format_of_name
+from msal_cli.codecs.headers import read_header
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
@@ -93,6 +94,18 @@ def test_content_that_no_one_knows():
         with pytest.raises(FormatError, match="neither") as caught:
             open_mesh(data, "-")
         assert "--format" in caught.value.hint
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize(
+    "name", ["a.ply", "a.obj", "a.off", "a.stl", "a.vtk", "a.gltf", "a.msh", "a"]
+)
+def test_text_in_utf_16_is_said_to_be_that(name, encoding):
+    data = "\ufeffply\nformat ascii 1.0\n".encode(encoding)
+    with pytest.raises(FormatError, match="UTF-16") as caught:
+        open_mesh(data, name)
+    assert "UTF-8" in caught.value.hint
+    assert "UTF-16" in str(read_header(name[2:], data, len(data)).error)
 
 
 def test_suffixes_that_are_not_read():

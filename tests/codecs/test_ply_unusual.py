@@ -122,6 +122,40 @@ def test_an_element_without_records_or_properties_takes_no_words_of_a_stream():
     assert len(ply.read(data).faces) == 4
 
 
+BODY = ["comment one 1 2 3", *VERTICES.split("\n")[:2], "  obj_info 7", *VERTICES.split("\n")[2:]]
+COMMENTED = HEADER + "\n".join([*BODY[:-1], "comment", FACES.replace("\n4", "\ncomment\tx\n4")])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("text", [COMMENTED, COMMENTED.replace("1 0 0", "1e0 0 0", 1)])
+def test_comments_among_records_stay_in_their_places(text, end):
+    data = text.replace("\n", end).encode()
+    file, plain = ply.read(data), ply.read(PLAIN.encode())
+    assert np.array_equal(file.vertices, plain.vertices)
+    assert np.array_equal(file.faces, plain.faces)
+    assert file.warnings == ()
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    old, new = data.split(end.encode()), output.split(end.encode())
+    changed = [was for was, now in zip(old, new, strict=True) if was != now]
+    assert changed == [b"0 0 0.25", b"0 1 0", b"0 0 1"]
+
+
+def test_comments_among_records_become_lines_of_a_binary_header():
+    file = ply.read(COMMENTED.encode())
+    data = bytes(file.encoded(file.vertices, "binary", "same"))
+    comments = b"comment one 1 2 3\nobj_info 7\ncomment\ncomment\tx\nend_header\n"
+    assert data.split(b"vertex_indices\n")[1].startswith(comments)
+    assert np.array_equal(ply.read(data).faces, file.faces)
+
+
+@pytest.mark.parametrize("line", ["# one", "comments", "Comment one", "0 0 0.25 comment"])
+def test_other_words_among_records_are_refused(line):
+    with pytest.raises(MsalError):
+        ply.read(PLAIN.replace("0 0 0.25", f"0 0 0.25\n{line}").encode())
+
+
 @pytest.mark.parametrize(
     "data",
     [

@@ -16,6 +16,7 @@ from tests.codecs.plain_stl import tetrahedron
 
 TEXT = plain_stl.text(tetrahedron(), name="part").encode()
 NORMAL = re.compile(rb"facet normal[^\n]*")
+NUMBER = re.compile(rb"(?<=\s)-?\d+(?:\.\d+)?(?:e-?\d+)?")
 NO_NORMAL = "facet has no normal, and none is added"
 BAD_NORMAL = "facet has a normal that is not three finite numbers: it is kept, not recomputed"
 
@@ -107,6 +108,37 @@ def test_ends_in_two_words_and_odd_names(data):
     assert file.warnings == ()
     assert output.splitlines()[0] == data.splitlines()[0]
     assert output.splitlines()[-1] == data.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        (rb"facet normal[^\n]*", rb"\g<0> extra"),
+        (rb"outer loop", rb"\g<0> xyz 7"),
+        (rb"vertex[^\n]*", rb"\g<0>\t; a corner"),
+        (rb"endloop", rb"\g<0> # 1"),
+        (rb"endfacet", rb"\g<0> foo facet"),
+        (rb"endfacet", rb"END FACET foo"),
+        (rb"endsolid[^\n]*", rb"\g<0> extra words"),
+        (rb"(?<!d)solid[^\n]*", rb"\g<0>... facet normal"),
+    ],
+)
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_words_behind_statements_are_kept(word, words, end):
+    data = re.sub(word, words, TEXT).replace(b"\n", end)
+    file, output = checked(data)
+    assert file.warnings == ()
+    assert NUMBER.sub(b"", output) == NUMBER.sub(b"", data)
+
+
+@pytest.mark.parametrize(
+    "line", [b"vertex 0 0 0 1", b"vertex 0 0 0 -x", b"endloop 1", b"outer x loop"]
+)
+def test_a_number_too_many_is_damage(line):
+    old = re.search(line.split()[0] + rb"[^\n]*", TEXT)
+    with pytest.raises(MsalError) as caught:
+        stl.read(TEXT.replace(old[0], line, 1), "a.stl")
+    assert caught.value.code == "E_FORMAT"
 
 
 def test_a_large_file_with_a_control_character_in_its_name(tmp_path):

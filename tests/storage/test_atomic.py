@@ -13,7 +13,7 @@ import pytest
 from msal_cli.batch import temporary_files as temporaries
 from msal_cli.errors import OutputError
 from msal_cli.storage import atomic as writing
-from msal_cli.storage.atomic import make_folders, write_new, write_whole
+from msal_cli.storage.atomic import make_folders, publish, write_new, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
 
@@ -45,15 +45,106 @@ def test_a_new_file_gets_the_umasks_permissions(tmp_path):
 
 @posix
 def test_a_replaced_file_hands_down_its_permissions(tmp_path):
-    old, like = tmp_path / "old", tmp_path / "like"
+    old = tmp_path / "old"
     old.write_bytes(b"1")
-    old.chmod(0o604)
-    like.write_bytes(b"2")
-    like.chmod(0o6751)
-    write_whole(old, b"new", mode_like=like)
-    assert stat.S_IMODE(old.stat().st_mode) == 0o604
-    write_whole(tmp_path / "fresh", b"new", mode_like=like)
-    assert stat.S_IMODE((tmp_path / "fresh").stat().st_mode) == 0o751
+    old.chmod(0o6606)
+    write_whole(old, b"new")
+    assert stat.S_IMODE(old.stat().st_mode) == 0o606
+
+
+def make_file(path, mode):
+    path.write_bytes(b"1")
+    path.chmod(mode)
+    return path
+
+
+@posix
+@pytest.mark.parametrize("replaced", [None, 0o666, 0o600])
+@pytest.mark.parametrize("write", ["whole", "new", "publish"])
+def test_no_output_is_open_to_more_users_than_its_sources(tmp_path, write, replaced):
+    first, second = make_file(tmp_path / "a", 0o644), make_file(tmp_path / "b", 0o640)
+    output = tmp_path / "out"
+    if replaced is not None:
+        if write == "new":
+            return
+        make_file(output, replaced)
+    for sources, expected in [
+        ((first, second), 0o640),
+        ((str(first), "s3://bucket/a.ply", "memory://b.ply"), 0o644),
+        ((tmp_path / "gone",), 0o600),
+    ]:
+        if write == "whole":
+            write_whole(output, b"new", sources=sources)
+        elif write == "new":
+            output.unlink(missing_ok=True)
+            assert write_new(output, b"new", sources=sources)
+        else:
+            (tmp_path / "part").write_bytes(b"new")
+            publish(tmp_path / "part", output, 3, sources=sources)
+        expected &= 0o666 if replaced is None else replaced
+        assert stat.S_IMODE(output.stat().st_mode) == expected, sources
+        if replaced is None:
+            output.unlink()
+        else:
+            output.chmod(replaced)
+
+
+@posix
+def test_the_temporary_file_is_private_from_its_beginning(tmp_path):
+    private = make_file(tmp_path / "a", 0o600)
+    out = make_file(tmp_path / "out", 0o666)
+
+    def look():
+        (temporary,) = set(tmp_path.iterdir()) - {private, out}
+        modes.append(stat.S_IMODE(temporary.stat().st_mode))
+        yield b"new"
+
+    modes = []
+    write_whole(out, look(), sources=[private])
+    assert modes == [0o600]
+
+
+@posix
+def test_an_open_source_counts_and_a_pipe_does_not(tmp_path):
+    private = make_file(tmp_path / "a", 0o600)
+    with private.open() as file:
+        write_whole(tmp_path / "out", b"new", sources=[file.fileno()])
+    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o600
+    ends = os.pipe()
+    before = os.umask(0o022)
+    try:
+        write_whole(tmp_path / "piped", b"new", sources=[ends[0]])
+    finally:
+        os.umask(before)
+        for end in ends:
+            os.close(end)
+    assert stat.S_IMODE((tmp_path / "piped").stat().st_mode) == 0o644
+
+
+@posix
+def test_another_group_gets_what_all_others_may(tmp_path, monkeypatch):
+    source = make_file(tmp_path / "a", 0o664)
+    private = make_file(tmp_path / "b", 0o660)
+    monkeypatch.setattr(writing, "_group_of_new_file", lambda folder: source.stat().st_gid + 1)
+    before = os.umask(0)
+    try:
+        write_whole(tmp_path / "out", b"new", sources=[source])
+        write_whole(tmp_path / "private", b"new", sources=[private])
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o644
+    assert stat.S_IMODE((tmp_path / "private").stat().st_mode) == 0o600
+
+
+@posix
+def test_a_link_to_a_file_of_all_users_does_not_widen_the_output(tmp_path):
+    (tmp_path / "link").symlink_to(make_file(tmp_path / "theirs", 0o666))
+    before = os.umask(0o077)
+    try:
+        write_whole(tmp_path / "link", b"new")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "link").stat().st_mode) == 0o600
 
 
 @posix

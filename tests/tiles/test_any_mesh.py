@@ -94,7 +94,8 @@ def check(
     if whole != tiled:
         pytest.fail(where_different(file, whole, tiled))
     for name, value in found.items():
-        if hasattr(record, name):
+        # Tiles judge volume and flips, and no other harm.
+        if hasattr(record, name) and name != "warning_codes":
             assert_close(name, getattr(record, name), value)
     return whole
 

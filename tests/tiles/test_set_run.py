@@ -35,7 +35,7 @@ def plies(parts, code="<f4"):
 
 
 @pytest.mark.parametrize("code", ["<f4", "<f8"])
-@pytest.mark.parametrize("settings", [MSAL, ADAPTIVE], ids=["msal", "adaptive"])
+@pytest.mark.parametrize("settings", [MSAL], ids=["msal"])
 def test_the_set_is_the_joined_mesh(tmp_path, code, settings):
     parts = in_tiles(*noisy_ball(single=code == "<f4"), 2)
     records = denoise_set(tasks_of(tmp_path, plies(parts, code)), settings)
