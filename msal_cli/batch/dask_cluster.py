@@ -1,4 +1,4 @@
-"""A Dask cluster: one behind an address, or one of our own.
+"""A Dask cluster behind an address.
 
 Nothing here blocks but ``open`` and ``close``; events of the cluster go to ``on_event``, which
 Dask's own thread calls.
@@ -9,16 +9,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import multiprocessing
 import os
-import shutil
-import signal
-import tempfile
 import threading
 import time
 import warnings
 from collections.abc import Callable
-from multiprocessing import resource_tracker
 from typing import Any
 
 from msal_cli.batch.dask_worker import (
@@ -28,15 +23,11 @@ from msal_cli.batch.dask_worker import (
 )
 from msal_cli.errors import ResourceError, UsageError, install_hint
 
-LOCAL = "local"
-
 _CONNECT_S = 10.0
 _ANSWER_S = 30.0
 _SILENCE_S = 5.0
 _BETWEEN_LOOKS_S = 1.0
 _CLOSED_WITHIN_S = 1.5
-# One death may be bad luck; for more, the engine's own second tries find out which file it is.
-_ALLOWED_FAILURES = 1
 
 _log = logging.getLogger("msal.dask")
 
@@ -46,53 +37,39 @@ class DaskCluster:
 
     Parameters
     ----------
-    scheduler : the scheduler's address, or ``local`` for processes on this machine.
-    jobs : workers of one thread each, if it is ``local``.
+    scheduler : the scheduler's address.
     on_event : called from another thread with ``("threads", n)`` every second (n is None while the
         scheduler does not answer), ``("messages", address, run, bytes)`` and ``("answer", number,
         bytes or exception)``.
     """
 
-    def __init__(self, scheduler: str, jobs: int, on_event: Callable[..., None]) -> None:
-        self.is_local = scheduler == LOCAL
+    def __init__(self, scheduler: str, on_event: Callable[..., None]) -> None:
         self._scheduler = scheduler
-        self._jobs = jobs
         self._on_event = on_event
         self._is_closed = False
         self._undo = contextlib.ExitStack()
         self._client: Any = None
-        self._cluster: Any = None
-        self._other_children: list[Any] = []
 
     # Beginning
 
     def open(self, patience_s: float) -> None:
-        """Connect, and wait until there is a worker; from a thread of its own, which it changes.
+        """Connect, and wait until there is a worker.
 
         Raises
         ------
         UsageError : Dask is not installed, or there is no scheduler.
-        ResourceError : no worker comes within ``patience_s``, or none can be started.
+        ResourceError : no worker comes within ``patience_s``.
         """
-        # A Ctrl-C at the terminal reaches the whole group; ours to handle, not the workers'.
-        # They inherit what is blocked here, through Dask's thread, which this thread starts.
-        if hasattr(signal, "pthread_sigmask"):
-            # Starting its helper would let the signals through again.
-            resource_tracker.ensure_running()
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
-            import dask
             import distributed
         except ImportError as error:
             raise not_installed() from error
         self._undo.enter_context(_captured_logs())
-        if self.is_local:
-            self._start(dask, distributed)
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 self._client = distributed.Client(
-                    self._cluster or self._scheduler, set_as_default=False, timeout=_CONNECT_S
+                    self._scheduler, set_as_default=False, timeout=_CONNECT_S
                 )
         except (OSError, ValueError, TimeoutError, RuntimeError) as error:
             raise UsageError(
@@ -103,41 +80,6 @@ class DaskCluster:
             # Such as other versions of Dask or Python at the workers, in a table.
             _log.info("Dask warns: %s", one.message)
         self._wait_for_workers(patience_s)
-
-    def _start(self, dask: Any, distributed: Any) -> None:
-        scratch = tempfile.mkdtemp(prefix="msal-dask-")
-        self._undo.callback(shutil.rmtree, scratch, ignore_errors=True)
-        quiet = {f"DASK_LOGGING__{name}": "critical" for name in ("DISTRIBUTED", "TORNADO")}
-        spawn = dask.config.get("distributed.nanny.pre-spawn-environ", {})
-        self._undo.enter_context(_environment())
-        self._undo.enter_context(
-            dask.config.set(
-                {
-                    "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
-                    # After so long Dask would drop a worker that died and happens to be starting
-                    # again from another death; here they are replaced below.
-                    "distributed.deploy.lost-worker-timeout": "1000 days",
-                    "distributed.nanny.pre-spawn-environ": {**spawn, **quiet},
-                }
-            )
-        )
-        self._other_children = multiprocessing.active_children()
-        # Workers come afterwards, so that there is something to close while they start.
-        self._cluster = distributed.LocalCluster(
-            n_workers=0,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            # Without an address Dask would serve its own state at port 8787.
-            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-            # Files are loaded in a child of the worker, which has its own limit.
-            memory_limit=None,
-            local_directory=scratch,
-            silence_logs=logging.CRITICAL,
-        )
-        if not self._is_closed:
-            self._cluster.scale(self._jobs)
 
     def _wait_for_workers(self, patience_s: float) -> None:
         started = time.monotonic()
@@ -166,7 +108,6 @@ class DaskCluster:
 
         # Sent by value: a worker may not have msal at all.
         def probe(paths: tuple[str, ...]) -> tuple[str | None, list[str]]:
-            import os
 
             try:
                 from msal_cli import __version__
@@ -241,21 +182,7 @@ class DaskCluster:
                     return
                 _log.debug("the scheduler does not answer: %s", error)
                 self._on_event("threads", None)
-            if self.is_local:
-                self._replace_lost()
             await asyncio.sleep(_BETWEEN_LOOKS_S)
-
-    def _replace_lost(self) -> None:
-        """Start others for workers that could not be started again."""
-        lost = [
-            name
-            for name, nanny in self._cluster.workers.items()
-            if nanny.status.name in ("closed", "failed") and name in self._cluster.worker_spec
-        ]
-        for name in lost:
-            del self._cluster.worker_spec[name]
-        if lost and not self._is_closed:
-            self._cluster.scale(self._jobs)
 
     def _forward(self, event: tuple[float, Any]) -> None:
         _, message = event
@@ -274,39 +201,20 @@ class DaskCluster:
     # Ending
 
     def close(self) -> None:
-        """Close the connection and kill our own workers; two seconds at most."""
+        """Close the connection; two seconds at most."""
         self._is_closed = True
         closing = threading.Thread(target=self._close_dask, daemon=True)
         closing.start()
-        deadline = time.monotonic() + _CLOSED_WITHIN_S
-        while closing.is_alive() and time.monotonic() < deadline:
-            # Again and again, because one may be about to start.
-            self._kill_workers()
-            closing.join(0.05)
-        if self._cluster is not None:
-            # Otherwise Dask would try once more when Python ends, for ten seconds.
-            self._cluster.shutdown_on_close = False
+        closing.join(_CLOSED_WITHIN_S)
         self._undo.close()
 
     def _close_dask(self) -> None:
         try:
             if self._client is not None:
                 self._client.close(timeout=_CLOSED_WITHIN_S)
-            if self._cluster is not None:
-                self._cluster.close(timeout=_CLOSED_WITHIN_S)
         except Exception as error:
             # Whatever Dask meets on its way out, the work is done or given up already.
             _log.debug("at the end of the Dask client: %s", error)
-
-    def _kill_workers(self) -> None:
-        """At once: a request to end would wait for their current batches."""
-        if self._cluster is None:
-            return
-        for nanny in list(self._cluster.workers.values()):
-            nanny.auto_restart = False
-        for process in multiprocessing.active_children():
-            if process not in self._other_children:
-                process.kill()
 
 
 def not_installed() -> UsageError:
@@ -320,18 +228,6 @@ def no_workers(scheduler: str, waited_s: float) -> ResourceError:
         f"no worker at the Dask scheduler {scheduler} for {waited_s:.0f} s",
         hint="start some with `dask worker ADDRESS`, then run the same command again",
     )
-
-
-@contextlib.contextmanager
-def _environment() -> Any:
-    """Dask changes this process's environment for its workers; put it back at the end."""
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        for name in set(os.environ) - set(before):
-            del os.environ[name]
-        os.environ.update(before)
 
 
 class _LogCapture(logging.Handler):

@@ -58,7 +58,7 @@ class DaskEngine:
     Parameters
     ----------
     work : what is to be done; inputs and outputs must be where all workers see them.
-    scheduler : the scheduler's address, or ``local`` for ``work.jobs`` processes on this machine.
+    scheduler : the scheduler's address.
 
     Raises
     ------
@@ -75,8 +75,7 @@ class DaskEngine:
         self._run = secrets.token_hex(8)
         self._scheduler = scheduler
         self._inbox: queue.SimpleQueue[tuple[Any, ...]] = queue.SimpleQueue()
-        jobs = max(1, work.jobs if work.stays else min(work.jobs, len(work.tasks)))
-        self._cluster = DaskCluster(scheduler, jobs, lambda *event: self._inbox.put(event))
+        self._cluster = DaskCluster(scheduler, lambda *event: self._inbox.put(event))
         self._probes: list[str] = []
         # What is not done yet, and of it: not handed out, the large ones apart, which go first and
         # singly; of a batch that killed its workers; of a batch of one that did.
@@ -146,8 +145,7 @@ class DaskEngine:
         """In a thread of its own, because it takes seconds in which a signal must be obeyed."""
         try:
             self._cluster.open(_PATIENCE_S)
-            if not self._cluster.is_local:
-                self._cluster.check(__version__, self._must_exist())
+            self._cluster.check(__version__, self._must_exist())
             self._inbox.put(("connected",))
             self._cluster.watch()
         except MsalError as error:
@@ -158,8 +156,6 @@ class DaskEngine:
 
     def _create_probes(self) -> None:
         """Make a file in every folder with a manifest; workers on shared storage see them."""
-        if self._cluster.is_local:
-            return
         for folder in self._work.folders:
             probe = os.path.join(os.path.abspath(folder), temporary_name("probe"))
             Path(probe).touch()
@@ -218,7 +214,8 @@ class DaskEngine:
             run=self._run,
             function=work.function,
             common=work.common,
-            cores=max(1, work.cores // work.jobs) if self._cluster.is_local else 1,
+            # A worker does as many files at the same time as it has threads.
+            cores=1,
             limits=work.limits,
             retries=work.retries,
             log_level=logging.getLogger("msal").getEffectiveLevel(),

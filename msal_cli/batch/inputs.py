@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporary_files import is_own
-from msal_cli.errors import InputError, MsalError, UsageError
+from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.records import ObjectMark
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.storage import urls
@@ -180,8 +180,8 @@ def _local_type(text: str) -> str:
             return "pattern"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             if path.is_symlink():
-                raise UsageError(f"the link {text!r} leads to nothing", path=text) from None
-            raise UsageError(f"there is no file or folder {text!r}", path=text) from None
+                raise MissingInputError(f"the link {text!r} leads to nothing", path=text) from None
+            raise MissingInputError(f"there is no file or folder {text!r}", path=text) from None
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise UsageError(f"{text!r} cannot be opened: {reason}", path=text) from None
     if stat.S_ISDIR(mode):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from msal_cli.batch.tile_estimate import estimate_tiles
-from msal_cli.errors import MsalError, UnsupportedError
+from msal_cli.errors import MsalError, ResourceError, UnsupportedError
 from msal_cli.job.records import Failure
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def _find_reasons(
 def _describe(objection: MsalError, reason: Failure | None) -> Failure:
     """Why a file cannot be done: ``reason`` is why not in memory, if there is one, and
     ``objection`` why not by tiles."""
-    if reason is None or not isinstance(objection, UnsupportedError):
+    if reason is None or not isinstance(objection, UnsupportedError | ResourceError):
         return Failure(objection.code, objection.message, objection.hint, objection.where)
     hint = f"{reason.hint}; it cannot be denoised by tiles: {objection.message}"
     return replace(reason, hint=hint)

@@ -42,7 +42,7 @@ def distinct_tasks(tasks: Sequence[Task]) -> list[int]:
     kept: dict[tuple[object, ...], int] = {}
     for index, task in enumerate(tasks):
         target = fold_case(str(resolve(Path(task.input)))) if task.in_place else task.output
-        kept.setdefault((_identity(task.input) or task.input, target), index)
+        kept.setdefault((identify_file(task.input) or task.input, target), index)
     return list(kept.values())
 
 
@@ -63,7 +63,7 @@ def refuse_escapes(tasks: Sequence[Task], output: str) -> None:
             )
 
 
-def _identity(name: str) -> tuple[int, int] | str | None:
+def identify_file(name: str) -> tuple[int, int] | str | None:
     """What distinguishes files, links of both kinds followed; None where there is no file."""
     if is_url(name):
         return urls.identity(name)
@@ -134,7 +134,7 @@ def ignores_case(folder: Path) -> bool:
 
 def _refuse_inputs_as_outputs(tasks: Sequence[Task]) -> None:
     def key(path: str) -> tuple[int, int] | str:
-        return _identity(path) or str(resolve(Path(path)))
+        return identify_file(path) or str(resolve(Path(path)))
 
     inputs = {key(task.input): task.input for task in tasks}
     for task in tasks:

@@ -240,7 +240,7 @@ def restore_backup(task: Task) -> None:
                 yield block
 
     try:
-        write_whole(task.input, blocks())
+        write_whole(task.input, blocks(), sources=[backup_path(task)])
     except OutputError as error:
         reason = error.message.partition(": ")[2]
         raise OutputError(

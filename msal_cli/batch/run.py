@@ -33,10 +33,11 @@ from msal_cli.batch.tile_files import denoise_oversized, help_others
 from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
+from msal_cli.job.outlook import foresee
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings
-from msal_cli.machine import usable_cores
+from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
@@ -165,7 +166,15 @@ class _BatchRun:
                 planned = {index: self._planned_record(index) for index in todo}
                 expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
                 tiles = {index: planned_tiles(one) for index, one in expected.items()}
-                records = {n: replace(one, tiles=tiles.get(n)) for n, one in planned.items()}
+                records = {
+                    n: foresee(
+                        replace(one, tiles=tiles.get(n)),
+                        self.plan.tasks[n],
+                        self.settings,
+                        self.limits,
+                    )
+                    for n, one in planned.items()
+                }
             for index, record in records.items():
                 self._emit_finished(index, record)
         return self._in_order()
@@ -389,6 +398,7 @@ class _BatchRun:
     def _finish(self, finished: dict[int, MeshRecord]) -> None:
         """Record files in the manifests, then report, also what could not be recorded."""
         tasks = self.plan.tasks
+        finished = {n: _warn_of_memory(one, self.limits) for n, one in finished.items()}
         try:
             self._append_lines(
                 finished,
@@ -439,6 +449,15 @@ class _BatchRun:
     def _sweep_after(self, pid: int, index: int) -> None:
         for folder in output_folders([self.plan.tasks[index]]):
             temporary_files.sweep_after(pid, folder)
+
+
+def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:
+    """The record, with a warning if more memory was used than the limit."""
+    limit, peak = limits.memory_bytes, record.peak_memory_bytes
+    if limit is None or peak is None or peak <= limit:
+        return record
+    note = f"{megabytes(peak)} of memory were used, more than --memory-limit {megabytes(limit)}"
+    return replace(record, warnings=(*record.warnings, note))
 
 
 def _local(homes: Iterable[str]) -> list[str]:

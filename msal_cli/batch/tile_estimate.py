@@ -6,8 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli import machine
-from msal_cli.job.settings import Limits, Settings, Task, refuse_faces
+from msal_cli.errors import ResourceError
+from msal_cli.job.settings import FORECAST, Limits, Settings, Task, refuse_faces
 from msal_cli.job.tile_records import Tiles
+from msal_cli.machine import megabytes
 
 if TYPE_CHECKING:
     from msal_cli.batch.tile_options import TileJob
@@ -29,6 +31,8 @@ def estimate_tiles(
     ------
     InputError
         if it cannot be denoised by tiles, or is damaged.
+    ResourceError
+        if it takes more memory than the limit.
     """
     from msal_cli.tiles.eligibility import look_for_tiles
     from msal_cli.tiles.estimates import estimate_run
@@ -48,6 +52,15 @@ def estimate_tiles(
     else:
         most = memory_bound(job.limits)
         expected = estimate_run(found, settings, jobs=job.jobs, memory_bytes=most)
+    limit = job.limits.memory_bytes
+    if limit is not None and expected.memory_bytes > limit:
+        raise ResourceError(
+            f"tiles take up to {megabytes(expected.memory_bytes)}, "
+            f"and the limit is {megabytes(limit)}",
+            code="E_MEMORY",
+            where=FORECAST,
+            hint="raise --memory-limit",
+        )
     return replace(expected, scratch_bytes=expected.scratch_bytes + converted_bytes)
 
 

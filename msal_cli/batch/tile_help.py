@@ -80,7 +80,8 @@ class _Helper:
         wanted = tile_scratch.identify(self._task, self._settings, source, self._expected)
         end = time.monotonic() + WAIT_S
         while True:
-            known = self._scratch.read_json(tile_scratch.IDENTITY)
+            is_own = tile_scratch.is_own(self._path)
+            known = self._scratch.read_json(tile_scratch.IDENTITY) if is_own else None
             if known is not None and known | {"tile_vertices": 0} == wanted | {"tile_vertices": 0}:
                 return True
             if not self._has_leader() and (self._is_done() or time.monotonic() > end):
@@ -98,7 +99,7 @@ class _Helper:
             time.sleep(LOOKS_EVERY_S)
 
     def _has_leader(self) -> bool:
-        return self._path.is_dir() and bool(lock_owners(str(self._path)))
+        return tile_scratch.is_own(self._path) and bool(lock_owners(str(self._path)))
 
     def _is_done(self) -> bool:
         """Whether there is an output that is newer than the input."""

@@ -196,8 +196,7 @@ class TileRun:
             tiles = self.describe_tiles(scratch)
             if task.in_place and task.backup:
                 output.keep_backup_of_file(task)
-            mode_like = task.input if task.in_place else None
-            finished = finish_output(scratch, path=task.output, mode_like=mode_like)
+            finished = finish_output(scratch, path=task.output, files=[task.input])
             notes: tuple[str, ...] = ()
             if mesh.references and not task.in_place:
                 from msal_cli.storage import sidecars

@@ -3,6 +3,10 @@
 Its name comes from the path of the output, so that the same command finds it again after a run
 that was killed.  What it holds is used if input, settings, output and version are the same as when
 it was begun, and is removed otherwise.
+
+The name can be foreseen, so a folder or a link that has it may come from another user or with a
+repository.  Only a folder that this user made with msal is used: private, and with a mark that
+holds its inode number, which neither an archive nor a copy can bring along.
 """
 
 from __future__ import annotations
@@ -11,8 +15,9 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,8 +27,9 @@ from msal_cli.batch.lock import NAME as LOCK_NAME
 from msal_cli.batch.lock import FolderLock
 from msal_cli.errors import OutputError
 from msal_cli.machine import megabytes
-from msal_cli.storage.atomic import LONGEST_NAME, machine_tag, make_folders
+from msal_cli.storage.atomic import LONGEST_NAME, machine_tag, make_folders, write_whole
 from msal_cli.storage.limits import LOOKED_AT
+from msal_cli.storage.regular import open_regular
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.scratch import Scratch
 
@@ -34,6 +40,7 @@ if TYPE_CHECKING:
 PREFIX = ".msal-tiles-"
 IDENTITY = "identity.json"
 _BOOTS = "boots.json"
+_MARK = "made-by-msal"
 
 
 def scratch_path(output: str, folder: str | None) -> Path:
@@ -55,10 +62,15 @@ def lock_scratch(path: Path) -> Iterator[Scratch]:
     UsageError
         if another run uses it (``E_LOCKED``).
     OutputError
-        if it cannot be made.
+        if it cannot be made, or what has its name is not of this user's own making.
     """
+    refuse_foreign(path)
     try:
-        make_folders(path)
+        make_folders(path.parent)
+        with suppress(FileExistsError):
+            path.mkdir(0o700)
+        refuse_foreign(path)
+        write_whole(path / _MARK, _describe_folder(path))
     except OSError as error:
         raise OutputError(
             f"the scratch folder {str(path)!r} cannot be made: {error.strerror}",
@@ -67,6 +79,37 @@ def lock_scratch(path: Path) -> Iterator[Scratch]:
         ) from None
     with FolderLock(str(path)):
         yield Scratch(path)
+
+
+def is_own(path: Path) -> bool:
+    """Whether this is a folder that a run of this user made, or an empty one, in which no other
+    user can write."""
+    try:
+        status = os.lstat(path)
+        if not stat.S_ISDIR(status.st_mode):
+            return False
+        if hasattr(os, "geteuid") and (status.st_uid != os.geteuid() or status.st_mode & 0o077):
+            return False
+        if not os.listdir(path):
+            return True
+        with open_regular(path / _MARK) as file:
+            return file.read(100) == _describe_folder(path)
+    except OSError:
+        return False
+
+
+def refuse_foreign(path: Path) -> None:
+    """Refuse a link, and a folder that is not ``is_own``, in the place of the scratch folder."""
+    if os.path.lexists(path) and not is_own(path):
+        raise OutputError(
+            f"{str(path)!r} is not a scratch folder that you made with msal, and is left as it is",
+            hint="move it away, or name another place with --scratch",
+            path=str(path),
+        )
+
+
+def _describe_folder(path: Path) -> bytes:
+    return b"inode %d\n" % os.lstat(path).st_ino
 
 
 def identify(
@@ -119,9 +162,9 @@ def _read_boots(scratch: Scratch) -> dict[str, str]:
 
 
 def clear(scratch: Scratch, keep: str = LOCK_NAME) -> None:
-    """Remove all that is in the scratch folder, but for its lock and ``keep``."""
+    """Remove all that is in the scratch folder, but for its lock, its mark and ``keep``."""
     for one in scratch.path.iterdir():
-        if one.name in (LOCK_NAME, keep):
+        if one.name in (LOCK_NAME, _MARK, keep):
             continue
         if one.is_dir() and not one.is_symlink():
             shutil.rmtree(one)
@@ -149,7 +192,9 @@ def check_space(path: Path, output: str, estimate: TileEstimate) -> None:
 
 
 def check_scratch_room(path: Path, needed: int) -> None:
-    """Refuse to begin where a scratch folder has no space for so many bytes; OutputError."""
+    """Refuse to begin where a scratch folder has no space for so many bytes, or is not ours;
+    OutputError."""
+    refuse_foreign(path)
     room = free_bytes(path) + used_bytes(path)
     if needed > room:
         raise _no_room(f"the scratch folder {str(path)!r}", needed, room)

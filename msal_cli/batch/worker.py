@@ -86,7 +86,8 @@ def serve() -> None:
         outgoing.send("unusable", traceback.format_exc())
         return
     limit = assignment.memory_bytes
-    if limit is not None and not sys.platform.startswith("linux"):
+    if limit is not None:
+        _load_libraries()
         threading.Thread(target=_watch_memory, args=(limit, outgoing), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(orders, tasks), daemon=True).start()
@@ -144,6 +145,19 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
         outgoing.send("raised", index, f"{type(error).__name__}: {error}")
 
 
+def _load_libraries() -> None:
+    """Load what every file needs, before memory is limited.
+
+    The library of linear algebra reserves 100 MB that it hardly touches; refused, it would end the
+    process, however high the limit is above the 40 MB that are resident.
+    """
+    import numpy as np
+
+    import msal_cli.job.pipeline  # noqa: F401
+
+    _ = np.ones((200, 200)) @ np.ones((200, 200))
+
+
 def _limit_memory(limit: int) -> None:
     """Have Linux refuse memory once about ``limit`` bytes are resident.
 
@@ -164,7 +178,8 @@ def _limit_memory(limit: int) -> None:
 
 
 def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
-    """Where the system cannot refuse memory: end this process once it has used too much."""
+    """End this process once it has used too much: where the system cannot refuse memory, and for
+    pages of files, which Linux does not count."""
     while True:
         time.sleep(_BETWEEN_CHECKS_S)
         if (peak_bytes() or 0) > limit:

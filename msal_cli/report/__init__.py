@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -30,8 +31,10 @@ def suffixes() -> tuple[str, ...]:
     return tuple(_MODULES)
 
 
-def writer(name: str) -> Writer:
+def writer(name: str, *, has_all_columns: bool = False) -> Writer:
     """The function that makes the bytes of a report of this name.
+
+    ``has_all_columns`` is for CSV, which else has those of ``csv_report.COMMON``.
 
     Raises
     ------
@@ -45,5 +48,7 @@ def writer(name: str) -> Writer:
             hint=f"known are {', '.join(_MODULES)}",
         )
     module = import_module(f"{__name__}.{_MODULES[suffix]}")
+    if suffix == ".csv":
+        return partial(module.render, has_all=has_all_columns)
     made: Writer = module.render_lines if suffix == ".jsonl" else module.render
     return made

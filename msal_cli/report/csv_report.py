@@ -2,10 +2,12 @@
 
 RFC 4180 in UTF-8 without a byte order mark: commas, line ends CR LF, cells quoted where they need
 it, a header row.  Nested fields have dotted names such as ``volume.change_percent``; the columns
-are those of the record, in its order, and depend on the run only in the method's parameters and in
-what was wished of --auto, which are sorted.  What is not known is empty; several texts in one cell
-are joined by ``"; "``.  A gate is such a text: ``broken: abs(volume_change) > 1% (volume_change is
--2.1%)``, or ``held: ...``; so is what was nearly chosen, with its risk: ``AL, 3 sweeps (0.0724)``.
+are those of ``COMMON``, or all of the record, in its order; these depend on the run only in the
+method's parameters and in what was wished of --auto, which are sorted.  What is not known is
+empty; several texts in one cell are joined by ``"; "``.  A gate is such a text: ``broken:
+abs(volume_change) > 1% (volume_change is -2.1%)``, or ``held: ...``; so is what was nearly chosen,
+with its risk: ``AL, 3 sweeps (0.0724)``; and a reading of the noise, with level and probability:
+``noise 0.08 (0.6)``.
 
 Text, but never a number, that a spreadsheet would take for a formula (it begins with ``=``, ``+``,
 ``-``, ``@``, tab, CR or LF) gets an apostrophe in front.  So does text that begins with an
@@ -21,6 +23,7 @@ import typing
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from msal_cli.job.plain_data import reported_fields
 from msal_cli.job.records import MeshRecord
 from msal_cli.report.document import Run, plain_record
 
@@ -28,10 +31,58 @@ _TAKEN_FOR_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
 _FREE_FORM = ("method.parameters", "choice.wishes")
 
 
-def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
-    """The records as CSV; see the module's description."""
+COMMON = (
+    "input",
+    "status",
+    "output",
+    "format",
+    "vertices",
+    "faces",
+    "components",
+    "boundary_edges",
+    "non_manifold_edges",
+    "degenerate_faces",
+    "inside_out",
+    "mean_edge_length",
+    "noise_estimate.mean_edges",
+    "noise_estimate.negligible",
+    "noise_estimate.unsure",
+    "noise_estimate.words",
+    "method.name",
+    "choice.reason",
+    "left_alone",
+    "despiked",
+    "displacement.mean_edges",
+    "displacement.p95_edges",
+    "displacement.max_edges",
+    "displacement.max",
+    "normal_change.mean_deg",
+    "flipped_faces",
+    "volume.valid",
+    "volume.before",
+    "volume.after",
+    "volume.change_percent",
+    "area.change_percent",
+    "reference.mean_angular_error_deg",
+    "reference.vertex_error_percent",
+    "reference.error.message",
+    "gates",
+    "warnings",
+    "warning_codes",
+    "seconds.total",
+    "error.code",
+    "error.message",
+    "error.where",
+    "error.hint",
+)
+"""The columns that people sort and filter by."""
+
+
+def render(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False) -> bytes:
+    """The records as CSV, with the columns of ``COMMON`` or with all; see the module's
+    description."""
     rows = [dict(_flatten(plain_record(record), "")) for record in records]
-    names = tuple(_columns(rows))
+    names = tuple(_columns(rows)) if has_all else COMMON
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")
     writer.writerow(names)
@@ -49,7 +100,7 @@ def _columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
     hints = typing.get_type_hints(kind)
-    for one in dataclasses.fields(kind):
+    for one in reported_fields(kind):
         hint = hints[one.name]
         inner = [part for part in typing.get_args(hint) if dataclasses.is_dataclass(part)]
         if inner and typing.get_origin(hint) is not tuple:
@@ -67,15 +118,21 @@ def _flatten(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _text(value: Any) -> str:
-    """One of several texts; the only records of which there are several are those of gates and of
-    runners-up."""
+    """One of several texts; the only records of which there are several are those of gates, of
+    runners-up and of readings of the noise."""
     if not isinstance(value, dict):
         return str(value)
     if "label" in value:
-        risk = value["risk_edges"]
-        return f"{value['label']} ({'?' if risk is None else f'{risk:.4g}'})"
+        return f"{value['label']} ({_figure(value['risk_edges'])})"
+    if "probability" in value:
+        level, probability = _figure(value["level_edges"]), _figure(value["probability"])
+        return f"{value['kind']} {level} ({probability})"
     word = "broken" if value["broken"] else "held"
     return f"{word}: {value['expression']} ({value['reason']})"
+
+
+def _figure(value: float | None) -> str:
+    return "?" if value is None else f"{value:.4g}"
 
 
 def _cell(value: Any) -> str:

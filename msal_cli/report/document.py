@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from msal_cli.job.display_names import portable
-from msal_cli.job.plain_data import about, as_data, known, value_at
+from msal_cli.job.plain_data import about, as_data, known, reported_fields, value_at
 from msal_cli.job.records import DONE, SCHEMA, MeshRecord
 
 
@@ -51,7 +51,7 @@ class Spread:
 class Totals:
     """Sums over the records of a run.
 
-    ``chosen`` counts files by the method that --auto chose for them.  ``vertices`` and
+    ``chosen`` counts files by the method that was chosen for them.  ``vertices`` and
     ``work_seconds`` count the files that were denoised in this run, and ``volume_change_percent``
     those whose volume can be trusted, up-to-date ones included.
     """
@@ -130,8 +130,8 @@ def heading(run: Run, records: Sequence[MeshRecord]) -> dict[str, Any]:
 
 def plain_record(record: Any) -> dict[str, Any]:
     """A record as strict JSON data; see ``plain``."""
-    data: dict[str, Any] = plain(as_data(record))
-    return data
+    data = as_data(record)
+    return {one.name: plain(data[one.name]) for one in reported_fields(type(record))}
 
 
 def plain_fields(value: Any) -> dict[str, Any]:

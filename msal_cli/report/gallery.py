@@ -26,6 +26,7 @@ from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report.document import known_values
 from msal_cli.report.phrases import format_count
+from msal_cli.report.picture_cache import PictureCache, picture_key
 from msal_cli.report.ranking import worst_first
 from msal_cli.storage import gzip_streams
 from msal_cli.storage.digests import sha256_of_file
@@ -75,14 +76,15 @@ def build_gallery(
     backup: str = DEFAULT_BACKUP,
     bounds: Bounds | None = None,
     on_file: Callable[[int, int], None] | None = None,
+    cache: PictureCache | None = None,
 ) -> Gallery:
     """Pictures of as many files as the bounds allow, and scenes of the worst.
 
     Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
     denoised in place.  ``on_file`` is called before each file with the number of those done
-    and of all.
+    and of all.  What ``cache`` has is not drawn again.
     """
-    bounds = bounds or Bounds()
+    bounds, cache = bounds or Bounds(), cache or PictureCache()
     numbers = {id(record): at for at, record in enumerate(records)}
     reach = _reach(records)
     end = time.monotonic() + bounds.seconds
@@ -93,6 +95,17 @@ def build_gallery(
     for done, record in enumerate(candidates):
         if on_file is not None:
             on_file(done, len(candidates))
+        at = numbers[id(record)]
+        wants_scene = len(scenes) < bounds.scenes
+        key = picture_key(record, reach, f"scene{at}" if wants_scene else "")
+        if n_bytes <= bounds.picture_bytes and (known := cache.find(key)) is not None:
+            images[at], scene_text = known
+            if scene_text:
+                scenes[at] = scene_text
+                n_decimated += (record.triangles or 0) > bounds.scene_faces
+            n_reduced += _is_too_large(record, bounds)
+            n_bytes += _n_bytes(images[at])
+            continue
         if time.monotonic() > end or n_bytes > bounds.picture_bytes:
             n_late += 1
             continue
@@ -100,14 +113,13 @@ def build_gallery(
         if is_large and not _is_quick_enough(record, bounds, end - time.monotonic()):
             n_large += 1
             continue
-        at = numbers[id(record)]
         try:
             scene = (_large_scene if is_large else _scene)(record, backup, bounds)
             if scene is None:
                 continue
             camera = pictures.camera_of(scene, pictures.View())
             shown = _pictures(scene, camera, reach)
-            if len(scenes) < bounds.scenes:
+            if wants_scene:
                 scenes[at] = _embed(record, scene, camera, reach, bounds.scene_faces, f"scene{at}")
                 n_decimated += len(scene.before.faces) > bounds.scene_faces
         except UnsupportedError:
@@ -118,8 +130,9 @@ def build_gallery(
             log.info("%s: no picture", record.input, exc_info=True)
             continue
         images[at] = shown
+        cache.add(key, shown, scenes.get(at, ""))
         n_reduced += is_large
-        n_bytes += len(shown.before) + len(shown.after) + len(shown.deviation or b"")
+        n_bytes += _n_bytes(shown)
     return Gallery(
         pictures=images,
         scenes=scenes,
@@ -128,6 +141,10 @@ def build_gallery(
         style=viewer.style() if scenes else "",
         remarks=tuple(_remarks(len(images), n_late, n_large, n_decimated, n_reduced, bounds)),
     )
+
+
+def _n_bytes(shown: Pictures) -> int:
+    return len(shown.before) + len(shown.after) + len(shown.deviation or b"")
 
 
 # Which files, and what of them

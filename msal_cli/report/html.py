@@ -31,6 +31,7 @@ from msal_cli.report.phrases import (
     format_count,
     percent_text,
     seconds_text,
+    unsure_text,
 )
 from msal_cli.report.ranking import WORDS, broken_gates, worst_first
 from msal_cli.view.html_parts import asset, content_policy, escape, to_base64
@@ -68,7 +69,7 @@ def render(
     remarks = list(gallery.remarks)
     sums = totals(records)
     if sums.chosen:
-        remarks.insert(0, f"Chosen by --auto: {chosen_text(sums.chosen)}.")
+        remarks.insert(0, f"Chosen: {chosen_text(sums.chosen)}.")
     if n_dropped:
         remarks.append(
             f"Pictures of {n_dropped:,} files that are not among the worst were left out, "
@@ -195,14 +196,17 @@ def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
 
 
 def _problems(worst: Sequence[MeshRecord]) -> str:
-    """What failed with reason and hint, broken gates and warnings; nothing if all is well."""
+    """What failed with reason and hint, broken gates, warnings, and what may be noise or texture;
+    nothing if all is well."""
     failed = [(one, _failure_cells(one)) for one in worst if one.error is not None]
     broken = [(one, [_lines(gates)]) for one in worst if (gates := broken_gates(one))]
     warned = [(one, [_lines(one.warnings)]) for one in worst if one.warnings and not one.error]
+    unsure = [(one, [escape(text)]) for one in worst if (text := unsure_text(one))]
     return (
         _problem_table("Failed", ("File", "Reason", "What to do"), failed)
         + _problem_table("Broken gates", ("File", "Gate"), broken)
         + _problem_table("Warnings", ("File", "Warning"), warned)
+        + _problem_table("Look at these", ("File", "Noise or texture"), unsure)
     )
 
 

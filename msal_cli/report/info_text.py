@@ -59,7 +59,7 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         yield "volume", f"- {escape_for_display(record.volume_reason)}".rstrip()
     yield "mean edge", figure(record.mean_edge_length, ".6g", unknown="-")
     if record.noise_estimate is not None:
-        level, *rest = noise_texts(record.noise_estimate)
+        level, *rest = noise_texts(record.noise_estimate, record)
         yield "noise estimate", level
         yield from (("", text) for text in rest)
     yield (

@@ -10,6 +10,7 @@ XML 1.0 has no way to write most control characters.  In names and reasons they 
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -18,7 +19,7 @@ from xml.etree import ElementTree as Xml
 
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import DONE, MeshRecord
-from msal_cli.report.document import Run
+from msal_cli.report.document import Run, plain
 from msal_cli.report.phrases import (
     defects_text,
     despiked_text,
@@ -119,8 +120,9 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _flat(f"{name}.{key}", inner)
-    elif value is not None:
-        yield name, str(value)
+    elif value is not None and value != ():
+        # Words that a build service knows: true, and not True.
+        yield name, value if isinstance(value, str) else json.dumps(plain(value))
 
 
 def _figures(record: MeshRecord) -> Iterator[str]:

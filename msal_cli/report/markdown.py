@@ -20,9 +20,9 @@ from msal_cli.report.document import Run, Totals, plain, totals
 from msal_cli.report.phrases import (
     chosen_text,
     command_text,
+    failure_text,
     format_count,
     percent_text,
-    rate_text,
     seconds_text,
 )
 from msal_cli.report.ranking import WORDS, broken_gates, worst_first
@@ -101,7 +101,6 @@ def _totals(run: Run, sums: Totals) -> str:
             f"to {percent_text(spread.highest)})"
         )
     )
-    rate = rate_text(sums.vertices / run.seconds) if sums.vertices and is_timed else ""
     rows = (
         ("written", f"{sums.written:,}"),
         ("unchanged: no vertex moved", figure(sums.unchanged or None, ",")),
@@ -110,8 +109,7 @@ def _totals(run: Run, sums: Totals) -> str:
         ("**failed**", f"**{sums.failed:,}**" if sums.failed else ""),
         ("vertices denoised", figure(sums.vertices or None, ",")),
         ("time", seconds_text(run.seconds) if is_timed else ""),
-        ("vertices/s", rate),
-        ("chosen by --auto", _markup_free(chosen_text(sums.chosen))),
+        ("chosen", _markup_free(chosen_text(sums.chosen))),
         ("volume change, median", change),
     )
     cells = "".join(f"| {word} | {text} |\n" for word, text in rows if text)
@@ -155,8 +153,7 @@ def _text_table(title: str, head: str, texts: Sequence[tuple[MeshRecord, str]]) 
 
 
 def _failure_row(record: MeshRecord, failure: Failure) -> tuple[str, ...]:
-    place = f"{failure.where}: " if failure.where else ""
-    why = f"{_text(place + failure.message)} {_code(failure.code)}"
+    why = f"{_text(failure_text(failure, with_code=False))} {_code(failure.code)}"
     return _name(record), why, _text(failure.hint)
 
 
@@ -165,6 +162,7 @@ _FIGURES = (
     ("max move, edges", "displacement.max_edges", ".3f"),
     ("max move, file units", "displacement.max", ".4g"),
     ("flipped", "flipped_faces", ","),
+    ("outliers", "despiked", ","),
     ("seconds", "seconds.total", ".2f"),
 )
 _TO_REFERENCE = ("to reference, deg", "reference.mean_angular_error_deg", ".2f")

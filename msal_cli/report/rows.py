@@ -36,6 +36,7 @@ _FIGURES = (
     ("Max move", "file units", "displacement.max"),
     ("Normals", "mean turn, °", "normal_change.mean_deg"),
     ("Flipped", "faces", "flipped_faces"),
+    ("Outliers", "brought back", "despiked"),
     ("Time", "s", "seconds.total"),
 )
 _TO_REFERENCE = ("To reference", "mean angle, °", "reference.mean_angular_error_deg")
@@ -89,7 +90,7 @@ def _kind(record: MeshRecord) -> str:
 
 
 def _choose(record: MeshRecord) -> str:
-    """The method that --auto chose; empty where it did not."""
+    """The method that was chosen; empty where it was given."""
     return escape_for_display(record.method.name) if record.choice and record.method else ""
 
 
@@ -124,7 +125,7 @@ def _details(record: MeshRecord) -> Iterator[tuple[str, str]]:
     yield "Mesh", ", ".join(filter(None, mesh))
     yield "Defects", defects_text(record)
     if record.noise_estimate is not None:
-        yield "Noise", "; ".join(noise_texts(record.noise_estimate))
+        yield "Noise", "; ".join(noise_texts(record.noise_estimate, record))
     yield "Despiked", despiked_text(record.despiked) if record.despiked else ""
     if record.volume is not None and not record.volume.valid:
         yield "Volume", f"no figure: {record.volume.reason}"

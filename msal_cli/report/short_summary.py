@@ -9,18 +9,21 @@ from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord, MethodUsed, NoiseEstimate
 from msal_cli.report.phrases import (
     Tone,
+    auto_text,
     defects_text,
     despiked_text,
     failure_text,
     file_name,
     format_count,
     gate_text,
+    negligible_text,
     percent_text,
     reference_text,
     seconds_text,
     self_intersections_text,
     tile_set_text,
     tiles_text,
+    unsure_text,
     vertices_text,
 )
 
@@ -52,6 +55,26 @@ def ending(record: MeshRecord) -> str:
     return "" if record.seconds is None else f" in {seconds_text(record.seconds.total)}"
 
 
+def file_text(record: MeshRecord) -> str:
+    """What became of a file, in one line: how, how far it moved, what calls for attention."""
+    if record.error is not None:
+        return f"failed: {failure_text(record.error)}"
+    moved = record.displacement
+    parts = [
+        escape_for_display(record.method.name) if record.method is not None else "",
+        f"largest move {moved.max_edges:.3g} mean edge lengths" if moved is not None else "",
+    ]
+    if record.status == "unchanged":
+        parts = [escape_for_display(f"left as it is: {record.left_alone or 'no vertex moved'}")]
+    parts += [
+        format_count(record.flipped_faces or None, "flipped face"),
+        despiked_text(record.despiked) if record.despiked else "",
+        seconds_text(record.seconds.total) if record.seconds is not None else "",
+    ]
+    warnings = (f"warning: {escape_for_display(one)}" for one in record.warnings)
+    return "; ".join([", ".join(filter(None, parts)), *warnings])
+
+
 def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     counts = (
         vertices_text(record.vertices, record.corners),
@@ -61,9 +84,11 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[tuple[st
     )
     yield "mesh", ", ".join(filter(None, counts))
     if record.noise_estimate is not None:
-        yield "noise", _noise_text(record.noise_estimate)
+        yield "noise", _noise_text(record.noise_estimate, record)
+    yield "unsure", unsure_text(record)
     if record.choice is not None:
         yield "chosen", escape_for_display(record.choice.reason)
+        yield "better", auto_text([record])
     elif record.method is not None:
         yield "method", _method_text(record.method, defaults)
     if record.tiles is not None:
@@ -75,10 +100,10 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[tuple[st
     yield "moved", _changes_text(record)
 
 
-def _noise_text(noise: NoiseEstimate) -> str:
+def _noise_text(noise: NoiseEstimate, record: MeshRecord) -> str:
     level = f"{noise.mean_edges:.3g} mean edge lengths"
     if noise.negligible:
-        return f"{level}: none to speak of"
+        return f"{level}: {negligible_text(record)}"
     return ", ".join(filter(None, (level, noise.words)))
 
 

@@ -8,12 +8,13 @@ from typing import Any
 from msal_cli.job.border_marks import count_touching
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Reference
+from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Planned, Reference
 from msal_cli.report import short_summary
 from msal_cli.report.document import Run, Totals, known_values, totals
 from msal_cli.report.phrases import (
     Line,
     Tone,
+    auto_text,
     by_hand,
     chosen_text,
     defects_text,
@@ -25,7 +26,6 @@ from msal_cli.report.phrases import (
     gate_text,
     noise_texts,
     percent_text,
-    rate_text,
     reference_text,
     runners_up_text,
     seconds_text,
@@ -34,6 +34,7 @@ from msal_cli.report.phrases import (
     tile_set_text,
     tiles_text,
     touches_text,
+    unsure_text,
     vertices_text,
 )
 
@@ -44,6 +45,9 @@ MOST_WARNINGS = 20
 MOST_FAILURES = 200
 
 _NARROWEST_NAME = 16
+
+_START_S = 0.9
+"""Seconds until the first worker denoises."""
 
 
 def summary(
@@ -75,10 +79,41 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         else:
             tiles = record.tiles if record.tile_set is None else None
             ending = "" if tiles is None else f": {tiles_text(tiles)}"
+            if tiles is None and record.planned is not None:
+                ending = f": {_planned_text(record.planned)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
                 counts = vertices_text(record.vertices, record.corners)
                 yield Line(f"  {counts}, {touches_text(record.tile_set)}")
+
+
+def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
+    """What a dry run says of all files: how many, how large, how long on so many cores."""
+    todo = [one.planned for one in records if one.status == "planned" and one.planned is not None]
+    parts = [
+        f"{format_count(len(todo), 'file')} to denoise",
+        figure(sum(one.bytes or 0 for one in todo) / 1e6, ",.1f", " MB"),
+        "about " + format_count(sum(one.vertices or 0 for one in todo), "vertex", "vertices"),
+    ]
+    seconds = [one.seconds for one in todo if one.seconds is not None]
+    if seconds:
+        # A file is not shared among processes.
+        total_s = max(max(seconds), sum(seconds) / min(n_cores, len(seconds))) + _START_S
+        parts.append(f"about {seconds_text(total_s)} on an idle machine")
+    n_current = sum(one.status == "up-to-date" for one in records)
+    n_failed = sum(one.status == "failed" for one in records)
+    parts += [f"{n_current:,} up to date"] if n_current else []
+    parts += [f"{n_failed:,} will fail"] if n_failed else []
+    return Line(", ".join(parts), "bad" if n_failed else "plain")
+
+
+def _planned_text(planned: Planned) -> str:
+    parts = (
+        "" if planned.bytes is None else f"{planned.bytes / 1e3:,.1f} kB",
+        format_count(planned.vertices, "vertex", "vertices"),
+        "" if planned.seconds is None else f"about {seconds_text(planned.seconds)}",
+    )
+    return ", ".join(filter(None, parts))
 
 
 # One file
@@ -155,11 +190,14 @@ def _facts(record: MeshRecord) -> Iterator[tuple[str, str, Tone]]:
     )
     facts = [("mesh", ", ".join(filter(None, counts))), ("defects", defects_text(record))]
     if record.noise_estimate is not None:
-        facts.append(("noise", "; ".join(noise_texts(record.noise_estimate))))
+        facts.append(("noise", "; ".join(noise_texts(record.noise_estimate, record))))
     if record.despiked:
         facts.append(("despiked", despiked_text(record.despiked)))
+    if unsure := unsure_text(record):
+        facts.append(("unsure", unsure))
     if choice is not None:
         facts.append(("chosen", escape_for_display(choice.reason)))
+        facts += [("better", advice)] if (advice := auto_text([record])) else []
     if record.status != "unchanged":
         facts.append(("left as it is", escape_for_display(record.left_alone or "")))
     if record.method is not None:
@@ -202,8 +240,7 @@ def _time_text(record: MeshRecord) -> str:
     if record.choice is not None or seconds.choose:
         stages.insert(2, "choose")
     spent = ", ".join(f"{one} {getattr(seconds, one):.2f}" for one in stages)
-    rate = rate_text(record.vertices_per_second)
-    return f"{seconds_text(seconds.total)} ({spent})" + (f"; {rate} vertices/s" if rate else "")
+    return f"{seconds_text(seconds.total)} ({spent})"
 
 
 # Several files
@@ -232,6 +269,17 @@ def _batch_lines(
     yield from _references(records, verbose)
     yield from broken_gates(records, verbose)
     done = [record for record in records if record.status in WITH_OUTPUT]
+    yield from _attention(done)
+    if advice := auto_text([record for record in done if record.status != "up-to-date"]):
+        yield Line(advice)
+    unsure = [record.status for record in done if unsure_text(record)]
+    if unsure:
+        n_filtered = len(unsure) - unsure.count("unchanged")
+        yield Line(
+            f"noise or texture: {format_count(len(unsure), 'file')}, {n_filtered} filtered mildly, "
+            "the others left as they are; --assume noise or --assume texture decides "
+            "(-v or --report lists them)"
+        )
     yield from _total_lines(run, totals(records), tile_set_text(done), count_touching(done))
 
 
@@ -255,8 +303,11 @@ def _section(
 
 
 def _table(records: Sequence[MeshRecord], width: int) -> Iterator[Line]:
-    heads = ("vertices", "volume", "mean move", "max move", "vertices/s", "seconds")
-    rows = [_figures(record) for record in records]
+    titles = ("vertices", "volume", "max move", "flipped", "outliers", "warnings", "seconds")
+    figures = [_figures(record) for record in records]
+    # A column of zeros would take room from the names.
+    shown = [at for at in range(len(titles)) if any(row[at] not in ("", "0") for row in figures)]
+    heads, *rows = [tuple(row[at] or "-" for at in shown) for row in (titles, *figures)]
     widths = [max(len(row[at]) for row in (heads, *rows)) for at in range(len(heads))]
     notes = [_note(record) for record in records]
     names = [file_name(record.input) for record in records]
@@ -273,14 +324,16 @@ def _table(records: Sequence[MeshRecord], width: int) -> Iterator[Line]:
 
 
 def _figures(record: MeshRecord) -> tuple[str, ...]:
+    """A cell for each column; empty for what is not known."""
     is_new = record.status != "up-to-date"
     return (
-        figure(record.vertices, ",", unknown="-"),
-        percent_text(value_at(record, "volume.change_percent")) or "-",
-        figure(value_at(record, "displacement.mean_edges"), ".3f", unknown="-"),
-        figure(value_at(record, "displacement.max_edges"), ".3f", unknown="-"),
-        (rate_text(record.vertices_per_second) if is_new else "") or "-",
-        figure(value_at(record, "seconds.total") if is_new else None, ".2f", unknown="-"),
+        figure(record.vertices, ","),
+        percent_text(value_at(record, "volume.change_percent")),
+        figure(value_at(record, "displacement.max_edges"), ".3f"),
+        figure(record.flipped_faces, ","),
+        figure(record.despiked, ","),
+        f"{len(record.warnings):,}",
+        figure(value_at(record, "seconds.total") if is_new else None, ".2f"),
     )
 
 
@@ -288,6 +341,8 @@ def _note(record: MeshRecord) -> str:
     notes = []
     if record.choice is not None and record.method is not None:
         notes.append(escape_for_display(record.method.name))
+    if unsure_text(record):
+        notes.append("noise or texture")
     if record.status == "unchanged":
         notes.append("no vertex moved" if record.left_alone is None else "left as it is")
     if record.status == "up-to-date":
@@ -352,6 +407,25 @@ def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]
     yield from _section("broke a gate", items, None if verbose else MOST_FAILURES, count=n_files)
 
 
+def _attention(done: Sequence[MeshRecord]) -> Iterator[Line]:
+    """What a reader looks at first over all files: the largest move, flipped faces, outliers."""
+    moved = [record for record in done if record.displacement is not None]
+    if not moved:
+        return
+    farthest = max(moved, key=lambda record: value_at(record, "displacement.max_edges"))
+    most = value_at(farthest, "displacement.max_edges")
+    texts = [f"largest move: {most:.3g} mean edge lengths ({file_name(farthest.input)})"]
+    for path, word, several in (
+        ("flipped_faces", "flipped face", "flipped faces"),
+        ("despiked", "outlier brought back", "outliers brought back"),
+    ):
+        counts = [count for count in known_values(done, path) if count]
+        if counts:
+            files = format_count(len(counts), "file")
+            texts.append(f"{format_count(sum(counts), word, several)} in {files}")
+    yield Line("; ".join(texts))
+
+
 def _total_lines(run: Run, sums: Totals, tile_set: str, n_touching: int) -> Iterator[Line]:
     spread = sums.volume_change_percent
     if spread is not None:
@@ -377,8 +451,5 @@ def _total_lines(run: Run, sums: Totals, tile_set: str, n_touching: int) -> Iter
     states = ", ".join(f"{count:,} {word}" for count, word in counts if count)
     text = f"{format_count(sums.files, 'file')}: {states or 'nothing done'}"
     if sums.vertices and run.seconds > 0.0:
-        text += (
-            f"; {sums.vertices:,} vertices in {seconds_text(run.seconds)}, "
-            f"{rate_text(sums.vertices / run.seconds)} vertices/s"
-        )
+        text += f"; {sums.vertices:,} vertices in {seconds_text(run.seconds)}"
     yield Line(text, "bad" if sums.failed or sums.gate_broken or run.interrupted else "good")

@@ -54,7 +54,7 @@ def _part_colours(scene: Scene, part: Part, images: _Images) -> Floats | None:
     for mesh in as_list(scene.content.get("meshes")):
         for primitive in as_list(as_dict(mesh).get("primitives")):
             attributes = as_dict(as_dict(primitive).get("attributes"))
-            if attributes.get("POSITION") != part.positions.index:
+            if attributes.get("POSITION") not in part.accessors:
                 continue
             try:
                 own = _primitive_colours(scene, primitive, attributes, count, images)

@@ -1,4 +1,5 @@
-"""One mesh denoised with every pair of values of two parameters: numbers and pictures.
+"""One mesh denoised with every pair of values of two parameters, and by what msal chooses: numbers
+and pictures.
 
 The bracket behind ``msal sweep``.
 """
@@ -7,14 +8,15 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from msal_cli.analysis import correspondence as metrics
-from msal_cli.analysis.enclosure import measure_enclosure
+from msal_cli.analysis.enclosure import Enclosure, measure_enclosure
 from msal_cli.analysis.measures import measure_surface_change, normal_statistics
+from msal_cli.arrays import Floats
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed
 from msal_cli.job.comparison import Surface, prepare_surface
@@ -31,6 +33,9 @@ MOST_CELLS = 100
 USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
 """What varies along rows and columns where nothing else is given, as in Fig. 6 of the paper;
 a parameter that the method does not have is left out."""
+
+CHOICES = {"plain": (), "auto": ("--auto",)}
+"""What msal itself chooses, and the options of ``msal denoise`` that ask for it."""
 
 _SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}
 
@@ -49,11 +54,13 @@ class Cell:
 
     Attributes
     ----------
-    parameters : what differs from cell to cell.
+    parameters : what differs from cell to cell; of a choice all parameters.
     command : the command line that makes the mesh.
     mean_displacement, mean_displacement_edges : in file units and in mean edge lengths.
     volume_change_percent : None where the mesh has no volume.
     mean_angular_error_deg : against the reference; None without one.
+    choice : of ``CHOICES``; empty for a cell of the grid.
+    risk_edges : estimated distance from the true surface, mean edge lengths; None if unknown.
     """
 
     parameters: dict[str, Any]
@@ -62,6 +69,8 @@ class Cell:
     mean_displacement_edges: float
     volume_change_percent: float | None
     mean_angular_error_deg: float | None
+    choice: str = ""
+    risk_edges: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +162,7 @@ class Subject:
     ready: PreparedMesh
     reference: Mesh | None
     camera: Camera
+    enclosed: Enclosure
 
 
 def subject(
@@ -169,9 +179,7 @@ def subject(
     ready = prepare_surface(surface, name)
     truth = None
     if reference is not None:
-        if not metrics.have_same_faces(
-            surface.vertices, surface.faces, reference.vertices, reference.faces
-        ):
+        if not surface.has_same_faces(reference):
             raise ContentError(
                 "the reference has not the same vertices and faces",
                 path=reference_name,
@@ -180,45 +188,69 @@ def subject(
         prepare_surface(reference, reference_name)
         truth = metrics.at_other_positions(ready, reference.vertices)
     camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
-    return Subject(name, ready, truth, camera)
+    return Subject(name, ready, truth, camera, measure_enclosure(ready))
 
 
 def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
     """The numbers and the mesh of each cell, row by row, one after the other."""
-
-    mesh, objection = on.ready.mesh, on.ready.defects.volume_objection
-    enclosed = measure_enclosure(on.ready)
+    mesh = on.ready.mesh
     for chosen in wanted.settings():
         parameters = wanted.method.validate({**wanted.fixed, **chosen})
         moved = mesh.with_vertices(wanted.method.denoise(mesh, parameters).vertices)
-        change = enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
-        mean = metrics.displacement_of_moved(mesh, moved).mean
-        volume = volume_changed(
-            change.volume_before, change.volume_after, change.area_before, objection
-        )
-        error = None
-        if on.reference is not None:
-            error = normal_statistics(on.reference, moved).mean_angular_error_deg
-        cell = Cell(
-            parameters=chosen,
-            command=command(wanted, on.name, chosen),
-            mean_displacement=mean,
-            mean_displacement_edges=mean / mesh.mean_edge_length,
-            volume_change_percent=volume.change_percent,
-            mean_angular_error_deg=error,
-        )
-        yield cell, moved
+        yield _measure(on, moved, chosen, _command(on.name, *_options(wanted, chosen))), moved
 
 
-def command(wanted: Grid, name: str, chosen: Mapping[str, object]) -> str:
+def choice_cell(on: Subject, choice: str, vertices: Floats) -> tuple[Cell, Mesh]:
+    """The numbers and the mesh of one of ``CHOICES``, which moved the vertices of the file to
+    ``vertices`` (n, 3)."""
+    moved = metrics.at_other_positions(on.ready, vertices)
+    cell = _measure(on, moved, {}, _command(on.name, *CHOICES[choice]))
+    return replace(cell, choice=choice), moved
+
+
+def _measure(on: Subject, moved: Mesh, parameters: dict[str, Any], command: str) -> Cell:
+    mesh = on.ready.mesh
+    change = on.enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
+    mean = metrics.displacement_of_moved(mesh, moved).mean
+    volume = volume_changed(
+        change.volume_before,
+        change.volume_after,
+        change.area_before,
+        on.ready.defects.volume_objection,
+    )
+    error = None
+    if on.reference is not None:
+        error = normal_statistics(on.reference, moved).mean_angular_error_deg
+    return Cell(
+        parameters=parameters,
+        command=command,
+        mean_displacement=mean,
+        mean_displacement_edges=mean / mesh.mean_edge_length,
+        volume_change_percent=volume.change_percent,
+        mean_angular_error_deg=error,
+    )
+
+
+def find_nearest(cells: Sequence[Cell]) -> Cell | None:
+    """The cell whose result is nearest to the true surface by the estimate; None without one."""
+    rated = [(cell.risk_edges, at) for at, cell in enumerate(cells) if cell.risk_edges is not None]
+    return cells[min(rated)[1]] if rated else None
+
+
+def _command(name: str, *options: str) -> str:
     """The command line that makes a cell's mesh; OUT is the file to write."""
-    words = ["msal", "denoise", name if not name.startswith("-") else f"./{name}", "-o", "OUT"]
+    source = name if not name.startswith("-") else f"./{name}"
+    return shlex.join(("msal", "denoise", source, "-o", "OUT", *options))
+
+
+def _options(wanted: Grid, chosen: Mapping[str, object]) -> list[str]:
+    words = []
     if wanted.method.name != "msal":
         words += ["--method", wanted.method.name]
     for key, value in (*wanted.fixed.items(), *chosen.items()):
         short = _SHORT_OPTIONS.get(wanted.method.spec(key).name)
         words += [short, _plain(value)] if short else ["--set", f"{key}={_plain(value)}"]
-    return shlex.join(words)
+    return words
 
 
 def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
@@ -233,19 +265,25 @@ def sheet(
     done: Sequence[tuple[Cell, Image]],
     view: View,
 ) -> Image:
-    """(H, W, 3) uint8: at the left the input and the reference, then the grid with its numbers."""
+    """(H, W, 3) uint8: at the left the input, the choices and the reference, then the grid with its
+    numbers.  ``done`` has the cells of the grid and those of choices."""
 
     sides = [(draw_grid(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
     if on.reference is not None:
         error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
         sides.append((draw_grid(on, on.reference, view), "reference", [words]))
+    nearest = find_nearest([cell for cell, _ in done])
+    errors = [cell.mean_angular_error_deg for cell, _ in done]
+    least = min((error for error in errors if error is not None), default=None)
+    drawn = [
+        (cell.choice, (image, _title(cell, least, nearest), _lines(cell))) for cell, image in done
+    ]
+    cells = [one for choice, one in drawn if not choice]
+    sides[1:1] = [one for choice, one in drawn if choice]
     style = pictures.style_of(view)
     empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
     width = len(wanted.columns.values)
-    errors = [cell.mean_angular_error_deg for cell, _ in done]
-    least = min((error for error in errors if error is not None), default=None)
-    cells = [(image, _title(cell, least), _lines(cell)) for cell, image in done]
     panels: list[Panel] = []
     for at in range(max(-(-len(cells) // width), len(sides))):
         row = cells[at * width : (at + 1) * width]
@@ -254,8 +292,10 @@ def sheet(
         f"Each cell: msal denoise {sides[0][1]} -o OUT, and the options below it.",
         "e: mean edge lengths of the input.",
     ]
+    if nearest is not None:
+        footer.append("Risk: estimated distance from the true surface.")
     if least is not None:
-        footer[1] += " Normals: mean angle between face normals and those of the reference."
+        footer.append("Normals: mean angle between face normals and those of the reference.")
     return labelled_panels(panels, style=style, columns=width + 1, footer=footer)
 
 
@@ -264,18 +304,22 @@ def _plain(value: object) -> str:
     return str(value).removesuffix(".0")
 
 
-def _title(cell: Cell, least: float | None) -> str:
+def _title(cell: Cell, least: float | None, nearest: Cell | None) -> str:
     words = ", ".join(f"{name} = {_plain(value)}" for name, value in cell.parameters.items())
-    is_best = least is not None and cell.mean_angular_error_deg == least
-    return words + (" (least error)" if is_best else "")
+    words = {"plain": "plain command", "auto": "--auto"}.get(cell.choice, words)
+    notes = ["least error"] if least is not None and cell.mean_angular_error_deg == least else []
+    notes += ["nearest by risk"] if cell is nearest else []
+    return words + (f" ({', '.join(notes)})" if notes else "")
 
 
 def _lines(cell: Cell) -> list[str]:
     words = [f"moved {cell.mean_displacement_edges:.3g} e"]
     if cell.volume_change_percent is not None:
         words.append(f"volume {cell.volume_change_percent:+.2g} %")
+    errors = [] if cell.risk_edges is None else [f"risk {cell.risk_edges:.2g} e"]
     if cell.mean_angular_error_deg is not None:
-        words.append(f"normals {cell.mean_angular_error_deg:.2f}\N{DEGREE SIGN}")
+        errors.append(f"normals {cell.mean_angular_error_deg:.2f}\N{DEGREE SIGN}")
     # What comes after OUT; the rest is the same for all and is in the footer.
     options = cell.command.partition(" -o OUT ")[2]
-    return [", ".join(words), options.replace(" -", "  -")]
+    lines = [", ".join(words), ", ".join(errors), options.replace(" -", "  -")]
+    return [line for line in lines if line]

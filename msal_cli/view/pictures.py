@@ -123,7 +123,7 @@ def scene_of(
     first = prepare_surface(before, names[0])
     if after is None:
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
-    if metrics.have_same_faces(before.vertices, before.faces, after.vertices, after.faces):
+    if before.has_same_faces(after):
         record = comparison.compare_meshes(before, after, *names, to_surface=False)
         moved = metrics.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices

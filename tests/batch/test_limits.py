@@ -16,12 +16,13 @@ from msal_cli.batch import worker_process
 from msal_cli.batch.events import Failed, Retried, Returned, Started
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
-from msal_cli.batch.run import run
+from msal_cli.batch.run import _warn_of_memory, run
 from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.test_whole import obj
+from tests.report.made import written
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux")
@@ -247,11 +248,32 @@ def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans):
     assert made.returncode == 3
     assert "forecast: denoising this file takes up to" in made.stderr
     assert "the limit is 120 MB (E_MEMORY)" in made.stderr
-    made = msal(scans, "--memory-limit", "120M", "--fresh", "--dry-run", "--json")
+    made = msal(scans, "--memory-limit", "135M", "--fresh", "--dry-run", "--json")
     assert made.returncode == 0, made.stderr
     records = json.loads(made.stdout)["records"]
     known = {Path(record["input"]).name: record["tiles"] is not None for record in records}
     assert known == {"0.obj": False, "1.obj": False, "2.obj": False, "big.obj": True}
+
+
+@linux
+def test_a_small_mesh_fits_into_a_small_limit_and_no_limit_is_exceeded_in_silence(scans):
+    made = msal(scans, "--memory-limit", "60M", "--json")
+    assert made.returncode == 0, made.stderr
+    for record in json.loads(made.stdout)["records"]:
+        assert record["tiles"] is None and record["peak_memory_bytes"] <= 60 * 1024**2
+    made = msal(scans, "--memory-limit", "50M", "--fresh", "--json")
+    assert made.returncode == 1
+    for record in json.loads(made.stdout)["records"]:
+        assert record["error"]["code"] == "E_MEMORY"
+        assert "tiles take up to" in record["error"]["hint"]
+
+
+def test_a_record_beyond_the_limit_gets_a_warning():
+    record = written(peak_memory_bytes=70_000_000)
+    limit = Limits(memory_bytes=60_000_000)
+    (note,) = _warn_of_memory(record, limit).warnings
+    assert "70 MB" in note and "--memory-limit 60 MB" in note
+    assert _warn_of_memory(record, Limits()) is record
 
 
 def test_the_command_gives_up(scans):

@@ -13,7 +13,7 @@ import pytest
 
 from msal_cli import machine
 from msal_cli.batch import tile_scratch, tile_tasks
-from msal_cli.batch.lock import FolderLock
+from msal_cli.errors import OutputError
 from msal_cli.tiles import estimates
 from msal_cli.tiles.scratch import Scratch
 from tests.batch import giants
@@ -318,13 +318,69 @@ def test_a_scratch_folder_of_ones_own(source, output, tmp_path):
 
 
 def test_two_runs_on_one_scratch_folder_are_refused(source, output):
-    path = scratch_of(output)
-    path.mkdir()
-    with FolderLock(str(path)):
+    with tile_scratch.lock_scratch(scratch_of(output)):
         made = tiled(source, output, *METHOD)
     assert made.exit_code == 1
     assert "E_LOCKED" in made.stderr
     assert str(os.getpid()) in made.stderr
+
+
+def give_mark(folder):
+    """Have a folder look like one of msal's, as far as an archive can."""
+    (folder / "made-by-msal").write_text("inode 12345\n")
+    return folder
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs links and modes of POSIX")
+@pytest.mark.parametrize("kind", ["link", "relative link", "archive", "open to all", "file"])
+def test_what_only_has_the_name_of_the_scratch_folder_is_left_alone(source, output, kind):
+    path = scratch_of(output)
+    victim = output.parent.parent / "victim"
+    victim.mkdir()
+    (victim / "precious.txt").write_text("precious")
+    if kind == "archive":
+        path.mkdir(0o700)
+        (give_mark(path) / "output.bin").symlink_to(victim / "precious.txt")
+    elif kind == "open to all":
+        path.mkdir()
+        path.chmod(0o777)
+        (path / "made-by-msal").write_text(f"inode {path.stat().st_ino}\n")
+    elif kind == "file":
+        path.write_text("precious")
+    else:
+        path.symlink_to(victim if kind == "link" else Path("..") / victim.name)
+    made = tiled(source, output, *METHOD)
+    assert made.exit_code == 1
+    assert "E_WRITE" in made.stderr and "not a scratch folder that you made" in made.stderr
+    assert names(victim) == ["precious.txt"] and not output.exists()
+    assert (victim / "precious.txt").read_text() == "precious"
+    assert os.path.lexists(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs modes of POSIX")
+def test_no_other_user_can_look_into_the_scratch_folder(output):
+    with tile_scratch.lock_scratch(scratch_of(output)) as scratch:
+        assert scratch.path.stat().st_mode & 0o777 == 0o700
+        (scratch.path / "plan.json").write_text("{}")
+        tile_scratch.clear(scratch)
+    # It is taken again.
+    with tile_scratch.lock_scratch(scratch_of(output)) as scratch:
+        assert not scratch.has("plan.json")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs modes of POSIX")
+def test_an_output_is_as_private_as_its_input(source, output):
+    source.chmod(0o600)
+    assert tiled(source, output, *METHOD).exit_code == 0
+    assert output.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_folder_of_another_user_is_not_taken(output, monkeypatch):
+    with tile_scratch.lock_scratch(scratch_of(output)):
+        pass
+    monkeypatch.setattr(os, "geteuid", lambda: 12345, raising=False)
+    with pytest.raises(OutputError, match="not a scratch folder that you made"):
+        tile_scratch.lock_scratch(scratch_of(output)).__enter__()
 
 
 @pytest.mark.slow
@@ -335,8 +391,8 @@ def test_one_giant_among_small_files(tmp_path, monkeypatch):
     folder.mkdir()
     for name in ("a", "c"):
         scan(folder / f"{name}.ply", 12, 8)
-    scan(folder / "b.ply", 864, 432)
-    limit = ("--memory-limit", "120M")
+    scan(folder / "b.ply", 1200, 600)
+    limit = ("--memory-limit", "200M")
     made = msal("denoise", folder, "-o", tmp_path / "out", "--json", *limit, *METHOD)
     assert made.exit_code == 0, made.stderr
     records = json.loads(made.stdout)["records"]
@@ -414,11 +470,17 @@ def test_a_dry_run_knows_a_billion_triangles_by_their_header(tmp_path, monkeypat
 @pytest.mark.slow
 def test_dask_runs_the_tasks(source, output, monkeypatch, tmp_path):
     pytest.importorskip("distributed")
+    from tests.batch.test_dask_engine import ended, started_cluster
+
     expected = in_memory(source, *METHOD)
     monkeypatch.setenv(giants.DEATH_MARK, str(tmp_path / "died"))
     monkeypatch.setattr(tile_tasks, "run_tile_task", giants.die_once)
-    dask = ("--engine", "dask", "--scheduler", "local")
-    made = tiled(source, output, "-q", "-j2", *dask, *METHOD)
+    cluster = started_cluster(2)
+    try:
+        dask = ("--engine", "dask", "--scheduler", cluster.scheduler_address)
+        made = tiled(source, output, "-q", *dask, *METHOD)
+    finally:
+        ended(cluster)
     assert made.exit_code == 0, made.stderr
     # A lost worker costs its task.
     assert (tmp_path / "died").exists()

@@ -15,12 +15,12 @@ from tests.report.made import RUN, failed, of, written
 
 
 def rows(records):
-    text = as_csv.render(RUN, records).decode("utf-8")
+    text = raw(records).decode("utf-8")
     return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
 
 
 def raw(records):
-    return as_csv.render(RUN, records)
+    return as_csv.render(RUN, records, has_all=True)
 
 
 @settings(max_examples=40, deadline=None)
@@ -61,6 +61,15 @@ def test_columns_are_those_of_the_record_with_sorted_parameters():
     assert header[at + 1 : at + 3] == ["method.parameters.K", "method.parameters.iterations"]
     assert len(header) == len(set(header))
     assert header == raw([failed(method=written().method)]).split(b"\r\n")[0].decode().split(",")
+
+
+def test_by_default_a_table_has_the_columns_that_people_use_and_no_hashes():
+    text = as_csv.render(RUN, [written(border_marks=(12345678,)), failed()]).decode()
+    header = text.split("\r\n")[0].split(",")
+    every = raw([written(border_marks=(12345678,))]).decode()
+    assert header == list(as_csv.COMMON)
+    assert set(header) <= set(every.split("\r\n")[0].split(","))
+    assert "border_marks" not in every and "12345678" not in every
 
 
 def test_parameters_of_several_methods_stand_side_by_side():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from dataclasses import replace
 
 import pytest
 from PIL import Image
@@ -13,6 +14,7 @@ from msal_cli.job.records import MeshRecord
 from msal_cli.report import gallery
 from msal_cli.report import read_report as reading
 from msal_cli.report.gallery import Bounds
+from msal_cli.report.picture_cache import PictureCache
 from msal_cli.view import streamed_scene
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
 from tests.job.large_files import write_ply
@@ -48,6 +50,28 @@ def test_every_file_that_was_written_is_shown(records):
         images = [Image.open(io.BytesIO(data)) for data in (one.before, one.after, one.deviation)]
         assert {image.format for image in images} == {"JPEG"} and len({i.size for i in images}) == 1
         assert one.before != one.after != one.deviation
+
+
+def test_what_an_earlier_page_had_is_not_drawn_again(records, tmp_path, monkeypatch):
+    path = tmp_path / "pictures.zip"
+    first = PictureCache(str(path))
+    drawn = gallery.build_gallery(records, cache=first)
+    path.write_bytes(first.to_bytes())
+    monkeypatch.setattr(gallery, "_scene", lambda *given: pytest.fail("drawn again"))
+    again = PictureCache(str(path))
+    assert gallery.build_gallery(records, cache=again) == drawn
+    assert (first.n_drawn, again.n_drawn, again.to_bytes()) == (2, 0, None)
+
+
+def test_another_output_has_no_picture_in_the_archive_and_damage_is_no_fault(records, tmp_path):
+    path = tmp_path / "pictures.zip"
+    cache = PictureCache(str(path))
+    gallery.build_gallery(records, cache=cache)
+    path.write_bytes(cache.to_bytes()[:-40])
+    assert PictureCache(str(path)).find("") is None
+    other = [replace(one, output_sha256="0" * 64) for one in records if one.output_sha256]
+    path.write_bytes(cache.to_bytes())
+    assert gallery.build_gallery(other, cache=PictureCache(str(path))).pictures == {}
 
 
 def test_in_place_the_backup_is_the_input(tmp_path):

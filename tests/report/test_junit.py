@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from xml.etree import ElementTree as Xml
 
@@ -90,6 +91,16 @@ def test_folders_are_suites_in_the_order_of_the_inputs():
 def test_where_a_file_belongs(name, folder, case):
     (suite,) = parsed([written(name)])
     assert (suite.get("name"), suite.find("testcase").get("name")) == (folder, case)
+
+
+def test_properties_have_no_values_of_python():
+    settings = {"strict": True, "fields": ("noise", "sigma"), "lock": (), "to": None, "K": 0.5}
+    root = Xml.fromstring(as_junit.render(dataclasses.replace(RUN, settings=settings), [written()]))
+    told = {one.get("name"): one.get("value") for one in root.iter("property")}
+    assert told["msal.settings.strict"] == "true"
+    assert told["msal.settings.fields"] == '["noise", "sigma"]'
+    assert told["msal.settings.K"] == "0.5"
+    assert {"msal.settings.lock", "msal.settings.to"}.isdisjoint(told)
 
 
 def test_an_exception_is_an_error_with_its_hint():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from msal_cli.job.records import Failure, MeshRecord, Reference
+from msal_cli.job.records import ChoiceMade, Failure, MeshRecord, Reference
 from msal_cli.report import markdown as as_markdown
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
 
@@ -84,6 +84,12 @@ def test_any_records_make_a_page(records):
     done = [one for one in records if one.status not in ("failed", "planned")]
     rows = [table for table in tables(page) if table[0][0] == "file" and table[0][1] == "status"]
     assert sum(len(table) - 1 for table in rows) == len(done)
+
+
+def test_what_was_chosen_is_not_said_to_be_by_auto():
+    choice = ChoiceMade("noise 0.1 e; AL", None, 0.1, None, 1, (), {}, ())
+    page = text([written(choice=choice)])
+    assert "| chosen | msal 1 |" in page and "--auto" not in page
 
 
 def test_ten_thousand_files_fit_into_a_summary():

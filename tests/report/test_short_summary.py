@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from msal_cli.job.records import GateResult
+from msal_cli.job.records import GateResult, NoiseEstimate
 from msal_cli.report import text as as_text
 from msal_cli.report.short_summary import MOST_LINES
 from tests.report.made import RUN, written
@@ -31,6 +31,15 @@ def test_a_plain_result():
 def test_parameters_are_shown_where_the_defaults_are_not_known():
     assert "  method        msal (iterations 4, K 0.5)" in lines(written())
     assert "  method        msal" in lines(written(), defaults={"K": 0.5, "iterations": 4})
+
+
+def test_noise_that_is_filtered_is_not_said_to_be_none():
+    noise = NoiseEstimate(0.001, 0.0002, negligible=True)
+    for verbose in (False, True):
+        said = "\n".join(lines(written(noise_estimate=noise), verbose=verbose))
+        assert "hardly any, filtered all the same" in said
+        left = written(noise_estimate=noise, status="unchanged", left_alone="no noise")
+        assert "none to speak of" in "\n".join(lines(left, verbose=verbose))
 
 
 def test_counts_of_what_was_held_back_are_kept():
