@@ -31,9 +31,13 @@ if TYPE_CHECKING:
         InternalError,
         LossError,
         MeshRecord,
+        MethodInfo,
         MethodUsed,
+        MissingFileError,
+        MissingInputError,
         MsalError,
         NoiseEstimate,
+        NoiseReading,
         NormalChange,
         NothingMatched,
         OutputError,
@@ -52,6 +56,7 @@ if TYPE_CHECKING:
         denoise_file,
         denoise_folder,
         estimate_noise,
+        list_methods,
     )
 
 __all__ = [
@@ -68,9 +73,13 @@ __all__ = [
     "InternalError",
     "LossError",
     "MeshRecord",
+    "MethodInfo",
     "MethodUsed",
+    "MissingFileError",
+    "MissingInputError",
     "MsalError",
     "NoiseEstimate",
+    "NoiseReading",
     "NormalChange",
     "NothingMatched",
     "OutputError",
@@ -90,6 +99,7 @@ __all__ = [
     "denoise_file",
     "denoise_folder",
     "estimate_noise",
+    "list_methods",
 ]
 
 

@@ -2,11 +2,13 @@
 
     MsalError
     |-- UsageError          the command is wrong; nothing was touched
+    |   `-- MissingInputError   there is no such file or folder (also a FileNotFoundError)
     |-- InputError          the file is at fault
     |   |-- FormatError         it is not what its format says
     |   |-- TruncatedError      it ends before its own counts are met
     |   |-- ContentError        it parses, but holds a mesh that cannot be denoised
     |   |-- UnsupportedError    a format, or a feature of one, that is not read or written
+    |   |-- MissingFileError    it was not there to be read (also a FileNotFoundError)
     |   `-- TooLargeError       a limit against hostile or oversized input was hit
     |-- LossError           a conversion would lose data and --strict forbids it
     |-- OutputError         the output cannot be written
@@ -67,6 +69,10 @@ class UsageError(MsalError):
     code = "E_USAGE"
 
 
+class MissingInputError(UsageError, FileNotFoundError):
+    """There is no file or folder of that name; found before any work."""
+
+
 class InputError(MsalError):
     """The input file is at fault."""
 
@@ -99,6 +105,12 @@ class UnsupportedError(InputError):
     """A format, or a feature of one, that is not read or written."""
 
     code = "E_UNSUPPORTED"
+
+
+class MissingFileError(InputError, FileNotFoundError):
+    """The file is not there to be read."""
+
+    code = "E_READ"
 
 
 class TooLargeError(InputError):

@@ -82,8 +82,10 @@ def action_steps(action: dict, given: dict[str, str]) -> dict[str, tuple[str, di
     }
 
 
-def run_action(action: dict, project: Path, given: dict[str, str]) -> ActionRun:
-    """Run the step of the action that denoises, as a runner does."""
+def run_action(
+    action: dict, project: Path, given: dict[str, str], without: tuple[str, ...] = ()
+) -> ActionRun:
+    """Run the step of the action that denoises, as a runner does ``without`` some variables."""
     script, variables = action_steps(action, given)["Denoise and check"]
     written = project.parent / "github_output"
     summary = project.parent / "github_summary"
@@ -94,7 +96,8 @@ def run_action(action: dict, project: Path, given: dict[str, str]) -> ActionRun:
         "GITHUB_OUTPUT": str(written),
         "GITHUB_STEP_SUMMARY": str(summary),
     }
-    done = run_shell(project, script, "bash", **variables)
+    variables = {name: value for name, value in variables.items() if name not in without}
+    done = run_shell(project, "set -u\n" + script, "bash", **variables)
     return ActionRun(
         done.returncode, read_outputs(written.read_text()), summary.read_text(), done.stderr
     )

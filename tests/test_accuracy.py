@@ -1,4 +1,7 @@
-"""The benchmark of accuracy: its cases, its settings, its tables and its cache."""
+"""The benchmark of accuracy: its cases, its settings, its tables and its cache.
+
+Tests that compare with ``methods.names()`` fail for a new method; they say what to run.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,12 @@ from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import Choice
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
+
+A_NEW_METHOD = (
+    "For a new method: add its settings to benchmarks/accuracy_grid.py, run `MSAL_DATA=FOLDER "
+    "python -m benchmarks.accuracy --cache accuracy.json` (--quick leaves out large models), "
+    "and put the tables that it prints into docs/accuracy.md"
+)
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
 
@@ -67,7 +76,7 @@ def test_common_members_and_wished_ones_are_cases(monkeypatch, tmp_path):
 def test_the_grid_has_every_default_and_nothing_twice(coarse):
     settings = grid(coarse)
     assert settings[0] == defaults()[0]
-    assert {one.method for one in settings if one.is_default} == set(methods.names())
+    assert {one.method for one in settings if one.is_default} == set(methods.names()), A_NEW_METHOD
     texts = [one.text for one in settings]
     assert len(set(texts)) == len(texts) > 50
     settled = {
@@ -189,4 +198,10 @@ def test_the_page_has_every_class_and_every_method():
         part = page.partition(f"\n### {of.capitalize()}\n")[2].partition("\n### ")[0]
         assert "**`--auto`**" in part, of
         for name in methods.names():
-            assert f"\n| `{name}` | " in part, (of, name)
+            assert f"\n| `{name}` | " in part, f"{of} has no row for {name}. {A_NEW_METHOD}"
+
+
+def test_a_new_method_is_told_what_to_run(monkeypatch):
+    monkeypatch.setattr(methods, "names", lambda: ("al", "newest"))
+    with pytest.raises(AssertionError, match=r"no row for newest.*python -m benchmarks.accuracy"):
+        test_the_page_has_every_class_and_every_method()

@@ -16,17 +16,18 @@ import click
 import pytest
 from click.exceptions import Exit
 
-from msal_cli.cli import config_file, exit_codes
+from msal_cli.cli import config_file, exit_codes, main
 from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.plain_data import reported_fields
 from msal_cli.report.document import Run, Totals
 from tests.scripts import load_script
 
 refresh = load_script("docs/refresh.py")
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
-PAGES = (README, *sorted((ROOT / "docs").rglob("*.md")))
+PAGES = (README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTION = re.compile(r"(?<![\w-])(--[a-z][a-z-]*|-[a-zA-Z])(?![\w-])")
 PLACEHOLDERS = {"INPUT...": "in.ply", "SHELL": "bash", "[NAME]": "al", "NAME": "al"}
@@ -93,7 +94,7 @@ def test_every_documented_command_parses(
 ) -> None:
     # The files of --config are not here.
     monkeypatch.setattr(
-        config_file, "read_config", lambda path, *given, **named: config_file.Config(path, {})
+        config_file, "read_config", lambda path, *given, **named: config_file.Config(path, {}, True)
     )
     if call and not call[0].startswith("-"):
         assert call[0] in known_commands(), f"{page}: msal {shlex.join(call)}"
@@ -194,7 +195,51 @@ def test_msal_is_installed_from_where_it_is(page: Path) -> None:
     # Nor from an index under another name, by another installer, or without quotes.
     asked = re.findall(r"(?:pip|uv|pipx|conda) install ([^\n`&]*)", text)
     taken = [words for words in asked if "msal" in words and not words.startswith("./")]
-    assert all(refresh.SOURCE in words for words in taken), taken
+    assert all(refresh.source() in words for words in taken), taken
+
+
+def test_the_address_of_the_repository_is_set_in_one_place(monkeypatch) -> None:
+    shown = [page for page in refresh.PAGES if refresh.PLACEHOLDER[8:] in page.read_text("utf-8")]
+    assert {"README.md", "index.md", "ci.md", "usage.md"} <= {page.name for page in shown}
+    monkeypatch.setattr(refresh, "REPOSITORY", "https://code.site.org/team/msal-cli")
+    for page in refresh.PAGES:
+        text = refresh.with_source(page.read_text("utf-8"))
+        assert "git.example.com" not in text and "OWNER" not in text.replace("HOST/OWNER", "")
+    ci = refresh.with_source((ROOT / "docs/ci.md").read_text("utf-8"))
+    for words in (
+        "uses: team/msal-cli@main",
+        "component: code.site.org/team/msal-cli/denoise@main",
+        "repo: https://code.site.org/team/msal-cli\n",
+        "source: msal-cli @ https://code.site.org/team/msal-cli/archive/main.tar.gz",
+    ):
+        assert words in ci
+    component = refresh.component_with_source(refresh.COMPONENT.read_text("utf-8"))
+    assert "default: msal-cli @ https://code.site.org/team/msal-cli/archive" in component
+
+
+def test_a_placeholder_is_not_given_for_an_address() -> None:
+    """A page that shows it says so, and the component asks for what to install."""
+    assert not refresh.REPOSITORY, "then this test is of no use"
+    for name in ("README.md", "docs/index.md", "docs/ci.md"):
+        assert refresh.NOTE in (ROOT / name).read_text("utf-8")
+    assert "git.example.com" not in refresh.COMPONENT.read_text("utf-8")
+
+
+def test_contributing_is_short_and_names_what_is_there() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    assert len(text.split()) < 900
+    named = re.findall(r"`((?:msal_cli|tests|benchmarks|docs|kernel_build)/[\w./]+)`", text)
+    assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
+    modules = re.findall(r"python -m ((?:tests|benchmarks)\.[\w.]+)", text)
+    assert len(modules) >= 5
+    for module in modules:
+        assert (ROOT / f"{module.replace('.', '/')}.py").exists(), module
+
+
+def test_usage_begins_with_all_commands() -> None:
+    start = (ROOT / "docs/usage.md").read_text("utf-8").partition("\n## ")[0]
+    listed = re.findall(r"^\| `msal (\w+) ", start, re.MULTILINE)
+    assert sorted(listed) == sorted(main.COMMANDS)
 
 
 def readme_block(name: str) -> str:
@@ -216,13 +261,24 @@ def test_ci_runs_the_commands_of_the_readme() -> None:
     assert set_up not in script
     assert "-m venv .venv" in set_up and "msal denoise sample_meshes" in set_up
     assert "-m pytest" in tests
+    # To try msal needs no package of development, and its tests need all of them.
+    assert "install -q -e . " in set_up and "'.[dev]'" in tests
+    # What the extra brings is used after the block that installs it.
+    checks = [script.index(f".venv/bin/{tool}") for tool in ("ruff", "mypy")]
+    assert min(checks) > script.index("run_block tests")
+
+
+def test_the_readme_begins_with_its_unit_the_choice_and_how_to_look() -> None:
+    first_screen = README.read_text("utf-8").partition("## Try it")[0]
+    for words in ("**e** is the mean edge length", "Take `--auto`", "40 scans", "msal view"):
+        assert words in first_screen
 
 
 def fields(kind: type[Any], prefix: str = "") -> set[str]:
     """Names of a record's fields; those of an inner record follow with a dot."""
     names = set()
     hints = typing.get_type_hints(kind)
-    for one in dataclasses.fields(kind):
+    for one in reported_fields(kind):
         names.add(prefix + one.name)
         for inner in typing.get_args(hints[one.name]):
             if dataclasses.is_dataclass(inner) and not prefix and kind is records.MeshRecord:
@@ -253,8 +309,7 @@ def test_every_error_code_is_documented() -> None:
         used |= set(re.findall(r"\"(E_[A-Z_]+)\"", path.read_text("utf-8")))
     text = (ROOT / "docs/formats.md").read_text("utf-8")
     listed = set(re.findall(r"^\| `(E_[A-Z_]+)` \|", text, re.MULTILINE))
-    # Classes of codes that no error is ever raised with itself.
-    assert listed == used - {"E_INPUT"}
+    assert listed == used
 
 
 def test_exit_statuses_are_documented() -> None:

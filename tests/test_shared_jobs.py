@@ -83,16 +83,40 @@ def test_action_outputs_are_written_by_its_step(project):
     written = {name for value in named for name in re.findall(r"denoise\.outputs\.(\w+)", value)}
     assert written == {"status", "report"}
     uses = [step["uses"] for step in ACTION["runs"]["steps"] if "uses" in step]
-    assert all(re.fullmatch(r"actions/[\w-]+@v\d+", one) for one in uses)
+    assert all(re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", one) for one in uses)
 
 
+def test_action_keeps_apart_outputs_from_names_of_reports(project):
+    report = "a.json\nEND_OF_REPORTS\nstatus=0\n-n"
+    done = run_action(ACTION, project, {"report": report, "options": "--method al"})
+    assert done.outputs["report"] == report
+    assert done.outputs["status"] == "2" == str(done.status)
+
+
+def test_action_takes_names_for_names(project):
+    (project / "scans").rename(project / "-scans")
+    given = {"files": "-scans", "output": "-out", "options": "--method al", "report": ""}
+    assert run_action(ACTION, project, given).status == 0
+    baseline = run_shell(project, ["msal", "compare", "--json", "--", "-scans", "-out"])
+    (project / "base.json").write_text(baseline.stdout)
+    done = run_action(ACTION, project, given | {"baseline": "base.json"})
+    assert done.status == 0, done.stderr
+
+
+def test_action_needs_no_summary(project):
+    given = {"report": "", "options": "--method al"}
+    done = run_action(ACTION, project, given, without=("GITHUB_STEP_SUMMARY",))
+    assert done.status == 0, done.stderr
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="no git")
 @pytest.mark.parametrize("name", sorted(HOOKS))
 def test_hooks(project, name):
     hook = HOOKS[name]
     assert hook["language"] == "python" and hook["pass_filenames"] is False
     pattern = re.compile(hook["files"])
     assert pattern.search("scans/a.ply") and not pattern.search("scans/a.txt")
-    (project / ".git").mkdir()
+    assert run_shell(project, "git init -q .").returncode == 0
     add_spike(project)
     # The default gate of the check needs the choice, which takes longer.
     quick = [] if name == "msal-check" else ["--method=msal"]
@@ -106,6 +130,23 @@ def test_hooks(project, name):
         assert (project / "denoised/spike.ply").exists()
 
 
+@pytest.mark.skipif(shutil.which("git") is None, reason="no git")
+def test_check_keeps_its_outputs_in_the_folder_of_a_worktree(project):
+    git = "git -c user.name=a -c user.email=a@example.com"
+    made = run_shell(
+        project,
+        f"git init -q . && {git} commit -qm a --allow-empty && git worktree add -q ../other",
+    )
+    assert made.returncode == 0, made.stderr
+    shutil.copytree(project / "scans", project.parent / "other/scans")
+    hook = HOOKS["msal-check"]
+    words = [*shlex.split(hook["entry"]), "scans", "--method=al"]
+    done = run_shell(project.parent / "other", words)
+    assert done.returncode == 0, done.stderr
+    assert (project / ".git/worktrees/other/msal/closed.ply").exists()
+    assert run_shell(project.parent / "other", "git status --porcelain").stdout == "?? scans/\n"
+
+
 def component(**given):
     """The jobs of the GitLab component, inputs filled in as GitLab does: as text."""
     text = (ROOT / "templates/denoise.yml").read_text("utf-8")
@@ -114,12 +155,14 @@ def component(**given):
     assert set(given) <= set(inputs)
     used = set(re.findall(r"\$\[\[ inputs\.(\w+) \]\]", body))
     assert used == set(inputs)
-    values = {name: given.get(name, one["default"]) for name, one in inputs.items()}
+    values = {
+        name: given[name] if name in given else one["default"] for name, one in inputs.items()
+    }
     return yaml.safe_load(re.sub(r"\$\[\[ inputs\.(\w+) \]\]", lambda at: values[at[1]], body))
 
 
 def test_component(project):
-    (job,) = component(options="--include '*.ply'").values()
+    (job,) = component(options="--include '*.ply'", source="dist/a.whl").values()
     add_spike(project)
     done = run_shell(project, "\n".join(job["script"]), **job["variables"])
     assert done.returncode == 4, done.stderr
@@ -129,8 +172,21 @@ def test_component(project):
     assert len(tree.findall(".//failure")) >= 1
 
 
+def test_component_takes_several_gates(project):
+    (job,) = component(
+        gates="seconds.total < 0; vertices > 10; ", options="-v", source="."
+    ).values()
+    done = run_shell(project, "\n".join(job["script"]), **job["variables"])
+    assert done.returncode == 4, done.stderr
+    assert "broken: vertices > 10" in done.stderr
+    report = json.loads((project / "meshes.json").read_text())
+    assert {len(one["gates"]) for one in report["records"]} == {2}
+
+
 def test_component_takes_its_inputs():
     jobs = component(job="scans", output="out", image="python:3.13", source="dist/a.whl")
     assert jobs["scans"]["cache"]["paths"] == ["out"]
     assert jobs["scans"]["variables"]["MSAL_SOURCE"] == "dist/a.whl"
-    assert component()["denoise"]["variables"]["MSAL_SOURCE"] == f"msal-cli{refresh.SOURCE}"
+    with pytest.raises(KeyError, match="default"):
+        # What to install is not known before the repository has an address.
+        component()

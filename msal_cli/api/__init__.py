@@ -11,6 +11,7 @@ import logging
 from msal_cli.api.comparing import compare
 from msal_cli.api.denoising import DenoiseResult, denoise
 from msal_cli.api.files import denoise_file, denoise_folder
+from msal_cli.api.method_list import MethodInfo, list_methods
 from msal_cli.api.noise import add_noise, estimate_noise
 from msal_cli.batch.inputs import NothingMatched
 from msal_cli.errors import (
@@ -19,6 +20,8 @@ from msal_cli.errors import (
     InputError,
     InternalError,
     LossError,
+    MissingFileError,
+    MissingInputError,
     MsalError,
     OutputError,
     ResourceError,
@@ -37,6 +40,7 @@ from msal_cli.job.records import (
     MeshRecord,
     MethodUsed,
     NoiseEstimate,
+    NoiseReading,
     NormalChange,
     Seconds,
     SelfIntersections,
@@ -58,9 +62,13 @@ __all__ = [
     "InternalError",
     "LossError",
     "MeshRecord",
+    "MethodInfo",
     "MethodUsed",
+    "MissingFileError",
+    "MissingInputError",
     "MsalError",
     "NoiseEstimate",
+    "NoiseReading",
     "NormalChange",
     "NothingMatched",
     "OutputError",
@@ -79,6 +87,7 @@ __all__ = [
     "denoise_file",
     "denoise_folder",
     "estimate_noise",
+    "list_methods",
 ]
 
 # Without a handler Python would print warnings to standard error.

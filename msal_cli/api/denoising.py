@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike
 from msal_cli.api.explanations import explained_errors
 from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
 from msal_cli.api.mesh_objects import read_object
+from msal_cli.api.names import Assumption, Keep, MethodName, MethodParameters, Preference
 from msal_cli.api.settings import build_settings, merge_parameters
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.pipeline import FileRun
+from msal_cli.job.plain_data import screen_repr
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
 from msal_cli.job.settings import NO_LIMITS, Settings
 
@@ -27,7 +29,7 @@ _MASK, _TRUST = "(lock)", "(weights)"
 """Properties that hold the arrays of these arguments; no library has such names."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DenoiseResult:
     """Denoised positions, and what was done.
 
@@ -75,17 +77,31 @@ class DenoiseResult:
         """What you should know although the mesh was denoised."""
         return self.record.warnings
 
+    def __repr__(self) -> str:
+        moved = self.record.displacement
+        facts = {
+            "vertices": f"{self.vertices.dtype}{list(self.vertices.shape)}",
+            "method": self.method,
+            "parameters": self.parameters,
+            "reason": self.reason,
+            "noise": self.noise.words,
+            "displacement": moved and f"mean {moved.mean_edges:.3g} e, max {moved.max_edges:.3g} e",
+            "warnings": self.warnings,
+        }
+        return screen_repr("DenoiseResult", facts)
+
 
 @overload
 def denoise(
     vertices: ArrayLike,
     faces: ArrayLike,
-    method: str | None = None,
+    method: MethodName | None = None,
     *,
-    prefer: str | None = None,
-    keep: str | None = None,
+    prefer: Preference | None = None,
+    keep: Keep | None = None,
     strength: float | None = None,
     budget: float | None = None,
+    assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] | ArrayLike | None = None,
     weights: str | ArrayLike | None = None,
@@ -93,7 +109,7 @@ def denoise(
     min_noise: str | float | None = None,
     unit: str | None = None,
     parameters: Mapping[str, Any] | None = None,
-    **more: Any,
+    **more: Unpack[MethodParameters],
 ) -> DenoiseResult: ...
 
 
@@ -101,11 +117,12 @@ def denoise(
 def denoise(
     vertices: MeshObject,
     *,
-    method: str | None = None,
-    prefer: str | None = None,
-    keep: str | None = None,
+    method: MethodName | None = None,
+    prefer: Preference | None = None,
+    keep: Keep | None = None,
     strength: float | None = None,
     budget: float | None = None,
+    assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] | ArrayLike | None = None,
     weights: str | ArrayLike | None = None,
@@ -113,19 +130,20 @@ def denoise(
     min_noise: str | float | None = None,
     unit: str | None = None,
     parameters: Mapping[str, Any] | None = None,
-    **more: Any,
+    **more: Unpack[MethodParameters],
 ) -> MeshObject: ...
 
 
 def denoise(
     vertices: Any,
     faces: Any = None,
-    method: str | None = None,
+    method: MethodName | None = None,
     *,
-    prefer: str | None = None,
-    keep: str | None = None,
+    prefer: Preference | None = None,
+    keep: Keep | None = None,
     strength: float | None = None,
     budget: float | None = None,
+    assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] | ArrayLike | None = None,
     weights: str | ArrayLike | None = None,
@@ -133,7 +151,7 @@ def denoise(
     min_noise: str | float | None = None,
     unit: str | None = None,
     parameters: Mapping[str, Any] | None = None,
-    **more: Any,
+    **more: Unpack[MethodParameters],
 ) -> Any:
     """Remove the noise of a triangle mesh; vertices and faces keep their number and order.
 
@@ -157,6 +175,9 @@ def denoise(
     strength : for ``"auto"``, -2 to 2: greater is smoother, less keeps more.  0 is the choice.
     budget : for ``"auto"``, from 1: the most time for choosing and denoising, in runs of the
         default method over this mesh; more may find a better result.  Default 60.
+    assume : ``"noise"`` or ``"texture"``: what the roughness of the mesh is where the estimate
+        cannot tell (``noise.unsure``); it changes nothing where it can.  None takes a mild filter
+        that is not much worse either way.  For every choice, also without ``"auto"``.
     max_move : no vertex goes further: ``"0.3e"`` is in mean edge lengths, a number in the unit of
         the vertices, ``"0.1mm"`` a length where ``unit`` is given.  Less keeps closer to the input.
     lock : vertices that stay where they are: a mask (n,), indices (k,), ``"boundary"``, or (of mesh
@@ -181,7 +202,7 @@ def denoise(
     Raises
     ------
     UsageError
-        for arguments that mean nothing or exclude each other.
+        for arguments that mean nothing or exclude each other, or have another name.
     ContentError
         for arrays that are no mesh: ``E_NONFINITE``, ``E_INDEX``, ``E_NO_FACES``, ``E_RANGE``, or
         ``E_CONTENT`` for shapes and number types.
@@ -209,15 +230,18 @@ def denoise(
     >>> result = msal.denoise(vertices, faces, "msal", K=0.4, max_move="0.5e")  # doctest: +SKIP
     >>> result.vertices.shape, result.displacement.max_edges  # doctest: +SKIP
     """
-    wishes = {"prefer": prefer, "keep": keep, "strength": strength, "budget": budget}
     with explained_errors():
         is_object = faces is None
         mesh = read_object(vertices) if is_object else _read_arrays(vertices, faces)
         mesh, locks, trust = _with_constraints(mesh, lock, weights)
         settings = build_settings(
             method,
-            merge_parameters(parameters, more),
-            **wishes,  # type: ignore[arg-type]
+            merge_parameters(parameters, more, denoise),
+            prefer=prefer,
+            keep=keep,
+            strength=strength,
+            budget=budget,
+            assume=assume,
             max_move=max_move,
             locks=locks,
             weights=trust,

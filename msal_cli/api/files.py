@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from msal_cli.api.background_run import iterate_records
 from msal_cli.api.comparing import path_text
 from msal_cli.api.explanations import explained_errors
+from msal_cli.api.names import (
+    Assumption,
+    Encoding,
+    Keep,
+    MethodName,
+    MethodParameters,
+    Precision,
+    Preference,
+)
 from msal_cli.api.settings import build_settings, merge_parameters
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.errors import UsageError
@@ -26,12 +35,13 @@ Path = str | os.PathLike[str]
 def denoise_file(
     input: Path,
     output: Path,
-    method: str | None = None,
+    method: MethodName | None = None,
     *,
-    prefer: str | None = None,
-    keep: str | None = None,
+    prefer: Preference | None = None,
+    keep: Keep | None = None,
     strength: float | None = None,
     budget: float | None = None,
+    assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] = (),
     weights: str | None = None,
@@ -40,14 +50,14 @@ def denoise_file(
     unit: str | None = None,
     intersections: bool = False,
     to: str | None = None,
-    encoding: str = "same",
-    precision: str = "same",
+    encoding: Encoding = "same",
+    precision: Precision = "same",
     strict: bool = False,
     format: str | None = None,
     max_faces: int | None = None,
     fail_on: str | Sequence[str] = (),
     parameters: Mapping[str, Any] | None = None,
-    **more: Any,
+    **more: Unpack[MethodParameters],
 ) -> MeshRecord:
     """Denoise one mesh file; the output is the input with its positions replaced.
 
@@ -57,8 +67,8 @@ def denoise_file(
     ----------
     input : a mesh file of any format that msal reads (docs/formats.md), or a URL.
     output : the file to write; one that is there is replaced.  Its suffix decides the format.
-    method, prefer, keep, strength, budget, max_move, despike, min_noise, unit, parameters, more :
-        as for ``denoise``.
+    method, prefer, keep, strength, budget, assume, max_move, despike, min_noise, unit, parameters,
+    more : as for ``denoise``.
     lock : ``"boundary"``, or a PLY vertex property compared with a number, such as
         ``"confidence < 0.2"``; several in a list add up.
     weights : a PLY vertex property, such as ``"confidence"``, as trust.
@@ -91,11 +101,12 @@ def denoise_file(
         gates = _parse_gates(fail_on, unit)
         settings = build_settings(
             method,
-            merge_parameters(parameters, more),
+            merge_parameters(parameters, more, denoise_file),
             prefer=prefer,
             keep=keep,
             strength=strength,
             budget=budget,
+            assume=assume,
             max_move=max_move,
             locks=_texts(lock),
             weights=weights,
@@ -125,12 +136,13 @@ def denoise_file(
 def denoise_folder(
     inputs: Path | Sequence[Path],
     output: Path | None = None,
-    method: str | None = None,
+    method: MethodName | None = None,
     *,
-    prefer: str | None = None,
-    keep: str | None = None,
+    prefer: Preference | None = None,
+    keep: Keep | None = None,
     strength: float | None = None,
     budget: float | None = None,
+    assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] = (),
     weights: str | None = None,
@@ -139,8 +151,8 @@ def denoise_folder(
     unit: str | None = None,
     intersections: bool = False,
     to: str | None = None,
-    encoding: str = "same",
-    precision: str = "same",
+    encoding: Encoding = "same",
+    precision: Precision = "same",
     strict: bool = False,
     format: str | None = None,
     max_faces: int | None = None,
@@ -158,7 +170,7 @@ def denoise_folder(
     fresh: bool = False,
     retry_failed: bool = False,
     parameters: Mapping[str, Any] | None = None,
-    **more: Any,
+    **more: Unpack[MethodParameters],
 ) -> Generator[MeshRecord, None, None]:
     """Denoise all mesh files of a folder; iterate the records as files finish.
 
@@ -214,11 +226,12 @@ def denoise_folder(
         gates = _parse_gates(fail_on, unit)
         settings = build_settings(
             method,
-            merge_parameters(parameters, more),
+            merge_parameters(parameters, more, denoise_folder),
             prefer=prefer,
             keep=keep,
             strength=strength,
             budget=budget,
+            assume=assume,
             max_move=max_move,
             locks=_texts(lock),
             weights=weights,

@@ -51,7 +51,8 @@ class MemoryMesh:
                 code="E_PROPERTY",
                 hint=f"it has: {known}" if known else "it has none; give an array (n,)",
             )
-        values = np.ascontiguousarray(self.properties[name], dtype=np.float64).reshape(-1)
+        given = as_array(self.properties[name], f"the values of {name}")
+        values = np.ascontiguousarray(given, dtype=np.float64).reshape(-1)
         if len(values) != len(self.vertices):
             raise ContentError(
                 f"{name}: there are {len(values)} values for {len(self.vertices)} vertices"
@@ -97,6 +98,7 @@ def from_arrays(
             code="E_NO_FACES",
             hint="msal denoises surfaces; make a mesh of the point cloud first",
         )
+    _require_shape(positions, corners)
     is_float = positions.dtype.kind == "f"
     return MemoryMesh(
         np.ascontiguousarray(positions, dtype=np.float64),
@@ -108,8 +110,63 @@ def from_arrays(
     )
 
 
+def _require_shape(vertices: Array, faces: Array) -> None:
+    """Refuse what is no (n, 3) and (m, 3), and indices beyond the vertices, with what to give
+    instead; ContentError."""
+    n = len(vertices)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ContentError(
+            f"vertices have shape {vertices.shape}, not (n, 3)", hint=_hint(vertices, "vertices")
+        )
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise ContentError(
+            f"faces have shape {faces.shape}, not (m, 3)", hint=_hint(faces, "faces")
+        )
+    if faces.dtype.kind not in "iu":
+        raise ContentError(
+            f"face indices are {faces.dtype}, not integers",
+            code="E_INDEX",
+            hint="give faces.astype(int) if they are whole numbers",
+        )
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= n:
+        at, corner = np.argwhere((faces < 0) | (faces >= n))[0]
+        from_one = low == 1 and high == n
+        raise ContentError(
+            f"a face names vertex {int(faces[at, corner])} of {n}",
+            code="E_INDEX",
+            where=f"face {int(at)}",
+            hint="the faces count from 1: give faces - 1"
+            if from_one
+            else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
+        )
+
+
+def _hint(array: Array, name: str) -> str:
+    """What to give in place of an array of a wrong shape."""
+    if array.ndim == 2 and array.shape[0] == 3:
+        return f"each row must be one of them: give {name}.T"
+    if array.ndim == 1 and array.size % 3 == 0:
+        return f"give {name}.reshape(-1, 3)"
+    if name == "faces" and array.ndim == 2 and array.shape[1] == 4:
+        if (array[:, 0] == 3).all():
+            return "each row begins with the number of its corners: give faces[:, 1:]"
+        return (
+            "cut each quad into two triangles: "
+            "numpy.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
+        )
+    return f"give a row of three numbers for each of the {name}"
+
+
 def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError) -> Array:
-    """An array of what was given; an ``error`` where its rows are not of one length."""
+    """An array of what was given; an ``error`` where its rows are not of one length, or where some
+    of it is masked: numpy would drop the mask, and take what is below it for numbers."""
+    parts = values if isinstance(values, list | tuple) else (values,)
+    if any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
+        raise error(
+            f"{name} have masked values",
+            hint="leave the masked elements out, or give them values with .filled()",
+        )
     try:
         return np.asarray(values)
     except (TypeError, ValueError) as reason:
@@ -120,7 +177,8 @@ def scalar_properties(arrays: Mapping[str, Any], n_vertices: int) -> dict[str, A
     """Those of the arrays that have one real number for each vertex."""
     found = {}
     for name, values in arrays.items():
-        array = np.asarray(values)
+        # Masks are looked at where the numbers are used.
+        array = np.asanyarray(values)
         if array.dtype.kind in "fiub" and array.size == n_vertices == len(array):
             found[str(name)] = array
     return found

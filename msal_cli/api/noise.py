@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from msal_cli.api.explanations import explained_errors
 from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
 from msal_cli.api.mesh_objects import read_object
+from msal_cli.api.names import NoiseKind
 from msal_cli.api.settings import to_number, to_whole_number
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
@@ -56,7 +57,7 @@ def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstima
 def add_noise(
     vertices: ArrayLike,
     faces: ArrayLike,
-    kind: str = "gaussian-normal",
+    kind: NoiseKind = "gaussian-normal",
     *,
     level: float = 0.2,
     seed: int = 0,
@@ -73,7 +74,7 @@ def add_noise(
 def add_noise(
     vertices: MeshObject,
     *,
-    kind: str = "gaussian-normal",
+    kind: NoiseKind = "gaussian-normal",
     level: float = 0.2,
     seed: int = 0,
     fraction: float | None = None,
@@ -88,7 +89,7 @@ def add_noise(
 def add_noise(
     vertices: Any,
     faces: Any = None,
-    kind: str = "gaussian-normal",
+    kind: NoiseKind = "gaussian-normal",
     *,
     level: float = 0.2,
     seed: int = 0,
@@ -109,10 +110,11 @@ def add_noise(
         faces, as for ``denoise``.
     faces : (m, 3) integers, the vertices of each triangle, counted from 0.
     kind : ``gaussian-normal`` (along the vertex normals), ``gaussian`` (in each coordinate),
-        ``mixed`` (that of Fig. 7 of Huang and Ascher, Inverse Problems 24 (2008): along the normals
-        and as much across), ``impulsive``, ``correlated`` (shared by neighbours), ``view`` (along a
-        direction), ``quantised`` (depths in steps), ``grazing``, ``half``, ``ramp``, ``property``
-        or ``outliers``; docs/noise.md explains them.
+        ``uniform`` (in each coordinate, from -level to +level), ``mixed`` (that of Fig. 7 of Huang
+        and Ascher, Inverse Problems 24 (2008): along the normals and as much across),
+        ``impulsive``, ``correlated`` (shared by neighbours), ``view`` (along a direction),
+        ``quantised`` (depths in steps), ``grazing``, ``half``, ``ramp``, ``property`` or
+        ``outliers``; docs/noise.md explains them.
     level : standard deviation in mean edge lengths, from 0: greater is noisier.
     seed : whole number from 0; another one gives other noise of the same kind.
     fraction : for impulsive and outliers, the share of the vertices that move, 0 to 1; default 0.1.

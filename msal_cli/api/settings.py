@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, get_args
 
+from msal_cli.api.names import Assumption, Encoding, Keep, MethodParameters, Precision, Preference
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import (
     ADAPTIVE,
@@ -20,8 +23,9 @@ from msal_cli.job.settings import (
 DEFAULT_METHOD = "msal"
 
 _WORDS = {
-    "prefer": ("balanced", "positions", "normals", "volume"),
-    "keep": ("texture", "edges", "shape"),
+    "prefer": get_args(Preference),
+    "keep": get_args(Keep),
+    "assume": get_args(Assumption),
 }
 _STRONGEST = 2.0
 _LEAST_BUDGET = 1.0
@@ -35,6 +39,7 @@ def build_settings(
     keep: str | None,
     strength: float | None,
     budget: float | None,
+    assume: str | None,
     max_move: str | float | None,
     locks: Sequence[str],
     weights: str | None,
@@ -58,7 +63,13 @@ def build_settings(
     from msal_cli.codecs.detection import readable_suffixes
     from msal_cli.job.constraints import BOUNDARY, parse_lock
 
-    wishes = {"prefer": prefer, "keep": keep, "strength": strength, "budget": budget}
+    wishes = {
+        "prefer": prefer,
+        "keep": keep,
+        "strength": strength,
+        "budget": budget,
+        "assume": assume,
+    }
     given = {name: value for name, value in wishes.items() if value is not None}
     name, values = _choose_method(method, parameters, given)
     if weights is not None:
@@ -75,8 +86,8 @@ def build_settings(
         despike=despike,
         checks=(SELF_INTERSECTIONS,) if intersections else (),
         to=_format_word(to, "to", writable_formats),
-        encoding=_word("encoding", encoding, ("same", "ascii", "binary")),
-        precision=_word("precision", precision, ("same", "float32", "float64")),
+        encoding=_word("encoding", encoding, get_args(Encoding)),
+        precision=_word("precision", precision, get_args(Precision)),
         strict=strict,
         format=_format_word(format, "format", readable_suffixes),
     )
@@ -97,9 +108,22 @@ def _format_word(word: str | None, name: str, known: Callable[[], tuple[str, ...
 
 
 def merge_parameters(
-    parameters: Mapping[str, Any] | None, more: Mapping[str, Any]
+    parameters: Mapping[str, Any] | None, more: Mapping[str, Any], function: Callable[..., Any]
 ) -> dict[str, Any]:
-    """The parameters of a method; UsageError for one that is given twice."""
+    """The parameters of a method; UsageError for one that is given twice, and for a keyword in
+    ``more`` that neither ``function`` nor any method has."""
+    own = inspect.signature(function).parameters
+    known = {name.casefold(): name for name in (*own, *MethodParameters.__annotations__)}
+    for name in more:
+        if name not in known.values():
+            close = difflib.get_close_matches(name.casefold(), known, n=1)
+            raise UsageError(
+                f"{function.__name__} has no argument {name!r}",
+                hint=f"did you mean {known[close[0]]}?"
+                if close
+                else f"see help(msal_cli.{function.__name__}), and msal_cli.list_methods() for "
+                "the parameters of methods",
+            )
     twice = sorted((parameters or {}).keys() & more.keys())
     if twice:
         raise UsageError(f"{twice[0]} is given twice", hint="give it once")
@@ -134,6 +158,9 @@ def _choose_method(
     method: str | None, parameters: Mapping[str, Any], wishes: dict[str, Any]
 ) -> tuple[str, dict[str, Any]]:
     """The method's name and all its parameters; for ``AUTO`` the wishes."""
+    if wishes.keys() == {"assume"} and method in (None, ADAPTIVE):
+        _refuse_parameters(ADAPTIVE, parameters)
+        return ADAPTIVE, _checked_wishes(wishes)
     if method == AUTO or (wishes and method is None):
         _refuse_parameters(AUTO, parameters)
         from msal_cli.auto import Wishes

@@ -1,8 +1,8 @@
-"""``msal compare``: a mesh, or a folder of meshes, against a reference."""
+"""``msal compare``: meshes, or a folder of meshes, against a reference."""
 
 from __future__ import annotations
 
-import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -21,19 +21,23 @@ if TYPE_CHECKING:
 
 _NO_PARTNER = "E_NO_PARTNER"
 
+_HEAT_MAP = r"ply\r?\nformat [^\n]*\n(comment [^\n]*\n)*?comment msal [^\n]*: deviation from "
+"""How a heat map begins that an earlier call wrote."""
+
 
 @grouped_command(
     "compare",
     epilog="""\b
 Examples:
   msal compare truth.ply denoised.ply --heatmap deviation.ply
+  msal compare truth.ply plain.ply auto.ply msal.ply
   msal compare scans denoised --json > known.json
   msal compare scans denoised --baseline known.json --tolerance 2%
 \b
 Exit status: see msal --help.""",
 )
 @click.argument("before", metavar="A", type=options.PATH)
-@click.argument("after", metavar="B", type=options.PATH)
+@click.argument("others", metavar="B...", nargs=-1, required=True, type=options.PATH)
 @group(
     "Input and output",
     options.FILES,
@@ -90,8 +94,8 @@ Exit status: see msal --help.""",
         "--json",
         "as_json",
         is_flag=True,
-        help="Print one JSON object for two files; for folders one document, whose records list "
-        "holds an object per pair.",
+        help="Print one JSON object for two files; for more files and for folders one document, "
+        "whose records list holds an object per pair.",
     ),
 )
 @group(
@@ -103,7 +107,7 @@ def command(
     context: click.Context,
     /,
     before: str,
-    after: str,
+    others: tuple[str, ...],
     heatmap: str | None,
     include: tuple[str, ...],
     exclude: tuple[str, ...],
@@ -118,7 +122,8 @@ def command(
 ) -> int:
     """Measure B against A, which is the reference: before and after, or truth and result.
 
-    A and B are two files, or two folders whose files are matched by relative path. Measured are
+    A and B are two files, or two folders whose files are matched by relative path. With more than
+    one file B there is a table, a row for each. Measured are
     the displacement, the angles between face normals (mean: the MSAE of the literature), the vertex
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
     Hausdorff distance. Where the faces are not the same, the surfaces are compared.
@@ -126,8 +131,9 @@ def command(
     PLY and STL files that are larger than memory are read in pieces; their faces must be the same,
     and distances between the surfaces are not measured.
 
-    Of folders the exit status is 3 if a pair cannot be compared, else 4 if a gate is broken or the
-    baseline not met, else 3 if a file has no partner; 1 if no pair at all can be compared.
+    Of folders and of more than two files the exit status is 3 if a pair cannot be compared, else 4
+    if a gate is broken or the baseline not met, else 3 if a file has no partner; 1 if no pair at
+    all can be compared.
     """
     from functools import partial
 
@@ -138,23 +144,27 @@ def command(
     refuse_conflicts(find_given(context))
     gates = build_checks(fail_on, baseline, tolerance, unit)
     format = options.resolve_format(format)
-    sides = [discover_inputs((one,), include, exclude) for one in (before, after)]
+    sides = [discover_inputs((one,), include, exclude) for one in (before, *others)]
     is_checked = bool(checks) or names_field(gates.gates, "self_intersections")
     compare = partial(_compare, format=format, with_intersections=is_checked)
     are_folders = [any(one.root for one in side) for side in sides]
+    after = others[0]
+    if ignore_missing and not any(are_folders):
+        raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
     if are_folders == [False, False]:
-        if ignore_missing:
-            raise UsageError("--ignore-missing is for folders", hint="leave it out for two files")
         if heatmap is not None:
             _refuse_target(before, after, heatmap)
         return _compare_two(before, after, heatmap, format, as_json, gates, compare)
-    if not all(are_folders):
+    if any(are_folders) and are_folders != [True, True]:
         raise UsageError(
-            "one of A and B is a file and the other a folder",
-            hint="give two files, or two folders whose files have the same relative paths",
+            "A and B are files and folders",
+            hint="give files, or two folders whose files have the same relative paths",
         )
     if heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
+    if not any(are_folders):
+        table = {one: compare(before, one) for one in others}
+        return _print_table(table, gates, as_json, is_all=True)
     first, second = ({one.relative: one.path for one in side} for side in sides)
     if ignore_missing:
         first, second = _drop_missing({before: first, after: second})
@@ -168,7 +178,7 @@ def command(
         records[name] = compare(*paths) if missing is None else _no_partner(name, *paths, missing)
     # Files that were left out on purpose are not missed.
     is_all = not include and not exclude and not ignore_missing
-    return _print_folders(records, gates, as_json, is_all=is_all)
+    return _print_table(records, gates, as_json, is_all=is_all)
 
 
 def _compare(
@@ -248,21 +258,14 @@ def _compare_two(
 
 
 def _refuse_target(before: str, after: str, target: str) -> None:
-    """Refuse a heat map that is no PLY, would replace an input, or has no folder to be in."""
-    from msal_cli.storage.urls import is_url
+    """Refuse a heat map that is no PLY, or would replace anything but another heat map."""
+    from msal_cli.cli.side_files import refuse_target
 
     if not target.lower().endswith(".ply"):
         raise UsageError(
             f"the heat map {target!r} must be a PLY", hint="name it with the suffix .ply"
         )
-    if is_url(target):
-        return
-    if os.path.isdir(target):
-        raise UsageError(f"the heat map {target!r} is a folder", hint="name a file in it")
-    real = os.path.realpath(target)
-    for name in (before, after):
-        if not is_url(name) and os.path.realpath(name) == real:
-            raise UsageError(f"the heat map would replace {name!r}", hint="give it another name")
+    refuse_target(target, "the heat map", (before, after), replaces=_HEAT_MAP)
 
 
 def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
@@ -281,16 +284,16 @@ def _write_heatmap(before: str, after: str, target: str, format: str | None) -> 
     reference = comparison.opened(before, format)
     made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
     with interrupts.noticed(interrupts.raise_for):
-        atomic.write_whole(target, [made.data])
+        atomic.write_whole(target, [made.data], sources=(before, after))
     console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 
-def _print_folders(
+def _print_table(
     pairs: Mapping[str, ComparisonRecord], checks: Checks, as_json: bool, *, is_all: bool
 ) -> int:
-    """Print the records by relative path; the exit status.
+    """Print the records by relative path, or by the name of B; the exit status.
 
-    ``is_all``: the folders were compared as a whole, so that the baseline may miss a file.
+    ``is_all``: all files were compared, so that the baseline may miss a file.
     """
     from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.job.plain_data import as_data
@@ -298,7 +301,7 @@ def _print_folders(
     from msal_cli.report.gates import is_any_broken
     from msal_cli.report.phrases import file_name
 
-    records = checks.judge_folders(pairs)
+    records = checks.judge_pairs(pairs)
     present = [name for name, one in pairs.items() if not _is_without_partner(one)]
     vanished = baseline.missing(present, checks.earlier or {}) if is_all else []
     if as_json:
@@ -307,7 +310,7 @@ def _print_folders(
             if record.error is not None:
                 _say_failure(record)
     else:
-        console.put_lines(comparison_text.table(records, width=console.width()))
+        console.put_lines(comparison_text.table(records, width=console.width(sys.stdout)))
     console.say_lines(comparison_text.broken_gates(records))
     for name in vanished:
         console.say(f"{file_name(name)}: in the baseline, and not here", "bad")

@@ -22,20 +22,26 @@ CONFIG, NO_CONFIG, SHOW_CONFIG = "config", "no_config", "show_config"
 _ROOT_MARKS = (".git", ".hg")
 _NEVER = (CONFIG, NO_CONFIG, SHOW_CONFIG)
 
-# A file that lies in a folder of scans from elsewhere must not replace the originals, nor have
-# another machine take part: this it may only when it is named.
-_ONLY_NAMED = ("in_place", "no_backup", "force", "engine", "scheduler")
+# A file that lies in a folder of scans from elsewhere must not replace the originals or other
+# files, nor have another machine take part: this it may only when it is named.
+_ONLY_NAMED = (
+    *("in_place", "no_backup", "force", "engine", "scheduler"),
+    *("log_file", "scratch", "heatmap", "truth", "outputs"),
+)
+# Pictures, which are replaced.
+_OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))
 
 _MOST_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
 class Config:
-    """A file and what it gives for one command: values as a command line would have them, by the
-    names of parameters."""
+    """A file, which the user named or which was found, and what it gives for one command:
+    values as a command line would have them, by the names of parameters."""
 
     path: str
     values: Mapping[str, Any]
+    is_named: bool
 
 
 def find_file() -> str | None:
@@ -94,7 +100,8 @@ def read_config(
                 f"{place}: there is no such option",
                 hint=_closest(key, list(keys)) or f"msal {command} --help-all lists the options",
             )
-        if option.name in _ONLY_NAMED and not is_named:
+        is_refused = option.name in _ONLY_NAMED or (command, option.name) in _OUTPUTS_ONLY_NAMED
+        if is_refused and not is_named:
             raise UsageError(
                 f"{place}: this may stand only in a file that --config names",
                 hint=f"give --config {path} if you trust it, or --no-config",
@@ -108,7 +115,7 @@ def read_config(
             several = [_relative_to(below, one) for one in several]
             words = several if option.multiple else several[0]
         values[option.name] = words
-    return Config(path, values)
+    return Config(path, values, is_named)
 
 
 def key_of(option: click.Option) -> str:
@@ -161,6 +168,9 @@ def _to_words(option: click.Option, value: Any, place: str) -> Any:
 def _to_word(value: Any, place: str) -> str:
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise UsageError(f"{place} is {value!r}", hint="write a text, a number or a list of these")
+    if "\0" in str(value):
+        # TOML allows it; the system ends every word there.
+        raise UsageError(f"{place} is {value!r}", hint="leave the character \\u0000 out")
     return str(value)
 
 

@@ -12,6 +12,8 @@ from msal_cli.cli import config_file, console
 from msal_cli.cli.config_file import CONFIG, NO_CONFIG, SHOW_CONFIG, Config
 from msal_cli.errors import UsageError
 
+_META = "msal_cli.config"
+
 Parse = Callable[[click.Context, list[str]], list[str]]
 
 
@@ -57,9 +59,22 @@ def parse_args(
         rows = list(_rows(command, ctx, given, config))
         console.put(config_file.describe(str(command.name), rows, config))
         ctx.exit()
+    ctx.meta[_META] = config
     if config is None:
         return parse(ctx, args)
     return _parse_with(command, ctx, args, config, parse)
+
+
+def options_of_found_file(ctx: click.Context) -> frozenset[str]:
+    """The parameters whose values are from a file that was found, and not named by --config."""
+    config: Config | None = ctx.meta.get(_META)
+    if config is None or config.is_named:
+        return frozenset()
+    return frozenset(
+        name
+        for name in config.values
+        if ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+    )
 
 
 def _load(command: click.Command, ctx: click.Context, given: dict[str, Any]) -> Config | None:

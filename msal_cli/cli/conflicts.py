@@ -38,6 +38,7 @@ _AUTO_HINT = (
     "--keep, --strength, --prefer and --auto-budget imply --auto: let it choose, or give method "
     "and parameters by hand"
 )
+_ASSUME_HINT = "--assume is for the choice of a method: leave it away, or the method"
 _ONE = "give one of them"
 
 # Two names of ``find_given`` that do not go together, a message in place of the usual one, a hint.
@@ -85,13 +86,14 @@ _CONFLICTS = (
         "leave --timeout away",
     ),
     (
-        "cluster",
+        "dask",
         "jobs",
         "-j is for this machine; a Dask cluster has as many workers as it has",
-        "leave -j away, or use --scheduler local",
+        "leave -j away, or leave --engine dask away",
     ),
     *((one, other, "", _AUTO_HINT) for one in AUTOMATIC for other in ("adaptive", *BY_HAND)),
     *((one, other, "", _AUTO_HINT) for one in ("automatic", "adaptive") for other in BY_HAND),
+    *(("assume", other, "", _ASSUME_HINT) for other in BY_HAND),
     *(
         ("stream", other, "{other} is for files, not for standard input or output", "")
         for other in _FOR_FILES
@@ -119,7 +121,7 @@ _NEEDS = (
     (
         "dask",
         "scheduler",
-        "give --scheduler tcp://HOST:8786, or --scheduler local for this machine",
+        "give --scheduler tcp://HOST:8786; on this machine alone, leave --engine dask away",
     ),
     ("tolerance", "baseline", "name an earlier report with --baseline"),
     ("type", "dims", "a raw volume needs its counts, too: --dims X,Y,Z"),
@@ -131,7 +133,6 @@ _PARAMETERS = {
     "automatic": "method",
     "adaptive": "method",
     "dask": "engine",
-    "cluster": "scheduler",
 }
 
 
@@ -152,8 +153,6 @@ def find_given(context: click.Context) -> dict[str, str]:
         given["automatic" if method == "auto" else method] = f"--method {method}"
     if given.pop("engine", None):
         given["dask"] = "--engine dask"
-    if context.params.get("scheduler") not in (None, "local"):
-        given["cluster"] = "--scheduler"
     return given
 
 

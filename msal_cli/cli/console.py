@@ -175,12 +175,13 @@ def _translate_errors() -> Iterator[None]:
         raise OutputError(f"standard output cannot be written: {error.strerror}") from None
 
 
-def width() -> int:
-    """Columns for a table on standard error; 140 where that is no terminal, as in a log."""
+def width(stream: TextIO | None) -> int:
+    """Columns for a table on ``stream``; without bound where that is no terminal: names are cut
+    for eyes, never in a log."""
     import shutil
 
-    if not is_terminal(sys.stderr):
-        return 140
+    if not is_terminal(stream):
+        return sys.maxsize
     return max(60, shutil.get_terminal_size((100, 24)).columns)
 
 

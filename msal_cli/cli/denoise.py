@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import sys
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import console, denoise_request, exit_codes, options
 from msal_cli.cli.command import command as grouped_command
+from msal_cli.cli.configuration import options_of_found_file
 from msal_cli.cli.conflicts import find_given
 from msal_cli.cli.denoise_options import OPTIONS
 from msal_cli.cli.denoise_records import describe_run, judge, log_record
@@ -48,7 +50,8 @@ def command(context: click.Context, /, **given: Any) -> int:
     """
     from msal_cli.cli import logs
 
-    request = Request(**given, given=find_given(context))
+    found = options_of_found_file(context)
+    request = Request(**given, given=find_given(context), found=found)
     with logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file):
         return _Session(request, context.obj).run()
 
@@ -93,8 +96,11 @@ class _Session:
 
         request = self._request
         self._references = denoise_request.find_references(request, ["-"])
+        denoise_request.refuse_found_targets(request, stream.target)
         paths = [path for path in (stream.source, stream.target) if path != options.STREAM]
-        report_files.check(request.reports, paths)
+        report_files.check(
+            request.reports, [*paths, *denoise_request.other_files(request)], request.csv_columns
+        )
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
         try:
@@ -113,8 +119,14 @@ class _Session:
 
         request = self._request
         engine = denoise_request.build_engine(request)
-        paths = [path for task in (plan.whole or plan).tasks for path in (task.input, task.output)]
-        report_files.check(request.reports, paths)
+        whole = plan.whole or plan
+        tasks, is_file = whole.tasks, whole.homes[:1] == (None,)
+        denoise_request.refuse_found_targets(request, tasks[0].output if is_file else None)
+        paths = [path for task in tasks for path in (task.input, task.output)]
+        paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
+        report_files.check(
+            request.reports, [*paths, *denoise_request.other_files(request)], request.csv_columns
+        )
         names = [task.relative for task in plan.tasks]
         self._references = denoise_request.find_references(request, names)
         finished: dict[int, MeshRecord] = {}
@@ -205,6 +217,7 @@ class _Session:
                     run,
                     records,
                     backup=request.backup,
+                    csv_columns=request.csv_columns,
                     without_pictures=interrupted,
                     quiet=request.quiet,
                 )
@@ -230,6 +243,10 @@ class _Session:
         is_listing = request.dry_run and not request.as_json
         if is_listing:
             console.put_lines(text.listing(records))
+            if not request.quiet and len(records) > 1:
+                from msal_cli.machine import usable_cores
+
+                console.say_lines([text.outlook(records, request.jobs or usable_cores())])
         if len(records) == 1 and records[0].error is not None:
             console.say_failure(records[0].input, records[0].error)
             if records[0].remembered:
@@ -242,7 +259,7 @@ class _Session:
                 text.summary(
                     run,
                     records,
-                    width=console.width(),
+                    width=console.width(sys.stderr),
                     verbose=request.verbose > 0,
                     defaults=list_defaults(records),
                 )

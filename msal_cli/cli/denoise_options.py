@@ -44,16 +44,19 @@ WHAT_TO_DO = group(
         "-n",
         "--iterations",
         metavar="N",
-        help="Sweeps over the mesh; implies --method msal. More is smoother, but not for msal: its "
-        "smoothing fades from sweep to sweep while the pull to the scan stays, so more than about "
-        "6 sweeps lead back to the input. Other methods may have other defaults.  [default: 4]",
+        help="Sweeps of the method, of msal if none is named. So any number, 4 too, selects the "
+        "paper's filter with its own parameters, and nothing is chosen for the mesh. "
+        "More is smoother, but not for msal: its smoothing fades from sweep to sweep while the "
+        "pull to the scan stays, so more than about 6 sweeps lead back to the input.  [default: "
+        "chosen for each mesh; 4 with --method msal]",
     ),
     click.option(
         "-K",
         "factor",
         metavar="K",
-        help="Factor on the smoothing, per sweep; greater is smoother, less keeps more "
-        "texture. 0 < K <= 1, for --schedule multiscale or robust.  [default: 0.5]",
+        help="Factor on the smoothing per sweep, of msal if none is named. Greater is smoother, "
+        "less keeps more texture; 0 < K <= 1, for --schedule multiscale or robust. A number "
+        "selects msal, as with -n.  [default: chosen for each mesh; 0.5 with --method msal]",
     ),
     MORE,
     options.METHOD_PARAMETER,
@@ -61,14 +64,16 @@ WHAT_TO_DO = group(
         "--mollify",
         metavar="N",
         help="Passes that average the normals first; more gives flatter flats and softer edges, "
-        "0 suits lightly noisy scans.  [default: 1]",
+        "0 suits lightly noisy scans. A number selects msal, as with -n.  [default: chosen for "
+        "each mesh; 1 with --method msal]",
     ),
     click.option(
         "--schedule",
         type=click.Choice(["plain", "constant", "multiscale", "robust", "wiener"]),
         help="How the sweeps of msal, al, umbrella and the like go on: alike, with a constant pull "
         "to the data, multiscale, robust beside spikes, or with what is more than noise given back "
-        "at the end.  [default: multiscale for msal, else plain]",
+        "at the end. It selects msal, as -n does.  [default: chosen for each mesh; "
+        "multiscale with --method msal, else plain]",
     ),
     click.option(
         "--despike/--no-despike",
@@ -85,8 +90,8 @@ WHAT_TO_DO = group(
     click.option(
         "--min-noise",
         metavar="LEVEL|auto",
-        help="Leave meshes as they are whose estimated noise is less: 0.03e is mean edge lengths, "
-        "0.01 file units; auto where there is none to speak of.  [default: none]",
+        help="Leave meshes as they are whose estimated noise is less everywhere: 0.03e is mean "
+        "edge lengths, 0.01 file units; auto where there is none to speak of.  [default: none]",
     ),
 )
 
@@ -96,7 +101,8 @@ AUTOMATIC_CHOICE = group(
         "--auto",
         is_flag=True,
         help="Choose method and parameters for each mesh; from its noise and its surface. The "
-        "report says what was chosen, and why. The four options that follow imply it.",
+        "report says what was chosen, and why. --keep, --strength, --prefer and --auto-budget "
+        "imply it.",
     ),
     click.option(
         "--keep",
@@ -111,6 +117,13 @@ AUTOMATIC_CHOICE = group(
         help="Greater is smoother, less keeps more; 0 is the automatic choice.  [default: 0]",
     ),
     MORE,
+    click.option(
+        "--assume",
+        type=click.Choice(["noise", "texture"]),
+        help="What the roughness of a mesh is where the estimate cannot tell noise from texture; "
+        "it changes nothing where it can. Also without --auto.  [default: a mild filter that is "
+        "not much worse either way]",
+    ),
     click.option(
         "--prefer",
         type=click.Choice(["positions", "normals", "volume"]),
@@ -296,9 +309,8 @@ MANY_FILES = group(
     ),
     click.option(
         "--scheduler",
-        metavar="ADDRESS|local",
-        help="With --engine dask: the scheduler, such as tcp://host:8786; local starts a cluster "
-        "of -j processes here.",
+        metavar="ADDRESS",
+        help="With --engine dask: the scheduler, such as tcp://host:8786 or tls://host:8786.",
     ),
 )
 
@@ -342,6 +354,7 @@ REPORTS = group(
     FAIL_ON,
     options.JSON_REPORT,
     MORE,
+    options.CSV_COLUMNS,
     REFERENCE,
     options.CHECK,
     FIELDS,

@@ -36,7 +36,8 @@ _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 class Request(SimpleNamespace):
     """The command line of ``msal denoise``: a field for each of ``denoise_options``, and ``given``,
-    which is what ``conflicts.find_given`` found."""
+    which is what ``conflicts.find_given`` found, and ``found``, of
+    ``configuration.options_of_found_file``."""
 
 
 def check_request(request: Request, stream: Stream | None) -> None:
@@ -52,10 +53,11 @@ def check_request(request: Request, stream: Stream | None) -> None:
             hint="name a file or a folder with -o OUT, or replace the inputs with --in-place",
         )
     refuse_conflicts(given)
-    if "cluster" in given and not re.fullmatch(_ADDRESS, str(request.scheduler)):
+    if "scheduler" in given and not re.fullmatch(_ADDRESS, str(request.scheduler)):
         raise UsageError(
             f"--scheduler {request.scheduler}: this is not an address",
-            hint="such as tcp://host:8786 or tls://host:8786; or the word local",
+            hint="such as tcp://host:8786 or tls://host:8786; to use the cores of this machine, "
+            "leave --engine and --scheduler away",
         )
     if "dask" in given:
         import importlib.util
@@ -64,6 +66,46 @@ def check_request(request: Request, stream: Stream | None) -> None:
 
         if importlib.util.find_spec("distributed") is None:
             raise not_installed()
+
+
+def other_files(request: Request) -> list[str]:
+    """Files that a report must not replace, beside the meshes."""
+    return [path for path in (request.log_file, request.reference) if path is not None]
+
+
+def refuse_found_targets(request: Request, output_file: str | None) -> None:
+    """Refuse what a msal.toml that was found, and may be another person's, must not write.
+
+    ``output_file`` is the output where that is one file, ``-`` for a stream.
+
+    Raises
+    ------
+    UsageError
+        for a file that is there already as the output, for a report outside the output folder or
+        in the place of what is no report of msal.
+    """
+    from msal_cli.cli.side_files import REPORT, refuse_target
+
+    is_stream = output_file == STREAM
+    hint = "name it on the command line, or give --config msal.toml if you trust that file"
+    is_file = output_file is not None and not is_stream
+    if is_file and "output" in request.found and os.path.lexists(str(output_file)):
+        raise UsageError(
+            f"msal.toml names the output {output_file!r}, which is there already", hint=hint
+        )
+    if "reports" not in request.found:
+        return
+    folder = None if is_stream else request.output
+    if is_file:
+        folder = os.path.dirname(str(output_file)) or os.curdir
+    for name in request.reports:
+        top = None if folder is None else os.path.realpath(folder)
+        if top is None or os.path.commonpath([top, os.path.realpath(name)]) != top:
+            raise UsageError(
+                f"msal.toml names the report {name!r}, which is outside the output folder",
+                hint=hint,
+            )
+        refuse_target(name, "the report", replaces=REPORT)
 
 
 def build_engine(request: Request) -> EngineFactory | None:
@@ -204,11 +246,12 @@ def _choose_method(request: Request) -> tuple[str, dict[str, Any]]:
             "keep": request.keep,
             "strength": request.strength,
             "budget": request.auto_budget,
+            "assume": request.assume,
         }
         given = {name: value for name, value in wishes.items() if value is not None}
         return AUTO, asdict(Wishes()) | given
     if not request.given.keys() & set(BY_HAND):
-        return ADAPTIVE, {}
+        return ADAPTIVE, {} if request.assume is None else {"assume": request.assume}
     from msal_cli import methods
     from msal_cli.cli import method_parameters
 

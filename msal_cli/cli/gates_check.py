@@ -39,8 +39,8 @@ class Checks:
             )
         return self._judge([record], [before])[0]
 
-    def judge_folders(self, records: Mapping[str, ComparisonRecord]) -> list[ComparisonRecord]:
-        """The records by relative path with what became of the gates."""
+    def judge_pairs(self, records: Mapping[str, ComparisonRecord]) -> list[ComparisonRecord]:
+        """The records by path with what became of the gates."""
         from msal_cli.report import baseline
 
         earlier = [baseline.partner(name, self.earlier or {}) for name in records]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -129,7 +130,7 @@ def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
     status."""
     from msal_cli.report.info_table import InfoTable
 
-    table = InfoTable(paths, console.width())
+    table = InfoTable(paths, console.width(sys.stdout))
     n_printed = n_failed = 0
     for record in records:
         if record.error is not None:

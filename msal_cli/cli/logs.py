@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TextIO
 
 import click
 
@@ -68,6 +68,14 @@ class _ConsoleHandler(logging.Handler):
         console.say(f"msal: {record.levelname.lower()}: {text}")
 
 
+class _FileHandler(logging.StreamHandler[TextIO]):
+    """Log records in a file that is open, and is closed with this."""
+
+    def close(self) -> None:
+        super().close()
+        self.stream.close()
+
+
 class _SafeFormatter(logging.Formatter):
     """No name of a file breaks a line, reaches the terminal or makes an entry of its own."""
 
@@ -93,11 +101,14 @@ def _escape(text: str) -> str:
 
 
 def _file_handler(name: str) -> logging.Handler:
+    from msal_cli.cli.side_files import open_log
+
     try:
-        handler = logging.FileHandler(name, encoding="utf-8", errors="backslashreplace")
+        stream = open_log(name)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise UsageError(f"the log file {name!r} cannot be opened: {why}") from None
+    handler = _FileHandler(stream)
     handler.setFormatter(
         _SafeFormatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
     )

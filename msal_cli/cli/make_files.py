@@ -51,6 +51,25 @@ def find_inputs(
     return None
 
 
+def refuse_existing(targets: Iterable[Target], *, force: bool) -> None:
+    """Refuse to replace files, unless ``force`` allows it, and those of msal's own in any case;
+    UsageError."""
+    import os
+
+    from msal_cli.cli.side_files import refuse_target
+
+    for target in targets:
+        for path in (target.output, target.truth):
+            if path is None or path == STREAM:
+                continue
+            refuse_target(path, "the output", replaces="")
+            if not force and os.path.lexists(path):
+                raise UsageError(
+                    f"the output {path!r} is there already",
+                    hint="give it another name, or --force to replace it",
+                )
+
+
 def make_files(
     targets: Iterable[Target],
     read: Callable[[str], Buffer],
@@ -92,17 +111,19 @@ def _make_file(
     target: Target, read: Callable[[str], Buffer], make: Callable[[Buffer, Target], MadeFile]
 ) -> MadeFile:
     from msal_cli.cli.streams import read_stream
+    from msal_cli.codecs.companions import list_sources
     from msal_cli.job.output import write_output
 
     try:
         data = read_stream() if target.source == STREAM else read(target.source)
         made = make(data, target)
+        sources = (0,) if target.source == STREAM else list_sources(target.source, data)
         if target.truth is not None and made.truth is not None:
-            write_output(target.truth, made.truth)
+            write_output(target.truth, made.truth, sources=sources)
         if target.output == STREAM:
             console.put_bytes(made.output)
         else:
-            write_output(target.output, made.output, made.companions)
+            write_output(target.output, made.output, made.companions, sources)
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY") from None
     return made

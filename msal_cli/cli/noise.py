@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _KINDS = (
     "gaussian-normal",
     "gaussian",
+    "uniform",
     "mixed",
     "impulsive",
     "correlated",
@@ -69,12 +70,12 @@ Exit status: see msal --help.""",
         default="gaussian-normal",
         show_default=True,
         help="What kind of noise; gaussian-normal: along the vertex normals; gaussian: in each "
-        "coordinate; mixed: along the normals and as much across them; impulsive: at a fraction "
-        "of the vertices; correlated: shared by neighbours; view: along --direction; quantised: "
-        "along --direction, with depths in steps; grazing: along --direction, stronger at grazing "
-        "angles; half: on one half of the mesh; ramp: growing from one end of the mesh to the "
-        "other; property: in proportion to a vertex property; outliers: a fraction of the "
-        "vertices far off the surface.",
+        "coordinate; uniform: in each coordinate, from -level to +level; mixed: along the normals "
+        "and as much across them; impulsive: at a fraction of the vertices; correlated: shared by "
+        "neighbours; view: along --direction; quantised: along --direction, with depths in steps; "
+        "grazing: along --direction, stronger at grazing angles; half: on one half of the mesh; "
+        "ramp: growing from one end of the mesh to the other; property: in proportion to a vertex "
+        "property; outliers: a fraction of the vertices far off the surface.",
     ),
     click.option(
         "--level",
@@ -82,7 +83,8 @@ Exit status: see msal --help.""",
         default="0.2",
         show_default=True,
         type=options.number(0.0, 1000.0, "e"),
-        help="Standard deviation in mean edge lengths.",
+        help="Standard deviation in mean edge lengths; of uniform noise, the largest move of a "
+        "coordinate.",
     ),
     click.option(
         "--seed",
@@ -157,7 +159,7 @@ def command(
     together, so seams do not open. The files keep their format.
     """
     from msal_cli.batch import plan
-    from msal_cli.cli.make_files import Target, find_inputs, make_files
+    from msal_cli.cli.make_files import Target, find_inputs, make_files, refuse_existing
     from msal_cli.codecs import header_check
     from msal_cli.job.noise_file import add_noise_to_file
 
@@ -169,6 +171,7 @@ def command(
     else:
         tasks = plan.build_plan(found, output, force=force).tasks
         targets = [Target(task.input, task.output) for task in tasks]
+    refuse_existing(targets, force=force)
 
     def make(data: Buffer, target: Target) -> MadeFile:
         return add_noise_to_file(data, target.source, target.output, noise, format)

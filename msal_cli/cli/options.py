@@ -303,6 +303,13 @@ JSON_REPORT = click.option(
     "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."
 )
 
+CSV_COLUMNS = click.option(
+    "--csv-columns",
+    type=click.Choice(["common", "all"]),
+    help="Columns of reports in .csv: those that people sort and filter by, or every figure.  "
+    "[default: common]",
+)
+
 QUIET = click.option("-q", "--quiet", is_flag=True, help="No progress and no summary; only errors.")
 
 

@@ -1,4 +1,5 @@
-"""Bars on a terminal: over the files of a run, or over the sweeps of a single mesh."""
+"""How far a run is: bars on a terminal, over its files or over the sweeps of a single mesh, and
+lines in a log."""
 
 from __future__ import annotations
 
@@ -11,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import console
 from msal_cli.job.display_names import escape_for_display, pad_name, shorten_name
+from msal_cli.report.phrases import seconds_text
 
 if TYPE_CHECKING:
-    from msal_cli.batch.events import Event
+    from msal_cli.batch.events import Event, Finished
     from msal_cli.codecs.streamed_mesh import StreamedMesh
     from msal_cli.job.settings import Task
 
@@ -30,6 +32,15 @@ _BETWEEN_S = 0.1
 
 # A file of this size gets one at once: reading it alone takes longer.
 _LARGE_BYTES = 8 << 20
+
+_LOG_EVERY_S = 5.0
+"""Seconds between two lines of a log on many files."""
+
+_SILENT_S = 15.0
+"""Seconds without a line in a log after which the stage of the current file is one."""
+
+_MAX_LINES = 200
+"""Files up to which a log has a line for each."""
 
 _COUNTED = ("choose", "sweeps", TILES)
 
@@ -121,13 +132,71 @@ class FileBar(Silent):
             self._bar.refresh()
 
 
+class Log(Silent):
+    """Lines where no terminal shows a bar: one for each file as it finishes, or of more than
+    ``_MAX_LINES`` files one every ``_LOG_EVERY_S`` seconds; the stage of a file that takes long."""
+
+    def __init__(self, tasks: Sequence[Task], name: str = "") -> None:
+        self._tasks = tasks
+        self._name = name
+        self._n_done = 0
+        self._n_current = 0
+        self._n_failed = 0
+        self._n_unsaid = 0
+        self._begun = self._said = time.monotonic()
+
+    def on_event(self, event: Event) -> None:
+        """Say what became of a file, or after a while what is being done."""
+        from msal_cli.batch.events import Finished, Progress
+
+        if isinstance(event, Progress):
+            self._say_stage(self._tasks[event.index].relative, event.stage, event.done, event.total)
+        elif isinstance(event, Finished):
+            self._n_done += 1
+            self._n_failed += event.record.status == "failed"
+            is_current = event.record.status == "up-to-date"
+            self._n_current += is_current
+            # The summary follows at once on a single file, and counts those that are up to date.
+            if len(self._tasks) > 1 and not is_current:
+                self._n_unsaid += 1
+                self._say_files(event)
+
+    def on_progress(self, stage: str, done: int, total: int) -> None:
+        """Say the stage of a single mesh after a while."""
+        self._say_stage(self._name, stage, done, total)
+
+    def _say_stage(self, name: str, stage: str, done: int, total: int) -> None:
+        if time.monotonic() >= self._said + _SILENT_S:
+            self._said = time.monotonic()
+            steps = f" {done:,} of {total:,}" if stage in _COUNTED and total > 0 else ""
+            console.say(f"{escape_for_display(name)}: {stage}{steps}")
+
+    def _say_files(self, event: Finished) -> None:
+        from msal_cli.report.short_summary import file_text
+
+        now, n_files = time.monotonic(), len(self._tasks)
+        if n_files > _MAX_LINES and now < self._said + _LOG_EVERY_S:
+            return
+        if self._n_unsaid == 1:
+            name = escape_for_display(self._tasks[event.index].relative)
+            text = f"{name}: {file_text(event.record)}"
+        else:
+            n_worked = self._n_done - self._n_current
+            left_s = (now - self._begun) / n_worked * (n_files - self._n_done)
+            text = f"{self._n_failed:,} failed; about {seconds_text(left_s)} left"
+        console.say(f"[{self._n_done:,}/{n_files:,}] {text}")
+        self._n_unsaid, self._said = 0, now
+
+
 def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
-    """The bar for a run; Silent with ``quiet`` or where standard error is no terminal.
+    """The bar for a run; lines where standard error is no terminal, and Silent with ``quiet``.
 
     The files of a tile set have one bar, as a single mesh has.
     """
-    if quiet or not tasks or not console.is_terminal(sys.stderr):
+    if quiet or not tasks:
         return Silent()
+    if not console.is_terminal(sys.stderr):
+        return Log(tasks)
     if is_set:
         return SweepBar(f"{len(tasks):,} files as one")
     if len(tasks) > 1:
@@ -136,10 +205,10 @@ def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
 
 
 def stream_bar(name: str, *, quiet: bool) -> Silent:
-    """The bar for a single mesh from a stream."""
-    if quiet or not console.is_terminal(sys.stderr):
+    """The bar for a single mesh from a stream, or lines as of ``bar``."""
+    if quiet:
         return Silent()
-    return SweepBar(name)
+    return SweepBar(name) if console.is_terminal(sys.stderr) else Log((), name)
 
 
 @contextmanager

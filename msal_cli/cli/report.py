@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 import click
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
         "denoise. Repeatable.",
     ),
     options.JSON_REPORT,
+    options.CSV_COLUMNS,
 )
 @group(
     "Gates",
@@ -63,6 +65,7 @@ def command(
     fail_on: tuple[str, ...],
     unit: str | None,
     as_json: bool,
+    csv_columns: str | None,
     check: bool,
     quiet: bool,
     verbose: int,
@@ -82,7 +85,7 @@ def command(
 
     refuse_conflicts(find_given(context))
     # Checked before a large folder is read.
-    report_files.check(outputs, ())
+    report_files.check(outputs, (), csv_columns)
     gates = parse_gates(fail_on, MeshRecord, unit)
     account = run_summary.summarize(runs)
     done = [record for record in account.records if record.error is None and record.output]
@@ -96,7 +99,7 @@ def command(
             text.summary(
                 account.run,
                 account.records,
-                width=console.width(),
+                width=console.width(sys.stderr),
                 verbose=verbose > 0,
                 defaults=list_defaults(account.records),
             )
@@ -108,7 +111,9 @@ def command(
     if check or gates:
         github.annotate(account.records)
     try:
-        report_files.write(outputs, account.run, account.records, quiet=quiet)
+        report_files.write(
+            outputs, account.run, account.records, csv_columns=csv_columns, quiet=quiet
+        )
     finally:
         if as_json:
             console.put_bytes(json_report.render(account.run, account.records))

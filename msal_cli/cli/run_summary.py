@@ -208,6 +208,7 @@ def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
 def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
     """What is known of a run of which only the files are known."""
     from msal_cli import __version__
+    from msal_cli.auto import ALL
     from msal_cli.batch.run_history import iso_timestamp
     from msal_cli.job.settings import ADAPTIVE, AUTO
 
@@ -215,7 +216,7 @@ def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
     newest = max(rows, key=lambda row: row.at).record if rows else None
     settings: dict[str, Any] = {}
     if newest is not None and newest.choice is not None:
-        method = AUTO if newest.choice.wishes else ADAPTIVE
+        method = AUTO if newest.choice.among == ALL else ADAPTIVE
         settings = {"method": method, "parameters": newest.choice.wishes}
     elif newest is not None and newest.method is not None:
         settings = {"method": newest.method.name, "parameters": newest.method.parameters}

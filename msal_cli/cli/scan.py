@@ -200,7 +200,7 @@ def command(
     """
     from msal_cli import codecs
     from msal_cli.batch import plan
-    from msal_cli.cli.make_files import Target, find_inputs, make_files
+    from msal_cli.cli.make_files import Target, find_inputs, make_files, refuse_existing
     from msal_cli.cli.streams import Stream, choose_format
     from msal_cli.codecs import header_check
     from msal_cli.job import scan_file
@@ -270,6 +270,7 @@ def command(
         )
         return scan_file.compress_by_name(made, target.output, target.truth)
 
+    refuse_existing(targets, force=force)
     return make_files(targets, read, make, quiet=quiet)
 
 

@@ -46,7 +46,7 @@ def denoise_stream(
         if stream.target == STREAM:
             console.put_bytes(output)
             return replace(record, output=STREAM)
-        return _write(output, record, stream.target)
+        return _write(output, record, stream)
     except UsageError:
         raise
     except MsalError as error:
@@ -96,7 +96,7 @@ def _denoise_in_worker(
         return (None if record.error is not None else gzip_streams.read_whole(task.output)), record
 
 
-def _write(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
+def _write(output: Buffer, record: MeshRecord, stream: Stream) -> MeshRecord:
     """The record after ``output`` was written to a file, compressed if its name says so."""
     import hashlib
 
@@ -104,11 +104,14 @@ def _write(output: Buffer, record: MeshRecord, target: str) -> MeshRecord:
     from msal_cli.job.output import write_output
     from msal_cli.storage import gzip_streams
 
+    target = stream.target
     plain, is_compressed = gzip_streams.expand(output, "")
     compress = target.lower().endswith(".gz")
     if compress != is_compressed:
         output = gzip_streams.compress(plain) if compress else plain
     # From here on there is something to clean up.
     with interrupts.noticed(interrupts.raise_for):
-        write_output(target, output)
+        # What the shell redirects to standard input may be a private file, too.
+        sources = (0,) if stream.source == STREAM else (stream.source,)
+        write_output(target, output, sources=sources)
     return replace(record, output=target, output_sha256=hashlib.sha256(output).hexdigest())

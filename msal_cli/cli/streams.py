@@ -76,9 +76,11 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
             hint="name a file with -o",
         )
     if output is not None and output != STREAM:
+        from msal_cli.cli.side_files import refuse_target
         from msal_cli.job.settings import refuse_unknown_format
 
         refuse_unknown_format(output)
+        refuse_target(output, "the output", [source] if source != STREAM else [], replaces="")
     return Stream(source, output or STREAM)
 
 

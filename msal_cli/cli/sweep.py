@@ -1,8 +1,12 @@
-"""``msal sweep``: one mesh denoised with many values of two parameters, as one picture."""
+"""``msal sweep``: one mesh denoised with many values of two parameters, and as msal chooses, as one
+picture."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from itertools import repeat
 from typing import TYPE_CHECKING
 
 import click
@@ -15,7 +19,10 @@ from msal_cli.cli.view import view_options
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.view.parameter_grid import Cell, Grid
+    from msal_cli.auto.estimated_errors import Filter
+    from msal_cli.codecs.mesh_file import MeshFile
+    from msal_cli.mesh import Mesh
+    from msal_cli.view.parameter_grid import Cell, Grid, Subject
     from msal_cli.view.pictures import View
 
 SCHEMA = "msal.sweep/1"
@@ -105,13 +112,17 @@ def command(
     as_json: bool,
     quiet: bool,
 ) -> int:
-    """Denoise FILE with every pair of values of two parameters, and show all results beside it.
+    """Denoise FILE with every pair of values of two parameters, by the plain command and by --auto,
+    and show all results beside it.
 
-    Each cell of the picture has its numbers and the words that make it; the commands are printed
-    too. No mesh is written.
+    The result that is nearest to the true surface by the estimated risk is marked. Each cell of the
+    picture has its numbers and the words that make it; the commands are printed too. No mesh is
+    written.
     """
     from msal_cli import methods
-    from msal_cli.job.comparison import open_surface
+    from msal_cli.auto.estimated_errors import estimate_errors
+    from msal_cli.cli.side_files import refuse_target
+    from msal_cli.job.comparison import open_surface, opened, surface_of
     from msal_cli.storage import atomic
     from msal_cli.view import parameter_grid
     from msal_cli.view.image_files import png_bytes
@@ -120,28 +131,60 @@ def command(
         raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
     if STREAM in (source, reference):
         raise UsageError("FILE is a file", hint="write the stream to a file first")
+    refuse_target(output, "the picture", [source] if reference is None else [source, reference])
     format = options.resolve_format(format)
     options.check_threads_variable()
     fixed = _parse_fixed(assignments)
     grid = parameter_grid.grid(methods.find(method), rows, columns, fixed)
-    surface = open_surface(source, format)
+    mesh_file = opened(source, format)
     truth = None if reference is None else open_surface(reference, format)
-    on = parameter_grid.subject(surface, source, truth, reference or "", view)
+    on = parameter_grid.subject(surface_of(mesh_file), source, truth, reference or "", view)
     done = []
+    filters: list[Filter] = []
     # The picture is the result, even if nothing reads the numbers.
     with console.finish_work():
-        for cell, mesh in parameter_grid.cells(on, grid):
+        for cell, mesh, filter in _results(on, grid, mesh_file):
             done.append((cell, parameter_grid.draw_grid(on, mesh, view)))
+            filters.append(filter)
             if not as_json and not quiet:
                 console.put(_describe_cell(cell))
                 console.flush()
+        errors = estimate_errors(on.ready.mesh, filters) or repeat(None)
+        done = [
+            (replace(cell, risk_edges=error), image)
+            for (cell, image), error in zip(done, errors, strict=False)
+        ]
         picture = parameter_grid.sheet(on, grid, done, view)
-        atomic.write_whole(output, png_bytes(picture))
+        atomic.write_whole(output, png_bytes(picture), sources=[source])
+        cells = [cell for cell, _ in done]
         if as_json:
-            _print_json(source, reference, grid, [cell for cell, _ in done])
+            _print_json(source, reference, grid, cells)
+        elif not quiet:
+            console.put(_describe_nearest(cells))
         if not quiet:
             console.say_written(output)
     return exit_codes.SUCCESS
+
+
+def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh, Filter]]:
+    """Each result with what made it: the cells of the grid, then the choices."""
+    from msal_cli import methods
+    from msal_cli.auto import NONE, Wishes
+    from msal_cli.job.pipeline import FileRun
+    from msal_cli.job.settings import ADAPTIVE, AUTO, NO_LIMITS, Settings
+    from msal_cli.view import parameter_grid
+
+    for cell, mesh in parameter_grid.cells(on, grid):
+        yield cell, mesh, (grid.method, grid.method.validate({**grid.fixed, **cell.parameters}))
+    chosen = {"plain": Settings(ADAPTIVE), "auto": Settings(AUTO, asdict(Wishes()))}
+    for choice, settings in chosen.items():
+        run = FileRun(on.name, settings, None, NO_LIMITS)
+        cell, mesh = parameter_grid.choice_cell(on, choice, run.move_vertices(mesh_file))
+        used = run.finish(None).method
+        assert used is not None
+        method = None if used.name == NONE else methods.find(used.name)
+        cell = replace(cell, parameters=dict(used.parameters))
+        yield cell, mesh, (method, used.parameters)
 
 
 def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
@@ -168,22 +211,32 @@ def _describe_cell(cell: Cell) -> str:
     return f"{', '.join(numbers)}: {escape_for_display(cell.command)}\n"
 
 
+def _describe_nearest(cells: list[Cell]) -> str:
+    from msal_cli.job.display_names import escape_for_display
+    from msal_cli.view.parameter_grid import find_nearest
+
+    nearest = find_nearest(cells)
+    if nearest is None:
+        return "no risk is estimated: the mesh has no noise to speak of\n"
+    risks = {cell.choice: cell.risk_edges for cell in cells}
+    return (
+        f"nearest by estimated risk, {nearest.risk_edges:.2g} e (plain command "
+        f"{risks['plain']:.2g} e, --auto {risks['auto']:.2g} e): "
+        f"{escape_for_display(nearest.command)}\n"
+    )
+
+
 def _print_json(source: str, reference: str | None, grid: Grid, cells: list[Cell]) -> None:
+    from msal_cli.view.parameter_grid import find_nearest
+
+    nearest = find_nearest(cells)
     console.put_json(
         SCHEMA,
         input=source,
         reference=reference,
         method=grid.method.name,
         fixed=dict(grid.fixed),
-        cells=[
-            {
-                "parameters": cell.parameters,
-                "command": cell.command,
-                "mean_displacement": cell.mean_displacement,
-                "mean_displacement_edges": cell.mean_displacement_edges,
-                "volume_change_percent": cell.volume_change_percent,
-                "mean_angular_error_deg": cell.mean_angular_error_deg,
-            }
-            for cell in cells
-        ],
+        nearest=None if nearest is None else nearest.command,
+        cells=[asdict(cell) for cell in cells if not cell.choice],
+        choices=[asdict(cell) for cell in cells if cell.choice],
     )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -101,6 +103,7 @@ def view_options(size: int) -> Callable[[Any], Any]:
     "view",
     epilog="""\b
 Examples:
+  msal view scan.ply denoised.ply
   msal view scan.ply -o scan.png
   msal view scan.ply denoised.ply -o both.png --turn 30
   msal view scan.ply denoised.ply -o both.html
@@ -115,10 +118,10 @@ Exit status: see msal --help.""",
         "-o",
         "--output",
         metavar="OUT",
-        required=True,
         type=options.PATH,
         help="NAME.png for a picture, NAME.html for a page to turn the meshes in; - sends the "
-        "picture to standard output.",
+        "picture to standard output. Without it: a page in the current folder, shown in the "
+        "browser where there is a display.",
     ),
     options.FORMAT,
 )
@@ -141,7 +144,7 @@ Exit status: see msal --help.""",
 def command(
     before: str,
     after: str | None,
-    output: str,
+    output: str | None,
     view: View,
     colours: str,
     format: str | None,
@@ -156,16 +159,19 @@ def command(
     PLY and STL files that are larger than memory are read in pieces, and decimated; two must
     have the same faces.
     """
+    from msal_cli.cli.side_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
     from msal_cli.storage import atomic
     from msal_cli.view import pictures
     from msal_cli.view.image_files import png_bytes
 
-    kind = _find_kind(output)
+    kind = "html" if output is None else _find_kind(output)
     format = options.resolve_format(format)
     names = (before,) if after is None else (before, after)
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
+    if output is not None and output != STREAM:
+        refuse_target(output, "the picture", names)
     view = dataclasses.replace(view, colours=colours)
     scene = _build_scene(names, format, quiet=quiet)
     if view.shows_file_colours and not quiet:
@@ -175,10 +181,16 @@ def command(
         data = _build_page(output, scene, view)
     else:
         data = png_bytes(pictures.draw_picture(scene, view))
+    if output is None:
+        page = _write_own_page(names, data)
+        if not quiet:
+            console.say_written(page)
+        _show_in_browser(page)
+        return exit_codes.SUCCESS
     if output == STREAM:
         console.put_bytes(data)
         return exit_codes.SUCCESS
-    atomic.write_whole(output, data)
+    atomic.write_whole(output, data, sources=names)
     if not quiet:
         console.say_written(output)
     return exit_codes.SUCCESS
@@ -213,11 +225,47 @@ def _find_kind(output: str) -> str:
     )
 
 
-def _build_page(output: str, scene: Scene, view: View) -> bytes:
+def _write_own_page(sources: tuple[str, ...], data: bytes) -> str:
+    """Write ``data`` into the current folder under a name after that of the mesh, which no file has
+    that another program made; the name."""
+    from itertools import count
+
+    from msal_cli.storage import atomic
+
+    stem = os.path.splitext(os.path.basename(sources[-1]).removesuffix(".gz"))[0].lstrip("-")
+    for number in count(1):
+        name = f"{stem}.view{'' if number == 1 else number}.html"
+        if atomic.write_new(name, [data], sources=sources):
+            break
+        if _is_own_page(name):
+            atomic.write_whole(name, data, sources=sources)
+            break
+    return name
+
+
+def _is_own_page(name: str) -> bool:
+    from msal_cli.storage.regular import open_regular
+
+    try:
+        with open_regular(name) as file:
+            return b'<meta name="generator" content="msal ' in file.read(4096)
+    except OSError:
+        return False
+
+
+def _show_in_browser(page: str) -> None:
+    has_display = sys.platform in ("darwin", "win32")
+    if has_display or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        import webbrowser
+
+        webbrowser.open(Path(page).absolute().as_uri())
+
+
+def _build_page(output: str | None, scene: Scene, view: View) -> bytes:
     import shlex
 
     from msal_cli.view import pages
 
-    default = ("view", *scene.names, "-o", output)
+    default = ("view", *scene.names, *(("-o", output) if output else ()))
     arguments = click.get_current_context().find_root().obj or default
     return pages.page_of(scene, view, shlex.join(("msal", *arguments)))

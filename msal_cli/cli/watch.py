@@ -10,6 +10,7 @@ import click
 
 from msal_cli.cli import console, denoise_request, exit_codes, options
 from msal_cli.cli.command import command as grouped_command
+from msal_cli.cli.configuration import options_of_found_file
 from msal_cli.cli.conflicts import find_given
 from msal_cli.cli.denoise_records import describe_run, judge, log_record
 from msal_cli.cli.denoise_request import Request
@@ -46,7 +47,10 @@ def command(context: click.Context, /, folder: str, **given: Any) -> int:
     """
     from msal_cli.cli import logs
 
-    request = Request(**(OF_FILES | given), inputs=(folder,), given=find_given(context))
+    found = options_of_found_file(context)
+    request = Request(
+        **(OF_FILES | given), inputs=(folder,), given=find_given(context), found=found
+    )
     with logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file):
         return _Session(request, context.obj).run()
 
@@ -69,7 +73,10 @@ class _Session:
         options.check_threads_variable()
         self._gates = denoise_request.parse_gates(request)
         self._settings = denoise_request.build_settings(request, self._gates)
-        report_files.check(request.reports, ())
+        denoise_request.refuse_found_targets(request, None)
+        report_files.check(
+            request.reports, denoise_request.other_files(request), request.csv_columns
+        )
         self._planner = ArrivalPlanner(
             lambda files: denoise_request.plan_files(self._request, self._settings, files)
         )
@@ -252,6 +259,7 @@ class _Session:
             request.reports,
             run,
             list(self._records.values()),
+            csv_columns=request.csv_columns,
             without_pictures=interrupted,
             quiet=True,
         )

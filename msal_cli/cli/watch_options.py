@@ -69,6 +69,7 @@ REPORTS = group(
     denoise.REPORT,
     denoise.FAIL_ON,
     MORE,
+    options.CSV_COLUMNS,
     denoise.REFERENCE,
     options.CHECK,
     denoise.FIELDS,

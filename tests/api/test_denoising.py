@@ -225,6 +225,43 @@ def test_what_is_refused(name):
     assert "--" not in caught.value.message
 
 
+def masked_at(values, *rows):
+    mask = np.zeros(np.shape(values), dtype=bool)
+    mask[list(rows)] = True
+    return np.ma.MaskedArray(values, mask)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options"),
+    [
+        ((masked_at(VERTICES, 3), FACES), {}),
+        ((list(masked_at(VERTICES, 3)), FACES), {}),
+        ((VERTICES, masked_at(FACES, 0)), {}),
+        ((VERTICES, FACES), {"method": "msal", "weights": masked_at(TRUST, 5)}),
+        ((VERTICES, FACES), {"lock": masked_at(TRUST < 0.5, 5)}),
+    ],
+)
+def test_masked_values_are_refused(arguments, options):
+    with pytest.raises(msal.MsalError, match="masked"):
+        msal.denoise(*arguments, **options)
+
+
+def test_a_masked_array_without_masked_values_does():
+    plain = msal.denoise(VERTICES, FACES, method="al")
+    masked = msal.denoise(np.ma.MaskedArray(VERTICES), np.ma.MaskedArray(FACES), method="al")
+    assert masked.vertices.tobytes() == plain.vertices.tobytes()
+
+
+def test_masked_values_of_an_object_are_refused_where_they_are_used():
+    meshio = pytest.importorskip("meshio")
+    mesh = meshio.Mesh(VERTICES, [("triangle", FACES)])
+    # Its constructor would drop the mask.
+    mesh.point_data["trust"] = masked_at(TRUST, 5)
+    msal.denoise(mesh, method="msal")
+    with pytest.raises(msal.MsalError, match="trust have masked"):
+        msal.denoise(mesh, method="msal", weights="trust")
+
+
 def test_a_defect_is_an_internal_error(monkeypatch):
     monkeypatch.setattr("msal_cli.api.denoising.build_settings", lambda *a, **k: 1 / 0)
     with pytest.raises(msal.InternalError) as caught:
@@ -243,3 +280,35 @@ def test_a_position_that_the_type_cannot_hold():
     with pytest.raises(msal.ContentError) as caught:
         mesh.to_given_type(1e5 * VERTICES)
     assert caught.value.code == "E_RANGE"
+
+
+HINTS = {
+    "counted from 1": ((VERTICES, FACES + 1), {}, "give faces - 1"),
+    "vertices in columns": ((VERTICES.T, FACES), {}, "give vertices.T"),
+    "faces in columns": ((VERTICES, FACES.T), {}, "give faces.T"),
+    "flat faces": ((VERTICES, FACES.reshape(-1)), {}, "give faces.reshape(-1, 3)"),
+    "quads": ((VERTICES, FACES[:, [0, 1, 2, 2]]), {}, "faces[:, [0, 2, 3]]"),
+    "counted rows": ((VERTICES, np.insert(FACES, 0, 3, axis=1)), {}, "give faces[:, 1:]"),
+    "other vertices": ((VERTICES[:9], FACES), {}, "0 to 8"),
+    "max_mov": ((VERTICES, FACES), {"max_mov": 1}, "did you mean max_move?"),
+    "k": ((VERTICES, FACES), {"k": 0.5}, "did you mean K?"),
+    "iteration": ((VERTICES, FACES, "al"), {"iteration": 2}, "did you mean iterations?"),
+    "msla": ((VERTICES, FACES, "msla"), {}, "did you mean msal"),
+}
+
+
+@pytest.mark.parametrize("name", HINTS)
+def test_the_hint_says_what_to_give(name):
+    positional, keywords, words = HINTS[name]
+    with pytest.raises(msal.MsalError) as caught:
+        msal.denoise(*positional, **keywords)
+    assert words in caught.value.hint
+    assert "damaged" not in caught.value.hint
+
+
+def test_results_fit_one_screen():
+    result = msal.denoise(VERTICES, FACES, "msal", K=0.5)
+    others = [result.record, msal.compare((VERTICES, FACES), (result.vertices, FACES))]
+    assert "method=msal" in repr(result) and "displacement=mean" in repr(result)
+    for lines in (repr(one).splitlines() for one in (result, *others)):
+        assert len(lines) < 24 and max(map(len, lines)) <= 100

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import pickle
 import signal
 import subprocess
 import sys
@@ -48,7 +49,7 @@ def test_a_file_has_the_bytes_of_the_command(scans, tmp_path):
     assert (tmp_path / "api.ply").read_bytes() == (tmp_path / "cli.ply").read_bytes()
     assert record.status == "written" and record.output == str(tmp_path / "api.ply")
     assert record.method.parameters["K"] == 0.4
-    assert record.warnings == ()
+    assert all("more than msal is made for" in warning for warning in record.warnings)
 
 
 def test_another_format_and_gates(scans, tmp_path):
@@ -214,3 +215,14 @@ def test_ctrl_c_ends_the_run_at_once_as_a_keyboard_interrupt(tmp_path):
     assert errors.rstrip().endswith("KeyboardInterrupt")
     # The folder is free for another run.
     assert list(msal.denoise_folder(scans, tmp_path / "out", "al", fresh=True, force=True))
+
+
+def test_a_missing_file_is_a_file_not_found_error(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught:
+        msal.denoise_file(tmp_path / "none.ply", tmp_path / "out.ply")
+    assert isinstance(caught.value, msal.UsageError)
+    with pytest.raises(FileNotFoundError, match="cannot be read") as caught:
+        msal.compare(tmp_path / "none.ply", tmp_path / "none.ply")
+    assert isinstance(caught.value, msal.InputError) and caught.value.code == "E_READ"
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (type(again), again.path) == (msal.MissingFileError, caught.value.path)

@@ -28,6 +28,14 @@ def smooth(vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int64]) -> f
     return result.displacement.max_edges + noise.mean_edges + (0.0 if change is None else change)
 
 
+def every_method(vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int64]) -> list[str]:
+    """Names of methods are words of a set."""
+    for one in msal.list_methods():
+        msal.denoise(vertices, faces, one.name)
+    msal.denoise_file("a.ply", "b.ply", "taubin", iterations=2, parameters={"lambda": 0.3})
+    return [text for one in msal.list_methods() for text in one.parameters.values()]
+
+
 def same_type(mesh: Mesh) -> Mesh:
     """A mesh object comes back as its own type."""
     return msal.add_noise(msal.denoise(mesh, method="auto", keep="edges"), level=0.2)

@@ -101,8 +101,8 @@ def test_reports_of_earlier_runs_know_it(scans, tmp_path):
 
 
 @pytest.mark.parametrize("word", [None, "--auto"])
-def test_a_choice_that_damages_is_rejected(tmp_path, monkeypatch, word):
-    """A collapse is never written: the input comes back, and the reason says why."""
+def test_a_choice_that_damages_is_softened_or_rejected(tmp_path, monkeypatch, word):
+    """A collapse is never written: a milder result or the input is, and the reason says why."""
 
     def collapsing(mesh, *given, **named):
         values = methods.find("umbrella").validate({"iterations": 1000})
@@ -113,13 +113,28 @@ def test_a_choice_that_damages_is_rejected(tmp_path, monkeypatch, word):
     scan = tmp_path / "scan.ply"
     scan.write_bytes(closed_scan())
     words = [] if word is None else [word]
+    records, _ = run(scan, "-o", tmp_path / "mild.ply", *words)
+    record = records["scan.ply"]
+    assert (record["status"], record["method"]["name"]) == ("written", "al")
+    assert record["method"]["parameters"]["noise"] == pytest.approx(
+        0.5 * record["noise_estimate"]["mean_edges"], abs=1e-3
+    )
+    assert "; rejected, for the volume changed by -" in record["choice"]["reason"]
+    (warning,) = record["warnings"]
+    assert warning.startswith("the first choice would damage the mesh (the volume changed by -")
+    options = record["choice"]["repeat"]
+    run(scan, "-o", tmp_path / "by hand.ply", *options)
+    assert (tmp_path / "mild.ply").read_bytes() == (tmp_path / "by hand.ply").read_bytes()
+    # Where nothing milder would do, the input comes back.
+    monkeypatch.setattr("msal_cli.job.pipeline.MILDER", (0.0,))
     records, _ = run(scan, "-o", tmp_path / "out.ply", *words)
     record = records["scan.ply"]
     assert (record["status"], record["method"]["name"]) == ("unchanged", "none")
     assert (tmp_path / "out.ply").read_bytes() == scan.read_bytes()
     assert record["displacement"]["max"] == 0.0
     assert "; rejected, for the volume changed by -" in record["choice"]["reason"]
-    assert record["warnings"] == []
+    (warning,) = record["warnings"]
+    assert warning.startswith("every choice would damage the mesh (the volume changed by -")
     # By name it is done, with a warning.
     words = ("--method", "umbrella", "-n", "1000", "--force")
     records, _ = run(scan, "-o", tmp_path / "b.ply", *words)

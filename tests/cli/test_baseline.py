@@ -70,7 +70,8 @@ def test_folders_that_have_moved(files, tmp_path):
 
 def test_a_report_of_denoising_is_a_baseline_too(files, tmp_path):
     output, report = tmp_path / "out" / "a.ply", tmp_path / "run.json"
-    given = ("denoise", files / "good.ply", "-o", output, "--reference", files / "truth.ply")
+    given = ("denoise", files / "good.ply", "-o", output, "--method", "msal")
+    given += ("--reference", files / "truth.ply")
     assert msal(*given, "--report", report).exit_code == 0
     again = ("compare", files / "truth.ply", output, "--baseline", report)
     assert msal(*again).exit_code == 0

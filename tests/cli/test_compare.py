@@ -50,6 +50,26 @@ def test_two_files_as_one_object(scans):
     assert data["displacement"]["max"] > 0.0
 
 
+def test_more_files_are_a_table_with_a_row_for_each(scans):
+    names = [scans / f"{name}.ply" for name in ("b", "a", "bad")]
+    made = msal("compare", scans / "a.ply", *names)
+    head, first, second, *rest = made.stdout.splitlines()
+    assert "angle" in head and "vertex error" in head
+    assert "b.ply" in first and "a.ply" in second and "0.00°" in second
+    assert made.exit_code == 3 and "2 compared, 1 not" in rest[-1]
+    data = json.loads(msal("compare", scans / "a.ply", *names[:2], "--json").stdout)
+    Draft202012Validator(SCHEMA).validate(data)
+    assert [one["after"] for one in data["records"]] == [str(name) for name in names[:2]]
+    gate = msal("compare", scans / "a.ply", *names[:2], "--fail-on", "vertex_error_percent > 1")
+    assert gate.exit_code == 4 and "b.ply" in gate.stderr and "a.ply:" not in gate.stderr
+
+
+@pytest.mark.parametrize("words", [("a.ply", "."), ("a.ply", "b.ply", "."), (".", ".", ".")])
+def test_folders_are_compared_in_pairs_only(scans, words):
+    made = msal("compare", *(scans / word for word in words))
+    assert made.exit_code == 2 and "two folders" in made.stderr
+
+
 def test_a_file_that_cannot_be_read(scans):
     made = msal("compare", scans / "a.ply", scans / "bad.ply", "--json")
     assert made.exit_code == 1

@@ -87,10 +87,10 @@ def test_options_for_files_are_left_out_for_a_stream(project):
 
 def test_paths_are_relative_to_the_file(project, monkeypatch):
     (project / ".git").mkdir()
-    write(project, '[denoise]\nreport = "r.csv"')
+    write(project, '[denoise]\nreport = "in/r.csv"')
     monkeypatch.chdir(project / "in")
     assert msal("denoise", "a.ply", "-o", "o.ply").exit_code == 0
-    assert (project / "r.csv").exists()
+    assert (project / "in/r.csv").exists()
 
 
 def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
@@ -127,8 +127,11 @@ def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
         ("[denoise\n", ("msal.toml: this is not TOML", "line 1")),
         ("[denoise]\nin-place = true", ("in-place", "--config")),
         ("[denoise]\nscheduler = 'tcp://evil:1'", ("scheduler", "--config")),
-        ("[denoise]\nlog-file = '../x.log'", ("leads out of the folder",)),
-        ("[denoise]\nlog-file = '/tmp/x.log'", ("leads out of the folder",)),
+        ("[denoise]\nlog-file = 'x.log'", ("log-file", "--config")),
+        ("[denoise]\nscratch = '.'", ("scratch", "--config")),
+        ("[denoise]\nreport = '../x.csv'", ("leads out of the folder",)),
+        ("[denoise]\noutput = '/tmp/x'", ("leads out of the folder",)),
+        ('[denoise]\nreport = "a\\u0000.csv"', ("[denoise] report", "u0000")),
         ("[denoise]\nreport = 's3://evil/r.csv'", ("leads out of the folder",)),
     ],
 )
@@ -175,10 +178,11 @@ def test_what_is_in_force_is_shown_and_can_be_kept(project):
 
 
 def test_other_commands_have_tables_too(project):
-    write(project, '[info]\nexclude = ["*"]\n[noise]\nlevel = 0.5\n[view]\noutput = "p.png"')
+    write(project, '[info]\nexclude = ["*"]\n[noise]\nlevel = 0.5\n[view]\nsize = 64')
+    assert "size = 64" in msal("view", "--show-config").stdout.replace('"', "")
     assert msal("info", "in").exit_code == 5
     assert "level = 0.5" in msal("noise", "--show-config").stdout.replace('"', "")
-    assert msal("view", "in/a.ply", "-q", "--size", "64").exit_code == 0
+    assert msal("view", "in/a.ply", "-q", "-o", "p.png").exit_code == 0
     assert (project / "p.png").exists()
 
 

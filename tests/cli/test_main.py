@@ -108,7 +108,9 @@ def test_the_help_of_denoise_tells_the_real_defaults():
     defaults = methods.find("msal").validate({})
     for option, name in (("-n,", "iterations"), ("-K", "K"), ("--mollify", "mollify")):
         after = said[said.index(f"{option} ") :]
-        assert after[after.index("[default: ") :].startswith(f"[default: {defaults[name]}]")
+        assert after[after.index("[default: ") :].startswith(
+            f"[default: chosen for each mesh; {defaults[name]} with --method msal]"
+        )
 
 
 def test_an_internal_error_is_one_line(monkeypatch, tmp_path):

@@ -202,7 +202,8 @@ def test_noise_by_a_property_leaves_alone_what_has_none(scan):
     moved = (files_vertices(target) != files_vertices(source)).any(axis=1)
     assert not moved[vertices[:, 0] <= 0.0].any()
     assert moved[vertices[:, 0] > 0.5].all()
-    wrong = msal("noise", source, "-o", target, "--kind", "property", "--property", "Amount")
+    words = ("--kind", "property", "--property", "Amount", "--force")
+    wrong = msal("noise", source, "-o", target, *words)
     assert (wrong.exit_code, "E_PROPERTY" in wrong.stderr) == (1, True)
     assert "amount" in wrong.stderr
 

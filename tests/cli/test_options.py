@@ -104,11 +104,12 @@ TO_FILE, DASK, STREAM = "a.ply -o out ", "--engine dask --scheduler ", "- -o out
         (TO_FILE + "--no-backup", "--no-backup needs --in-place"),
         (TO_FILE + "--fail-fast --max-failures 2", "--fail-fast and --max-failures contradict"),
         ("a.ply --in-place --fields sigma", "the next run in place would take for an input"),
-        (TO_FILE + "--scheduler local", "--scheduler needs --engine dask"),
+        (TO_FILE + "--scheduler tcp://host:1", "--scheduler needs --engine dask"),
         (TO_FILE + "--engine dask", "--engine dask needs --scheduler"),
         (TO_FILE + DASK + "x", "--scheduler x: this is not an address"),
+        (TO_FILE + DASK + "local", "--scheduler local: this is not an address"),
         (TO_FILE + DASK + "tcp://host:1 -j 2", "-j is for this machine"),
-        ("a.ply --in-place " + DASK + "local", "--in-place cannot be used with Dask"),
+        ("a.ply --in-place " + DASK + "tcp://host:1", "--in-place cannot be used with Dask"),
         *(
             (f"{TO_FILE}{one} {other}", f"{one.split(' ')[0]}.* and {other.split(' ')[0]}")
             for one in ("--auto", "--keep edges", "--strength 0", "--prefer normals")

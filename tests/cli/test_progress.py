@@ -49,7 +49,8 @@ def frames(stream):
 @pytest.mark.parametrize("names", [("a.ply",), ("a.ply", "b.ply")])
 def test_no_bar_off_a_terminal_or_when_quiet(monkeypatch, names):
     monkeypatch.setattr(sys, "stderr", io.StringIO())
-    assert type(progress.bar(tasks(*names), quiet=False)) is progress.Silent
+    assert type(progress.bar(tasks(*names), quiet=False)) is progress.Log
+    assert type(progress.bar(tasks(*names), quiet=True)) is progress.Silent
     on_a_terminal(monkeypatch)
     assert type(progress.bar(tasks(*names), quiet=True)) is progress.Silent
     assert type(progress.stream_bar("-", quiet=True)) is progress.Silent
@@ -74,6 +75,48 @@ def test_a_bar_over_files_shows_the_file_in_hand_and_the_failures(monkeypatch):
     assert "1 failed" in frames(stream)[-1]
     bar.close()
     assert "\x1b.ply" not in stream.getvalue()
+
+
+def logged(monkeypatch, names):
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    return stream, progress.bar(tasks(*names), quiet=False)
+
+
+def test_a_log_has_a_line_for_each_file_as_it_finishes_with_its_whole_name(monkeypatch):
+    long = "folder/" * 30 + "scan.ply"
+    stream, log = logged(monkeypatch, [long, "old.ply", "bad.ply", "odd.ply"])
+    log.on_event(Finished(0, written(flipped_faces=2, despiked=1)))
+    log.on_event(Finished(1, written(status="up-to-date")))
+    log.on_event(Finished(2, failed()))
+    log.on_event(Finished(3, written(warnings=("half\n::gone",))))
+    assert stream.getvalue().splitlines() == [
+        f"[1/4] {long}: msal, largest move 0.44 mean edge lengths, 2 flipped faces, "
+        "1 outlier vertex brought back, 0.95 s",
+        "[3/4] bad.ply: failed: vertex 17: position is not finite (E_NONFINITE)",
+        "[4/4] odd.ply: msal, largest move 0.44 mean edge lengths, 0.95 s; warning: half\\n::gone",
+    ]
+
+
+def test_a_log_of_many_files_has_a_line_every_few_seconds(monkeypatch):
+    monkeypatch.setattr(progress, "_MAX_LINES", 2)
+    stream, log = logged(monkeypatch, ["a", "b", "c", "d"])
+    log.on_event(Finished(0, written()))
+    log.on_event(Finished(1, failed()))
+    assert stream.getvalue() == ""
+    monkeypatch.setattr(progress, "_LOG_EVERY_S", 0.0)
+    log.on_event(Finished(2, written()))
+    assert re.fullmatch(r"\[3/4\] 1 failed; about \S+ s left\n", stream.getvalue())
+
+
+def test_a_log_says_the_stage_of_a_file_that_takes_long(monkeypatch):
+    stream, log = logged(monkeypatch, ["a.ply"])
+    log.on_event(Progress(0, "choose", 3, 12))
+    assert stream.getvalue() == ""
+    monkeypatch.setattr(progress, "_SILENT_S", 0.0)
+    log.on_event(Progress(0, "choose", 3, 12))
+    log.on_event(Finished(0, written()))
+    assert stream.getvalue() == "a.ply: choose 3 of 12\n"
 
 
 def test_words_come_above_the_bar(monkeypatch):

@@ -20,8 +20,8 @@ from tests.report.made import RUN, written
         ("r", "no known format"),
         ("-", "needs the name of a file"),
         ("folder.json", "is a folder"),
-        ("mesh.json", "would replace the mesh"),
-        ("./mesh.json", "would replace the mesh"),
+        ("mesh.json", "would replace"),
+        ("./mesh.json", "would replace"),
         ("file/below.json", "cannot be written to the folder"),
     ],
 )
@@ -31,6 +31,11 @@ def test_what_is_refused(tmp_path, monkeypatch, name, words):
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match=words):
         reports.check([name], ["mesh.json", "other.ply"])
+
+
+def test_columns_without_a_table_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="there is no report"):
+        reports.check([str(tmp_path / "r.json")], [], "all")
 
 
 def test_a_report_given_twice_is_refused(tmp_path, monkeypatch):

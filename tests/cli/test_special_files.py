@@ -59,7 +59,7 @@ def test_a_pipe_is_refused_at_once(place, words):
 
 def test_a_report_into_a_pipe_is_refused(place):
     made = msal("denoise", "scan.ply", "-o", "a.ply", "--report", "pipe.csv")
-    assert made.exit_code == 1
+    assert made.exit_code == 2
     assert "device or a pipe" in made.stderr
 
 

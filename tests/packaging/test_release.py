@@ -65,7 +65,7 @@ def test_workflows(path):
             assert (ROOT / job["uses"]).exists()
         for step in job.get("steps", []):
             # Pinned by version; and no text of an event is put into a script.
-            assert "uses" not in step or re.fullmatch(r"[\w./-]+@v\d+(\.\d+)*", step["uses"])
+            assert "uses" not in step or re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", step["uses"])
             assert "${{" not in step.get("run", "")
             for script in re.findall(r"\S+\.(?:py|sh)\b", step.get("run", "")):
                 assert (ROOT / script.removeprefix("../").removeprefix("/src/")).exists(), script

@@ -9,6 +9,7 @@ import numpy as np
 from msal_cli.api.memory_mesh import (
     Array,
     MemoryMesh,
+    as_array,
     fan_triangles,
     from_arrays,
     renewed_normals,
@@ -29,7 +30,7 @@ def read(mesh: Any) -> MemoryMesh:
     blocks = []
     for block in mesh.cells:
         if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
-            rows = np.asarray(block.data, dtype=np.int64)
+            rows = as_array(block.data, "faces").astype(np.int64, copy=False)
             sizes = np.full(len(rows), rows.shape[1], dtype=np.int64)
             blocks.append(fan_triangles(rows.reshape(-1), sizes)[0])
         elif block.type not in _KEPT:
