@@ -30,6 +30,9 @@ CLASSES = ("machined", "organic", "texture 0.1", "texture 0.2", "clean")
 PAIRS = ("Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2")
 """Folders of published noisy meshes, each with its true one."""
 
+SCULPTURES = ("beast", "falconstatue", "ogre", "scorpion", "springer")
+"""Clean models of the folder ``clean`` with fine relief."""
+
 Floats = NDArray[np.float64]
 
 
@@ -109,7 +112,7 @@ def sources(quick: bool = False) -> dict[str, Callable[[], Mesh]]:
             "igea": folder / "clean" / "igea.ply",
             "angel": folder / "scans" / "angel.obj",
             "dragon": folder / "scans" / "dragon_vrip_res2.ply.gz",
-        }
+        } | {name: folder / "clean" / f"{name}.obj" for name in SCULPTURES}
         for name, path in clean.items():
             if path.exists() and not (quick and name in ("igea", "dragon")):
                 found[name] = functools.partial(opened, path)

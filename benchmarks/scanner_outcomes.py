@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -102,6 +102,7 @@ class Outcomes:
     ----------
     path : the cache; None keeps nothing.
     python : Python that has the peers; None leaves them to the cache.
+    run : gives the outcome of a contestant by name; None for ``run_command``.
 
     Raises
     ------
@@ -109,8 +110,13 @@ class Outcomes:
         if ``path`` is not a cache.
     """
 
-    def __init__(self, path: Path | None, python: str | None) -> None:
-        self._path = path
+    def __init__(
+        self,
+        path: Path | None,
+        python: str | None,
+        run: Callable[[Pair, str], Outcome] | None = None,
+    ) -> None:
+        self._path, self._run_one = path, run or run_command
         self._python = python
         self._rows: dict[str, dict[str, Outcome]] = {}
         self._digests: dict[str, str] = {}
@@ -160,7 +166,7 @@ class Outcomes:
             row[NOISY] = Outcome(measure_errors(pair, pair.noisy))
         for name in names:
             if name not in row:
-                row[name] = run_command(pair, name)
+                row[name] = self._run_one(pair, name)
                 errors = row[name].errors
                 print(
                     f"{key}, {name}: {errors.angle_deg:.2f} / {errors.distance_percent:.1f}, "
@@ -220,7 +226,8 @@ def run_command(pair: Pair, name: str) -> Outcome:
 
 
 def denoise(mesh: Mesh, name: str) -> tuple[Floats, str]:
-    """Positions (n, 3) after one of ``OURS``, and the reason of its choice if it made one.
+    """Positions (n, 3) after one of ``OURS``, or after a method with its parameters as the members
+    of a blend are written, and the reason of its choice if it made one.
 
     Raises
     ------
@@ -239,7 +246,7 @@ def _settings(name: str) -> Settings:
         return Settings(AUTO, asdict(Wishes()))
     if name == "plain":
         return Settings(ADAPTIVE)
-    return Settings(name, methods.find(name).validate({}))
+    return Settings("blend", methods.find("blend").validate({"members": f"1*{name}"}))
 
 
 def to_ply(mesh: Mesh) -> bytes:

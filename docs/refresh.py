@@ -3,9 +3,9 @@
     python docs/refresh.py
 
 Every block that follows ``<!-- output: msal ... -->`` is replaced by what that command prints, all
-commands that install msal, and the GitLab component, take it from ``SOURCE``, and the pages of
-``methods/``, those of the commands and of the Python API, the man pages and the JSON Schemas are
-made anew.  A test fails where this was forgotten.
+commands that install msal, the pieces for CI and the GitLab component take it from ``REPOSITORY``,
+and the pages of ``methods/``, those of the commands and of the Python API, the man pages and the
+JSON Schemas are made anew.  A test fails where this was forgotten.
 """
 
 from __future__ import annotations
@@ -25,13 +25,43 @@ import make_method_pages
 import make_schemas
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE = " @ https://git.example.com/msal-cli/archive/main.tar.gz"
-"""Where pip takes msal from, after its name: an archive of the repository, at a place that stands
-for the real one.  Empty once msal is on the package index."""
+REPOSITORY = ""
+"""The address of the repository, such as https://HOST/OWNER/msal-cli: the one place to set it.
+Empty while it has none: pages then show ``PLACEHOLDER`` and say that it is one, and the GitLab
+component has no default to install from."""
 
+ARCHIVE = "archive/main.tar.gz"
+"""Where an archive of the branch main is below that address; on GitLab
+-/archive/main/msal-cli-main.tar.gz."""
+
+IS_ON_INDEX = False
+"""Whether pip takes msal from the package index instead."""
+
+PLACEHOLDER = "https://git.example.com/OWNER/msal-cli"
+NOTE = (
+    "The repository has no public address yet: `git.example.com/OWNER` is a placeholder, where "
+    "nothing answers. Put the address of your copy in its place."
+)
+
+PAGES = (
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    ROOT / "docs/example_repository/.github/workflows/meshes.yml",
+)
 COMPONENT = ROOT / "templates/denoise.yml"
-COMPONENT_SOURCE = re.compile(r"(?<=default: )msal-cli(?: @ \S+)?$", re.MULTILINE)
+COMPONENT_SOURCE = re.compile(r"(    source:\n      description: .*\n)(?:      default: .*\n)?")
 INSTALL = re.compile(r"pip install '?msal-cli(\[\w+\])?(?: @ [^\s']+)?'?(?![\w-])")
+# The pieces of docs/ci.md and the example repository.
+ADDRESSES = (
+    (re.compile(r"(?<=- component: )\S+(?=/denoise@main)"), lambda: address().split("://")[1]),
+    (re.compile(r"(?<=- repo: )https:\S+"), lambda: address()),
+    (re.compile(r"(?<=uses: )[\w.-]+/msal-cli(?=@main)"), lambda: address().split("/", 3)[3]),
+    (re.compile(r"(?<=source: )msal-cli @ \S+"), lambda: f"msal-cli{source()}"),
+    (
+        re.compile(r"^.*(?=<!-- address -->$)", re.MULTILINE),
+        lambda: "" if REPOSITORY else f"{NOTE} ",
+    ),
+)
 SHOWN = re.compile(r"^<!-- output: msal (.+?) -->\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -50,14 +80,34 @@ def refreshed(text: str) -> str:
     )
 
 
+def address() -> str:
+    """The address of the repository, or the placeholder."""
+    return REPOSITORY or PLACEHOLDER
+
+
+def source() -> str:
+    """Where pip takes msal from, after its name; empty for the package index."""
+    return "" if IS_ON_INDEX else f" @ {address()}/{ARCHIVE}"
+
+
 def with_source(text: str) -> str:
-    """A page whose commands install msal from ``SOURCE``."""
-    return INSTALL.sub(lambda command: install_command(command[1] or ""), text)
+    """A page with the address of the repository, whose commands install msal from there."""
+    text = INSTALL.sub(lambda command: install_command(command[1] or ""), text)
+    for place, find_value in ADDRESSES:
+        text = place.sub(find_value(), text)
+    return text
+
+
+def component_with_source(text: str) -> str:
+    """The GitLab component, which installs msal from the repository if its address is known."""
+    is_known = bool(REPOSITORY) or IS_ON_INDEX
+    default = f"      default: msal-cli{source()}\n" if is_known else ""
+    return COMPONENT_SOURCE.sub(lambda found: found[1] + default, text)
 
 
 def install_command(extra: str = "") -> str:
     """The command that installs msal with an extra, such as ``[cloud]``."""
-    words = f"msal-cli{extra}{SOURCE}"
+    words = f"msal-cli{extra}{source()}"
     return f"pip install {words}" if words == "msal-cli" else f"pip install '{words}'"
 
 
@@ -67,15 +117,13 @@ def main() -> None:
     make_man_pages.main()
     make_method_pages.main()
     make_schemas.main()
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    for page in PAGES:
         text = page.read_text(encoding="utf-8")
         if refreshed(text) != text:
             page.write_text(refreshed(text), encoding="utf-8", newline="\n")
             print(f"refreshed {page.relative_to(ROOT)}")
-    text = COMPONENT.read_text(encoding="utf-8")
-    COMPONENT.write_text(
-        COMPONENT_SOURCE.sub(f"msal-cli{SOURCE}", text), encoding="utf-8", newline="\n"
-    )
+    text = component_with_source(COMPONENT.read_text(encoding="utf-8"))
+    COMPONENT.write_text(text, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

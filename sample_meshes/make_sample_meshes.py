@@ -156,24 +156,26 @@ def _scan_ply(surface: Surface, vertices: Array) -> bytes:
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment range scan of a coin, millimetres\n"
         f"obj_info num_cols {relief.COLUMNS}\nobj_info num_rows {relief.ROWS}\n"
+        f"element vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        "property float confidence\nproperty float quality\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+        # Behind the faces: VTK's reader crashes on an element before them that it does not know.
         "element camera 1\n"
         + "".join(f"property float {name}\n" for name in (*names, *optics))
         + "property int viewportx\nproperty int viewporty\n"
         + "".join(f"property float {name}\n" for name in lens)
-        + f"element vertex {len(vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        "property float confidence\nproperty float quality\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        + "end_header\n"
     )
-    lead = np.concatenate([numbers, list(optics.values())]).astype("<f4").tobytes()
-    view = struct.pack("<iiff", relief.COLUMNS, relief.ROWS, *lens.values())
+    camera_bytes = np.concatenate([numbers, list(optics.values())]).astype("<f4").tobytes()
+    camera_bytes += struct.pack("<iiff", relief.COLUMNS, relief.ROWS, *lens.values())
     extra = surface.extra
     body = _table(
         len(vertices),
         [("x", "<f4", vertices), ("c", "<f4", extra["confidence"]), ("q", "<f4", extra["quality"])],
     )
-    tail = _table(len(faces), [("n", "u1", 3), ("v", "<i4", faces)])
-    return header.encode() + lead + view + body + tail
+    body += _table(len(faces), [("n", "u1", 3), ("v", "<i4", faces)])
+    return header.encode() + body + camera_bytes
 
 
 def _colour_ply(surface: Surface, vertices: Array) -> bytes:
