@@ -568,8 +568,12 @@ def test_real_files_are_read_as_trimesh_reads_them(real_data: Path) -> None:
     for path in real_files(real_data):
         file = obj.read(path.read_bytes(), path.name)
         other = trimesh.load(path, process=False, skip_materials=True)
-        # Corner by corner: trimesh drops vertices without faces and splits seams.
-        assert np.array_equal(other.vertices[other.faces], file.vertices[file.faces])
+        # Corner by corner: trimesh drops vertices without faces and splits seams.  The
+        # second triangle of a quad begins at another corner there.
+        theirs, ours = other.vertices[other.faces], file.vertices[file.faces]
+        turned = np.roll(theirs, 1, axis=1)
+        same = (theirs == ours).all(axis=(1, 2)) | (turned == ours).all(axis=(1, 2))
+        assert same.all(), path
 
 
 def test_real_files_are_read_as_meshio_reads_them(real_data: Path) -> None:
