@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks import ground_truth, machine
+from benchmarks.scan_simulation import ScannerSettings, find_truth, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
-from msal_cli.analysis.simulation import ScannerSettings, find_truth, simulate_scan
 from msal_cli.mesh import Mesh, prepare_mesh
 
 SHAPES = (

@@ -1,7 +1,7 @@
 """Scans of known truth: all kinds of noise that scanners make, on models that nothing is tuned to.
 
-Noise is that of ``msal noise``, scans are those of ``msal scan``; each case has a seed and a view
-of its own, from its name, so that every run has the same.
+Noise is that of ``msal noise``, scans are those of ``scan_simulation``; each case has a seed and a
+view of its own, from its name, so that every run has the same.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import ground_truth
+from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from benchmarks.true_surface import TrueSurface
 from msal_cli import codecs
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.storage import gzip_streams
 

@@ -2,7 +2,7 @@
 
     python docs/make_noise_pictures.py
 
-Needs msal with the extra ``simulation``; takes some seconds.
+Needs scikit-image; takes some seconds.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from make_pictures import DOCS, opened, panel, row, sample, write_png
 
+from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import PreparedMesh, prepare_mesh
 
 Array = NDArray[Any]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from make_pictures import opened, sample
 
+from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import Mesh, prepare_mesh
 
 

@@ -45,8 +45,8 @@ ONLY_IN = {
     "s3fs": set(),
     "PIL": {"view"},
     "fcpw": {"analysis"},
-    "scipy": {"analysis.simulation"},
-    "skimage": {"analysis.simulation"},
+    "scipy": set(),
+    "skimage": set(),
 }
 
 

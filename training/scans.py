@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from msal_cli.analysis.simulation import ScannerSettings, find_truth, simulate_scan
+from benchmarks.scan_simulation import ScannerSettings, find_truth, simulate_scan
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.mesh import Mesh
 

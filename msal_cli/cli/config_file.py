@@ -26,7 +26,7 @@ _NEVER = (CONFIG, NO_CONFIG, SHOW_CONFIG)
 # files, nor have another machine take part: this it may only when it is named.
 _ONLY_NAMED = (
     *("in_place", "no_backup", "force", "engine", "scheduler"),
-    *("log_file", "scratch", "heatmap", "truth", "outputs"),
+    *("log_file", "scratch", "heatmap", "outputs"),
 )
 # Pictures, which are replaced.
 _OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))

@@ -31,7 +31,6 @@ COMMANDS = {
     "view": "Make a picture, or a page, of one or two meshes.",
     "sweep": "Try many values of two parameters on one mesh.",
     "noise": "Add known noise to meshes.",
-    "scan": "Scan meshes by simulation, or mesh a volume.",
     "methods": "List the methods, or explain one.",
     "report": "Report on earlier runs.",
     "completion": "Print the completion script of a shell.",

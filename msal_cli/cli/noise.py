@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import options
+from msal_cli.cli import console, exit_codes, options
 from msal_cli.cli.command import MESSAGES, MORE, group
 from msal_cli.cli.command import command as grouped_command
-from msal_cli.errors import UsageError
+from msal_cli.cli.options import STREAM
+from msal_cli.errors import MsalError, ResourceError, UsageError
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
-    from msal_cli.cli.make_files import Target
+    from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.job.output import MadeFile
-    from msal_cli.storage.buffers import Buffer
 
 # Those of added_noise.KINDS, whose module imports numpy; a test compares them.
 _KINDS = (
@@ -158,25 +157,87 @@ def command(
     INPUT is a file, a folder, a pattern, or - for standard input. Vertices at one place stay
     together, so seams do not open. The files keep their format.
     """
-    from msal_cli.batch import plan
-    from msal_cli.cli.make_files import Target, find_inputs, make_files, refuse_existing
-    from msal_cli.codecs import header_check
-    from msal_cli.job.noise_file import add_noise_to_file
+    import os
+
+    from msal_cli.batch import interrupts, plan
+    from msal_cli.cli.side_files import refuse_target
+    from msal_cli.job.display_names import escape_for_display
+    from msal_cli.report.phrases import file_name
 
     format = options.resolve_format(format)
     noise = _build_noise(**settings)
-    found = find_inputs(inputs, include, exclude, output)
+    found = _find_inputs(inputs, include, exclude, output)
     if found is None:
-        targets = [Target(inputs[0], output or options.STREAM)]
+        targets = [(inputs[0], output or STREAM)]
     else:
         tasks = plan.build_plan(found, output, force=force).tasks
-        targets = [Target(task.input, task.output) for task in tasks]
-    refuse_existing(targets, force=force)
+        targets = [(task.input, task.output) for task in tasks]
+    for _, path in targets:
+        if path == STREAM:
+            continue
+        refuse_target(path, "the output", replaces="")
+        if not force and os.path.lexists(path):
+            raise UsageError(
+                f"the output {path!r} is there already",
+                hint="give it another name, or --force to replace it",
+            )
+    n_failed = 0
+    for source, path in targets:
+        try:
+            # A signal must not leave a temporary file.
+            with interrupts.noticed(interrupts.raise_for):
+                made = _make_noisy_file(source, path, noise, format)
+        except MsalError as error:
+            if STREAM in (source, path):
+                raise
+            n_failed += 1
+            error.path = error.path or source
+            console.say_error(error)
+            continue
+        if not quiet:
+            name = file_name(path)
+            console.say(f"{name}: {escape_for_display(made.description)}")
+            for warning in made.warnings:
+                console.say(f"warning: {name}: {escape_for_display(warning)}")
+    return exit_codes.of_files(len(targets), n_failed)
 
-    def make(data: Buffer, target: Target) -> MadeFile:
-        return add_noise_to_file(data, target.source, target.output, noise, format)
 
-    return make_files(targets, partial(header_check.read_input, format=format), make, quiet=quiet)
+def _find_inputs(
+    inputs: tuple[str, ...], include: tuple[str, ...], exclude: tuple[str, ...], output: str | None
+) -> tuple[DiscoveredInput, ...] | None:
+    """The files to work on; None if one mesh comes or goes through a standard stream."""
+    from msal_cli.batch.inputs import discover_inputs
+    from msal_cli.cli.streams import find_stream
+
+    if STREAM not in (*inputs, output):
+        if output is None:
+            raise UsageError("there is no output", hint="name a file or a folder with -o")
+        return discover_inputs(inputs, include, exclude, output=output)
+    find_stream(inputs, output)
+    if include or exclude:
+        raise UsageError("--include and --exclude are for files, not for standard input or output")
+    return None
+
+
+def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | None) -> MadeFile:
+    """Write one output, whole or not at all."""
+    from msal_cli.cli.streams import read_stream
+    from msal_cli.codecs import header_check
+    from msal_cli.codecs.companions import list_sources
+    from msal_cli.job.noise_file import add_noise_to_file
+    from msal_cli.job.output import write_output
+
+    try:
+        data = read_stream() if source == STREAM else header_check.read_input(source, format)
+        made = add_noise_to_file(data, source, path, noise, format)
+        if path == STREAM:
+            console.put_bytes(made.output)
+        else:
+            sources = (0,) if source == STREAM else list_sources(source, data)
+            write_output(path, made.output, made.companions, sources)
+    except MemoryError:
+        raise ResourceError("not enough memory", code="E_MEMORY") from None
+    return made
 
 
 def _build_noise(kind: str, level: float, seed: int, **settings: Any) -> AddedNoise:

@@ -146,37 +146,6 @@ def parse_direction(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def parse_lengths(text: str) -> tuple[float, float, float]:
-    """Three numbers above 0 between commas."""
-    lengths = _parse_three(text)
-    if not all(0.0 < one < math.inf for one in lengths):
-        raise click.BadParameter(f"{text!r} is not three numbers above 0 such as 1,1,3")
-    return lengths
-
-
-def parse_counts(text: str) -> tuple[int, int, int]:
-    """Three whole numbers above 0 between commas."""
-    if not re.fullmatch(r"(?a)(0*[1-9]\d{0,8}(,|$)){3}", text) or text.endswith(","):
-        raise click.BadParameter(f"{text!r} is not three whole numbers such as 512,512,100")
-    x, y, z = map(int, text.split(","))
-    return x, y, z
-
-
-def parse_resolution(text: str) -> tuple[int | None, float | None]:
-    """``96`` cells along the longest side, or cells of ``0.8e``, mean edge lengths."""
-    if text.isascii() and text.isdigit() and len(text) < 6:
-        return int(text), None
-    try:
-        edges = float(text.removesuffix("e")) if text.endswith("e") else math.nan
-    except ValueError:
-        edges = math.nan
-    if not math.isfinite(edges):
-        raise click.BadParameter(
-            f"{text!r} is neither a number of cells such as 96 nor a cell such as 0.8e"
-        )
-    return None, edges
-
-
 # Values that are checked when the command runs, because that imports more.
 
 

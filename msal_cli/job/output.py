@@ -49,14 +49,13 @@ class Output:
 
 @dataclass(frozen=True, eq=False)
 class MadeFile:
-    """An output that ``msal noise`` or ``msal scan`` made: its bytes, what it is in words, files
-    that hold a part of it, and the bytes of the file with the true positions."""
+    """An output of ``msal noise``: its bytes, what it is in words, and files that hold a part of
+    it."""
 
     output: Buffer
     description: str
     warnings: tuple[str, ...] = ()
     companions: tuple[Companion, ...] = ()
-    truth: Buffer | None = None
 
 
 def build_output(

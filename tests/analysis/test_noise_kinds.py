@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.noise_kinds import KINDS, SHAPES, corrupt, outcomes, write_tables
+from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
 from msal_cli.analysis.noise_estimate.level import DIRECTIONS
 from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
-from msal_cli.analysis.simulation import ScannerSettings, simulate_scan
 from msal_cli.mesh import prepare_mesh
 from tests.analysis.test_outliers import box
 from tests.shapes import ball, cube, grid, torus

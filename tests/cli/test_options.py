@@ -23,9 +23,6 @@ VALUES = {
         "+x": (1.0, 0.0, 0.0),
         "0,-1,0.5": (0.0, -1.0, 0.5),
     },
-    options.parse_lengths: {"1,2,0.5": (1.0, 2.0, 0.5)},
-    options.parse_counts: {"512,10,1": (512, 10, 1)},
-    options.parse_resolution: {"96": (96, None), "0.8e": (None, 0.8)},
     options.number(0.0, 9.0, "e"): {"2": 2.0, "2e": 2.0, "-0": 0.0},
 }
 REFUSED = {
@@ -34,9 +31,6 @@ REFUSED = {
     options.parse_size: ("", "500", "0M", "-2G", "2GG", "1e3M", "0.0000001K", "M"),
     options.parse_percentage: ("", "2", "-1%", "x%", "٣%"),
     options.parse_direction: ("w", "1,2", "nan,0,1", "0,0,0", "inf,0,0", "1e200,0,0"),
-    options.parse_lengths: ("1,2", "0,1,1", "1,1,inf", "nan,1,1", "1,1,1,1"),
-    options.parse_counts: ("1,2", "0,1,1", "1,1,1.5", "1,1,9999999999", "1,1,1,", "1,1,-1"),
-    options.parse_resolution: ("", "e", "x", "1.5", "infe", "1e5"),
     options.number(-2.0, 2.0): ("", "x", "2.5", "-3", "nan", "inf"),
     options.number(): ("nan", "inf", "-inf"),
 }

@@ -34,7 +34,6 @@ def mode_of(path):
     [
         ("out.ply", ("denoise", "SCAN", "--method", "al", "-o", "OUT")),
         ("out.ply", ("noise", "SCAN", "-o", "OUT")),
-        ("out.ply", ("scan", "SCAN", "--scanner", "depth", "-o", "OUT")),
         ("out.ply", ("compare", "SCAN", "SCAN", "--heatmap", "OUT")),
         ("out.html", ("view", "SCAN", "-o", "OUT")),
         ("out.png", ("view", "SCAN", "--size", "48", "-o", "OUT")),

@@ -56,8 +56,6 @@ def contents(folder):
         ("view", "in/a.ply", "-o", "mesh.png"),
         ("sweep", "in/a.ply", "-o", "mesh.png"),
         ("noise", "in/a.ply", "-o", "b.ply"),
-        ("scan", "in/a.ply", "--scanner", "depth", "-o", "b.ply"),
-        ("scan", "in/a.ply", "--scanner", "depth", "-o", "new.ply", "--truth", "b.ply"),
     ],
 )
 def test_what_would_be_replaced_is_refused_before_any_work(project, words):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.analysis.simulation.settings import ScannerSettings
+from benchmarks.scan_simulation.settings import ScannerSettings
 from msal_cli.arrays import Floats
 from msal_cli.mesh import Mesh
 

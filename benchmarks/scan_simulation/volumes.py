@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.simulation.frames import build_frame, cell_length, turn, turn_back
-from msal_cli.analysis.simulation.marching import extract_surface, require_libraries
-from msal_cli.analysis.simulation.occupancy import Grid, close_holes, fill_centres, fill_voxels
-from msal_cli.analysis.simulation.settings import MOST_CELLS, ScannerSettings
+from benchmarks.scan_simulation.frames import build_frame, cell_length, turn, turn_back
+from benchmarks.scan_simulation.marching import extract_surface
+from benchmarks.scan_simulation.occupancy import Grid, close_holes, fill_centres, fill_voxels
+from benchmarks.scan_simulation.settings import MOST_CELLS, ScannerSettings
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
 from msal_cli.kernels.geometry import area_and_volume
@@ -23,7 +23,6 @@ MARGIN = 3
 def scan_volume(mesh: Mesh, settings: ScannerSettings) -> tuple[Floats, Ints, float, int]:
     """Vertices (n, 3) and faces (m, 3) of the object in a volume, the edge of a voxel, and how
     many holes of the mesh were closed."""
-    require_libraries()
     frame = build_frame(settings.direction)
     draw = np.random.Generator(np.random.PCG64(settings.seed))
     vertices, faces, n_holes = close_holes(turn(mesh.vertices, frame), mesh.faces)
@@ -42,7 +41,6 @@ def scan_volume(mesh: Mesh, settings: ScannerSettings) -> tuple[Floats, Ints, fl
         raise ContentError(
             f"the mesh fills no voxel at this resolution (cells of {edge:.4g})",
             code="E_NO_FACES",
-            hint="choose a finer --resolution; a sheet without an inside needs --scanner depth",
         )
     points, triangles = extract_surface(volume, 0.5, grid.spacing)
     return turn_back(points + grid.origin, frame), triangles, edge, n_holes

@@ -6,22 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.errors import ContentError, UnsupportedError, install_hint
+from msal_cli.errors import ContentError
 
 Volume = NDArray[np.float32]
-
-
-def require_libraries() -> None:
-    """Raise UnsupportedError, ``E_NO_LIBRARY``, where scikit-image is not installed."""
-    try:
-        import scipy.ndimage  # noqa: F401
-        import skimage.measure  # noqa: F401
-    except ImportError:
-        raise UnsupportedError(
-            "meshes out of volumes need the package scikit-image, which is not installed",
-            code="E_NO_LIBRARY",
-            hint=install_hint("simulation"),
-        ) from None
 
 
 def extract_surface(
@@ -43,12 +30,9 @@ def extract_surface(
 
     Raises
     ------
-    UnsupportedError
-        with code ``E_NO_LIBRARY`` where scikit-image is not installed.
     ContentError
         with code ``E_NO_FACES`` where the volume has no such surface.
     """
-    require_libraries()
     from skimage.measure import marching_cubes
 
     no_surface = ContentError(

@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.simulation.depth_camera import Camera, DepthImage, place_camera, take_image
-from msal_cli.analysis.simulation.frames import build_frame, turn, turn_back
-from msal_cli.analysis.simulation.marching import extract_surface, require_libraries
-from msal_cli.analysis.simulation.occupancy import Grid
-from msal_cli.analysis.simulation.settings import ScannerSettings
-from msal_cli.analysis.simulation.surface import Surface
-from msal_cli.analysis.simulation.volumes import place_grid
+from benchmarks.scan_simulation.depth_camera import Camera, DepthImage, place_camera, take_image
+from benchmarks.scan_simulation.frames import build_frame, turn, turn_back
+from benchmarks.scan_simulation.marching import extract_surface
+from benchmarks.scan_simulation.occupancy import Grid
+from benchmarks.scan_simulation.settings import ScannerSettings
+from benchmarks.scan_simulation.surface import Surface
+from benchmarks.scan_simulation.volumes import place_grid
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError
 from msal_cli.mesh import Mesh
@@ -38,7 +38,6 @@ _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 def scan_fusion(mesh: Mesh, settings: ScannerSettings, voxel: float) -> tuple[Floats, Ints]:
     """Vertices (n, 3) and faces (m, 3) of the fused surface."""
-    require_libraries()
     draw = np.random.Generator(np.random.PCG64(settings.seed))
     frame = build_frame(settings.direction)
     surface = Surface(mesh)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.scan_simulation.frames import build_frame, turn, turn_back
+from benchmarks.scan_simulation.settings import MOST_PIXELS, ScannerSettings
+from benchmarks.scan_simulation.surface import Surface
 from msal_cli.analysis.added_noise import grazing_growth
-from msal_cli.analysis.simulation.frames import build_frame, turn, turn_back
-from msal_cli.analysis.simulation.settings import MOST_PIXELS, ScannerSettings
-from msal_cli.analysis.simulation.surface import Surface
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
 from msal_cli.mesh import Mesh

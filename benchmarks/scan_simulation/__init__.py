@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.analysis.simulation.settings import DEFAULTS, OPTIONS, SCANNERS, ScannerSettings
+from benchmarks.scan_simulation.settings import DEFAULTS, OPTIONS, SCANNERS, ScannerSettings
 from msal_cli.arrays import Floats, Ints
 from msal_cli.mesh import Mesh
 
@@ -56,26 +56,26 @@ def simulate_scan(mesh: Mesh, settings: ScannerSettings) -> Scan:
     Raises
     ------
     UnsupportedError
-        with code ``E_NO_LIBRARY`` where scikit-image, or FCPW for cameras, is not installed.
+        with code ``E_NO_LIBRARY`` where FCPW, for cameras, is not installed.
     ContentError
         with code ``E_NO_FACES`` where the scanner sees nothing at its resolution.
     TooLargeError
         for more than ``settings.MOST_CELLS`` voxels or ``MOST_PIXELS`` pixels.
     """
     if settings.scanner in ("voxels", "ct", "slices"):
-        from msal_cli.analysis.simulation.volumes import scan_volume
+        from benchmarks.scan_simulation.volumes import scan_volume
 
         vertices, faces, cell, n_holes = scan_volume(mesh, settings)
         return Scan(vertices, faces, cell, closed_holes=n_holes)
-    from msal_cli.analysis.simulation.frames import cell_length
+    from benchmarks.scan_simulation.frames import cell_length
 
     cell = cell_length(mesh, settings)
     if settings.scanner == "depth":
-        from msal_cli.analysis.simulation.depth_camera import scan_depth
+        from benchmarks.scan_simulation.depth_camera import scan_depth
 
         vertices, faces, true_vertices = scan_depth(mesh, settings, cell)
         return Scan(vertices, faces, cell, true_vertices)
-    from msal_cli.analysis.simulation.fusion import scan_fusion
+    from benchmarks.scan_simulation.fusion import scan_fusion
 
     vertices, faces = scan_fusion(mesh, settings, cell)
     return Scan(vertices, faces, cell)
@@ -89,6 +89,6 @@ def find_truth(mesh: Mesh, scan: Scan) -> Floats:
     """
     if scan.true_vertices is not None:
         return scan.true_vertices
-    from msal_cli.analysis.simulation.surface import Surface
+    from benchmarks.scan_simulation.surface import Surface
 
     return Surface(mesh).closest_points(scan.vertices)
