@@ -139,12 +139,12 @@ class _Search:
         self._restore_inliers(bound)
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= FEWEST_CERTAIN * count
-        are_clear = are_certain and self._makes_smoother()
+        are_clear = self._are_off_noise(are_certain)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
-    def _makes_smoother(self) -> bool:
-        """Whether the others have much less noise than the outliers, and not more than the mesh
-        as it is: points of a design that were moved look like noise."""
+    def _are_off_noise(self, are_certain: bool) -> bool:
+        """Whether the others have much less noise than the outliers, surely where these are not
+        certain by themselves; points of a design that were moved look like noise."""
         from msal_cli.analysis.noise_estimate import estimate_noise
 
         after = self._noise()
@@ -152,7 +152,10 @@ class _Search:
         is_detail = after.is_negligible and after.is_unsure
         if not self._are_beyond(after.high if is_detail else after.rms_edges):
             return False
-        return after.rms_edges <= estimate_noise(self.mesh).rms_edges
+        if after.is_negligible:
+            return are_certain
+        is_sure = are_certain or not after.is_unsure
+        return is_sure and not estimate_noise(self.mesh).is_negligible
 
     def _noise(self) -> NoiseLevel:
         """The noise of all others."""

@@ -67,7 +67,6 @@ def test_the_options_repeat_the_bytes(scans, tmp_path, how):
     assert record["noise_estimate"]["tail"] < 0.02
 
 
-@pytest.mark.xfail(strict=True, reason="found, but not certain enough beside noise")
 def test_they_are_brought_back_beside_noise(scans, tmp_path):
     record, _ = run(scans / "loud.ply", "-o", tmp_path / "o.ply")
     assert record["despiked"] == 20

