@@ -1,4 +1,4 @@
-"""The tables of docs/accuracy.md, as text, from outcomes."""
+"""The tables of benchmarks/results/accuracy.txt, as text, from outcomes."""
 
 from __future__ import annotations
 

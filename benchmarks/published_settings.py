@@ -3,7 +3,7 @@
     MSAL_DATA=FOLDER python -m benchmarks.published_settings
 
 FOLDER holds pairs/NAME/{Noisy,Original}.obj; the number in a name is the noise in mean edge
-lengths.  Prints a table of docs/accuracy.md: mean angle between corresponding face normals in
+lengths.  Prints benchmarks/results/published_settings.txt: mean angle between face normals in
 degrees / mean distance between corresponding vertices in % of the original's mean edge length.
 """
 

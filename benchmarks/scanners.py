@@ -26,7 +26,7 @@ DETAILS = ("models", "seconds", "reasons")
 
 
 def section(found: Mapping[str, scanner_tables.Rows], details: Sequence[str]) -> list[str]:
-    """The tables of the section in docs/accuracy.md; ``details`` are some of ``DETAILS``."""
+    """The tables, as lines; ``details`` are some of ``DETAILS``."""
     names = scanner_outcomes.ours()
     lines = [*scanner_tables.overview(found, names), "", *scanner_tables.totals(found)]
     if scanner_cases.CLEAN in found:
@@ -35,8 +35,8 @@ def section(found: Mapping[str, scanner_tables.Rows], details: Sequence[str]) ->
     if "models" in details:
         lines += ["", "Model by model, with the best single setting of the kind:", ""]
         lines += scanner_tables.models(found)
-    lines += ["", "The settings of other tools; what is not named is at the tool's default:", ""]
-    lines += scanner_tables.settings()
+        lines += ["", "The settings of other tools; the rest is at the tool's default:", ""]
+        lines += scanner_tables.settings()
     if "seconds" in details:
         lines += ["", "Processor time of the whole command:", ""]
         lines += scanner_tables.seconds(found, names)

@@ -34,6 +34,7 @@ Image = NDArray[np.uint8]
 
 DOCS = Path(__file__).resolve().parent
 IMAGES = DOCS / "images" / "scanners"
+RESULTS = DOCS.parent / "benchmarks/results/scanners.txt"
 SIZE = (200, 200)
 COMMAND = "auto"
 LARGEST_PICTURE = 150_000  # bytes
@@ -130,7 +131,11 @@ def main() -> None:
     outcomes = Outcomes(given.cache, None)
     found = {kind: outcomes.known(some) for kind, some in scanner_cases.cases().items()}
     found = {kind: rows for kind, rows in found.items() if rows}
-    put(DOCS / "accuracy.md", "scanners", scanners.section(found, ["models"]))
+    put(DOCS / "accuracy.md", "scanners", scanners.section(found, []))
+    tables = "\n".join(scanners.section(found, ["models"]))
+    RESULTS.write_text(
+        f"python -m benchmarks.scanners\n\n{tables}\n", encoding="utf-8", newline="\n"
+    )
     put(DOCS / "noise.md", "your scanner", scanner_table(found))
     if given.no_pictures:
         return

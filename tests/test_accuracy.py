@@ -28,10 +28,10 @@ from tests.shapes import torus
 A_NEW_METHOD = (
     "For a new method: add its settings to benchmarks/accuracy_grid.py, run `MSAL_DATA=FOLDER "
     "python -m benchmarks.accuracy --cache accuracy.json` (--quick leaves out large models), "
-    "and put the tables that it prints into docs/accuracy.md"
+    "and put the tables that it prints into benchmarks/results/accuracy.txt"
 )
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "accuracy.md"
+PAGE = Path(__file__).resolve().parents[1] / "benchmarks/results/accuracy.txt"
 
 SETTINGS = [Setting("al", {}), Setting("al", {"iterations": 1}), Setting("wiener", {})]
 
