@@ -2,7 +2,7 @@
 
     MSAL_DATA=FOLDER python -m benchmarks.accuracy --cache FILE.json [--quick] [--again]
 
-Prints the tables of benchmarks/results/accuracy.txt over the noisy meshes of ``benchmarks.ground_truth``: mean
+Prints benchmarks/results/accuracy.txt over the noisy meshes of ``benchmarks.ground_truth``: mean
 angle between corresponding face normals in degrees / mean distance between corresponding vertices
 in % of the true mean edge length.  The settings are those of ``benchmarks.accuracy_grid``.  Without
 MSAL_DATA the sample meshes and the shapes that are made here remain.
