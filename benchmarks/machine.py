@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from msal_cli import __version__
+from msal_cli.version import __version__
 
 # What takes part in the work of the command itself.
 _PACKAGES = ("numpy",)

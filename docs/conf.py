@@ -20,7 +20,7 @@ ROOT = DOCS.parent
 
 project = "msal"
 author = "the authors of msal"
-release = re.findall(r'__version__ = "(.+)"', (ROOT / "msal_cli/__init__.py").read_text("utf-8"))[0]
+release = re.findall(r'__version__ = "(.+)"', (ROOT / "msal_cli/version.py").read_text("utf-8"))[0]
 extensions = ["myst_parser"]
 exclude_patterns = ["images"]
 # As code hosts do, for links to headings.

@@ -11,53 +11,14 @@ Importing it costs next to nothing and loads no numerical library: the functions
 they are first used (see ``msal_cli.api``).
 """
 
-__version__ = "0.1.0"
+# ruff: noqa: F403, F405
+from msal_cli.version import __version__
 
 # As in ``typing``, which costs more than all the rest of this module.
 TYPE_CHECKING = False
 
 if TYPE_CHECKING:
-    from msal_cli.api import (
-        Area,
-        ChoiceMade,
-        ComparisonRecord,
-        ContentError,
-        DenoiseResult,
-        Displacement,
-        Failure,
-        FormatError,
-        GateResult,
-        InputError,
-        InternalError,
-        LossError,
-        MeshRecord,
-        MethodInfo,
-        MethodUsed,
-        MissingFileError,
-        MissingInputError,
-        MsalError,
-        NoiseEstimate,
-        NoiseReading,
-        NormalChange,
-        NothingMatched,
-        OutputError,
-        ResourceError,
-        Seconds,
-        SelfIntersections,
-        SurfaceDistance,
-        TooLargeError,
-        TruncatedError,
-        UnsupportedError,
-        UsageError,
-        Volume,
-        add_noise,
-        compare,
-        denoise,
-        denoise_file,
-        denoise_folder,
-        estimate_noise,
-        list_methods,
-    )
+    from msal_cli.api import *
 
 __all__ = [
     "Area",

@@ -20,9 +20,9 @@ VERSION = re.compile(r'^__version__ = "([^"]+)"$', re.MULTILINE)
 
 def read_version(root: Path) -> str:
     """The version of the package in a checkout, without importing it."""
-    found = VERSION.search((root / "msal_cli/__init__.py").read_text(encoding="utf-8"))
+    found = VERSION.search((root / "msal_cli/version.py").read_text(encoding="utf-8"))
     if found is None:
-        raise SystemExit('msal_cli/__init__.py: no line __version__ = "..."')
+        raise SystemExit('msal_cli/version.py: no line __version__ = "..."')
     return found[1]
 
 
@@ -42,7 +42,7 @@ def find_faults(root: Path, tag: str) -> list[str]:
     version = read_version(root)
     faults = []
     if tag != f"v{version}":
-        faults.append(f"the tag is {tag}, and msal_cli/__init__.py says {version}: tag v{version}")
+        faults.append(f"the tag is {tag}, and msal_cli/version.py says {version}: tag v{version}")
     section = read_section((root / "docs/changelog.md").read_text(encoding="utf-8"), version)
     if section is None:
         faults.append(f"docs/changelog.md has no section '## {version}': rename '## Unreleased'")

@@ -110,7 +110,7 @@ class DaskCluster:
         def probe(paths: tuple[str, ...]) -> tuple[str | None, list[str]]:
 
             try:
-                from msal_cli import __version__
+                from msal_cli.version import __version__
             except ImportError:
                 return None, []
             return __version__, [path for path in paths if not os.path.exists(path)]

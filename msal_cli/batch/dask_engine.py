@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from msal_cli import __version__
 from msal_cli.batch import temporary_files
 from msal_cli.batch.dask_cluster import DaskCluster, no_workers
 from msal_cli.batch.dask_worker import Answer, Order
@@ -35,6 +34,7 @@ from msal_cli.errors import MsalError, ResourceError, UsageError
 from msal_cli.job.records import MeshRecord
 from msal_cli.storage.atomic import temporary_name
 from msal_cli.storage.urls import is_url
+from msal_cli.version import __version__
 
 _FIRST_FILES = 4
 _GROWTH = 4

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from msal_cli import __version__
 from msal_cli.batch import temporary_files
 from msal_cli.batch.engine import Interrupt, Work
 from msal_cli.batch.events import Failed, Message, Progress, Returned
@@ -28,6 +27,7 @@ from msal_cli.batch.manifest_dirs import output_folders
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError
 from msal_cli.job.settings import Limits
+from msal_cli.version import __version__
 
 TOPIC = "msal"
 """The topic of Dask's events under which workers report, file by file."""

@@ -24,11 +24,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from msal_cli import __version__
 from msal_cli.errors import OutputError
 from msal_cli.job.plain_data import as_data, from_data
 from msal_cli.job.records import MeshRecord, ObjectMark
 from msal_cli.storage.regular import open_regular
+from msal_cli.version import __version__
 
 FORMAT = 1
 RUN_KINDS = ("run", "end")

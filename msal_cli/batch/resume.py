@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from msal_cli import __version__
 from msal_cli.batch.manifest import Manifest
 from msal_cli.batch.manifest_lines import FileStat, ManifestEntry, to_builtin
 from msal_cli.batch.plan import Plan
@@ -22,6 +21,7 @@ from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
+from msal_cli.version import __version__
 
 # Failures that the file itself causes come again with the same file, settings and version.  All
 # others (crashes, memory, time, disks, what is not installed) may not.

@@ -12,12 +12,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
 from msal_cli.batch.manifest import read_view
 from msal_cli.batch.manifest_dirs import read_views
 from msal_cli.batch.manifest_lines import FORMAT, LogView, ManifestEntry, merge_entries
 from msal_cli.batch.shard import Shard
 from msal_cli.job.records import MeshRecord
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.batch.plan import Plan

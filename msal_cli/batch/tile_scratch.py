@@ -22,7 +22,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__, machine
+from msal_cli import machine
 from msal_cli.batch.lock import NAME as LOCK_NAME
 from msal_cli.batch.lock import FolderLock
 from msal_cli.errors import OutputError
@@ -32,6 +32,7 @@ from msal_cli.storage.limits import LOOKED_AT
 from msal_cli.storage.regular import open_regular
 from msal_cli.tiles import source as sources
 from msal_cli.tiles.scratch import Scratch
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.job.settings import Settings, Task

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from msal_cli import __version__
 from msal_cli.batch.events import Failed
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import Settings
+from msal_cli.version import __version__
 
 LOSS_CODES = {
     "crash": "E_CRASH",

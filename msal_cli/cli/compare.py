@@ -215,9 +215,9 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
 
 
 def _no_partner(name: str, before: str, after: str, folder: str) -> ComparisonRecord:
-    from msal_cli import __version__
     from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.job.records import Failure
+    from msal_cli.version import __version__
 
     failure = Failure(_NO_PARTNER, f"there is no {name!r} in {folder!r}")
     return ComparisonRecord(before, after, version=__version__, error=failure)

@@ -126,9 +126,9 @@ def _after_a_pause(rest: memoryview) -> memoryview:
 
 def put_json(schema: str, **data: Any) -> None:
     """A JSON document to standard output: its schema, the version of msal, and plain ``data``."""
-    from msal_cli import __version__
     from msal_cli.report.document import plain
     from msal_cli.report.json_report import json_bytes
+    from msal_cli.version import __version__
 
     put_bytes(json_bytes(plain({"schema": schema, "version": __version__, **data})))
 

@@ -50,9 +50,9 @@ def describe_run(
     """The run, for its reports."""
     from dataclasses import asdict
 
-    from msal_cli import __version__
     from msal_cli.cli import environment
     from msal_cli.report.document import Run
+    from msal_cli.version import __version__
 
     is_reported = request.reports or request.as_json
     return Run(

@@ -15,10 +15,10 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import Exit
 
-from msal_cli import __version__
 from msal_cli.batch import interrupts as signals
 from msal_cli.cli import console, exit_codes
 from msal_cli.errors import MsalError, OutputError
+from msal_cli.version import __version__
 
 COMPLETE_VARIABLE = "_MSAL_COMPLETE"
 """The environment variable through which a shell requests completions."""

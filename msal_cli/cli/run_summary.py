@@ -207,10 +207,10 @@ def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
 
 def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
     """What is known of a run of which only the files are known."""
-    from msal_cli import __version__
     from msal_cli.auto import ALL
     from msal_cli.batch.run_history import iso_timestamp
     from msal_cli.job.settings import ADAPTIVE, AUTO
+    from msal_cli.version import __version__
 
     times = [row.at for row in rows] or [0]
     newest = max(rows, key=lambda row: row.at).record if rows else None

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
 from msal_cli.job.comparison_record import ComparisonRecord
@@ -21,6 +20,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     Volume,
 )
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

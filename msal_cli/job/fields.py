@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import FieldsFile
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Floats

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import __version__, machine
+from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
 from msal_cli.job.border_marks import mark_border
@@ -30,6 +30,7 @@ from msal_cli.job.settings import (
     refuse_faces,
     refuse_oversized,
 )
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats

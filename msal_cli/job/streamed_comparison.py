@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import __version__
 from msal_cli.analysis.enclosure import INSIDE_OUT
 from msal_cli.analysis.measures import SurfaceChange, is_negative, surface_change_of
 from msal_cli.arrays import Floats
@@ -23,6 +22,7 @@ from msal_cli.job.streamed_progress import Steps
 from msal_cli.job.streamed_totals import Bounds, Totals, measure_bounds, measure_faces
 from msal_cli.kernels import surface_change as core
 from msal_cli.kernels.edge_sketch import EdgeSketch
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.job.streamed_progress import ReadingListener

@@ -11,8 +11,8 @@ import io
 import os
 import zipfile
 
-from msal_cli import __version__
 from msal_cli.job.records import MeshRecord
+from msal_cli.version import __version__
 from msal_cli.view.illustrations import Pictures
 
 _MAX_BYTES = 64_000_000

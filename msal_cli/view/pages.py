@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from string import Template
 
-from msal_cli import __version__
 from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import SurfaceDistance
+from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
 from msal_cli.view.html_parts import asset, content_policy, escape
 from msal_cli.view.image_files import png_bytes

@@ -20,7 +20,7 @@ def checkout(folder, version, changelog):
     """The two files of a checkout that a release depends on."""
     (folder / "msal_cli").mkdir()
     (folder / "docs").mkdir()
-    (folder / "msal_cli/__init__.py").write_text(f'"""Text."""\n\n__version__ = "{version}"\n')
+    (folder / "msal_cli/version.py").write_text(f'"""Text."""\n\n__version__ = "{version}"\n')
     (folder / "docs/changelog.md").write_text(changelog)
     return folder
 
