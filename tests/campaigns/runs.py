@@ -28,21 +28,12 @@ STATUS = 3
 """The exit status of an unbroken run over the folder."""
 
 
-def obj_text(vertices, faces, library=""):
+def obj_text(vertices, faces, library):
     """A Wavefront OBJ file as bytes; ``library`` names a file of materials."""
-    lines = [f"mtllib {library}", "usemtl clay"] if library else []
+    lines = [f"mtllib {library}", "usemtl clay"]
     lines += ["v " + " ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
     lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
     return "\n".join(lines).encode() + b"\n"
-
-
-def stl_text(vertices, faces):
-    """An ASCII STL file as bytes."""
-    lines = ["solid scan"]
-    for face in faces:
-        corners = [f"vertex {x:.6e} {y:.6e} {z:.6e}" for x, y, z in vertices[face]]
-        lines += ["facet normal 0 0 0", "outer loop", *corners, "endloop", "endfacet"]
-    return "\n".join([*lines, "endsolid scan"]).encode() + b"\n"
 
 
 def scans_in(folder, count=24):
@@ -53,13 +44,11 @@ def scans_in(folder, count=24):
         vertices = noisy(vertices, n, 0.05)
         home = folder / ("", "a", "a/b")[n % 3]
         home.mkdir(parents=True, exist_ok=True)
-        if n % 4 == 0:
-            (home / f"{n}.ply").write_bytes(ply_text(vertices, faces))
-        elif n % 4 == 1:
+        if n % 3 == 0:
             (home / f"{n}.obj").write_bytes(obj_text(vertices, faces, f"{n}.mtl"))
             (home / f"{n}.mtl").write_bytes(b"newmtl clay\n")
-        elif n % 4 == 2:
-            (home / f"{n}.stl").write_bytes(stl_text(vertices, faces))
+        elif n % 3 == 1:
+            (home / f"{n}.ply").write_bytes(ply_text(vertices, faces))
         else:
             packed = gzip.compress(ply_text(vertices, faces), mtime=0)
             (home / f"{n}.ply.gz").write_bytes(packed)
@@ -154,48 +143,32 @@ class Whole:
 
     def faults(self, folder):
         """What is wrong with an output folder in the middle of a run that was broken."""
-        found = []
-        if not folder.exists():
-            return found
         present = contents(folder)
-        for name, data in present.items():
-            if is_own(name.rpartition("/")[2]):
-                continue
-            if name not in self.files:
-                found.append(f"{name} should not be there")
-            elif data != self.files[name]:
-                found.append(f"{name} is not whole")
+        found = [
+            f"{name} is not whole"
+            for name, data in present.items()
+            if not is_own(name.rpartition("/")[2]) and data != self.files.get(name)
+        ]
         for name, entry in noted(folder).items():
-            if entry["status"] == "failed":
-                continue
             digest = hashlib.sha256(present.get(name, b"")).hexdigest()
-            if digest != entry["output"]["sha256"]:
+            if entry["status"] != "failed" and digest != entry["output"]["sha256"]:
                 found.append(f"{name} is noted as done and is lost")
         return found
 
     def last_faults(self, folder):
         """What is wrong with the folder after a run that came to its end."""
         present = contents(folder)
-        found = [f"{name} is missing" for name in self.files.keys() - present.keys()]
-        found += [f"{name} should not be there" for name in present.keys() - self.files.keys()]
-        found += [
-            f"{name} differs" for name, data in present.items() if self.files.get(name) != data
-        ]
-        if (folder / LOCK).exists():
-            found.append("the lock is left")
-        return found
+        names = self.files.keys() | present.keys()
+        found = [f"{name} differs" for name in names if present.get(name) != self.files.get(name)]
+        return [*found, *(["the lock is left"] if (folder / LOCK).exists() else [])]
 
 
 def whole_run(folder, output, *options):
-    """Run the command unbroken, twice: the first time kernels may have to be compiled."""
+    """Run the command unbroken."""
     words = command(folder, output, *options)
-    assert ended(words)[0] == STATUS
-    files = contents(output)
     began = time.monotonic()
-    assert ended([*words, "--fresh"])[0] == STATUS
-    seconds = time.monotonic() - began
-    assert contents(output) == files
-    return Whole(files, seconds, len(noted(output)))
+    assert ended(words)[0] == STATUS
+    return Whole(contents(output), time.monotonic() - began, len(noted(output)))
 
 
 def wait_until(is_so, process, within_s=60.0):
@@ -206,40 +179,18 @@ def wait_until(is_so, process, within_s=60.0):
 
 
 def moment(choice: random.Random, whole, output):
-    """A function that waits, given the process, for a random moment of its run.
-
-    A third of them is any moment, a third any after the output folder was taken in hand, and a
-    third comes shortly after a file was noted as done.
-    """
-    kind = choice.choice(["any", "taken", "done"])
-    if kind == "any":
-        pause = choice.uniform(0.0, whole.seconds)
-        return lambda process: _sleep(pause, process)
-    sign, count, longest = b'"intent"', 1, 0.3 * whole.seconds
-    if kind == "done":
-        left = max(1, whole.n_done - _lines(output, b'"done"') - 2)
-        sign, count, longest = b'"done"', choice.randint(1, left), 0.01
-    pause = choice.uniform(0.0, longest)
-    before = _lines(output, sign)
+    """A function that waits, given the process, for a random moment of its run: any, or shortly
+    after a file was noted as done."""
+    pause, count = choice.uniform(0.0, whole.seconds), 0
+    if choice.random() < 0.5:
+        pause, count = choice.uniform(0.0, 0.01), choice.randint(1, whole.n_done - 2)
 
     def wait(process):
-        wait_until(lambda: _lines(output, sign) >= before + count, process)
-        _sleep(pause, process)
+        wait_until(lambda: len(noted(output)) >= count, process)
+        deadline = time.monotonic() + pause
+        wait_until(lambda: time.monotonic() > deadline, process)
 
     return wait
-
-
-def _lines(output, sign):
-    try:
-        return (output / MANIFEST).read_bytes().count(sign)
-    except FileNotFoundError:
-        return 0
-
-
-def _sleep(pause, process):
-    deadline = time.monotonic() + pause
-    while process.poll() is None and (left := deadline - time.monotonic()) > 0:
-        time.sleep(min(left, 0.02))
 
 
 IS_LINUX = sys.platform.startswith("linux")

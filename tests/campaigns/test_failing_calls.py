@@ -5,32 +5,24 @@ python -m pytest tests/campaigns/test_failing_calls.py -m slow -s
 
 from __future__ import annotations
 
+import csv
 import errno
 import io
 import json
 import os
 import re
 import shutil
-import sys
+import subprocess
 
 import pytest
 
-from tests.campaigns.runs import IS_LINUX, contents
-from tests.cli.scans import folder_of, msal, open_scan
+from tests.campaigns.runs import IS_LINUX, command, contents, ended, started
+from tests.cli.scans import MSAL, closed_scan, folder_of, msal, open_scan, ply_text
+from tests.shapes import noisy, torus
 
 CALLS = (
-    "open",
-    "write",
-    "fsync",
-    "close",
-    "replace",
-    "rename",
-    "link",
-    "chmod",
-    "mkdir",
-    "unlink",
-    "truncate",
-    "scandir",
+    *("open", "write", "fsync", "close", "replace", "rename", "link", "chmod", "mkdir"),
+    *("unlink", "truncate", "scandir"),
 )
 ERRORS = (errno.EIO, errno.ENOSPC, errno.EACCES)
 
@@ -39,22 +31,12 @@ pytestmark = pytest.mark.skipif(not IS_LINUX, reason="looks into /proc")
 REASON = re.compile(r"\(E_(?!INTERNAL)[A-Z]+\)|error: the folder .* cannot be listed")
 
 
-def called_by():
-    """The functions of msal that led here, innermost first."""
-    frame, found = sys._getframe(1), []
-    while frame is not None:
-        if "/msal_cli/" in frame.f_code.co_filename:
-            found.append(frame.f_code.co_qualname)
-        frame = frame.f_back
-    return found[:6]
-
-
 class Failing:
     """Makes the ``at``-th call among CALLS, and among openings of files, fail with ``number``."""
 
     def __init__(self, monkeypatch, folder, at, number):
         self.folder, self.at, self.number = str(folder), at, number
-        self.calls, self.stack = [], []
+        self.calls = []
         for name in CALLS:
             monkeypatch.setattr(os, name, self.counted(name, getattr(os, name)))
         monkeypatch.setattr(io, "open", self.counted("open", io.open))
@@ -72,7 +54,6 @@ class Failing:
             self.calls.append((name, given[0]))
             if len(self.calls) != self.at:
                 return real(*given, **options)
-            self.stack = called_by()
             # What the system has closed is closed, whatever it tells; what is full takes some.
             if name == "close":
                 real(*given)
@@ -87,27 +68,10 @@ class Failing:
         return len(self.calls) >= self.at
 
 
-WAYS = pytest.mark.parametrize("way", ["new", "over an old one", "in place"])
-
-
-@WAYS
-def test_whatever_call_fails_the_output_is_whole(tmp_path, monkeypatch, way):
-    # A quarter of the calls, other ones each way: the slow campaign takes them all.
-    begin = 1 + ["new", "over an old one", "in place"].index(way)
-    every_call(tmp_path, monkeypatch, ERRORS, way, range(begin, 1000, 4))
-
-
-@WAYS
-@pytest.mark.slow
-@pytest.mark.parametrize("number", ERRORS, ids=errno.errorcode.get)
-def test_whatever_call_fails_with_whatever_error(tmp_path, monkeypatch, number, way):
-    n_calls, n_failed = every_call(tmp_path, monkeypatch, [number], way, range(1, 1000))
-    assert n_calls > 15 and n_failed > 5
-    print(f"\n{errno.errorcode[number]}, {way}: {n_calls} calls, {n_failed} runs failed")
-
-
-def every_call(tmp_path, monkeypatch, numbers, way, calls):
-    """Make these calls fail, one a run, with the errors in turn; how many, and failed runs."""
+@pytest.mark.parametrize("step", [6, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("way", ["new", "over an old one", "in place"])
+def test_whatever_call_fails_the_output_is_whole(tmp_path, monkeypatch, way, step):
+    """Make every ``step``-th call fail, one a run, with the errors in turn."""
     scans = folder_of(tmp_path / "in", a=open_scan())
     target = ["--in-place"] if way == "in place" else ["-o", tmp_path / "out"]
     words = ["denoise", scans, "--method", "msal", *target, "--report", tmp_path / "r.json"]
@@ -126,7 +90,7 @@ def every_call(tmp_path, monkeypatch, numbers, way, calls):
     assert old.get("a.ply") != wanted["a.ply"]
 
     n_calls = n_failed = 0
-    for at in calls:
+    for at in range(len(way) % step + 1, 1000, step):
         shutil.rmtree(output)
         if way == "in place":
             shutil.copytree(tmp_path / "kept", output)
@@ -134,12 +98,12 @@ def every_call(tmp_path, monkeypatch, numbers, way, calls):
             shutil.copytree(tmp_path / "earlier", output)
         (tmp_path / "r.json").unlink(missing_ok=True)
         with monkeypatch.context() as patch:
-            failing = Failing(patch, tmp_path, at, numbers[at % len(numbers)])
+            failing = Failing(patch, tmp_path, at, ERRORS[at % len(ERRORS)])
             made = msal(*words)
         if not failing.has_failed:
             break
         n_calls += 1
-        what = f"call {at}, {failing.calls[at - 1]}, {failing.stack}"
+        what = f"call {at}, {failing.calls[at - 1]}"
         n_failed += made.exit_code != 0
         present = contents(output) if output.exists() else {}
         assert "Traceback" not in made.stderr and "nternal" not in made.stderr, what
@@ -161,5 +125,58 @@ def every_call(tmp_path, monkeypatch, numbers, way, calls):
         assert {name: after[name] for name in wanted} == wanted, what
         if (tmp_path / "r.json").exists():
             json.loads((tmp_path / "r.json").read_bytes())
-    assert n_failed and n_calls < len(calls)
-    return n_calls, n_failed
+    assert n_failed and n_calls > 15 // step
+
+
+def test_a_full_disk_and_the_same_command_with_room(tmp_path):
+    vertices, faces = torus(60, 30)
+    scans = folder_of(tmp_path / "in", big=ply_text(noisy(vertices, 0, 0.01), faces))
+    folder_of(scans, **{f"small{n}": open_scan() for n in range(2)})
+    words = command(scans, tmp_path / "out", "-j", "1")
+
+    def limit():
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+
+    made = subprocess.run(words, capture_output=True, preexec_fn=limit, check=False)
+    assert made.returncode == 3, made.stderr
+    assert b"File too large (E_WRITE)" in made.stderr
+    assert sorted(contents(tmp_path / "out")) == ["small0.ply", "small1.ply"]
+    assert ended(words)[0] == 0
+    assert sorted(contents(tmp_path / "out")) == ["big.ply", "small0.ply", "small1.ply"]
+
+
+def test_a_manifest_that_is_full_hides_nothing(tmp_path):
+    """What was written is counted, although it cannot be noted, and the report is written."""
+    scans = folder_of(tmp_path / "in", **{f"s{n:02}": closed_scan(n) for n in range(12)})
+    report = tmp_path / "r.csv"
+    words = command(scans, tmp_path / "out", "-j", "2", "--report", report)
+
+    def limit():
+        import resource
+
+        # Enough for an output and for the report; the manifest of all files is larger.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+
+    made = subprocess.run(words, capture_output=True, preexec_fn=limit, check=False)
+    assert made.returncode == 1, made.stderr
+    assert b"manifest" in made.stderr and b"File too large" in made.stderr
+    there = sorted(contents(tmp_path / "out"))
+    assert 0 < len(there) < 12
+    rows = list(csv.DictReader(io.StringIO(report.read_text())))
+    reported = {row["output"].rpartition("/")[2] for row in rows if row["status"] == "written"}
+    assert sorted(reported) == there
+    assert ended(words)[0] == 0
+    assert len(contents(tmp_path / "out")) == 12
+
+
+def test_a_reader_that_has_had_enough_is_no_noise(tmp_path):
+    vertices, faces = torus(80, 40)
+    # More than a pipe holds, so that writing goes on when the reader is gone.
+    folder_of(tmp_path, big=ply_text(noisy(vertices, 0, 0.01), faces))
+    words = [*MSAL, "denoise", str(tmp_path / "big.ply"), "-o", "-", "-q"]
+    with started(words) as process:
+        process.stdout.read(10)
+        process.stdout.close()
+        assert (process.wait(60), process.stderr.read()) == (141, b"")

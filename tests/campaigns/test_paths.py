@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 from pathlib import Path
 
@@ -101,17 +100,6 @@ def test_every_name_gets_its_output_and_no_other(tmp_path, outside):
     assert sorted(contents(tmp_path / "named")) == sorted(others)
 
 
-def test_names_that_look_like_options_or_streams(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("-x.ply", "--help.ply", "-"):
-        Path(name).write_bytes(SCAN)
-    assert msal("denoise", "-o", "out", "--", "-x.ply", "--help.ply").exit_code == 0
-    assert sorted(contents(Path("out"))) == ["--help.ply", "-x.ply"]
-    assert msal("denoise", "./-", "-o", "dash.ply").exit_code == 0
-    assert msal("denoise", "--", "-x.ply", "-o", "out2").exit_code == 2
-    assert msal("denoise", "-x.ply", "-o", "out").exit_code == 2
-
-
 def test_names_of_our_own_are_no_inputs_and_are_not_written_over(tmp_path):
     scans = folder_of(tmp_path / "in", a=SCAN)
     own = [temporary_name("a.ply"), MANIFEST, ".msal-lock"]
@@ -166,41 +154,9 @@ def test_what_is_no_file(tmp_path, monkeypatch):
     assert os.path.exists("/dev/null") and not os.path.isfile("/dev/null")
 
 
-def test_paths_too_long_for_the_system(tmp_path):
+def test_a_path_too_long_for_the_system(tmp_path):
     scans = folder_of(tmp_path / "in", a=SCAN)
-    deep = scans / Path(*["e" * 200] * 16)
-    folder_of(deep, b=SCAN)
-    output = tmp_path / Path(*["o" * 200] * 4)
-    status, told, said = statuses(scans, "-o", output)
+    folder_of(scans / Path(*["e" * 200] * 16), b=SCAN)
+    status, told, said = statuses(scans, "-o", tmp_path / Path(*["o" * 200] * 4))
     assert (status, told) == (3, {"a.ply": "written", "b.ply": "failed"}), said
     assert "File name too long (E_WRITE)" in said
-    # A tree that is deeper than any path can say.
-    handle = os.open(deep, os.O_RDONLY)
-    for _ in range(8):
-        os.mkdir("f" * 200, dir_fd=handle)
-        inner = os.open("f" * 200, os.O_RDONLY, dir_fd=handle)
-        os.close(handle)
-        handle = inner
-    os.close(handle)
-    status, _, said = statuses(scans, "-o", tmp_path / "out")
-    assert status == 2 and "cannot be listed" in said and not (tmp_path / "out").exists()
-    shutil.rmtree(scans, ignore_errors=True)
-
-
-def test_a_backup_whose_name_is_too_long(tmp_path):
-    scans = folder_of(tmp_path / "in", a=SCAN, **{"n" * 251: SCAN})
-    status, told, said = statuses(scans, "--in-place")
-    assert (status, sorted(told.values())) == (3, ["failed", "written"])
-    assert "File name too long (E_WRITE)" in said
-    assert (scans / ("n" * 251 + ".ply")).read_bytes() == SCAN
-
-
-@pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may do anything")
-def test_what_may_not_be_read_or_written(tmp_path):
-    scans = folder_of(tmp_path / "in", a=SCAN, b=SCAN)
-    (scans / "b.ply").chmod(0)
-    status, told, _ = statuses(scans, "-o", tmp_path / "out")
-    assert (status, told) == (3, {"a.ply": "written", "b.ply": "failed"})
-    (tmp_path / "closed").mkdir(mode=0o500)
-    assert statuses(scans, "-o", tmp_path / "closed")[0] == 1
-    assert statuses(scans, "-o", tmp_path / "closed" / "out")[0] == 1
