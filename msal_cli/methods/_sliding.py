@@ -28,10 +28,10 @@ direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans th
 unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
 
 
-def sliding_parameter() -> Any:
+def sliding_parameter(default: str = "kept") -> Any:
     """The parameter of ``undo_sliding``."""
     return parameter(
-        "kept",
+        default,
         "the way that vertices came sideways: kept; undone at the end, for scans whose noise is "
         "along their normals, so that only heights are wrong; or auto, undone on such scans",
         choices=("kept", "undone", "auto"),

@@ -26,8 +26,8 @@ moving or scaling a mesh changes nothing.  Lengths are local: mean distances of 
 The level of the noise decides what is texture and what is noise: a given ``noise`` helps most
 where the texture is as fine as the mesh, and a greater one smooths more.
 
-``sliding=undone`` takes the way back that vertices came sideways, for noise along the normals; see
-``guided_normal``.  ``sliding=auto`` measures whether it is.
+Where the noise is along the normals, which is measured, the way that vertices came sideways is
+undone; see ``guided_normal``.  ``sliding=undone`` and ``sliding=kept`` decide it.
 
 Faces without area take on the mean normal of those around.  Boundary vertices move with the faces
 that they have, unless ``boundary=fixed``.  A vertex without faces stays.  The cost is proportional
@@ -90,7 +90,7 @@ class Parameters:
         "vertices at open edges: moved like the others by the faces that they have, or fixed",
         choices=("free", "fixed"),
     )
-    sliding: str = sliding_parameter()
+    sliding: str = sliding_parameter("auto")
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
