@@ -13,11 +13,12 @@ from collections import Counter
 from tests.codecs import (
     test_glb,
     test_gltf,
-    test_library_formats,
     test_obj_hostile,
+    test_off,
     test_ply_hostile,
     test_stl_hostile,
     test_threemf_hostile,
+    test_vtk,
 )
 from tests.storage import test_gzip_streams
 
@@ -55,7 +56,7 @@ def malformed() -> dict[str, tuple[bytes, str]]:
     found |= {f"{name}.gltf": row for name, row in test_gltf.DAMAGED.items()}
     found |= {f"{name}.3mf": row for name, row in test_threemf_hostile.DAMAGED.items()}
     found |= {f"{name}.ply.gz": row for name, row in test_gzip_streams.DAMAGED.items()}
-    return found | test_library_formats.DAMAGED
+    return found | test_off.DAMAGED | test_vtk.DAMAGED
 
 
 def counts() -> dict[str, Counter[str]]:

@@ -37,7 +37,6 @@ ONLY_IN = {
     "numba": set(),
     "trimesh": {"codecs"},
     "meshio": {"codecs"},
-    "h5py": {"codecs"},
     "click": {"cli"},
     "tqdm": {"cli"},
     "multiprocessing": {"batch"},

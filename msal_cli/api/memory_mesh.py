@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from msal_cli.api.explanations import ARRAYS
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.surface_cells import strip_triangles
+from msal_cli.codecs.layout import fans
 from msal_cli.errors import ContentError, InputError, MsalError
 
 Array = NDArray[Any]
@@ -187,7 +187,7 @@ def scalar_properties(arrays: Mapping[str, Any], n_vertices: int) -> dict[str, A
 def fan_triangles(corners: Longs, sizes: Longs) -> tuple[Longs, Longs]:
     """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
     polygons of files, and the polygon (m,) that each is of."""
-    triangles = corners[strip_triangles(sizes, is_fan=True)]
+    triangles = corners[np.stack(fans(sizes), axis=1)]
     return triangles, np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
 
 

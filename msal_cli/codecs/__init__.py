@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 def writable_formats() -> tuple[str, ...]:
-    """Formats that ``converted`` can write here; some depend on packages that are installed."""
-    from msal_cli.codecs import conversion as convert
+    """Formats that ``convert`` can write."""
+    from msal_cli.codecs import conversion
 
-    return convert.writable()
+    return conversion.WRITABLE
 
 
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
@@ -66,9 +66,15 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.codecs import threemf
 
         return threemf.read(data, name)
-    from msal_cli.codecs import library_formats as other
+    from msal_cli.codecs import off, slot_file, vtk, vtk_xml
 
-    return other.read(data, wanted)
+    parsers = {
+        "off": off.parse,
+        "vtk": vtk.parse,
+        "vtu": vtk_xml.parse_vtu,
+        "vtp": vtk_xml.parse_vtp,
+    }
+    return slot_file.SlotFile(data, wanted, parsers[wanted])
 
 
 def convert(

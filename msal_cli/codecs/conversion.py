@@ -40,13 +40,13 @@ _ENCODINGS = {
     "gltf": ("binary",),
     "vtk": ("binary", "ascii"),
     "vtu": ("binary", "ascii"),
-    "msh": ("binary", "ascii"),
-    "meshb": ("binary",),
     "vtp": ("binary",),
-    "med": ("binary",),
     "3mf": ("binary",),
 }
-"""Encodings of each format, the default one first; the others are text."""
+"""Encodings of each format, the default one first."""
+
+WRITABLE = ("ply", "obj", "stl", "gltf", "3mf", "off", "vtp", "vtk", "vtu", "glb")
+"""Formats that can be written, in the order in which help names them."""
 
 _SINGLE = ("glb", "gltf", "stl")
 
@@ -75,13 +75,6 @@ class _Mesh:
         return as_float32(self.vertices).astype(np.float64)
 
 
-def writable() -> tuple[str, ...]:
-    """Formats that can be written here."""
-    from msal_cli.codecs import library_formats as other
-
-    return ("ply", "obj", "stl", "gltf", "3mf", *other.writable())
-
-
 def converted(
     mesh_file: MeshFile, vertices: Floats, to: str, encoding: str, precision: str
 ) -> tuple[Buffer, tuple[str, ...]]:
@@ -91,7 +84,7 @@ def converted(
     ----------
     mesh_file : what was read.
     vertices : (n, 3), the new positions, file units.
-    to : the format, one of ``writable()``.
+    to : the format, one of ``WRITABLE``.
     encoding : ``same`` for the format's usual one, ``ascii`` or ``binary``.
     precision : ``same`` for float32 where the source has float32 and float64 otherwise;
         ``float32``, ``float64``.  Text has the shortest digits that give the number back.
@@ -116,11 +109,9 @@ def converted(
         scene = repack(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
         if scene is not None:
             return scene, ()
-    if to not in writable():
-        raise UnsupportedError(
-            f"{to!r} cannot be written", hint=f"formats: {', '.join(writable())}"
-        )
-    encodings = _ENCODINGS.get(to, ("ascii",))
+    if to not in WRITABLE:
+        raise UnsupportedError(f"{to!r} cannot be written", hint=f"formats: {', '.join(WRITABLE)}")
+    encodings = _ENCODINGS[to]
     encoding = encodings[0] if encoding == "same" else encoding
     if encoding not in encodings:
         raise UnsupportedError(
@@ -133,7 +124,7 @@ def converted(
 
 
 def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
-    """A new file of a mesh that no file held before, one of ``writable()``.
+    """A new file of a mesh that no file held before, one of ``WRITABLE``.
 
     Positions are float32, or float64 where float32 would round them by more than a millionth of
     the mesh's extent.
@@ -166,11 +157,6 @@ def _digits(step: float) -> str:
 
 
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
-    if to == "med":
-        # Its positions are double by definition.
-        if precision == "float32":
-            raise UnsupportedError("med has no float32", hint="write VTU with --to vtu")
-        return False
     only_single = to in _SINGLE and encoding == "binary"
     if precision == "float64" and only_single:
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
@@ -232,7 +218,7 @@ def _vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     """A new file; ``single`` rounds positions to float32."""
-    from msal_cli.codecs import dae, library_formats, stl_writer, threemf_writer, vtk_xml, xdmf
+    from msal_cli.codecs import stl_writer, threemf_writer, vtk_xml
 
     if to == "ply":
         return _as_ply(mesh, encoding, single)
@@ -252,19 +238,40 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
         head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
         rows_of_faces = integer_lines(corners, sizes, b"3 ")
         return b"".join([head, float_lines(points, single=single), rows_of_faces])
-    writers = {
-        "3mf": threemf_writer.to_3mf,
-        "dae": dae.written,
-        "xdmf": xdmf.written,
-        "vtp": vtk_xml.written,
-    }
+    writers = {"3mf": threemf_writer.to_3mf, "vtp": vtk_xml.written}
     if to in writers:
         return writers[to](points, mesh.faces, single=single)
     if to in SCENES:
-        scene = library_formats.surface_written(points, mesh.faces, mesh.colours, "glb")
+        scene = _as_glb(points, mesh)
         return scene if to == "glb" else _as_gltf(scene)
-    cells = points.astype(np.float32) if single else points
-    return library_formats.cells_written(cells, mesh.faces, to, encoding)
+    return _as_cells(points.astype(np.float32) if single else points, mesh.faces, to, encoding)
+
+
+def _as_cells(points: NDArray[Any], faces: Ints, to: str, encoding: str) -> bytes:
+    """A VTK or VTU file; of VTK's versions the one that most programs read."""
+    import contextlib
+    import io
+    import tempfile
+    from pathlib import Path
+
+    import meshio
+
+    mesh = meshio.Mesh(points, [("triangle", faces)])
+    with tempfile.TemporaryDirectory(prefix="msal-") as folder:
+        path = Path(folder) / f"mesh.{to}"
+        # meshio advises against text.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            mesh.write(path, file_format={"vtk": "vtk42"}.get(to, to), binary=encoding != "ascii")
+        return path.read_bytes()
+
+
+def _as_glb(points: Floats, mesh: _Mesh) -> bytes:
+    import trimesh
+
+    surface = trimesh.Trimesh(
+        points, mesh.faces, vertex_colors=mesh.colours, process=False, validate=False
+    )
+    return bytes(trimesh.Scene(surface).export(file_type="glb"))
 
 
 def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:

@@ -11,8 +11,18 @@ from msal_cli.storage.limits import LOOKED_AT
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
-OWN_FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf")
-"""Formats with a codec of our own, which keeps everything but positions and normals."""
+READABLE = ("ply", "obj", "stl", "glb", "gltf", "3mf", "off", "vtk", "vtu", "vtp")
+"""Suffixes of the formats that are read, in the order in which help names them."""
+
+OWN_FORMATS = READABLE[:6]
+"""Formats whose readers explain damaged content themselves."""
+
+_MESHIO = "convert it to PLY, for example with: meshio convert {name} mesh.ply"
+_CONVERTERS = {
+    **dict.fromkeys(("msh", "mesh", "meshb", "inp", "avs", "vol", "med", "xdmf"), _MESHIO),
+    "dae": "convert it to PLY or glTF, for example with Blender or MeshLab",
+}
+"""Formats that are known but not read, and what converts them."""
 
 SCENES = {"glb", "gltf"}
 """Containers of one format, which hold the same."""
@@ -54,9 +64,7 @@ _BEGINNINGS = (
 
 def readable_suffixes() -> tuple[str, ...]:
     """Suffixes, with their dot, of the files that can be read; each may be followed by ``.gz``."""
-    from msal_cli.codecs import library_formats as other
-
-    return tuple(f".{name}" for name in (*OWN_FORMATS, *other.readable()))
+    return tuple(f".{name}" for name in READABLE)
 
 
 def format_of_name(name: str) -> str:
@@ -124,6 +132,7 @@ def resolve_format(data: Buffer, name: str, format: str | None, size: int | None
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")
     found = content_format(data, wanted, size)
+    _refuse_unread(found, name)
     if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
         said = "--format" if format else "the name"
         raise FormatError(
@@ -136,36 +145,42 @@ def resolve_format(data: Buffer, name: str, format: str | None, size: int | None
 
 def _wanted(data: Buffer, name: str, format: str | None) -> str:
     """The format to read, by the option, the suffix or, where there is no suffix, the content."""
-    known = tuple(suffix[1:] for suffix in readable_suffixes())
+    known = f"known are: {', '.join(READABLE)}"
     if format is not None:
         wanted = format.lower().removeprefix(".")
-        if wanted not in known:
-            raise UnsupportedError(
-                f"the format {format!r} is not known", hint=f"known are: {', '.join(known)}"
-            )
+        _refuse_unread(wanted, name)
+        if wanted not in READABLE:
+            raise UnsupportedError(f"the format {format!r} is not known", hint=known)
         return wanted
     wanted = format_of_name(name)
     if wanted:
         return wanted
-    found = content_format(data) if len(data) else ""
     stem = name[: -len(".gz")] if is_gzip_name(name) else name
     suffix = re.search(r"[^./\\](\.[^./\\]+)$", stem)
     if suffix:
+        _refuse_unread(suffix[1][1:].lower(), name)
+    found = content_format(data) if len(data) else ""
+    _refuse_unread(found, name)
+    if suffix:
         raise UnsupportedError(
             f"files that end in {suffix[1]!r} are not read",
-            hint=f"it looks like {found.upper()}; pass --format {found}"
-            if found
-            else f"known are: {', '.join(known)}",
+            hint=f"it looks like {found.upper()}; pass --format {found}" if found else known,
         )
     if not len(data):
         raise TruncatedError("the input is empty", hint="check the program that writes it")
     if not found:
         raise FormatError(
             "neither a suffix nor the content says which format this is",
-            hint=f"pass --format with one of: {', '.join(known)}",
+            hint=f"pass --format with one of: {', '.join(READABLE)}",
         )
     return found
 
 
 def _article(format: str) -> str:
-    return "an" if format[0] in "aeiomsfx" and format not in ("mesh", "med", "fem") else "a"
+    return "an" if format[0] in "os" else "a"
+
+
+def _refuse_unread(format: str, name: str) -> None:
+    if format in _CONVERTERS:
+        hint = _CONVERTERS[format].format(name=re.split(r"[/\\]", name)[-1] or f"mesh.{format}")
+        raise UnsupportedError(f"{format.upper()} files are not read", hint=hint)

@@ -23,9 +23,6 @@ BASE_BYTES = 50_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
 libraries and the compiled kernels (36 to 46 MB measured)."""
 
-_LIBRARY_BYTES = 75_000_000
-"""What a library and all that it imports take on top, for formats that only it reads."""
-
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
 # the forecast is what was measured plus 8 to 20 %.
@@ -40,16 +37,7 @@ _PER_BYTE = {
     "vtk-ascii": 13.0,
     "vtu": 16.0,
     "vtp": 12.0,
-    "msh": 11.0,
-    "mesh": 10.0,
-    "meshb": 10.0,
     "off": 15.0,
-    "inp": 9.0,
-    "avs": 11.0,
-    "vol": 11.0,
-    "dae": 11.0,
-    "xdmf": 11.0,
-    "med": 18.0,
     "gltf": 19.0,
     "3mf": 52.0,
     "": 32.0,
@@ -66,7 +54,6 @@ _BYTES_PER_FACE_ELSE = 24.0
 
 # Bytes per triangle that writing another format takes, what was written being read back.
 _CONVERTED = 450
-_CONVERTED_AS = {"avs": 500, "inp": 500, "vol": 500}
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,10 +141,8 @@ def of_beginning(
     per_byte = _PER_BYTE.get(flavour, _PER_BYTE[""])
     per_face = method_bytes_per_face
     if to is not None:
-        per_face += _CONVERTED_AS.get(to, _CONVERTED)
+        per_face += _CONVERTED
     needed = BASE_BYTES + per_byte * size + 2 * packed + per_face * triangles
-    if flavour not in _PER_BYTE:
-        needed += _LIBRARY_BYTES
     if header.n_triangles is not None and header.n_vertices is not None:
         elements = header.n_vertices + header.n_triangles
         needed += _PER_ELEMENT.get(flavour, _PER_ELEMENT_ELSE) * elements

@@ -97,8 +97,8 @@ def build_triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
     require_finite(vertices)
     corners = layout.corners.astype(np.int64, copy=False)
     require_indices(corners, len(vertices))
-    fans = np.stack(_fans(layout.sizes.astype(np.int64, copy=False)), axis=1)
-    return corners[fans].astype(np.int32), fans
+    places = np.stack(fans(layout.sizes.astype(np.int64, copy=False)), axis=1)
+    return corners[places].astype(np.int32), places
 
 
 def build_vertices(layout: Layout) -> Floats:
@@ -135,9 +135,9 @@ def require_finite(
         )
 
 
-def _fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
+def fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
     """Places among the corners of triangles that share each polygon's first corner."""
-    n_triangles = sizes - 2
+    n_triangles = np.maximum(sizes - 2, 0)
     first = np.repeat(np.cumsum(sizes) - sizes, n_triangles)
     inside = np.arange(len(first)) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
     return first, first + inside + 1, first + inside + 2

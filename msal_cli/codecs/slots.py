@@ -176,39 +176,6 @@ class BinaryNumbers(UnitSlots):
         return to_type(values, self.code).astype(np.float64), 0.0
 
 
-@dataclass(eq=False)
-class ColumnNumbers(UnitSlots):
-    """Binary numbers stored column by column: ``count`` x, then as many y, then z, from ``at``."""
-
-    data: Bytes = field(repr=False)
-    at: int
-    count: int
-    code: str
-    starts: Longs = field(init=False, repr=False)
-    stops: Longs = field(init=False, repr=False)
-    values: Floats = field(init=False, repr=False)
-    codes: tuple[str, ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        self.codes = (self.code,) * 3
-        size = np.dtype(self.code).itemsize
-        self.starts = self.at + size * np.arange(3 * self.count, dtype=np.int64)
-        self.stops = self.starts + size
-        stored = self.data[self.at : self.at + 3 * self.count * size].view(self.code)
-        self.values = np.ascontiguousarray(stored.reshape(3, -1).T.astype(np.float64))
-
-    def units(self, is_changed: Flags) -> Flags:
-        return is_changed.T.reshape(-1)
-
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        new = values.T.reshape(-1)[units].astype(self.code)
-        size = np.dtype(self.code).itemsize
-        return new.view(np.uint8), size * np.arange(1, len(new) + 1, dtype=np.int64)
-
-    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
-        return to_type(values, self.code).astype(np.float64), 0.0
-
-
 def to_type(values: Floats, code: str) -> NDArray[np.generic]:
     """Values (n, k) as a file of that number type stores them: rounded to the nearest.
 

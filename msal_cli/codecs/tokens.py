@@ -95,10 +95,6 @@ class Words:
             )
         return values.astype(np.int64)
 
-    def integer_rows(self, first: Longs, width: int) -> Longs:
-        """Rows (n, width) of whole numbers, ``first`` (n,) being the first word of each."""
-        return self.integers(_row_words(first, width)).reshape(-1, width)
-
     def float_rows(self, first: Longs, *, unit_length: bool = False) -> Tokens:
         """Rows of three numbers, ``first`` (n,) being the first word of each."""
         starts, stops = self.row_spans(first, 3)
@@ -108,19 +104,6 @@ class Words:
         """Starts and stops (n * width,) of the words of rows whose first words are given."""
         chosen = _row_words(first, width)
         return self.starts[chosen], self.stops[chosen]
-
-    def lines_of_words(self) -> tuple[Longs, Longs]:
-        """The first word and the number of words of each line that has any."""
-        first = self.first_of_lines()
-        return first, np.diff(np.append(first, len(self)))
-
-    def require_lengths(self, first: Longs, lengths: Longs, least: int, what: str) -> None:
-        """Raise FormatError for a line, of these words, that is shorter than ``least`` words."""
-        if len(first) and int(lengths.min()) < least:
-            at = int(first[int(np.argmin(lengths))])
-            raise FormatError(
-                f"the line of a {what} is too short", where=self.where(at), hint=EXPORT_AGAIN
-            )
 
     def first_of_lines(self) -> Longs:
         """The first word of each line that has one."""
@@ -211,24 +194,3 @@ def require_indices(indices: Longs, count: int, what: str = "face") -> None:
             where=f"corner {int(np.argmax(wrong))} of all {what}s",
             hint=EXPORT_AGAIN,
         )
-
-
-def indices_of(tags: Longs, wanted: Longs, what: str = "element") -> Longs:
-    """The places of ``wanted`` among the vertices' numbers ``tags`` (n,).
-
-    Raises ContentError (``E_INDEX``) for a number that no vertex has.
-    """
-    if len(tags) and int(tags[0]) == 1 and (np.diff(tags) == 1).all():
-        require_indices(wanted - 1, len(tags), what)
-        return wanted - 1
-    order = np.argsort(tags, kind="stable")
-    place = np.searchsorted(tags, wanted, sorter=order)
-    found = order[np.minimum(place, len(tags) - 1)] if len(tags) else np.zeros_like(wanted)
-    wrong = np.ones(len(wanted), dtype=bool) if not len(tags) else tags[found] != wanted
-    if wrong.any():
-        raise ContentError(
-            f"the vertex {int(wanted[int(np.argmax(wrong))])} that an {what} names is not there",
-            code="E_INDEX",
-            hint=EXPORT_AGAIN,
-        )
-    return found.astype(np.int64)

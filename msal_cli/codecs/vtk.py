@@ -12,10 +12,9 @@ import re
 from dataclasses import dataclass, field
 
 from msal_cli.arrays import Longs
+from msal_cli.codecs.cells import Cells
 from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import UnitSlots
-from msal_cli.codecs.surface_cells import SurfaceCells
-from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types, add_layer
 from msal_cli.codecs.vtk_stream import Stream
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -40,7 +39,7 @@ class _Parsed:
     """What a file holds, ``cells`` being those whose types are not read yet."""
 
     points: UnitSlots | None = None
-    surface: SurfaceCells = field(default_factory=SurfaceCells)
+    surface: Cells = field(default_factory=Cells)
     cells: tuple[Longs, Longs] | None = None
     normals: UnitSlots | None = None
     properties: list[str] = field(default_factory=list)
@@ -82,7 +81,7 @@ def parse(data: Buffer) -> Layout:
     if parsed.points is None:
         raise FormatError("the file has no POINTS", where=stream.where(), hint=EXPORT_AGAIN)
     if kind == "STRUCTURED_GRID":
-        add_layer(parsed.surface, dimensions, len(parsed.points.values))
+        parsed.surface.add_layer(dimensions, len(parsed.points.values))
     elif parsed.cells is not None:
         raise FormatError("the file has no CELL_TYPES", where=stream.where(), hint=EXPORT_AGAIN)
     normals = parsed.normals
@@ -104,14 +103,14 @@ def _read_section(stream: Stream, words: list[str], parsed: _Parsed) -> None:
         n_points = stream.count_of(words, 1, "points")
         parsed.points = stream.positions(n_points, stream.word_of(words, 2))
     elif keyword in _CELLS:
-        add_cells(parsed.surface, _CELLS[keyword], *stream.cells(words))
+        parsed.surface.add(_CELLS[keyword], *stream.cells(words))
     elif keyword == "CELLS":
         parsed.cells = stream.cells(words)
     elif keyword == "CELL_TYPES":
         if parsed.cells is None:
             raise FormatError("CELL_TYPES without CELLS", where=stream.where(), hint=EXPORT_AGAIN)
         types = stream.integers(stream.count_of(words, 1, "cells"), "int")
-        add_cells_of_types(parsed.surface, types, *parsed.cells)
+        parsed.surface.add_types(types, *parsed.cells)
         parsed.cells = None
     elif keyword == "METADATA":
         stream.skip_paragraph()

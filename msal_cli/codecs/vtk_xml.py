@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.cells import Cells
 from msal_cli.codecs.layout import Dependent, Layout, Shift
 from msal_cli.codecs.slots import UnitSlots
-from msal_cli.codecs.surface_cells import SurfaceCells
 from msal_cli.codecs.vtk_arrays import Coding, code_of, integers, numbers
-from msal_cli.codecs.vtk_cells import add_cells, add_cells_of_types
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -116,7 +115,7 @@ class _Piece:
 
     def __init__(self, piece: Element, coding: Coding) -> None:
         self.n_points = _count(piece, "NumberOfPoints")
-        self.cells = SurfaceCells()
+        self.cells = Cells()
         self.normals: UnitSlots | None = None
         self.properties: list[str] = []
         if not self.n_points:
@@ -133,11 +132,11 @@ class _Piece:
         cells = piece.find("Cells")
         if cells is not None:
             types = integers(_array(cells, "types"), coding)
-            add_cells_of_types(self.cells, types, *_lists(cells, coding))
+            self.cells.add_types(types, *_lists(cells, coding))
         for name, kind in _POLYGONS:
             one = piece.find(name)
             if one is not None and _count(piece, f"NumberOf{name}"):
-                add_cells(self.cells, kind, *_lists(one, coding))
+                self.cells.add(kind, *_lists(one, coding))
         self._read_attributes(piece, coding)
 
     def _read_attributes(self, piece: Element, coding: Coding) -> None:

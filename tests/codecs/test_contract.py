@@ -20,12 +20,12 @@ from tests.frozen import corpus_inputs
 from tests.fuzz.seeds import seeds
 
 FORMATS = tuple(one for one in corpus_inputs.formats() if seeds(one) and one != "gz")
-TEXTS = ("obj", "avs", "inp", "mesh", "off", "vol")
+TEXTS = ("obj", "off")
 LARGEST = 4000
 """Bytes of the files that are tried."""
 
 AT_MOST = 5
-"""Files of a format of simulation programs, of which there are many that differ little."""
+"""Files of a format of which there are many that differ little."""
 
 
 def cases(format: str):

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs import convert, glb, open_mesh, threemf
+from msal_cli.codecs import convert, glb, threemf
 from msal_cli.codecs.frames import PLACEMENT
 from tests.codecs import test_glb
 from tests.codecs.plain_3mf import model, package, shape
-from tests.codecs.test_dae import TRIANGLES, document, geometry, node
 from tests.codecs.test_threemf import CUBE
 from tests.shapes import cube
 
@@ -44,24 +43,5 @@ def test_3mf_losses(transform, is_placed):
     build = f'<item objectid="1" transform="{transform}"/>'
     file = threemf.read(package(model(shape(1, CUBE), build)), "")
     assert np.array_equal(file.vertices, cube()[0])
-    _, losses = convert(file, file.vertices, "ply", "same", "same")
-    assert (PLACEMENT in losses) is is_placed
-
-
-@pytest.mark.parametrize(
-    ("transform", "is_placed"),
-    [
-        ("", False),
-        ("<scale>1 1 1</scale>", False),
-        ("<scale>2 2 2</scale>", True),
-        ("<matrix>1 0 0 5 0 1 0 0 0 0 1 0 0 0 0 1</matrix>", True),
-        ("<matrix>1 0 0</matrix>", False),
-        ("<matrix>1e300 0 0 0 0 1e300 0 0 0 0 1e300 0 0 0 0 1</matrix>" * 2, False),
-    ],
-)
-def test_collada_losses(transform, is_placed):
-    data = document(geometry("a", TRIANGLES), node("a", transform))
-    file = open_mesh(data, "a.dae")
-    assert file.vertices.max() == 1.0
     _, losses = convert(file, file.vertices, "ply", "same", "same")
     assert (PLACEMENT in losses) is is_placed

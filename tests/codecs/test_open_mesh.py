@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 
@@ -97,9 +98,7 @@ def test_content_that_no_one_knows():
 
 
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
-@pytest.mark.parametrize(
-    "name", ["a.ply", "a.obj", "a.off", "a.stl", "a.vtk", "a.gltf", "a.msh", "a"]
-)
+@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.off", "a.stl", "a.vtk", "a.gltf", "a"])
 def test_text_in_utf_16_is_said_to_be_that(name, encoding):
     data = "\ufeffply\nformat ascii 1.0\n".encode(encoding)
     with pytest.raises(FormatError, match="UTF-16") as caught:
@@ -133,19 +132,33 @@ def test_obj_by_its_lines(data):
     assert content_format(data) == "obj"
 
 
-@pytest.mark.parametrize(("root", "name"), [(b"<COLLADA xmlns='x'>", "dae"), (b"<Xdmf>", "xdmf")])
 @pytest.mark.parametrize(
-    "before",
+    ("name", "content"),
     [
-        b"",
-        b'<?xml version="1.0" encoding="UTF-8" standalone="no" ?>\r\n',
-        b"\xef\xbb\xbf<?xml version='1.0'?>\n<!-- <VTKFile> -->\n<!---->\n",
-        b"<?xml version='1.0'?><!DOCTYPE Xdmf SYSTEM 'Xdmf.dtd' []>\n",
+        ("a.msh", b"$MeshFormat\n"),
+        ("part.MESH", b" MeshVersionFormatted 2\n"),
+        ("a.inp", b"*HEADING\n"),
+        ("a.inp.gz", PLY),
+        ("a.med", b"\x89HDF\r\n"),
+        ("a.dae", b"<?xml version='1.0'?>\n<!-- <VTKFile> -->\n<COLLADA xmlns='x'>"),
+        ("-", b"<?xml version='1.0'?><!DOCTYPE Xdmf SYSTEM 'Xdmf.dtd' []>\n<Xdmf>"),
+        ("scan.ply", b"$MeshFormat\n"),
+        ("scan.vtu", b"\xef\xbb\xbf<COLLADA>"),
+        ("scan.obj", b"MeshVersionFormatted 2\n"),
+        ("empty.vol", b""),
     ],
 )
-def test_xml_by_its_root(before, root, name):
-    assert content_format(before + root) == name
-    assert content_format(before + b"<html>" + root) == ""
+def test_formats_that_another_program_converts(name, content):
+    with pytest.raises(UnsupportedError, match="files are not read") as caught:
+        open_mesh(content, name)
+    assert caught.value.code == "E_UNSUPPORTED"
+    assert re.search(r"meshio convert \S+ mesh\.ply|Blender", caught.value.hint)
+    with pytest.raises(UnsupportedError, match="cannot be written"):
+        convert(open_mesh(PLY, "a.ply"), np.eye(3), "msh")
+
+
+def test_xml_by_its_root():
+    assert content_format(b"\n<!---->\n<html><COLLADA>") == ""
 
 
 @pytest.mark.parametrize("data", [b"value 1 2 3\n", b"v 1 2\n", b"v 0 0 0\nhello\n", b"f 1 2 3\n"])

@@ -7,7 +7,6 @@ import pytest
 
 from msal_cli.codecs.slots import (
     BinaryNumbers,
-    ColumnNumbers,
     as_float32,
     line_of,
     number_hint,
@@ -32,25 +31,19 @@ def replaced(slots, values, is_changed):
 
 
 @pytest.mark.parametrize("code", ["<f4", ">f4", "<f8", "<i2"])
-def test_binary_numbers_in_rows_and_in_columns(code):
+def test_rows_of_binary_numbers(code):
     new = VALUES.copy()
     new[1, 2], new[3, 0] = 77.0, 88.0
     rows = [b"head", *(row.astype(code).tobytes() + b"pad" for row in VALUES)]
     step = len(rows[1])
-    by_rows = BinaryNumbers(as_bytes(*rows), 4 + step * np.arange(4), code)
-    columns = as_bytes(b"head", VALUES.T.astype(code).tobytes(), b"tail")
-    by_columns = ColumnNumbers(columns, 4, 4, code)
-    for slots in (by_rows, by_columns):
-        assert (slots.values == VALUES).all()
-        assert slots.codes == (code,) * 3 and not slots.whole_rows
-        rounded, slack = slots.rounded(VALUES + 1.0)
-        assert (rounded == VALUES + 1.0).all() and slack == 0.0
-    assert (by_rows.units(new != VALUES) == [False, True, False, True]).all()
-    assert by_columns.units(new != VALUES).sum() == 2
+    slots = BinaryNumbers(as_bytes(*rows), 4 + step * np.arange(4), code)
+    assert (slots.values == VALUES).all()
+    assert slots.codes == (code,) * 3 and not slots.whole_rows
+    rounded, slack = slots.rounded(VALUES + 1.0)
+    assert (rounded == VALUES + 1.0).all() and slack == 0.0
+    assert (slots.units(new != VALUES) == [False, True, False, True]).all()
     expected = b"".join([b"head", *(row.astype(code).tobytes() + b"pad" for row in new)])
-    assert replaced(by_rows, new, new != VALUES) == expected
-    expected = b"head" + new.T.astype(code).tobytes() + b"tail"
-    assert replaced(by_columns, new, new != VALUES) == expected
+    assert replaced(slots, new, new != VALUES) == expected
 
 
 def test_positions_beyond_float32_are_refused():

@@ -1,14 +1,15 @@
-"""VTK's legacy files."""
+"""VTK's legacy files, and what meshio writes and reads of them and of VTU."""
 
 from __future__ import annotations
 
+import meshio
 import numpy as np
 import pytest
 
 from msal_cli.codecs import open_mesh
 from msal_cli.errors import MsalError
 from tests.codecs.patching import changed_lines, patched, texts_between_numbers
-from tests.shapes import grid
+from tests.shapes import grid, noisy, torus
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0, 1]], dtype=float)
 CODES = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint64": ">i8", "char": ">i1"}
@@ -186,17 +187,40 @@ def grid_of(cells, types, points=POINTS) -> bytes:
     return writer.add(f"CELL_TYPES {len(types)}", types).data
 
 
+TRIANGLE = grid_of([[0, 1, 2]], [5])
+
+DAMAGED = {
+    "empty.vtk": (b"", "E_TRUNCATED"),
+    "noise.vtk": (bytes(range(256)), "E_FORMAT"),
+    "header.vtk": (b"# vtk DataFile Version 3.0\n", "E_FORMAT"),
+    "points.vtk": (Writer(True, "UNSTRUCTURED_GRID").points().data, "E_NO_FACES"),
+    "curved.vtk": (grid_of([[0, 1, 2, 3, 4, 5]], [22]), "E_UNSUPPORTED"),
+    "tetra.vtk": (grid_of([[0, 1, 2, 4]], [10]), "E_NO_FACES"),
+    "index.vtk": (grid_of([[0, 1, 9]], [5]), "E_INDEX"),
+    "negative.vtk": (grid_of([[0, 1, -1]], [5]), "E_INDEX"),
+    "nan.vtk": (grid_of([[0, 1, 2]], [5], POINTS * np.nan), "E_NONFINITE"),
+    "noise.vtu": (bytes(range(256)), "E_FORMAT"),
+    "xml.vtu": (b"<?xml version='1.0'?><VTKFile type='UnstructuredGrid'></VTKFile>", "E_FORMAT"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_files_and_their_errors(name, capfd):
+    data, code = DAMAGED[name]
+    with pytest.raises(MsalError) as caught:
+        open_mesh(data, name)
+    assert caught.value.code == code
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     ("data", "code"),
     [
-        (grid_of([[0, 1, 2, 3, 4, 5]], [22]), "E_UNSUPPORTED"),
-        (grid_of([[0, 1, 2, 4]], [10]), "E_NO_FACES"),
-        (grid_of([[0, 1, 9]], [5]), "E_INDEX"),
         (grid_of([[0, 1, 2, 3]], [5]), "E_FORMAT"),
         (grid_of([[0, 1, 2]], [5, 5]), "E_FORMAT"),
-        (grid_of([[0, 1, 2]], [5]).replace(b"POINTS 6 double", b"POINTS 6 int"), "E_UNSUPPORTED"),
-        (grid_of([[0, 1, 2]], [5]).replace(b"CELLS 1 4", b"CELLS 2 4"), "E_FORMAT"),
-        (grid_of([[0, 1, 2]], [5]).replace(b"POINTS 6 ", b"POINTS 99999999999 "), "E_TRUNCATED"),
+        (TRIANGLE.replace(b"POINTS 6 double", b"POINTS 6 int"), "E_UNSUPPORTED"),
+        (TRIANGLE.replace(b"CELLS 1 4", b"CELLS 2 4"), "E_FORMAT"),
+        (TRIANGLE.replace(b"POINTS 6 ", b"POINTS 99999999999 "), "E_TRUNCATED"),
         (Writer(False, "POLYDATA").points().data[:-9], "E_TRUNCATED"),
         (Writer(False, "POLYDATA").add("POINTS 99999999999 float").data, "E_TRUNCATED"),
         (Writer(True, "STRUCTURED_POINTS").add("DIMENSIONS 2 2 1").data, "E_UNSUPPORTED"),
@@ -207,3 +231,47 @@ def test_damage(data, code):
     with pytest.raises(MsalError) as caught:
         open_mesh(data, "a.vtk")
     assert caught.value.code == code
+
+
+MESHIO = [
+    ("vtk", {"file_format": "vtk", "binary": True}),
+    ("vtk", {"file_format": "vtk", "binary": False}),
+    ("vtk", {"file_format": "vtk42", "binary": True}),
+    ("vtk", {"file_format": "vtk42", "binary": False}),
+    ("vtu", {"binary": True}),
+    ("vtu", {"binary": True, "compression": None}),
+    ("vtu", {"binary": False}),
+]
+
+
+@pytest.mark.parametrize(("suffix", "more"), MESHIO)
+def test_meshio_reads_what_became_of_its_files(tmp_path, suffix, more):
+    vertices, faces = torus(12, 8)
+    path = tmp_path / f"a.{suffix}"
+    meshio.Mesh(vertices, [("triangle", faces)]).write(path, **more)
+    file = open_mesh(path.read_bytes(), path.name)
+    assert np.allclose(file.vertices, vertices, rtol=0, atol=1e-10)
+    assert np.array_equal(file.faces, faces)
+    moved = noisy(file.vertices, 1)
+    path.write_bytes(file.replaced(moved))
+    judged = meshio.read(path)
+    assert np.allclose(judged.points, moved, rtol=0, atol=1e-10)
+    assert np.array_equal(judged.cells[0].data, faces)
+
+
+def test_fields_survive_and_normals_follow(tmp_path):
+    vertices, faces = grid()
+    height = np.arange(len(vertices)) * 1.5
+    up = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
+    path = tmp_path / "a.vtk"
+    meshio.Mesh(
+        vertices, [("triangle", faces)], {"height": height, "Normals": up}, {"id": [faces[:, 0]]}
+    ).write(path)
+    file = open_mesh(path.read_bytes(), "a.vtk")
+    assert set(file.properties) == {"point.height", "point.Normals", "cell.id"}
+    turned = vertices[:, [2, 0, 1]]
+    path.write_bytes(file.replaced(turned))
+    again = meshio.read(path)
+    assert np.array_equal(again.point_data["height"], height)
+    assert np.array_equal(again.cell_data["id"][0], faces[:, 0])
+    assert np.allclose(again.point_data["Normals"], [1, 0, 0])
