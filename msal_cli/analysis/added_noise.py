@@ -12,6 +12,7 @@ weight over the surface and, for some, a rule applied afterwards::
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,19 @@ OPTIONS = {
     "outliers": ("rings", "fraction"),
 }
 """The settings that each kind uses besides its level and seed."""
+
+
+def refuse_unused(kind: str, names: Iterable[str], prefix: str = "") -> None:
+    """Refuse settings that the kind does not use; UsageError.  ``prefix`` is for options."""
+    used = OPTIONS.get(kind, tuple(names))
+    for name in names:
+        if name not in used:
+            users = ", ".join(user for user, settings in OPTIONS.items() if name in settings)
+            raise UsageError(
+                f"{prefix}{name} means nothing for {kind} noise",
+                hint=f"leave it out; it is for {users}",
+            )
+
 
 MOST_RINGS = 100
 """Most averages over one-rings: neighbours then share their noise over some 8 rings."""

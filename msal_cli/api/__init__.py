@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import logging
 
-from msal_cli.api.comparing import compare
-from msal_cli.api.denoising import DenoiseResult, denoise
+from msal_cli.api.compare import compare
+from msal_cli.api.denoise import DenoiseResult, denoise
 from msal_cli.api.files import denoise_file, denoise_folder
 from msal_cli.api.method_list import MethodInfo, list_methods
 from msal_cli.api.noise import add_noise, estimate_noise

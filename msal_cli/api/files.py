@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Unpack
+import queue
+import threading
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import Any, Unpack
 
-from msal_cli.api.background_run import iterate_records
-from msal_cli.api.comparing import path_text
-from msal_cli.api.explanations import explained_errors
-from msal_cli.api.names import (
-    Assumption,
-    Encoding,
-    Keep,
-    MethodName,
-    MethodParameters,
-    Precision,
-    Preference,
-)
-from msal_cli.api.settings import build_settings, merge_parameters
+from msal_cli.api.denoise import parse_arguments
+from msal_cli.api.mesh_objects import explained_errors
+from msal_cli.api.method_list import MethodName, MethodParameters
+from msal_cli.batch.events import Event, Finished
+from msal_cli.batch.inputs import discover_inputs
+from msal_cli.batch.interrupts import Cancellation
+from msal_cli.batch.plan import Plan, build_plan
+from msal_cli.batch.run import run
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.records import MeshRecord
-from msal_cli.job.settings import DEFAULT_BACKUP, Limits, Settings
-
-if TYPE_CHECKING:
-    from msal_cli.batch.plan import Plan
-    from msal_cli.report.gates import Gate
+from msal_cli.job.settings import (
+    DEFAULT_BACKUP,
+    Assumption,
+    Encoding,
+    Keep,
+    Limits,
+    Precision,
+    Preference,
+    Settings,
+    to_texts,
+)
+from msal_cli.report.gates import (
+    Gate,
+    names_field,
+    parse_gates,
+    refuse_without_reference,
+    with_gates,
+)
 
 Path = str | os.PathLike[str]
 
@@ -94,43 +104,23 @@ def denoise_file(
     LossError, OutputError, ResourceError, InternalError
         as in ``msal_cli.errors``.
     """
-    source, target = path_text(input), path_text(output)
+    given = locals()
+    source, target = os.fsdecode(input), os.fsdecode(output)
     with explained_errors(path=source):
         limits = Limits(max_faces=max_faces)
         check_limits(limits)
-        gates = _parse_gates(fail_on, unit)
-        settings = build_settings(
-            method,
-            merge_parameters(parameters, more, denoise_file),
-            prefer=prefer,
-            keep=keep,
-            strength=strength,
-            budget=budget,
-            assume=assume,
-            max_move=max_move,
-            locks=_texts(lock),
-            weights=weights,
-            despike=despike,
-            min_noise=min_noise,
-            unit=unit,
-            intersections=intersections or _names_intersections(gates),
-            to=to,
-            encoding=encoding,
-            precision=precision,
-            strict=strict,
-            format=format,
-        )
-        plan = _build_plan([source], target, settings)
+        gates, settings = _parse(denoise_file, given)
+        plan = build_plan(discover_inputs([source], output=target), target, to=settings.to)
         if len(plan.tasks) != 1 or plan.homes != (None,):
             raise UsageError(
                 f"{source!r} into {target!r} is not one file into one file",
                 hint="denoise_folder takes folders",
             )
         task = plan.tasks[0]
-        one = FileRun(task.input, settings, None, limits)
-        data = one.read(task)
-        record = one.write(task, data, one.denoise(data, task.output))
-        return _judge(gates, record)
+        run = FileRun(task.input, settings, None, limits)
+        data = run.read(task)
+        record = run.write(task, data, run.denoise(data, task.output))
+        return with_gates(gates, [record])[0]
 
 
 def denoise_folder(
@@ -217,47 +207,26 @@ def denoise_folder(
     OutputError, ResourceError
         while iterating, where the output cannot be written, or no worker can be started.
     """
-    given = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
-    sources = [path_text(one) for one in given]
+    given = locals()
+    paths = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
+    sources = [os.fsdecode(path) for path in paths]
     with explained_errors(", ".join(sources)):
         limits = Limits(timeout, memory_limit, max_faces)
         check_limits(limits)
         check_numbers(jobs, retries, max_failures)
-        gates = _parse_gates(fail_on, unit)
-        settings = build_settings(
-            method,
-            merge_parameters(parameters, more, denoise_folder),
-            prefer=prefer,
-            keep=keep,
-            strength=strength,
-            budget=budget,
-            assume=assume,
-            max_move=max_move,
-            locks=_texts(lock),
-            weights=weights,
-            despike=despike,
-            min_noise=min_noise,
-            unit=unit,
-            intersections=intersections or _names_intersections(gates),
-            to=to,
-            encoding=encoding,
-            precision=precision,
-            strict=strict,
-            format=format,
-        )
-        plan = _build_plan(
-            sources,
-            None if output is None else path_text(output),
-            settings,
-            include=_texts(include),
-            exclude=_texts(exclude),
+        gates, settings = _parse(denoise_folder, given)
+        target = None if output is None else os.fsdecode(output)
+        plan = build_plan(
+            discover_inputs(sources, to_texts(include), to_texts(exclude), output=target),
+            target,
+            to=settings.to,
             in_place=in_place,
             backup=backup,
             force=force,
             fresh=fresh,
             retry_failed=retry_failed,
         )
-        records = iterate_records(
+        records = _iterate_records(
             plan,
             settings,
             jobs=jobs,
@@ -269,6 +238,16 @@ def denoise_folder(
         return _judged(gates, records)
 
 
+def _parse(
+    function: Callable[..., Any], given: Mapping[str, Any]
+) -> tuple[tuple[Gate, ...], Settings]:
+    """The gates and the settings of a call; gates may need intersections to be counted."""
+    gates = parse_gates(to_texts(given["fail_on"]), MeshRecord, given["unit"])
+    refuse_without_reference(gates, "measure it with msal_cli.compare")
+    is_checked = given["intersections"] or names_field(gates, "self_intersections")
+    return gates, parse_arguments(function, {**given, "intersections": is_checked})
+
+
 def _judged(
     gates: Sequence[Gate], records: Generator[MeshRecord, None, None]
 ) -> Generator[MeshRecord, None, None]:
@@ -276,47 +255,52 @@ def _judged(
     with explained_errors("the run"):
         try:
             for record in records:
-                yield _judge(gates, record)
+                yield with_gates(gates, [record])[0]
         finally:
             records.close()
 
 
-def _texts(texts: str | Sequence[str]) -> tuple[str, ...]:
-    return (texts,) if isinstance(texts, str) else tuple(texts)
+def _iterate_records(
+    plan: Plan, settings: Settings, **options: Any
+) -> Generator[MeshRecord, None, None]:
+    """The records of ``batch.run.run(plan, settings, **options)`` in the order in which files
+    finish; what it raises is raised here.
 
+    The run has a thread of its own and takes no signals, since Python gives these to the main
+    thread only; files are done in worker processes that can be ended at any time.
+    Where the iteration is left early, by ``close`` or an exception such as Ctrl-C's, the run is
+    ended first: its workers are gone, and finished files are whole and recorded.
+    """
+    cancellation = Cancellation()
+    messages: queue.SimpleQueue[MeshRecord | BaseException | None] = queue.SimpleQueue()
 
-def _parse_gates(expressions: str | Sequence[str], unit: str | None) -> tuple[Gate, ...]:
-    from msal_cli.report import gates
+    def on_event(event: Event) -> None:
+        cancellation.check()
+        if isinstance(event, Finished):
+            messages.put(event.record)
 
-    found = gates.parse_gates(_texts(expressions), MeshRecord, unit)
-    gates.refuse_without_reference(found, "measure it with msal_cli.compare")
-    return found
+    def work() -> None:
+        try:
+            run(plan, settings, on_event=on_event, cancellation=cancellation, **options)
+        except BaseException as error:
+            messages.put(error)
+        else:
+            messages.put(None)
 
-
-def _names_intersections(gates: Sequence[Gate]) -> bool:
-    from msal_cli.report.gates import names_field
-
-    return bool(gates) and names_field(gates, "self_intersections")
-
-
-def _judge(gates: Sequence[Gate], record: MeshRecord) -> MeshRecord:
-    from msal_cli.report.gates import with_gates
-
-    return with_gates(gates, [record])[0]
-
-
-def _build_plan(
-    inputs: Sequence[str],
-    output: str | None,
-    settings: Settings,
-    *,
-    include: Iterable[str] = (),
-    exclude: Iterable[str] = (),
-    **options: Any,
-) -> Plan:
-    """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
-    from msal_cli.batch.inputs import discover_inputs
-    from msal_cli.batch.plan import build_plan
-
-    found = discover_inputs(inputs, include, exclude, output=output)
-    return build_plan(found, output, to=settings.to, **options)
+    thread = threading.Thread(target=work, name="msal", daemon=True)
+    thread.start()
+    try:
+        while True:
+            try:
+                # Windows delivers Ctrl-C to a waiting thread only between two waits.
+                message = messages.get(timeout=0.2 if os.name == "nt" else None)
+            except queue.Empty:
+                continue
+            if message is None:
+                return
+            if isinstance(message, BaseException):
+                raise message
+            yield message
+    finally:
+        cancellation.request()
+        thread.join()

@@ -1,12 +1,107 @@
-"""``list_methods``: the methods and their parameters."""
+"""``list_methods``, and the names of methods and parameters as types."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
+from typing import Literal, TypedDict, cast
 
-from msal_cli.api.names import MethodName
+MethodName = Literal[
+    "adaptive",
+    "auto",
+    "al",
+    "anisotropic_diffusion",
+    "bilateral",
+    "bilateral_non_iterative",
+    "bilateral_normal",
+    "blend",
+    "guided_normal",
+    "hc",
+    "hybrid",
+    "l0",
+    "learned",
+    "mean_curvature_flow",
+    "msal",
+    "normal_diffusion",
+    "normal_threshold",
+    "scale_dependent_umbrella",
+    "static_dynamic",
+    "taubin",
+    "umbrella",
+    "wiener",
+    "windowed_sinc",
+]
+"""``adaptive`` and ``auto`` choose; the others are methods (``list_methods``)."""
+
+
+class MethodParameters(TypedDict, total=False):
+    """Parameters of methods by name or symbol; ``list_methods`` says which method has which.
+
+    Those that Python or the functions use themselves, such as ``lambda`` and ``weights``, are not
+    here: they go into ``parameters``.
+    """
+
+    alpha: float
+    areas: str
+    beta: float
+    boundary: str
+    c: float
+    caution: float
+    closeness: float
+    clusters: int
+    crease_angle_deg: float
+    deviation: str
+    eta: float
+    falloff: float
+    fidelity: float
+    guidance: float
+    inflate: float
+    iterations: int
+    K: float
+    k_PB: float
+    levels: str
+    members: str
+    mollify: int
+    mu: float
+    n: int
+    neighbours: str
+    noise: float
+    normal_iterations: int
+    normals: str
+    nu: float
+    pass_band: float
+    presmooth: int
+    q: float
+    quantile: float
+    r: float
+    radius: float
+    regularity: float
+    regularize: float
+    relax: int
+    rho: float
+    scaled_step: float
+    scaling: str
+    scan_share: float
+    schedule: str
+    shape: str
+    share: float
+    shrink: float
+    sigma_c: float
+    sigma_f: float
+    sigma_g: float
+    sigma_r: float
+    sigma_s: float
+    similarity: float
+    sliding: str
+    sparsity: float
+    T: float
+    tau: float
+    threshold: float
+    time_step: float
+    tolerance_deg: float
+    variant: str
+    vertex_iterations: int
+    volume: str
 
 
 @dataclass(frozen=True)

@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, TypeVar, overload
+from typing import Any, Literal, TypedDict, TypeVar, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msal_cli.api.explanations import explained_errors
-from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
-from msal_cli.api.mesh_objects import read_object
-from msal_cli.api.names import NoiseKind
-from msal_cli.api.settings import to_number, to_whole_number
+from msal_cli.api.mesh_objects import (
+    Array,
+    as_array,
+    explained_errors,
+    from_arrays,
+    read_object,
+    vertex_numbers,
+    with_properties,
+)
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
 from msal_cli.job.opened_mesh import prepare_mesh
 from msal_cli.job.records import NoiseEstimate
+from msal_cli.job.settings import to_number
+
+NoiseKind = Literal[
+    "gaussian-normal",
+    "gaussian",
+    "uniform",
+    "mixed",
+    "impulsive",
+    "correlated",
+    "view",
+    "quantised",
+    "grazing",
+    "half",
+    "ramp",
+    "property",
+    "outliers",
+]
+"""What ``add_noise`` adds."""
 
 MeshObject = TypeVar("MeshObject")
 
@@ -53,36 +75,31 @@ def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstima
         return noise_field(prepare_mesh(mesh).mesh)
 
 
+class _Options(TypedDict, total=False):
+    """The keyword arguments of ``add_noise``, for type checkers."""
+
+    level: float
+    seed: int
+    fraction: float | None
+    rings: int | None
+    direction: Sequence[float] | None
+    step: float | None
+    border: float | None
+    property: str | ArrayLike | None
+
+
 @overload
 def add_noise(
     vertices: ArrayLike,
     faces: ArrayLike,
     kind: NoiseKind = "gaussian-normal",
-    *,
-    level: float = 0.2,
-    seed: int = 0,
-    fraction: float | None = None,
-    rings: int | None = None,
-    direction: Sequence[float] | None = None,
-    step: float | None = None,
-    border: float | None = None,
-    property: str | ArrayLike | None = None,
+    **options: Unpack[_Options],
 ) -> Array: ...
 
 
 @overload
 def add_noise(
-    vertices: MeshObject,
-    *,
-    kind: NoiseKind = "gaussian-normal",
-    level: float = 0.2,
-    seed: int = 0,
-    fraction: float | None = None,
-    rings: int | None = None,
-    direction: Sequence[float] | None = None,
-    step: float | None = None,
-    border: float | None = None,
-    property: str | ArrayLike | None = None,
+    vertices: MeshObject, *, kind: NoiseKind = "gaussian-normal", **options: Unpack[_Options]
 ) -> MeshObject: ...
 
 
@@ -137,68 +154,53 @@ def add_noise(
     ContentError, UnsupportedError, InputError, ResourceError
         as ``denoise``.
     """
-    from msal_cli.analysis.added_noise import OPTIONS, AddedNoise
+    given = locals()
+    from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
     from msal_cli.analysis.added_noise import add_noise as add
     from msal_cli.job.noise_file import read_weights
 
     with explained_errors():
         is_object = faces is None
         mesh = read_object(vertices) if is_object else from_arrays(vertices, faces)
-        mesh, name = _with_factors(mesh, property)
-        settings = {
-            "fraction": fraction,
-            "rings": rings,
-            "direction": direction,
-            "step": step,
-            "border": border,
-            "property": name,
-        }
-        given = {one: value for one, value in settings.items() if value is not None}
-        used = OPTIONS.get(kind, tuple(given))
-        for one in given:
-            if one not in used:
-                users = ", ".join(kind for kind, names in OPTIONS.items() if one in names)
-                raise UsageError(f"{one} means nothing for {kind} noise", hint=f"for: {users}")
+        if not (property is None or isinstance(property, str)):
+            factors = vertex_numbers(property, "property", len(mesh.vertices))
+            mesh = with_properties(mesh, {_FACTORS: factors.astype(np.float64)})
+            given["property"] = _FACTORS
+        given = {name: given[name] for name in _READ if given[name] is not None}
+        refuse_unused(kind, given)
         noise = AddedNoise(
             kind,
             to_number(level, "level"),
-            to_whole_number(seed, "seed"),
-            **{one: _READ[one](value, one) for one, value in given.items()},
+            _to_whole_number(seed, "seed"),
+            **{name: _READ[name](value, name) for name, value in given.items()},
         )
         ready = prepare_mesh(mesh)
-        factors = read_weights(mesh, ready, noise.property) if kind == "property" else None
-        moved = ready.to_file_vertices(add(ready.mesh, noise, factors), mesh.vertices)
+        weights = read_weights(mesh, ready, noise.property) if kind == "property" else None
+        moved = ready.to_file_vertices(add(ready.mesh, noise, weights), mesh.vertices)
         noisy = mesh.to_given_type(moved)
         return mesh.copy_with(noisy) if is_object else noisy
+
+
+def _to_whole_number(value: Any, name: str) -> int:
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise UsageError(f"{name} is {value!r}, and must be a whole number") from None
 
 
 def _to_vector(value: Any, name: str) -> tuple[float, ...]:
     vector = as_array(value, name, UsageError)
     if vector.shape != (3,):
         raise UsageError(f"{name} is {value!r}, and must be three numbers")
-    return tuple(to_number(one, name) for one in vector.tolist())
+    return tuple(to_number(number, name) for number in vector.tolist())
 
 
 _READ: dict[str, Callable[[Any, str], Any]] = {
     "fraction": to_number,
-    "rings": to_whole_number,
+    "rings": _to_whole_number,
     "direction": _to_vector,
     "step": to_number,
     "border": to_number,
     "property": lambda value, name: value,
 }
 """How each setting is checked before it is used."""
-
-
-def _with_factors(mesh: MemoryMesh, factors: Any) -> tuple[MemoryMesh, str | None]:
-    """The mesh with an array of factors among its properties, and the name of the factors."""
-    if factors is None or isinstance(factors, str):
-        return mesh, factors
-    values = as_array(factors, "property", UsageError)
-    if values.shape != (len(mesh.vertices),) or values.dtype.kind not in "fiub":
-        raise UsageError(
-            f"property is {values.dtype} of shape {values.shape}",
-            hint=f"give {len(mesh.vertices)} numbers, one for each vertex",
-        )
-    own = {_FACTORS: values.astype(np.float64)}
-    return replace(mesh, properties={**mesh.properties, **own}), _FACTORS

@@ -11,10 +11,10 @@ from click.core import ParameterSource
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
-AUTOMATIC = ("auto", "keep", "strength", "prefer", "auto_budget")
+AUTOMATIC = ("auto", "keep", "strength", "prefer", "budget")
 """Options of which each implies ``--auto``."""
 
-BY_HAND = ("method", "iterations", "factor", "mollify", "schedule", "assignments")
+BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
 """Options that give a method and its parameters."""
 
 _FOR_FILES = (

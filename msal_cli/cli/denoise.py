@@ -15,7 +15,7 @@ from msal_cli.cli.conflicts import find_given
 from msal_cli.cli.denoise_options import OPTIONS
 from msal_cli.cli.denoise_records import describe_run, judge, log_record
 from msal_cli.cli.denoise_request import Request
-from msal_cli.cli.method_parameters import list_defaults
+from msal_cli.cli.methods import list_defaults
 from msal_cli.errors import MsalError, OutputError, ResourceError
 
 if TYPE_CHECKING:

@@ -52,7 +52,7 @@ WHAT_TO_DO = group(
     ),
     click.option(
         "-K",
-        "factor",
+        "K",
         metavar="K",
         help="Factor on the smoothing per sweep, of msal if none is named. Greater is smoother, "
         "less keeps more texture; 0 < K <= 1, for --schedule multiscale or robust. A number "
@@ -132,6 +132,7 @@ AUTOMATIC_CHOICE = group(
     ),
     click.option(
         "--auto-budget",
+        "budget",
         metavar="N",
         type=options.number(1.0),
         help="Most time for choosing and denoising together, in runs of the default method over "

@@ -5,20 +5,12 @@ from __future__ import annotations
 import os
 import re
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from msal_cli.cli.conflicts import AUTOMATIC, BY_HAND, refuse_conflicts
-from msal_cli.cli.options import STREAM, resolve_format
+from msal_cli.cli.conflicts import refuse_conflicts
+from msal_cli.cli.options import SHORTCUTS, STREAM, parse_assignment
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import (
-    ADAPTIVE,
-    AUTO,
-    DEFAULT_BACKUP,
-    NEGLIGIBLE,
-    SELF_INTERSECTIONS,
-    Settings,
-    writable_formats,
-)
+from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Settings, parse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,10 +19,8 @@ if TYPE_CHECKING:
     from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.streams import Stream
-    from msal_cli.methods import Method
     from msal_cli.report.gates import Gate
 
-_DEFAULT_METHOD = "msal"
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
@@ -159,20 +149,6 @@ def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     return (truth,) * len(names)
 
 
-def _refuse_without_data_term(method: Method, parameters: dict[str, Any]) -> None:
-    """Refuse trust where nothing pulls a vertex back to where it was scanned; UsageError."""
-    if method.has_data_term(parameters):
-        return
-    schedules = any(spec.name == "schedule" for spec in method.parameters)
-    raise UsageError(
-        f"--weights needs a pull to the scanned positions, and {method.name} has none"
-        + (" with --schedule plain" if schedules else ""),
-        hint="choose --schedule constant, multiscale, robust or wiener"
-        if schedules
-        else "choose msal",
-    )
-
-
 def _refuse_taken_names(plan: Plan) -> None:
     """Refuse files of fields that would replace each other, an input or an output; UsageError."""
     from msal_cli.job.fields import path_beside
@@ -191,85 +167,18 @@ def _refuse_taken_names(plan: Plan) -> None:
 
 def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
-    method, parameters = _choose_method(request)
-    max_move, lock, min_noise = request.max_move, request.lock, request.min_noise
-    weld = request.weld
-    if max_move is not None or lock or min_noise is not None or weld is not None:
-        from msal_cli.job import constraints
-
-        lock = tuple(str(constraints.parse_lock(one) or constraints.BOUNDARY) for one in lock)
-        if max_move is not None:
-            max_move = str(constraints.parse_length(max_move, "--max-move", request.unit))
-        if weld is not None:
-            weld = str(constraints.parse_length(weld, "--weld", request.unit))
-        if min_noise is not None and min_noise != NEGLIGIBLE:
-            min_noise = str(constraints.parse_length(min_noise, "--min-noise", request.unit))
-    fields: tuple[str, ...] = ()
-    if request.fields is not None:
-        from msal_cli.job.fields import check_names
-
-        fields = check_names(request.fields)
-    is_checked = SELF_INTERSECTIONS in request.checks
-    if gates and not is_checked:
+    given = {**vars(request), "method": AUTO if request.auto else request.method}
+    given["parameters"] = [
+        (f"{option} {given[name]}", name, given[name])
+        for name, option in SHORTCUTS.items()
+        if given[name] is not None
+    ] + [parse_assignment(text) for text in request.assignments]
+    given["intersections"] = SELF_INTERSECTIONS in request.checks
+    if gates and not given["intersections"]:
         from msal_cli.report.gates import names_field
 
-        is_checked = names_field(gates, "self_intersections")
-    return Settings(
-        method=method,
-        parameters=parameters,
-        to=resolve_format(request.to, writable_formats, "--to"),
-        encoding=request.encoding,
-        precision=request.precision,
-        strict=request.strict,
-        format=resolve_format(request.format),
-        max_move=max_move,
-        lock=lock,
-        weights=request.weights,
-        fields=fields,
-        min_noise=min_noise,
-        checks=(SELF_INTERSECTIONS,) if is_checked else (),
-        despike=request.despike,
-        tile_set=request.tile_set,
-        weld=weld,
-    )
-
-
-def _choose_method(request: Request) -> tuple[str, dict[str, Any]]:
-    """The method's name and all its parameters; for ``AUTO`` the wishes."""
-    if request.method == AUTO or request.given.keys() & set(AUTOMATIC):
-        from dataclasses import asdict
-
-        from msal_cli.auto import Wishes
-
-        wishes = {
-            "prefer": request.prefer,
-            "keep": request.keep,
-            "strength": request.strength,
-            "budget": request.auto_budget,
-            "assume": request.assume,
-        }
-        given = {name: value for name, value in wishes.items() if value is not None}
-        return AUTO, asdict(Wishes()) | given
-    if not request.given.keys() & set(BY_HAND):
-        return ADAPTIVE, {} if request.assume is None else {"assume": request.assume}
-    from msal_cli import methods
-    from msal_cli.cli import method_parameters
-
-    method = methods.find(request.method or _DEFAULT_METHOD)
-    shortcuts = (
-        ("-n", "iterations", request.iterations),
-        ("-K", "K", request.factor),
-        ("--mollify", "mollify", request.mollify),
-        ("--schedule", "schedule", request.schedule),
-    )
-    assignments = [
-        (f"{option} {value}", name, value) for option, name, value in shortcuts if value is not None
-    ]
-    assignments += [method_parameters.parse_assignment(text) for text in request.assignments]
-    parameters = method_parameters.resolve(method, assignments)
-    if request.weights is not None:
-        _refuse_without_data_term(method, parameters)
-    return method.name, parameters
+        given["intersections"] = names_field(gates, "self_intersections")
+    return parse(given, as_options=True)
 
 
 def build_plan(request: Request, settings: Settings) -> Plan:

@@ -10,19 +10,16 @@ import click
 from msal_cli.cli import console, exit_codes, options
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.command import group
+from msal_cli.cli.options import SHORTCUTS
+from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from msal_cli.job.records import MeshRecord
     from msal_cli.methods import Method, ParameterSpec
 
 SCHEMA = "msal.methods/1"
-
-SHORTCUTS = {
-    "iterations": "-n",
-    "K": "-K",
-    "mollify": "--mollify",
-    "schedule": "--schedule",
-}
-"""Options of ``msal denoise`` that set a parameter."""
 
 
 @grouped_command("methods", configurable=False)
@@ -90,3 +87,16 @@ def _describe_parameter(spec: ParameterSpec) -> dict[str, Any]:
     names = ("name", "symbol", "kind", "default", "low", "high", "low_open", "high_open")
     data = {name: getattr(spec, name) for name in (*names, "choices", "unit", "help", "more")}
     return data | {"kind": spec.kind.__name__}
+
+
+def list_defaults(records: Sequence[MeshRecord]) -> dict[str, Any]:
+    """The default parameters of the method of a single record; none of a method of another
+    version of msal, and none for several records."""
+    if len(records) != 1 or records[0].method is None:
+        return {}
+    from msal_cli import methods
+
+    try:
+        return methods.find(records[0].method.name).validate({})
+    except UsageError:
+        return {}

@@ -242,16 +242,10 @@ def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | No
 
 def _build_noise(kind: str, level: float, seed: int, **settings: Any) -> AddedNoise:
     """The noise; UsageError for a setting that the kind does not use."""
-    from msal_cli.analysis.added_noise import OPTIONS, AddedNoise
+    from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
 
     given = {name: value for name, value in settings.items() if value is not None}
-    for name in given:
-        if name not in OPTIONS[kind]:
-            users = ", ".join(kind for kind, used in OPTIONS.items() if name in used)
-            raise UsageError(
-                f"--{name} means nothing for {kind} noise",
-                hint=f"leave it out; it is for --kind {users}",
-            )
+    refuse_unused(kind, given, "--")
     if kind == "property" and not given.get("property"):
         raise UsageError(
             "--kind property needs --property NAME", hint="msal info lists a file's properties"

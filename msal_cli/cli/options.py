@@ -30,6 +30,14 @@ _BYTES = {
     **{f"{letter}ib": 1024**n for n, letter in enumerate("kmgt", 1)},
 }
 
+SHORTCUTS = {
+    "iterations": "-n",
+    "K": "-K",
+    "mollify": "--mollify",
+    "schedule": "--schedule",
+}
+"""Options of ``msal denoise`` that set a parameter of the method."""
+
 # Types.  A function as a type gets the text of the option; its BadParameter names the option.
 
 
@@ -149,28 +157,22 @@ def parse_direction(text: str) -> tuple[float, float, float]:
 # Values that are checked when the command runs, because that imports more.
 
 
-def resolve_format(
-    text: str | None, known: Callable[[], tuple[str, ...]] | None = None, option: str = "--format"
-) -> str | None:
-    """A format in the spelling of what ``known`` gives, a leading dot aside; None for None.
-
-    Without ``known`` it is a format that can be read.  UsageError, with the closest, if it is none.
-    """
+def resolve_format(text: str | None) -> str | None:
+    """The format of ``--format`` without a leading dot; UsageError if it cannot be read."""
     if text is None:
         return None
-    from msal_cli.codecs import detection
+    from msal_cli.codecs.detection import readable_suffixes
+    from msal_cli.job.settings import parse_format
 
-    names = tuple(name.lstrip(".") for name in (known or detection.readable_suffixes)())
-    plain = text.lower().lstrip(".")
-    if plain in names:
-        return plain
-    import difflib
+    return parse_format(text, "--format", readable_suffixes())
 
-    close = difflib.get_close_matches(plain, names, n=2, cutoff=0.5)
-    raise UsageError(
-        f"{option} {text}: there is no such format",
-        hint=f"did you mean {' or '.join(close)}?" if close else f"known are: {', '.join(names)}",
-    )
+
+def parse_assignment(text: str) -> tuple[str, str, str]:
+    """What messages call a ``--set``, and its two parts; UsageError if it is no ``NAME=VALUE``."""
+    name, sign, value = text.partition("=")
+    if not sign or not name.strip() or not value.strip():
+        raise UsageError(f"--set {text} is not NAME=VALUE", hint="for example: --set iterations=4")
+    return f"--set {text}", name.strip(), value.strip()
 
 
 def check_threads_variable() -> None:

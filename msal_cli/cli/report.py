@@ -11,7 +11,7 @@ from msal_cli.cli import console, exit_codes, options
 from msal_cli.cli.command import MESSAGES, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
-from msal_cli.cli.method_parameters import list_defaults
+from msal_cli.cli.methods import list_defaults
 
 if TYPE_CHECKING:
     from msal_cli.cli.run_summary import RunSummary

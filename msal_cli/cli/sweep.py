@@ -189,11 +189,9 @@ def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cel
 
 def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
     """Names and values of ``--set``; UsageError for one that is there twice."""
-    from msal_cli.cli.method_parameters import parse_assignment
-
     values: dict[str, str] = {}
     for text in assignments:
-        option, name, value = parse_assignment(text)
+        option, name, value = options.parse_assignment(text)
         if name in values:
             raise UsageError(f"{option}: {name} is set twice", hint="give it once")
         values[name] = value

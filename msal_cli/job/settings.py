@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
+from msal_cli.errors import UsageError
 from msal_cli.storage.urls import is_url, split
 
 if TYPE_CHECKING:
     from msal_cli.codecs.forecast import Forecast
     from msal_cli.job.records import ObjectMark
+    from msal_cli.methods import Method
+
+Preference = Literal["balanced", "positions", "normals", "volume"]
+Keep = Literal["texture", "edges", "shape"]
+Assumption = Literal["noise", "texture"]
+Encoding = Literal["same", "ascii", "binary"]
+Precision = Literal["same", "float32", "float64"]
 
 AUTO = "auto"
 """In place of a method's name: each mesh gets the one that suits it, see ``selection``."""
@@ -25,6 +34,9 @@ CHOOSING = (ADAPTIVE, AUTO)
 
 NEGLIGIBLE = "auto"
 """In place of a least noise: as the estimate judges it."""
+
+DEFAULT_METHOD = "msal"
+"""Has the parameters that are given without a method."""
 
 DEFAULT_BACKUP = ".orig"
 """What is added to the name of an original that is replaced in place."""
@@ -132,6 +144,253 @@ class Task:
     input_mark: ObjectMark | None = None
 
 
+Check = Callable[[Any, str, str | None], Any]
+"""Gives the setting for a value; gets the label for messages and the unit of the files, too."""
+
+Assignment = tuple[str, str, Any]
+"""The label of a method's parameter for messages, its name or symbol, and its value."""
+
+
+class _Setting(NamedTuple):
+    """The spelling on the command line, and what a value must be."""
+
+    option: str
+    check: Check
+
+
+def _refusal(label: str, value: object, allowed: str) -> UsageError:
+    return UsageError(f"{label} = {value!r} is not allowed", hint=f"allowed: {allowed}")
+
+
+def _as_given(value: Any, label: str, unit: str | None) -> Any:
+    return value
+
+
+def _word_of(words: tuple[str, ...]) -> Check:
+    def check(value: Any, label: str, unit: str | None) -> str:
+        if value not in words:
+            raise _refusal(label, value, " | ".join(words))
+        return str(value)
+
+    return check
+
+
+def _number_from(low: float, high: float, span: str) -> Check:
+    def check(value: Any, label: str, unit: str | None) -> float:
+        number = to_number(value, label)
+        if not low <= number <= high:
+            raise _refusal(label, value, span)
+        return number
+
+    return check
+
+
+def _length(value: Any, label: str, unit: str | None) -> str:
+    """A length as settings have it: ``"0.3e"`` in mean edge lengths, a number in file units."""
+    from msal_cli.job.constraints import parse_length
+
+    text = value if isinstance(value, str) else repr(to_number(value, label))
+    return str(parse_length(text, label, unit))
+
+
+def _least_noise(value: Any, label: str, unit: str | None) -> str:
+    return NEGLIGIBLE if value == NEGLIGIBLE else _length(value, label, unit)
+
+
+def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
+    from msal_cli.job.constraints import BOUNDARY, parse_lock
+
+    return tuple(str(parse_lock(text, label) or BOUNDARY) for text in to_texts(value))
+
+
+def _field_names(value: Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
+    from msal_cli.job.fields import check_names
+
+    return check_names(value)
+
+
+def _input_format(value: str, label: str, unit: str | None) -> str:
+    from msal_cli.codecs.detection import readable_suffixes
+
+    return parse_format(value, label, readable_suffixes())
+
+
+def _output_format(value: str, label: str, unit: str | None) -> str:
+    return parse_format(value, label, writable_formats())
+
+
+_SETTINGS = {
+    "prefer": _Setting("--prefer", _word_of(get_args(Preference))),
+    "keep": _Setting("--keep", _word_of(get_args(Keep))),
+    "strength": _Setting("--strength", _number_from(-2.0, 2.0, "-2 to 2")),
+    "budget": _Setting("--auto-budget", _number_from(1.0, float("inf"), "1 or more")),
+    "assume": _Setting("--assume", _word_of(get_args(Assumption))),
+    "max_move": _Setting("--max-move", _length),
+    "lock": _Setting("--lock", _locks),
+    "weights": _Setting("--weights", _as_given),
+    "despike": _Setting("--despike", _as_given),
+    "min_noise": _Setting("--min-noise", _least_noise),
+    "to": _Setting("--to", _output_format),
+    "encoding": _Setting("--encoding", _word_of(get_args(Encoding))),
+    "precision": _Setting("--precision", _word_of(get_args(Precision))),
+    "strict": _Setting("--strict", _as_given),
+    "format": _Setting("--format", _input_format),
+    "fields": _Setting("--fields", _field_names),
+    "tile_set": _Setting("--tile-set", _as_given),
+    "weld": _Setting("--weld", _length),
+}
+"""What a user may give beside a method and its parameters, by the names of the Python API."""
+
+_WISHES = ("prefer", "keep", "strength", "budget", "assume")
+
+
+def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
+    """The settings for the options of a command, or the arguments of a function of the API.
+
+    Parameters
+    ----------
+    given : values by the names of ``_SETTINGS``, with None for what is not given; and ``method``,
+        its ``parameters`` (assignments), ``intersections`` and ``unit``.  Other names are ignored.
+    as_options : messages name options; by default arguments.
+
+    Raises
+    ------
+    UsageError
+        for values that are not allowed, or do not go together.
+    """
+
+    def label(name: str) -> str:
+        return _SETTINGS[name].option if as_options else name
+
+    unit = given.get("unit")
+    values = {
+        name: setting.check(given[name], label(name), unit)
+        for name, setting in _SETTINGS.items()
+        if given.get(name) is not None
+    }
+    wishes = {name: values.pop(name) for name in _WISHES if name in values}
+    method, parameters = _choose_method(given.get("method"), given["parameters"], wishes)
+    if "weights" in values and method not in CHOOSING:
+        _require_data_term(method, parameters, label("weights"))
+    checks = (SELF_INTERSECTIONS,) if given.get("intersections") else ()
+    return Settings(method, parameters, checks=checks, **values)
+
+
+def _choose_method(
+    method: str | None, assignments: Sequence[Assignment], wishes: Mapping[str, Any]
+) -> tuple[str, dict[str, Any]]:
+    """The method's name and all its parameters; for ``CHOOSING`` the wishes."""
+    is_adaptive = method == ADAPTIVE or (method is None and not assignments)
+    if method == AUTO or (method is None and wishes.keys() - {"assume"}):
+        choice = AUTO
+    elif wishes.keys() <= {"assume"} and (is_adaptive or (wishes and method is None)):
+        choice = ADAPTIVE
+    elif wishes:
+        raise UsageError(
+            f"{', '.join(wishes)}: this is for the automatic choice, and the method is {method!r}",
+            hint="leave the method out, or give method='auto'; a parameter of a method that has "
+            f"this name goes into parameters={{{next(iter(wishes))!r}: ...}}",
+        )
+    else:
+        from msal_cli import methods
+
+        found = methods.find(method or DEFAULT_METHOD)
+        return found.name, resolve_parameters(found, assignments)
+    if assignments:
+        raise UsageError(
+            f"{', '.join(name for _, name, _ in assignments)}: {choice!r} chooses the parameters "
+            "itself",
+            hint="give a method, such as 'msal', or leave the parameters out",
+        )
+    if choice == ADAPTIVE:
+        return ADAPTIVE, dict(wishes)
+    from msal_cli.auto import Wishes
+
+    return AUTO, dataclasses.asdict(Wishes()) | wishes
+
+
+def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dict[str, Any]:
+    """Every parameter of ``method``, with those that the user gave in their place.
+
+    Raises
+    ------
+    UsageError
+        for an unknown name, a value that is not allowed, or one parameter with two values.
+    """
+    values: dict[str, Any] = {}
+    labels: dict[str, str] = {}
+    for label, name, given in assignments:
+        try:
+            spec = method.spec(name)
+        except UsageError:
+            from msal_cli import methods
+
+            others = [
+                other
+                for other in methods.names()
+                if any(name == spec.name for spec in methods.find(other).parameters)
+            ]
+            if label == name or label.startswith("--set") or not others:
+                raise
+            raise UsageError(
+                f"{label} does not go with {method.name}, which has no parameter '{name}'",
+                hint=f"methods that have it: {', '.join(others)}",
+            ) from None
+        value = spec.validate(given)
+        if values.setdefault(spec.name, value) != value:
+            raise UsageError(
+                f"{labels[spec.name]} and {label} give {spec.name} two different values",
+                hint="give it once",
+            )
+        labels.setdefault(spec.name, label)
+    return method.validate(values)
+
+
+def _require_data_term(name: str, parameters: Mapping[str, Any], label: str) -> None:
+    """Refuse trust where nothing pulls a vertex back to where it was scanned; UsageError."""
+    from msal_cli import methods
+
+    method = methods.find(name)
+    if not method.has_data_term(parameters):
+        has_schedules = any(spec.name == "schedule" for spec in method.parameters)
+        raise UsageError(
+            f"{label}: a pull to the scanned positions is needed, and {name} has none"
+            + (" with the schedule plain" if has_schedules else ""),
+            hint="choose the schedule constant, multiscale, robust or wiener"
+            if has_schedules
+            else "choose msal",
+        )
+
+
+def parse_format(text: str, label: str, known: Iterable[str]) -> str:
+    """A format in the spelling of those that are ``known``, a leading dot aside; UsageError, with
+    the closest, if it is none."""
+    names = [name.lstrip(".") for name in known]
+    plain = text.lower().lstrip(".")
+    if plain in names:
+        return plain
+    import difflib
+
+    close = difflib.get_close_matches(plain, names, n=2, cutoff=0.5)
+    raise UsageError(
+        f"{label} {text}: there is no such format",
+        hint=f"did you mean {' or '.join(close)}?" if close else f"known are: {', '.join(names)}",
+    )
+
+
+def to_number(value: Any, label: str) -> float:
+    """A number; UsageError for anything else."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise UsageError(f"{label} is {value!r}, and must be a number") from None
+
+
+def to_texts(texts: str | Sequence[str]) -> tuple[str, ...]:
+    """The texts where one may stand for a sequence."""
+    return (texts,) if isinstance(texts, str) else tuple(texts)
+
+
 def is_mesh_name(name: str) -> bool:
     """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
     from msal_cli.codecs.detection import readable_suffixes
@@ -166,8 +425,6 @@ def refuse_unknown_format(output: str) -> None:
 
     A name without a suffix is that of a folder, or of a device such as ``/dev/null``.
     """
-    from msal_cli.errors import UsageError
-
     if is_url(output):
         # A bucket may have a dot in its name.
         output_path = split(output)[1]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import msal_cli as msal
-from msal_cli.api.memory_mesh import from_arrays
+from msal_cli.api.mesh_objects import from_arrays
 from tests.api.ply_files import positions_of, to_ply
 from tests.cli.scans import msal as run_command
 from tests.shapes import grid, noisy, torus
@@ -263,7 +263,7 @@ def test_masked_values_of_an_object_are_refused_where_they_are_used():
 
 
 def test_a_defect_is_an_internal_error(monkeypatch):
-    monkeypatch.setattr("msal_cli.api.denoising.build_settings", lambda *a, **k: 1 / 0)
+    monkeypatch.setattr("msal_cli.job.pipeline.FileRun.move_vertices", lambda *a: 1 / 0)
     with pytest.raises(msal.InternalError) as caught:
         msal.denoise(VERTICES, FACES)
     assert isinstance(caught.value.__cause__, ZeroDivisionError)

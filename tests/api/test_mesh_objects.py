@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 import msal_cli as msal
-from msal_cli.api import mesh_objects
 from tests.shapes import grid, noisy, torus
 
 VERTICES, FACES = torus(40, 20)
@@ -305,9 +304,3 @@ def test_no_library_is_imported_for_its_objects(monkeypatch):
             msal.denoise(grid_class())
     with pytest.raises(msal.UsageError, match="a dict alone is no mesh"):
         msal.denoise({})
-
-
-def test_every_reader_is_a_module():
-    for (package, _), name in mesh_objects._READERS.items():
-        assert name.startswith(package)
-        __import__(f"msal_cli.api.mesh_objects.{name}")

@@ -15,7 +15,8 @@ import pytest
 import msal_cli as msal
 from msal_cli import api, errors, methods
 from msal_cli.analysis.added_noise import KINDS
-from msal_cli.api import names
+from msal_cli.api.method_list import MethodName, MethodParameters
+from msal_cli.api.noise import NoiseKind
 
 PACKAGE = Path(msal.__file__).parent
 
@@ -135,13 +136,13 @@ def test_two_threads_denoise_at_once():
 
 def test_the_words_of_the_types_are_those_of_the_program():
     choosing = ("adaptive", "auto")
-    assert get_args(names.MethodName) == (*choosing, *methods.names())
-    assert get_args(names.NoiseKind) == tuple(KINDS)
+    assert get_args(MethodName) == (*choosing, *methods.names())
+    assert get_args(NoiseKind) == tuple(KINDS)
     assert [one.name for one in msal.list_methods()] == list(methods.names())
     own = {name for one in FUNCTIONS for name in inspect.signature(getattr(msal, one)).parameters}
     specs = [spec for name in methods.names() for spec in methods.find(name).parameters]
     words = {word for spec in specs for word in (spec.name, spec.symbol) if word}
-    typed = set(names.MethodParameters.__annotations__)
+    typed = set(MethodParameters.__annotations__)
     # The rest goes into ``parameters``.
     assert typed <= words
     assert words - typed <= own | {"lambda"}

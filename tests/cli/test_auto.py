@@ -147,7 +147,7 @@ def test_the_words_on_the_command_line_are_those_of_the_pipeline():
     defaults = selection.Wishes()
     said = {one.name: one.help for one in command.params if hasattr(one, "help")}
     assert f"[default: {defaults.strength:g}]" in said["strength"]
-    assert f"[default: {defaults.budget:g}]" in said["auto_budget"]
+    assert f"[default: {defaults.budget:g}]" in said["budget"]
 
 
 # What is told

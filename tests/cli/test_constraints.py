@@ -63,7 +63,7 @@ def test_they_are_part_of_what_is_current(scan, tmp_path):
         (("--max-move", "0"), "no length above 0"),
         (("--max-move", "3%"), "no length above 0"),
         (("--lock", "confidence"), "neither 'boundary' nor"),
-        (("--weights", "q", "--method", "al"), "al has none with --schedule plain"),
+        (("--weights", "q", "--method", "al"), "al has none with the schedule plain"),
         (("--weights", "q", "--method", "taubin"), "taubin has none"),
     ],
 )

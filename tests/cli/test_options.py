@@ -59,21 +59,6 @@ def test_the_methods_found_without_importing_them_are_the_methods():
     assert options.complete_method(None, None, "ms") == ["msal"]
 
 
-def test_formats_in_any_spelling():
-    def known():
-        return (".ply", "obj")
-
-    assert options.resolve_format(None) is None
-    assert options.resolve_format("PLY", known, "--to") == "ply"
-    assert options.resolve_format(".Obj", known, "--to") == "obj"
-    with pytest.raises(UsageError, match="--to plx: there is no such format") as caught:
-        options.resolve_format("plx", known, "--to")
-    assert caught.value.hint == "did you mean ply?"
-    with pytest.raises(UsageError) as caught:
-        options.resolve_format("zzz", known, "--to")
-    assert caught.value.hint == "known are: ply, obj"
-
-
 @pytest.mark.parametrize("text", ["0", "-1", "two", "1.5"])
 def test_a_number_of_threads_that_is_none_is_refused(text, monkeypatch):
     monkeypatch.setenv("MSAL_THREADS", text)
@@ -135,3 +120,14 @@ def test_options_of_denoise_that_do_not_go_together(line, message, tmp_path, mon
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(made.stderr)
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+@pytest.mark.parametrize("text", ["K", "=1", "K=", " = ", ""])
+def test_no_assignment(text):
+    with pytest.raises(UsageError, match="is not NAME=VALUE"):
+        options.parse_assignment(text)
+
+
+def test_the_shortcuts_are_parameters_of_methods():
+    words = {spec.name for name in methods.names() for spec in methods.find(name).parameters}
+    assert set(options.SHORTCUTS) <= words

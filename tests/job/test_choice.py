@@ -32,7 +32,8 @@ def settled_as(monkeypatch, mesh, name, given):
 
 @pytest.mark.parametrize("name", methods.names())
 def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mesh, name):
-    from msal_cli.cli import method_parameters as parameters
+    from msal_cli.cli.options import parse_assignment
+    from msal_cli.job.settings import resolve_parameters
 
     method = methods.find(name)
     # No number of few digits, and another word than the default, wherever a parameter has room.
@@ -48,7 +49,7 @@ def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mes
     words = settled_as(monkeypatch, mesh, name, values).known["choice"].repeat
     assert words[:2] == ("--method", name)
     assert set(words[2::2]) <= {"--set"}
-    assert parameters.resolve(method, map(parameters.parse_assignment, words[3::2])) == values
+    assert resolve_parameters(method, map(parse_assignment, words[3::2])) == values
 
 
 def test_values_that_no_user_could_give_are_refused(monkeypatch, mesh):

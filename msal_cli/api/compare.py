@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.api.explanations import explained_errors
-from msal_cli.api.memory_mesh import from_arrays
-from msal_cli.api.mesh_objects import read_object
+from msal_cli.api.mesh_objects import explained_errors, from_arrays, read_object
 from msal_cli.job.comparison import Surface, compare_meshes, measure_files, open_surface
 from msal_cli.job.comparison_record import ComparisonRecord
 
@@ -37,8 +35,8 @@ def compare(before: Any, after: Any, *, intersections: bool = False) -> Comparis
         where one of them cannot be read, or is no mesh; ``error.path`` is the file.
     """
     with explained_errors():
-        if is_path(before) and is_path(after):
-            return measure_files(path_text(before), path_text(after), None, intersections)
+        if _is_path(before) and _is_path(after):
+            return measure_files(os.fsdecode(before), os.fsdecode(after), None, intersections)
         first, first_name = _read(before)
         second, second_name = _read(after)
         return compare_meshes(
@@ -46,20 +44,14 @@ def compare(before: Any, after: Any, *, intersections: bool = False) -> Comparis
         )
 
 
-def is_path(one: Any) -> bool:
-    """Whether an argument names a file."""
-    return isinstance(one, str | bytes | os.PathLike)
+def _is_path(given: Any) -> bool:
+    return isinstance(given, str | bytes | os.PathLike)
 
 
-def path_text(path: Any) -> str:
-    """A path as the command knows it."""
-    return os.fsdecode(path)
-
-
-def _read(one: Any) -> tuple[Surface, str]:
+def _read(given: Any) -> tuple[Surface, str]:
     """The surface of an argument, and what records call it."""
-    if is_path(one):
-        return open_surface(path_text(one)), path_text(one)
-    is_pair = isinstance(one, tuple | list) and len(one) == 2
-    mesh = from_arrays(*one) if is_pair else read_object(one)
+    if _is_path(given):
+        return open_surface(os.fsdecode(given)), os.fsdecode(given)
+    is_pair = isinstance(given, tuple | list) and len(given) == 2
+    mesh = from_arrays(*given) if is_pair else read_object(given)
     return Surface(mesh.vertices, np.asarray(mesh.faces)), mesh.name

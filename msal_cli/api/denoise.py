@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msal_cli.api.explanations import explained_errors
-from msal_cli.api.memory_mesh import Array, MemoryMesh, as_array, from_arrays
-from msal_cli.api.mesh_objects import read_object
-from msal_cli.api.names import Assumption, Keep, MethodName, MethodParameters, Preference
-from msal_cli.api.settings import build_settings, merge_parameters
+from msal_cli.api.mesh_objects import (
+    Array,
+    MemoryMesh,
+    as_array,
+    explained_errors,
+    from_arrays,
+    read_object,
+    vertex_numbers,
+    with_properties,
+)
+from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.plain_data import screen_repr
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
-from msal_cli.job.settings import NO_LIMITS, Settings
+from msal_cli.job.settings import NO_LIMITS, Assumption, Keep, Preference, Settings, parse
 
 MeshObject = TypeVar("MeshObject")
 
@@ -91,46 +99,35 @@ class DenoiseResult:
         return screen_repr("DenoiseResult", facts)
 
 
+class _Options(MethodParameters, total=False):
+    """The keyword arguments of ``denoise``, for type checkers."""
+
+    prefer: Preference | None
+    keep: Keep | None
+    strength: float | None
+    budget: float | None
+    assume: Assumption | None
+    max_move: str | float | None
+    lock: str | Sequence[str] | ArrayLike | None
+    weights: str | ArrayLike | None
+    despike: bool | None
+    min_noise: str | float | None
+    unit: str | None
+    parameters: Mapping[str, Any] | None
+
+
 @overload
 def denoise(
     vertices: ArrayLike,
     faces: ArrayLike,
     method: MethodName | None = None,
-    *,
-    prefer: Preference | None = None,
-    keep: Keep | None = None,
-    strength: float | None = None,
-    budget: float | None = None,
-    assume: Assumption | None = None,
-    max_move: str | float | None = None,
-    lock: str | Sequence[str] | ArrayLike | None = None,
-    weights: str | ArrayLike | None = None,
-    despike: bool | None = None,
-    min_noise: str | float | None = None,
-    unit: str | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    **more: Unpack[MethodParameters],
+    **options: Unpack[_Options],
 ) -> DenoiseResult: ...
 
 
 @overload
 def denoise(
-    vertices: MeshObject,
-    *,
-    method: MethodName | None = None,
-    prefer: Preference | None = None,
-    keep: Keep | None = None,
-    strength: float | None = None,
-    budget: float | None = None,
-    assume: Assumption | None = None,
-    max_move: str | float | None = None,
-    lock: str | Sequence[str] | ArrayLike | None = None,
-    weights: str | ArrayLike | None = None,
-    despike: bool | None = None,
-    min_noise: str | float | None = None,
-    unit: str | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    **more: Unpack[MethodParameters],
+    vertices: MeshObject, *, method: MethodName | None = None, **options: Unpack[_Options]
 ) -> MeshObject: ...
 
 
@@ -230,57 +227,53 @@ def denoise(
     >>> result = msal.denoise(vertices, faces, "msal", K=0.4, max_move="0.5e")  # doctest: +SKIP
     >>> result.vertices.shape, result.displacement.max_edges  # doctest: +SKIP
     """
+    given = locals()
     with explained_errors():
         is_object = faces is None
-        mesh = read_object(vertices) if is_object else _read_arrays(vertices, faces)
-        mesh, locks, trust = _with_constraints(mesh, lock, weights)
-        settings = build_settings(
-            method,
-            merge_parameters(parameters, more, denoise),
-            prefer=prefer,
-            keep=keep,
-            strength=strength,
-            budget=budget,
-            assume=assume,
-            max_move=max_move,
-            locks=locks,
-            weights=trust,
-            despike=despike,
-            min_noise=min_noise,
-            unit=unit,
-        )
-        result = _run(mesh, settings)
+        if isinstance(faces, str):
+            raise UsageError(
+                f"faces are {faces!r}, a text",
+                hint=f"of a mesh object the method has to be named: method={faces!r}",
+            )
+        mesh = read_object(vertices) if is_object else from_arrays(vertices, faces)
+        own: dict[str, Array] = {}
+        is_text = isinstance(lock, list | tuple) and lock and all(isinstance(k, str) for k in lock)
+        if not (lock is None or isinstance(lock, str) or is_text):
+            own[_MASK] = _as_mask(lock, len(mesh.vertices))
+            given["lock"] = f"{_MASK} != 0"
+        if not (weights is None or isinstance(weights, str)):
+            own[_TRUST] = _as_trust(weights, len(mesh.vertices))
+            given["weights"] = _TRUST
+        result = _run(with_properties(mesh, own), parse_arguments(denoise, given))
         return mesh.copy_with(result.vertices) if is_object else result
 
 
-def _read_arrays(vertices: Any, faces: Any) -> MemoryMesh:
-    if isinstance(faces, str):
-        raise UsageError(
-            f"faces are {faces!r}, a text",
-            hint=f"of a mesh object the method has to be named: method={faces!r}",
-        )
-    return from_arrays(vertices, faces)
+def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> Settings:
+    """The settings for the arguments of a function of the API.
 
-
-def _with_constraints(
-    mesh: MemoryMesh, lock: Any, weights: Any
-) -> tuple[MemoryMesh, tuple[str, ...], str | None]:
-    """The mesh with the arrays of ``lock`` and ``weights`` among its properties, the locks as
-    expressions, and the name of the weights."""
-    locks: tuple[str, ...] = ()
-    own: dict[str, Array] = {}
-    if isinstance(lock, str):
-        locks = (lock,)
-    elif isinstance(lock, list | tuple) and lock and all(isinstance(one, str) for one in lock):
-        locks = tuple(lock)
-    elif lock is not None:
-        own[_MASK] = _as_mask(lock, len(mesh.vertices))
-        locks = (f"{_MASK} != 0",)
-    trust: str | None = weights if isinstance(weights, str) else None
-    if weights is not None and trust is None:
-        own[_TRUST] = _as_trust(weights, len(mesh.vertices))
-        trust = _TRUST
-    return replace(mesh, properties={**mesh.properties, **own}), locks, trust
+    Raises
+    ------
+    UsageError
+        as ``job.settings.parse``; for a parameter that is given twice, and for a keyword that
+        neither ``function`` nor any method has.
+    """
+    parameters, more = given["parameters"] or {}, given["more"]
+    own = inspect.signature(function).parameters
+    known = {name.casefold(): name for name in (*own, *MethodParameters.__annotations__)}
+    for name in more:
+        if name not in known.values():
+            close = difflib.get_close_matches(name.casefold(), known, n=1)
+            raise UsageError(
+                f"{function.__name__} has no argument {name!r}",
+                hint=f"did you mean {known[close[0]]}?"
+                if close
+                else f"see help(msal_cli.{function.__name__}), and msal_cli.list_methods() for "
+                "the parameters of methods",
+            )
+    if twice := sorted(parameters.keys() & more.keys()):
+        raise UsageError(f"{twice[0]} is given twice", hint="give it once")
+    assignments = [(name, name, value) for name, value in {**parameters, **more}.items()]
+    return parse({**given, "parameters": assignments})
 
 
 def _as_mask(lock: Any, n: int) -> Array:
@@ -304,12 +297,7 @@ def _as_mask(lock: Any, n: int) -> Array:
 
 def _as_trust(weights: Any, n: int) -> Array:
     """Weights (n,), at least one above 0, all finite; UsageError or ContentError if not."""
-    values = as_array(weights, "weights", UsageError)
-    if values.shape != (n,) or values.dtype.kind not in "fiub":
-        raise UsageError(
-            f"weights are {values.dtype} of shape {values.shape}",
-            hint=f"give {n} numbers, one for each vertex",
-        )
+    values = vertex_numbers(weights, "weights", n)
     if not np.isfinite(values).all():
         where = f"vertex {int(np.argmin(np.isfinite(values)))}"
         raise ContentError("a weight is not finite", code="E_NONFINITE", where=where)

@@ -1,0 +1,467 @@
+"""Meshes in memory as the pipeline reads them: from arrays, or from objects of other libraries.
+
+These objects are recognised by their classes alone: none of their libraries is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.layout import fans
+from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
+from msal_cli.job.opened_mesh import to_known_error
+
+Array = NDArray[Any]
+
+ARRAYS = "arrays"
+"""What a mesh without a file is called."""
+
+_INSTEAD = {
+    ("trimesh", "Scene"): "scene.to_mesh(), or one of scene.geometry",
+    ("trimesh", "PointCloud"): "a mesh made of the points",
+    ("pyvista", "DataSet"): "dataset.extract_surface()",
+    ("pyvista", "MultiBlock"): "one of its blocks, as PolyData",
+    ("vtkmodules", "vtkPolyData"): "pyvista.wrap(mesh)",
+    ("vtkmodules", "vtkDataObject"): "its surface, as pyvista.PolyData",
+    ("open3d", "PointCloud"): "a mesh made of the points",
+    ("open3d", "Geometry"): "an open3d.geometry.TriangleMesh",
+}
+"""What to give in place of other classes of these packages."""
+
+
+@dataclass(eq=False)
+class MemoryMesh:
+    """A mesh that is not in a file; ``codecs.mesh_file.Surface`` says what the pipeline reads.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64.
+    faces : (m, 3) integers, triangles.
+    dtype : number type of the positions that were given, and of those that go back.
+    name : what records and errors call it.
+    properties : numbers at the vertices, (n,) each, by name.
+    copy_with : makes a copy of the object that was given with other positions (n, 3).
+    """
+
+    vertices: Floats
+    faces: Array
+    dtype: np.dtype[Any]
+    name: str = ARRAYS
+    properties: Mapping[str, Array] = field(default_factory=dict)
+    copy_with: Callable[[Array], Any] = lambda vertices: vertices
+    merged_vertices: int = 0
+
+    def forget_vertices(self) -> None:
+        """Nothing: they cannot be read again."""
+
+    def vertex_property(self, name: str) -> Floats:
+        """The numbers (n,) of one name; InputError (``E_PROPERTY``) if there are none."""
+        if name not in self.properties:
+            known = ", ".join(self.properties)
+            raise InputError(
+                f"{self.name}: there is no vertex property {name!r}",
+                code="E_PROPERTY",
+                hint=f"it has: {known}" if known else "it has none; give an array (n,)",
+            )
+        given = as_array(self.properties[name], f"the values of {name}")
+        values = np.ascontiguousarray(given, dtype=np.float64).reshape(-1)
+        if len(values) != len(self.vertices):
+            raise ContentError(
+                f"{name}: there are {len(values)} values for {len(self.vertices)} vertices"
+            )
+        return values
+
+    def to_given_type(self, vertices: Floats) -> Array:
+        """New positions (n, 3) in the number type of those that were given."""
+        with np.errstate(over="ignore"):
+            rounded = vertices.astype(self.dtype)
+        if self.dtype.itemsize < 8 and not np.isfinite(rounded).all():
+            raise ContentError(
+                f"a new position is too large for {self.dtype}",
+                code="E_RANGE",
+                hint="give float64",
+            )
+        # What did not move is what was given, to the last bit; an own array in any case.
+        return rounded
+
+
+def from_arrays(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    name: str = ARRAYS,
+    properties: Mapping[str, Array] | None = None,
+    copy_with: Callable[[Array], Any] = lambda vertices: vertices,
+) -> MemoryMesh:
+    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers.
+
+    Raises
+    ------
+    ContentError
+        for other shapes and types, and where there are no faces (``E_NO_FACES``).
+    """
+    positions, corners = as_array(vertices, "vertices"), as_array(faces, "faces")
+    if positions.dtype.kind not in "fiu":
+        raise ContentError(
+            f"vertices are {positions.dtype}, not real numbers", hint="give float64 or float32"
+        )
+    if not corners.size:
+        raise ContentError(
+            "there are no faces",
+            code="E_NO_FACES",
+            hint="msal denoises surfaces; make a mesh of the point cloud first",
+        )
+    _require_shape(positions, corners)
+    is_float = positions.dtype.kind == "f"
+    return MemoryMesh(
+        np.ascontiguousarray(positions, dtype=np.float64),
+        corners,
+        positions.dtype if is_float else np.dtype(np.float64),
+        name,
+        properties or {},
+        copy_with,
+    )
+
+
+def _require_shape(vertices: Array, faces: Array) -> None:
+    """Refuse what is no (n, 3) and (m, 3), and indices beyond the vertices, with what to give
+    instead; ContentError."""
+    n = len(vertices)
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ContentError(
+            f"vertices have shape {vertices.shape}, not (n, 3)", hint=_hint(vertices, "vertices")
+        )
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise ContentError(
+            f"faces have shape {faces.shape}, not (m, 3)", hint=_hint(faces, "faces")
+        )
+    if faces.dtype.kind not in "iu":
+        raise ContentError(
+            f"face indices are {faces.dtype}, not integers",
+            code="E_INDEX",
+            hint="give faces.astype(int) if they are whole numbers",
+        )
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= n:
+        at, corner = np.argwhere((faces < 0) | (faces >= n))[0]
+        from_one = low == 1 and high == n
+        raise ContentError(
+            f"a face names vertex {int(faces[at, corner])} of {n}",
+            code="E_INDEX",
+            where=f"face {int(at)}",
+            hint="the faces count from 1: give faces - 1"
+            if from_one
+            else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
+        )
+
+
+def _hint(array: Array, name: str) -> str:
+    """What to give in place of an array of a wrong shape."""
+    if array.ndim == 2 and array.shape[0] == 3:
+        return f"each row must be one of them: give {name}.T"
+    if array.ndim == 1 and array.size % 3 == 0:
+        return f"give {name}.reshape(-1, 3)"
+    if name == "faces" and array.ndim == 2 and array.shape[1] == 4:
+        if (array[:, 0] == 3).all():
+            return "each row begins with the number of its corners: give faces[:, 1:]"
+        return (
+            "cut each quad into two triangles: "
+            "numpy.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
+        )
+    return f"give a row of three numbers for each of the {name}"
+
+
+def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError) -> Array:
+    """An array of what was given; an ``error`` where its rows are not of one length, or where some
+    of it is masked: numpy would drop the mask, and take what is below it for numbers."""
+    parts = values if isinstance(values, list | tuple) else (values,)
+    if any(isinstance(part, np.ma.MaskedArray) and np.ma.is_masked(part) for part in parts):
+        raise error(
+            f"{name} have masked values",
+            hint="leave the masked elements out, or give them values with .filled()",
+        )
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError) as reason:
+        raise error(f"{name} cannot be read as an array: {reason}") from None
+
+
+def vertex_numbers(values: Any, name: str, n_vertices: int) -> Array:
+    """An array (n,) of an argument; UsageError for anything else."""
+    array = as_array(values, name, UsageError)
+    if array.shape != (n_vertices,) or array.dtype.kind not in "fiub":
+        raise UsageError(
+            f"{name}: {array.dtype} of shape {array.shape}",
+            hint=f"give {n_vertices} numbers, one for each vertex",
+        )
+    return array
+
+
+def with_properties(mesh: MemoryMesh, arrays: Mapping[str, Array]) -> MemoryMesh:
+    """The mesh with more numbers at its vertices."""
+    return replace(mesh, properties={**mesh.properties, **arrays})
+
+
+def scalar_properties(arrays: Mapping[str, Any], n_vertices: int) -> dict[str, Array]:
+    """Those of the arrays that have one real number for each vertex."""
+    found = {}
+    for name, values in arrays.items():
+        # Masks are looked at where the numbers are used.
+        array = np.asanyarray(values)
+        if array.dtype.kind in "fiub" and array.size == n_vertices == len(array):
+            found[str(name)] = array
+    return found
+
+
+def fan_triangles(corners: Longs, sizes: Longs) -> tuple[Longs, Longs]:
+    """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
+    polygons of files, and the polygon (m,) that each is of."""
+    triangles = corners[np.stack(fans(sizes), axis=1)]
+    return triangles, np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
+
+
+def renewed_normals(mesh: MemoryMesh, vertices: Array, entries: Array, normals: Array) -> Array:
+    """Stored normals (g, 3) for new positions (n, 3), as the command renews those of files.
+
+    ``entries`` (m, 3) is the normal that each corner of a triangle uses.
+    """
+    from msal_cli.kernels.geometry import regrouped_normals
+
+    values = np.ascontiguousarray(normals, dtype=np.float64)
+    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+    after = np.ascontiguousarray(vertices, dtype=np.float64)
+    renewed, _ = regrouped_normals(mesh.vertices, after, faces, entries.astype(np.int32), values)
+    return renewed.astype(normals.dtype)
+
+
+def _read_trimesh(mesh: Any) -> MemoryMesh:
+    """The mesh; the copy keeps colours, UVs, attributes and metadata, and trimesh makes its normals
+    anew."""
+    if any(base.__module__ == "trimesh.primitives" for base in type(mesh).__mro__):
+        raise UnsupportedError(
+            "the vertices of a trimesh.primitives object cannot be replaced",
+            hint="give mesh.to_mesh()",
+        )
+
+    def copy_with(vertices: Array) -> Any:
+        copy = mesh.copy()
+        copy.vertices = vertices
+        return copy
+
+    properties = scalar_properties(mesh.vertex_attributes, len(mesh.vertices))
+    return from_arrays(mesh.vertices, mesh.faces, "Trimesh", properties, copy_with)
+
+
+def _read_pyvista(mesh: Any) -> MemoryMesh:
+    """The mesh, its polygons cut into triangles for the mathematics only; the copy keeps all
+    arrays, and normals follow the surface."""
+    counts = {"lines": mesh.n_lines, "vertices": mesh.n_verts, "strips": mesh.n_strips}
+    others = ", ".join(f"{n} {name}" for name, n in counts.items() if n)
+    if others:
+        raise UnsupportedError(
+            f"the PolyData has cells that are no faces: {others}",
+            hint="give its faces alone: pyvista.PolyData(mesh.points, mesh.faces); "
+            "mesh.triangulate() makes faces of strips",
+        )
+    triangles, polygon_of = fan_triangles(*_split(np.asarray(mesh.faces, dtype=np.int64)))
+
+    def copy_with(vertices: Array) -> Any:
+        copy = mesh.copy(deep=True)
+        copy.points = vertices
+        of_cells = np.repeat(polygon_of[:, None], 3, axis=1)
+        for data, entries in ((copy.point_data, triangles), (copy.cell_data, of_cells)):
+            name = data.active_normals_name
+            if name is not None:
+                data[name] = renewed_normals(memory, vertices, entries, np.asarray(data[name]))
+        return copy
+
+    properties = scalar_properties(dict(mesh.point_data.items()), mesh.n_points)
+    memory = from_arrays(np.asarray(mesh.points), triangles, "PolyData", properties, copy_with)
+    return memory
+
+
+def _split(faces: Longs) -> tuple[Longs, Longs]:
+    """Corners (c,) and sizes (p,) of polygons that follow each other as ``[size, corners...]``."""
+    if not len(faces):
+        return faces, faces
+    size = int(faces[0])
+    if len(faces) % (size + 1) == 0 and (faces[:: size + 1] == size).all():
+        rows = faces.reshape(-1, size + 1)
+        return rows[:, 1:].reshape(-1), rows[:, 0]
+    starts, at = [], 0
+    values = faces.tolist()
+    while at < len(values):
+        starts.append(at)
+        at += values[at] + 1
+    is_corner = np.ones(len(faces), dtype=np.bool_)
+    is_corner[starts] = False
+    return faces[is_corner], faces[starts]
+
+
+_KEPT = ("vertex", "line")
+"""Cells that lie on the surface, and are kept: their corners move with it."""
+
+_NORMALS = ("normal", "normals")
+_COMPONENTS = ("nx", "ny", "nz")
+
+
+def _read_meshio(mesh: Any) -> MemoryMesh:
+    """The mesh of all triangles, quads and polygons, which are cut into triangles for the
+    mathematics only; the copy keeps all cells and data, and normals follow the surface."""
+    blocks = []
+    for block in mesh.cells:
+        if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
+            rows = as_array(block.data, "faces").astype(np.int64, copy=False)
+            sizes = np.full(len(rows), rows.shape[1], dtype=np.int64)
+            blocks.append(fan_triangles(rows.reshape(-1), sizes)[0])
+        elif block.type not in _KEPT:
+            raise UnsupportedError(
+                f"the meshio.Mesh has {len(block.data)} {block.type} cells",
+                hint="msal denoises surfaces of triangles, quads and polygons of first order; "
+                "extract the surface first",
+            )
+    triangles = np.concatenate(blocks) if blocks else np.empty((0, 3), dtype=np.int64)
+
+    def copy_with(vertices: Array) -> Any:
+        copy = mesh.copy()
+        copy.points = vertices
+        _renew(copy.point_data, memory, vertices, triangles)
+        return copy
+
+    properties = scalar_properties(mesh.point_data, len(mesh.points))
+    memory = from_arrays(mesh.points, triangles, "meshio.Mesh", properties, copy_with)
+    return memory
+
+
+def _renew(data: dict[str, Any], mesh: MemoryMesh, vertices: Array, triangles: Array) -> None:
+    """Replace the normals among the data of the points: an array (n, 3), or one per axis."""
+    for name in data:
+        values = np.asarray(data[name])
+        if name.lower() in _NORMALS and values.shape == mesh.vertices.shape:
+            data[name] = renewed_normals(mesh, vertices, triangles, values)
+    if all(name in data for name in _COMPONENTS):
+        stored = np.stack([np.asarray(data[name]) for name in _COMPONENTS], axis=1)
+        renewed = renewed_normals(mesh, vertices, triangles, stored)
+        data.update(zip(_COMPONENTS, renewed.T.copy(), strict=True))
+
+
+def _read_open3d(mesh: Any) -> MemoryMesh:
+    """The mesh; the copy keeps colours, UVs and textures, and normals follow the surface."""
+    return _read_tensors(mesh) if hasattr(mesh, "vertex") else _read_legacy(mesh)
+
+
+def _read_legacy(mesh: Any) -> MemoryMesh:
+    triangles = np.asarray(mesh.triangles)
+
+    def copy_with(vertices: Array) -> Any:
+        copy = type(mesh)(mesh)
+        copy.vertices = type(mesh.vertices)(vertices)
+        if mesh.has_vertex_normals():
+            normals = renewed_normals(memory, vertices, triangles, np.asarray(mesh.vertex_normals))
+            copy.vertex_normals = type(mesh.vertex_normals)(normals)
+        if mesh.has_triangle_normals():
+            stored = np.asarray(mesh.triangle_normals)
+            normals = renewed_normals(memory, vertices, _own_entries(triangles), stored)
+            copy.triangle_normals = type(mesh.triangle_normals)(normals)
+        return copy
+
+    vertices = np.array(mesh.vertices)
+    memory = from_arrays(vertices, triangles, "TriangleMesh", copy_with=copy_with)
+    return memory
+
+
+def _read_tensors(mesh: Any) -> MemoryMesh:
+    vertex = {name: mesh.vertex[name] for name in mesh.vertex}
+    triangles = mesh.triangle["indices"].cpu().numpy()
+
+    def renew(data: Any, vertices: Array, entries: Array) -> None:
+        if "normals" in data:
+            stored = data["normals"]
+            values = renewed_normals(memory, vertices, entries, stored.cpu().numpy())
+            data["normals"] = type(stored)(values, stored.dtype, stored.device)
+
+    def copy_with(vertices: Array) -> Any:
+        copy = mesh.clone()
+        stored = vertex["positions"]
+        copy.vertex["positions"] = type(stored)(vertices, stored.dtype, stored.device)
+        renew(copy.vertex, vertices, triangles)
+        renew(copy.triangle, vertices, _own_entries(triangles))
+        return copy
+
+    arrays = {name: tensor.cpu().numpy() for name, tensor in vertex.items()}
+    positions = arrays["positions"]
+    properties = scalar_properties(arrays, len(positions))
+    memory = from_arrays(positions, triangles, "TriangleMesh", properties, copy_with)
+    return memory
+
+
+def _own_entries(triangles: Array) -> Array:
+    """Each triangle's own normal at all its corners (m, 3)."""
+    return np.repeat(np.arange(len(triangles))[:, None], 3, axis=1)
+
+
+_READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {
+    ("trimesh", "Trimesh"): _read_trimesh,
+    ("pyvista", "PolyData"): _read_pyvista,
+    ("meshio", "Mesh"): _read_meshio,
+    ("open3d", "TriangleMesh"): _read_open3d,
+}
+"""By the package and the name of the class."""
+
+
+def read_object(mesh: Any) -> MemoryMesh:
+    """The mesh of an object of trimesh, pyvista, meshio or open3d.
+
+    Raises
+    ------
+    UnsupportedError
+        for another class of these packages, or cells that are no faces.
+    UsageError
+        for anything else.
+    """
+    names = [(base.__module__.partition(".")[0], base.__name__) for base in type(mesh).__mro__]
+    for name in names:
+        if name in _READERS:
+            return _READERS[name](mesh)
+    for name in names:
+        if name in _INSTEAD:
+            raise UnsupportedError(
+                f"a {'.'.join(names[0])} is not denoised", hint=f"give {_INSTEAD[name]}"
+            )
+    if isinstance(mesh, str | bytes) or hasattr(mesh, "__fspath__"):
+        raise UsageError(
+            f"{mesh!r} is a path, not a mesh", hint="denoise_file and denoise_folder read files"
+        )
+    raise UsageError(
+        f"a {type(mesh).__name__} alone is no mesh",
+        hint="give vertices (n, 3) and faces (m, 3), or an object of trimesh, pyvista, meshio or "
+        "open3d",
+    )
+
+
+@contextmanager
+def explained_errors(name: str = ARRAYS, path: str = "") -> Iterator[None]:
+    """Turn every error of the block into a ``MsalError`` whose traceback says what to do.
+
+    ``name`` is what is at work, for the log; ``path`` the file, which errors of its own know.
+    """
+    try:
+        yield
+    except Exception as error:
+        known = to_known_error(error, path or name)
+        if isinstance(known, InputError):
+            known.path = known.path or path
+        if not getattr(known, "__notes__", None):
+            place = ", ".join(part for part in (known.path, known.where) if part)
+            known.add_note(f"{known.code}{f' at {place}' if place else ''}")
+            if known.hint:
+                known.add_note(f"hint: {known.hint}")
+        if known is error:
+            raise
+        raise known from error

@@ -1,0 +1,150 @@
+"""Settings from what the command and the Python API are given."""
+
+from __future__ import annotations
+
+import pytest
+
+from msal_cli import methods
+from msal_cli.errors import UsageError
+from msal_cli.job.settings import Settings, parse, parse_format, resolve_parameters
+
+MSAL, HC, TAUBIN = map(methods.find, ("msal", "hc", "taubin"))
+
+
+def parsed(as_options=False, parameters=(), **given):
+    return parse({**given, "parameters": parameters}, as_options=as_options)
+
+
+def test_without_anything_the_parameters_of_the_family_are_chosen():
+    assert parsed() == parsed(method="adaptive") == Settings("adaptive")
+    assert parsed(assume="noise").parameters == {"assume": "noise"}
+    assert parsed(method=None, max_move=None, lock=()) == Settings("adaptive")
+
+
+def test_a_wish_or_the_word_auto_chooses_among_all():
+    assert parsed(strength=0).method == parsed(method="auto", assume="noise").method == "auto"
+    assert parsed(keep="edges", budget="4").parameters["budget"] == 4.0
+
+
+def test_parameters_alone_are_those_of_msal():
+    settings = parsed(parameters=[("K", "K", 0.25)])
+    assert (settings.method, settings.parameters["K"]) == ("msal", 0.25)
+
+
+def test_values_become_those_of_settings():
+    settings = parsed(
+        max_move="1mm",
+        lock="boundary",
+        min_noise="auto",
+        unit="cm",
+        to=".PLY",
+        intersections=True,
+        fields=["sigma"],
+    )
+    assert settings == Settings(
+        "adaptive",
+        max_move="0.1",
+        lock=("boundary",),
+        min_noise="auto",
+        to="ply",
+        checks=("self-intersections",),
+        fields=("sigma",),
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "argument", "option"),
+    [
+        ({"prefer": "looks"}, "prefer = 'looks'", "--prefer = 'looks'"),
+        ({"strength": 3}, "strength = 3 is not", "--strength = 3 is not"),
+        ({"budget": 0.5}, "budget = 0.5 is not", "--auto-budget = 0.5 is not"),
+        ({"budget": "much"}, "budget is 'much'", "--auto-budget is 'much'"),
+        ({"max_move": 0}, "max_move 0.0: this is no length", "--max-move 0.0: this is no length"),
+        ({"min_noise": "x"}, "min_noise x: this is no", "--min-noise x: this is no"),
+        ({"lock": ["a"]}, "lock a: this is neither", "--lock a: this is neither"),
+        ({"to": "plz"}, "to plz: there is no such", "--to plz: there is no such"),
+        ({"format": "x"}, "format x: there is no such", "--format x: there is no such"),
+        ({"encoding": "zip"}, "encoding = 'zip'", "--encoding = 'zip'"),
+        (
+            {"method": "umbrella", "weights": "w"},
+            "weights: a pull to the scanned positions is needed, and umbrella has none with the ",
+            "--weights: a pull",
+        ),
+        ({"method": "hc", "weights": "w"}, "weights: a pull", "--weights: a pull"),
+    ],
+)
+def test_messages_name_the_argument_or_the_option(given, argument, option):
+    for as_options, words in ((False, argument), (True, option)):
+        with pytest.raises(UsageError) as caught:
+            parsed(as_options, **given)
+        assert caught.value.message.startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"method": "msal", "keep": "edges"}, "keep: this is for the automatic choice"),
+        ({"method": "adaptive", "strength": 1}, "strength: this is for the automatic choice"),
+        ({"assume": "noise", "parameters": [("K", "K", 1)]}, "K: 'adaptive' chooses"),
+        ({"method": "auto", "parameters": [("K", "K", 1)]}, "K: 'auto' chooses"),
+        ({"method": "adaptive", "parameters": [("K", "K", 1)]}, "K: 'adaptive' chooses"),
+    ],
+)
+def test_a_choice_goes_with_neither_method_nor_parameters(given, words):
+    with pytest.raises(UsageError, match=words):
+        parsed(**given)
+
+
+def test_formats_in_any_spelling():
+    known = (".ply", "obj")
+    assert parse_format("PLY", "--to", known) == "ply"
+    assert parse_format(".Obj", "--to", known) == "obj"
+    for word, hint in (("plx", "did you mean ply?"), ("zzz", "known are: ply, obj")):
+        with pytest.raises(UsageError, match=f"--to {word}: there is no such format") as caught:
+            parse_format(word, "--to", known)
+        assert caught.value.hint == hint
+
+
+def given(*texts):
+    """Assignments of ``--set``, or of an option that is written with its value."""
+    return [
+        (text, "iterations", text[3:])
+        if text.startswith("-n ")
+        else (f"--set {text}", *text.split("="))
+        for text in texts
+    ]
+
+
+@pytest.mark.parametrize(
+    ("texts", "name", "value"),
+    [
+        (["K=0.25"], "K", 0.25),
+        (["-n 7"], "iterations", 7),
+        (["n=9"], "iterations", 9),
+        (["iterations=4", "-n 04"], "iterations", 4),
+    ],
+)
+def test_all_parameters_are_resolved(texts, name, value):
+    values = resolve_parameters(MSAL, given(*texts))
+    assert values[name] == value
+    assert set(values) == {spec.name for spec in MSAL.parameters}
+
+
+@pytest.mark.parametrize(
+    ("method", "assignments", "words", "hint"),
+    [
+        (MSAL, given("-n 4", "n=5"), "-n 4 and --set n=5 give iterations two different", "once"),
+        *((MSAL, given(f"K={k}"), "is not allowed", "0 < K <= 1") for k in ("2", "nan", "x")),
+        (MSAL, given("iterations=1.5"), "iterations = 1.5 is not allowed", "whole number"),
+        (MSAL, given("iteratons=3"), "no parameter 'iteratons'", "iterations"),
+        (HC, [("-K 1", "K", "1")], "-K 1 does not go with hc, which has no parameter 'K'", "msal"),
+        (HC, [("K", "K", 1)], "hc has no parameter 'K'", "it has"),
+        # Each goes with something, but not with the other.
+        (TAUBIN, given("lambda=0.1", "mu=-1"), "lambda = 0.1 and mu = -1 amplify", "-0.106"),
+    ],
+)
+def test_parameters_that_are_refused(method, assignments, words, hint):
+    with pytest.raises(UsageError) as caught:
+        resolve_parameters(method, assignments)
+    assert words in caught.value.message
+    assert hint in caught.value.hint
