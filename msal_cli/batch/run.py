@@ -275,7 +275,7 @@ class _BatchRun:
             self.limits,
             self.jobs or self._cores,
             self.retries,
-            self.engine,
+            None,  # worker processes of this machine
             self.cancellation,
             self.plan.shard,
             lambda *step: self.on_event(Progress(index, *step)),

@@ -52,7 +52,7 @@ def check_request(request: Request, stream: Stream | None) -> None:
     if "dask" in given:
         import importlib.util
 
-        from msal_cli.batch.dask_cluster import not_installed
+        from msal_cli.batch.dask import not_installed
 
         if importlib.util.find_spec("distributed") is None:
             raise not_installed()
@@ -104,7 +104,7 @@ def build_engine(request: Request) -> EngineFactory | None:
         return None
     from functools import partial
 
-    from msal_cli.batch.dask_engine import DaskEngine
+    from msal_cli.batch.dask import DaskEngine
 
     return partial(DaskEngine, scheduler=request.scheduler)
 

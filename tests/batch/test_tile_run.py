@@ -465,24 +465,3 @@ def test_a_dry_run_knows_a_billion_triangles_by_their_header(tmp_path, monkeypat
     assert names(tmp_path) == ["city.ply"]
     listed = msal("denoise", path, "-o", tmp_path / "out.ply", "--dry-run", *METHOD)
     assert "512 tiles" in listed.stdout and "of scratch space" in listed.stdout
-
-
-@pytest.mark.slow
-def test_dask_runs_the_tasks(source, output, monkeypatch, tmp_path):
-    pytest.importorskip("distributed")
-    from tests.batch.test_dask_engine import ended, started_cluster
-
-    expected = in_memory(source, *METHOD)
-    monkeypatch.setenv(giants.DEATH_MARK, str(tmp_path / "died"))
-    monkeypatch.setattr(tile_tasks, "run_tile_task", giants.die_once)
-    cluster = started_cluster(2)
-    try:
-        dask = ("--engine", "dask", "--scheduler", cluster.scheduler_address)
-        made = tiled(source, output, "-q", *dask, *METHOD)
-    finally:
-        ended(cluster)
-    assert made.exit_code == 0, made.stderr
-    # A lost worker costs its task.
-    assert (tmp_path / "died").exists()
-    assert output.read_bytes() == expected
-    assert names(output.parent) == ["b.ply"]

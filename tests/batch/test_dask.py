@@ -14,16 +14,15 @@ from pathlib import Path
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import dask_cluster, dask_engine
-from msal_cli.batch.dask_engine import DaskEngine
-from msal_cli.batch.engine import Work
+from msal_cli.batch import dask as dask_engine
+from msal_cli.batch.dask import DaskEngine
 from msal_cli.batch.events import Finished, Started
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import ResourceError, UsageError
-from msal_cli.job.settings import Limits, Settings, Task
+from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
 from tests.batch.test_run import fill, statuses
@@ -178,17 +177,9 @@ def test_a_file_that_kills_dask_workers_is_found_and_is_one_row(folder, cluster)
     records = ran(cluster, on_event=lambda event: again.append(event.index))
     assert [Path(one.input).stem for one in records if one.status != "written"] == ["04"]
     assert records[4].error.code == "E_CRASH"
-    assert "died while at work on it, as at the first try" in records[4].error.message
+    assert "died while at work on it" in records[4].error.message
     assert len(outputs(folder / "out")) == 9
     assert [path.name for path in folder.joinpath("in").glob("*.died")] == ["04.ply.died"]
-
-
-def test_a_worker_that_does_not_see_an_input(folder, cluster):
-    fill(folder, 2, f01="unseen")
-    first, second = ran(cluster)
-    assert first.status == "written"
-    assert second.error.code == "E_READ"
-    assert "this machine sees it, but the Dask worker at tcp://127.0.0.1:" in second.error.hint
 
 
 class TestRefusals:
@@ -201,33 +192,12 @@ class TestRefusals:
             ran(cluster)
         assert outputs(folder / "out") == {}
 
-    def test_in_place(self):
-        task = Task("a.ply", "a.ply", "a.ply", in_place=True)
-        with pytest.raises(UsageError, match="in place"):
-            DaskEngine(Work({0: task}, fakes.denoise, FAKE, jobs=1, cores=1), "tcp://host:1")
-
     def test_no_scheduler(self, folder, monkeypatch):
         fill(folder, 1)
-        monkeypatch.setattr(dask_cluster, "_CONNECT_S", 0.2)
+        monkeypatch.setattr(dask_engine, "_CONNECT_S", 0.2)
         engine = partial(DaskEngine, scheduler="tcp://127.0.0.1:9")
         with pytest.raises(UsageError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
             run(plan_of(), FAKE, engine=engine, denoise=fakes.denoise)
-
-    def test_words(self, folder):
-        fill(folder, 1)
-        base = ["denoise", "in", "-o", "out"]
-        dask = [*base, "--engine", "dask"]
-        there = [*dask[4:], "--scheduler", "tcp://host:1"]
-        for words, said in [
-            ([*base, "--scheduler", "tcp://host:1"], "needs --engine dask"),
-            (dask, "needs --scheduler"),
-            ([*dask, "--scheduler", "nonsense"], "not an address"),
-            ([*dask, "--scheduler", "tcp://host:8786", "-j", "2"], "-j is for this machine"),
-            (["denoise", "in", "--in-place", *there], "--in-place"),
-            (["denoise", "-", *there], "--engine dask is for files"),
-        ]:
-            result = msal(*words)
-            assert (result.exit_code, said in result.stderr) == (2, True), result.stderr
 
     def test_without_dask(self, folder, monkeypatch):
         fill(folder, 1)
@@ -241,25 +211,20 @@ class TestRefusals:
         assert "pip install 'msal-cli" not in result.stderr
 
 
-def test_no_worker_comes(folder, monkeypatch, caplog):
+def test_no_worker_comes(folder, monkeypatch):
     fill(folder, 2)
     monkeypatch.setattr(dask_engine, "_PATIENCE_S", 0.3)
-    monkeypatch.setattr(dask_cluster, "_SILENCE_S", 0.1)
-    caplog.set_level("WARNING", logger="msal")
     cluster = started_cluster(0)
     try:
         with pytest.raises(ResourceError, match="no worker at the Dask scheduler"):
             ran(cluster)
     finally:
         cluster.close(timeout=5)
-    assert "waiting for workers" in caplog.text
 
 
 @pytest.mark.slow
-def test_the_scheduler_goes(folder, monkeypatch):
+def test_the_scheduler_goes(folder):
     fill(folder, 6, **{f"f{n:02}": "sleep 0.3" for n in range(2, 6)})
-    # So long the client looks for a scheduler that has ended in good order.
-    monkeypatch.setattr(dask_cluster, "_CONNECT_S", 1.0)
     cluster = started_cluster(1)
     seen = []
 
@@ -268,7 +233,7 @@ def test_the_scheduler_goes(folder, monkeypatch):
         if isinstance(event, Finished) and event.index == 1:
             ended(cluster)
 
-    with pytest.raises(ResourceError, match=r"was lost|no worker"):
+    with pytest.raises(ResourceError, match=r"cannot go on|no worker"):
         ran(cluster, on_event=on_event)
     finished = [one.record for one in seen if isinstance(one, Finished)]
     assert 2 <= len(finished) < 6
