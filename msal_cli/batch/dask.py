@@ -20,7 +20,6 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
-from msal_cli.version import __version__
 from msal_cli.batch import temporary_files
 from msal_cli.batch.engine import Interrupt, Work
 from msal_cli.batch.events import Failed, Message, Returned, Started
@@ -28,6 +27,7 @@ from msal_cli.batch.manifest_dirs import output_folders
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError, UsageError, install_hint
 from msal_cli.storage.atomic import temporary_name
+from msal_cli.version import __version__
 
 MAX_FILES_PER_TASK = 16
 _CONNECT_S = 10.0
