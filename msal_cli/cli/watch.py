@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -9,198 +10,248 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import console, denoise_request, exit_codes, options
+from msal_cli.cli import denoise_options as denoise
+from msal_cli.cli.command import MORE, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.configuration import options_of_found_file
 from msal_cli.cli.conflicts import find_given
-from msal_cli.cli.denoise_records import describe_run, judge, log_record
+from msal_cli.cli.denoise_records import log_record
 from msal_cli.cli.denoise_request import Request
-from msal_cli.cli.watch_options import OF_FILES, OPTIONS
-from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
+from msal_cli.errors import OutputError, ResourceError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from msal_cli.batch.events import Event
-    from msal_cli.batch.inbox import Inbox
     from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
+    from msal_cli.batch.watch import Inbox
     from msal_cli.job.records import MeshRecord
 
-# Writing reports takes no more than this part of the time.
-_SHARE_OF_REPORTS = 0.1
+_STEP_S = 0.1
+
+_OPTIONS = options.combine(
+    group(
+        "Watching",
+        click.option(
+            "--settle",
+            metavar="TIME",
+            default="2s",
+            show_default=True,
+            type=options.parse_duration,
+            help="How long size and time of a file must stand still before it is taken; longer is "
+            "safer where programs pause while they write.",
+        ),
+        click.option(
+            "--idle-exit",
+            metavar="TIME",
+            type=options.parse_duration,
+            help="End after so long without a new file.  [default: never]",
+        ),
+    ),
+    group(
+        "Input and output",
+        click.option(
+            "-o",
+            "--output",
+            metavar="OUT",
+            required=True,
+            type=options.PATH,
+            help="Folder to write; it gets the tree of the input.",
+        ),
+        MORE,
+        options.FORCE,
+    ),
+    denoise.WHAT_TO_DO,
+    denoise.AUTOMATIC_CHOICE,
+    denoise.LIMITS_ON_MOVEMENT,
+    denoise.FORMATS,
+    group(
+        "Many files",
+        options.FILES,
+        denoise.JOBS,
+        denoise.FRESH,
+        MORE,
+        denoise.RETRY_FAILED,
+        denoise.TIMEOUT,
+        denoise.MEMORY_LIMIT,
+        denoise.MAX_FACES,
+        denoise.RETRIES,
+        denoise.FAIL_FAST,
+        denoise.MAX_FAILURES,
+        options.CHECK,
+        denoise.FIELDS,
+    ),
+    denoise.MESSAGES_AND_HELP,
+)
+
+_NOT_GIVEN = {
+    **dict.fromkeys(("in_place", "no_backup", "dry_run", "tile_set", "tiled", "as_json"), False),
+    **dict.fromkeys(("backup", "weld", "shard", "scheduler", "scratch", "reference")),
+    **dict.fromkeys(("reports", "fail_on"), ()),
+    "engine": "workers",
+}
+"""The options of ``msal denoise`` that a watch does not have."""
 
 
 @grouped_command("watch", epilog="Exit status: see msal --help.")
 @click.argument("folder", metavar="FOLDER", type=options.PATH)
-@OPTIONS
+@_OPTIONS
 @click.pass_context
 def command(context: click.Context, /, folder: str, **given: Any) -> int:
     """Denoise the mesh files of a folder, and then what arrives in it.
 
-    A file is taken when it is complete: its size and its time have stood still for --settle, or it
-    got its name from a temporary one (.part, .crdownload, ~, hidden), by which it is not taken. It
-    is taken once; if it changes, it is denoised again.
+    A file is taken when its size and its time have stood still for --settle. Unfinished names
+    (.part, .crdownload, ~, hidden) are passed over. A file is taken once; if it changes, it is
+    denoised again.
 
     Outputs and records are those of msal denoise FOLDER -o OUT, so a watch that is started again
-    does only what is left. Ctrl-C and SIGTERM end it.
+    does only what is left, and msal report OUT writes reports. Ctrl-C and SIGTERM end it.
     """
     from msal_cli.cli import logs
 
     found = options_of_found_file(context)
     request = Request(
-        **(OF_FILES | given), inputs=(folder,), given=find_given(context), found=found
+        **(_NOT_GIVEN | given), inputs=(folder,), given=find_given(context), found=found
     )
     with logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file):
-        return _Session(request, context.obj).run()
+        return _Watch(request, context.obj).run()
 
 
-class _Session:
+class _Watch:
     """One call of the command: its request, and what became of the files so far."""
 
     def __init__(self, request: Request, arguments: tuple[str, ...]) -> None:
-        from msal_cli.batch.arrival_plan import ArrivalPlanner
-        from msal_cli.cli import report_files
-        from msal_cli.cli.environment import Clock
         from msal_cli.job.settings import Limits
 
         self._request = request
         self._command = ("msal", *arguments)
-        self._clock = Clock()
         self._limits = Limits(request.timeout, request.memory_limit, request.max_faces)
         _check_folders(request.inputs[0], request.output)
         denoise_request.check_request(request, None)
         options.check_threads_variable()
-        self._gates = denoise_request.parse_gates(request)
-        self._settings = denoise_request.build_settings(request, self._gates)
-        denoise_request.refuse_found_targets(request, None)
-        report_files.check(
-            request.reports, denoise_request.other_files(request), request.csv_columns
-        )
-        self._planner = ArrivalPlanner(
-            lambda files: denoise_request.plan_files(self._request, self._settings, files)
-        )
-        # By input.  A watch may go on for years, so records are kept only for reports.
-        self._records: dict[str, MeshRecord] = {}
-        self._n_files = 0
+        self._settings = denoise_request.build_settings(request, ())
+        self._max_failures: int | None = 1 if request.fail_fast else request.max_failures
+        # The input of each output.
+        self._sources: dict[str, str] = {}
         self._failed: set[str] = set()
-        self._broken: set[str] = set()
-        self._n_new_failures = 0
+        self._n_files = self._n_new_failures = 0
         self._manifests: dict[str, Manifest] = {}
         self._signals: list[int] = []
-        self._next_report: float | None = None
-        self._report_s = 0.0
 
     def run(self) -> int:
         """Watch until the end that was asked for; the exit status."""
         from msal_cli.batch import interrupts
-        from msal_cli.batch.inbox import Inbox
         from msal_cli.batch.manifest_dirs import open_folder
+        from msal_cli.batch.watch import Inbox
 
         request = self._request
+        folder = request.inputs[0]
         with ExitStack() as stack:
             with interrupts.noticed(interrupts.raise_for):
                 # From the start to the end, so that no other run works on the folder meanwhile.
                 self._manifests[request.output] = open_folder(request.output, stack)
-                inbox = Inbox(
-                    request.inputs[0],
-                    request.output,
-                    request.include,
-                    request.exclude,
-                    settle_s=request.settle or 0.0,
-                    is_polled=request.poll,
-                )
+            inbox = Inbox(
+                folder,
+                request.output,
+                request.include,
+                request.exclude,
+                settle_s=request.settle or 0.0,
+            )
             if not request.quiet:
-                console.say(f"watching {request.inputs[0]}; Ctrl-C ends it")
+                console.say(f"watching {folder}; Ctrl-C ends it")
             try:
                 while not self._is_given_up() and (files := self._wait(inbox)):
-                    self._denoise(files)
-                    # Only what the first listing found is denoised again.
+                    with interrupts.noticed(interrupts.raise_for):
+                        plans = list(self._plan(files))
+                    for plan in plans:
+                        if not self._is_given_up():
+                            self._run(plan)
+                    # Only what is there at the start is denoised again.
                     request.fresh = False
                 if self._signals:
                     interrupts.raise_for(self._signals[0])
             except (KeyboardInterrupt, OutputError, ResourceError):
-                self._write_reports_at_end()
+                console.say("the same command again goes on from here")
                 raise
-            self._write_reports(interrupted=self._is_given_up())
         if self._is_given_up():
             console.say(f"stopped after {self._n_new_failures:,} failed")
         return exit_codes.of_files(
-            self._n_files,
-            len(self._failed),
-            is_gate_failed=bool(self._broken),
-            is_given_up=self._is_given_up(),
+            self._n_files, len(self._failed), is_given_up=self._is_given_up()
         )
 
     def _wait(self, inbox: Inbox) -> list[DiscoveredInput]:
-        """The next files, in the order of their arrival; none if the watch is to end."""
+        """The next files, in the order of their times; none if the watch is to end."""
         from msal_cli.batch import interrupts
 
         idle_s = self._request.idle_exit
         quiet_since = time.monotonic()
         with interrupts.noticed(self._signals.append):
             while not self._signals:
-                if files := inbox.pop_complete():
+                if files := inbox.take_complete():
                     return files
-                now = time.monotonic()
-                if not inbox.is_quiet():
-                    quiet_since = now
-                elif idle_s is not None and now - quiet_since >= idle_s:
+                if not inbox.is_quiet:
+                    quiet_since = time.monotonic()
+                elif idle_s is not None and time.monotonic() - quiet_since >= idle_s:
                     return []
-                if self._next_report is not None and now >= self._next_report:
-                    self._write_reports()
-                inbox.wait()
+                time.sleep(_STEP_S)
         return []
 
-    def _denoise(self, files: Sequence[DiscoveredInput]) -> None:
-        from msal_cli.batch import interrupts
-
-        with interrupts.noticed(interrupts.raise_for):
-            plans, refused = self._planner.plan(files)
-            self._conclude([record for _, record in refused], [one.relative for one, _ in refused])
-        for plan in plans:
-            if not self._is_given_up():
-                self._run(plan)
+    def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
+        """One plan of all files, or a plan of each that can be done if some cannot."""
+        try:
+            plan = denoise_request.plan_files(self._request, self._settings, files)
+            for task in plan.tasks:
+                source = self._sources.setdefault(os.path.normcase(task.output), task.input)
+                if source != task.input and os.path.lexists(source):
+                    raise UsageError(
+                        f"its output would replace that of {source!r}",
+                        hint="rename one of the two, or remove the earlier one",
+                        path=task.input,
+                    )
+                self._sources[os.path.normcase(task.output)] = task.input
+        except UsageError as error:
+            if len(files) > 1:
+                for file in files:
+                    yield from self._plan([file])
+                return
+            console.say_failure(files[0].relative, _failure_of(error))
+            self._note(files[0].path, is_failed=True)
+        else:
+            yield plan
 
     def _run(self, plan: Plan) -> None:
-        from msal_cli.batch import interrupts
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
-        from msal_cli.batch.tile_options import TileOptions
 
         request = self._request
-        finished: dict[int, MeshRecord] = {}
+        n_current = 0
 
         def on_event(event: Event) -> None:
+            nonlocal n_current
             if isinstance(event, Finished):
-                finished[event.index] = event.record
-                log_record(event.record)
-                self._say(plan.tasks[event.index].relative, event.record)
+                record = event.record
+                n_current += record.status == "up-to-date"
+                log_record(record)
+                self._say(plan.tasks[event.index].relative, record)
+                is_failed = record.status == "failed"
+                self._note(record.input, is_failed=is_failed, is_new=not record.remembered)
 
-        most = self._most_failures()
-        try:
-            run(
-                plan,
-                self._settings,
-                jobs=request.jobs,
-                on_event=on_event,
-                limits=self._limits,
-                retries=1 if request.retries is None else request.retries,
-                stop_after_failures=None if most is None else most - self._n_new_failures,
-                command=self._command,
-                tiles=TileOptions(request.tiled, request.scratch),
-                manifests=self._manifests,
-            )
-        except (KeyboardInterrupt, OutputError, ResourceError):
-            self._keep(list(finished.values()))
-            raise
-        with interrupts.noticed(interrupts.raise_for):
-            n_current = sum(one.status == "up-to-date" for one in finished.values())
-            if n_current and not request.quiet:
-                console.say(f"{n_current:,} up to date")
-            indices = sorted(finished)
-            names = [plan.tasks[index].relative for index in indices]
-            self._conclude([finished[index] for index in indices], names, is_said=True)
+        left = None if self._max_failures is None else self._max_failures - self._n_new_failures
+        run(
+            plan,
+            self._settings,
+            jobs=request.jobs,
+            on_event=on_event,
+            limits=self._limits,
+            retries=1 if request.retries is None else request.retries,
+            stop_after_failures=left,
+            command=self._command,
+            manifests=self._manifests,
+        )
+        if n_current and not request.quiet:
+            console.say(f"{n_current:,} up to date")
 
     def _say(self, name: str, record: MeshRecord) -> None:
         """One line for one file, and a second one on what to do about a failure."""
@@ -214,79 +265,25 @@ class _Session:
             left = f", left as it is: {record.left_alone}" if record.left_alone else ""
             console.say(f"{shown} ({seconds:.2f} s{left})")
 
-    def _conclude(
-        self, records: Sequence[MeshRecord], names: Sequence[str], *, is_said: bool = False
-    ) -> None:
-        """Measure and judge the records of a batch, and keep what is needed of them."""
-        from msal_cli.report import text
-
-        if not records:
-            return
-        if not is_said:
-            for name, record in zip(names, records, strict=True):
-                log_record(record)
-                self._say(name, record)
-        references = denoise_request.find_references(self._request, names)
-        records, _ = judge(self._settings, records, references, self._gates)
-        console.say_lines(text.broken_gates(records, verbose=True))
-        self._keep(records)
-
-    def _keep(self, records: Sequence[MeshRecord]) -> None:
-        for record in records:
-            self._n_files += 1
-            self._failed.discard(record.input)
-            self._broken.discard(record.input)
-            if record.status == "failed":
-                self._failed.add(record.input)
-                self._n_new_failures += not record.remembered
-            if any(gate.broken for gate in record.gates):
-                self._broken.add(record.input)
-            if self._request.reports:
-                self._records.pop(record.input, None)
-                self._records[record.input] = record
-        if self._next_report is None:
-            self._next_report = time.monotonic() + self._report_s / _SHARE_OF_REPORTS
-
-    def _write_reports(self, *, interrupted: bool = False) -> None:
-        from msal_cli.cli import report_files
-
-        request = self._request
-        start = time.monotonic()
-        run = describe_run(
-            request, self._settings, self._clock, self._command, interrupted=interrupted
-        )
-        report_files.write(
-            request.reports,
-            run,
-            list(self._records.values()),
-            csv_columns=request.csv_columns,
-            without_pictures=interrupted,
-            quiet=True,
-        )
-        self._report_s = time.monotonic() - start
-        self._next_report = None
-
-    def _write_reports_at_end(self) -> None:
-        """Nothing that goes wrong here hides why the watch ends."""
-        try:
-            self._write_reports(interrupted=True)
-        except MsalError as error:
-            console.say_error(error)
-        console.say("the same command again goes on from here")
-
-    def _most_failures(self) -> int | None:
-        most: int | None = self._request.max_failures
-        return 1 if self._request.fail_fast else most
+    def _note(self, path: str, *, is_failed: bool, is_new: bool = True) -> None:
+        self._n_files += 1
+        self._failed.discard(path)
+        if is_failed:
+            self._failed.add(path)
+            self._n_new_failures += is_new
 
     def _is_given_up(self) -> bool:
-        most = self._most_failures()
-        return most is not None and self._n_new_failures >= most
+        return self._max_failures is not None and self._n_new_failures >= self._max_failures
+
+
+def _failure_of(error: UsageError) -> Any:
+    from msal_cli.job.records import Failure
+
+    return Failure(error.code, error.message, error.hint or "")
 
 
 def _check_folders(folder: str, output: str) -> None:
     """Refuse what cannot be watched or written by a watch; UsageError."""
-    import os
-
     from msal_cli.storage.urls import is_url
 
     for name in (folder, output):

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -17,7 +16,7 @@ from msal_cli.batch.lock import FolderLock
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-QUICK = ("--settle", "0.2s", "-n", "1", "--poll")
+QUICK = ("--settle", "0.2s", "-n", "1")
 
 
 @pytest.fixture
@@ -54,8 +53,7 @@ def test_outputs_and_records_are_those_of_denoise_and_each_command_knows_the_oth
     folder_of(inbox, a=closed_scan(), bad=BAD_SCAN)
     folder_of(inbox / "sub", b=open_scan())
     out, other = inbox.parent / "out", inbox.parent / "other"
-    report = inbox.parent / "r.json"
-    made = watch(inbox, "--report", report)
+    made = watch(inbox)
     assert made.exit_code == 3, made.stderr
     assert made.stdout == ""
     assert "a.ply -> " in made.stderr
@@ -76,8 +74,6 @@ def test_outputs_and_records_are_those_of_denoise_and_each_command_knows_the_oth
             if isinstance(one.get(side), dict):
                 one[side].pop("mtime_ns", None)
     assert ours == theirs
-    states = {one["input"][-5:]: one["status"] for one in json.loads(report.read_text())["records"]}
-    assert states == {"a.ply": "written", "b.ply": "written", "d.ply": "failed"}
     # Nothing is left to do, for either command.
     again = msal("denoise", inbox, "-o", out, "-n", "1", "--json")
     assert sorted(one["status"] for one in json.loads(again.stdout)["records"]) == [
@@ -148,18 +144,38 @@ def test_an_output_that_is_not_ours_is_a_failure_and_the_watch_goes_on(inbox):
     assert (inbox.parent / "out/b.ply").exists()
 
 
-def test_a_gate_is_reported_and_decides_the_status(inbox):
-    folder_of(inbox, a=closed_scan())
-    made = watch(inbox, "--fail-on", "max_displacement > 0")
-    assert made.exit_code == 4
-    assert "broke a gate" in made.stderr
-
-
 def test_fail_fast_ends_the_watch(inbox):
     folder_of(inbox, bad=BAD_SCAN)
     made = watch(inbox, "--fail-fast", idle="60s")
     assert made.exit_code == 1
     assert "stopped after 1 failed" in made.stderr
+
+
+def test_an_output_of_two_inputs_is_a_failure_of_the_later(inbox):
+    folder_of(inbox, a=closed_scan())
+    later(lambda: (inbox / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), 1.0)
+    made = watch(inbox, "--to", "ply", idle="2s")
+    assert made.exit_code == 3
+    assert "would replace that of" in made.stderr
+
+
+def test_a_file_written_slowly_is_taken_once_and_whole(inbox):
+    scan = closed_scan()
+
+    def write():
+        with (inbox / "slow.ply").open("wb") as file:
+            for at in range(0, len(scan), len(scan) // 8 + 1):
+                file.write(scan[at : at + len(scan) // 8 + 1])
+                file.flush()
+                time.sleep(0.1)
+
+    (inbox / "early.ply.part").write_bytes(scan[:20])
+    (inbox / ".hidden.ply").write_bytes(scan[:20])
+    later(write, 0.0)
+    made = watch(inbox, "--settle", "0.5s", idle="1s")
+    assert made.exit_code == 0, made.stderr
+    assert made.stderr.count(" -> ") == 1
+    assert list(outputs(inbox.parent / "out")) == ["slow.ply"]
 
 
 def test_an_empty_folder(inbox):
@@ -196,10 +212,10 @@ def test_one_run_at_a_time(inbox):
 
 @posix
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_it_with_reports_and_no_lock(inbox, number, status):
+def test_a_signal_ends_it_and_leaves_no_lock(inbox, number, status):
     folder_of(inbox, a=open_scan())
-    out, report = inbox.parent / "out", inbox.parent / "r.json"
-    command = [*MSAL, "watch", inbox, "-o", out, *QUICK, "--report", report]
+    out = inbox.parent / "out"
+    command = [*MSAL, "watch", inbox, "-o", out, *QUICK]
     with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
         assert "watching" in process.stderr.readline()
         assert "a.ply -> " in process.stderr.readline()
@@ -209,11 +225,5 @@ def test_a_signal_ends_it_with_reports_and_no_lock(inbox, number, status):
         assert process.wait(20) == status
     assert "msal: interrupted" in words
     assert "goes on from here" in words
-    assert [one["status"] for one in json.loads(report.read_text())["records"]] == ["written"]
     with FolderLock(str(out)):
         pass
-
-
-def test_it_is_imported_without_watchfiles():
-    code = "import sys, msal_cli.cli.watch; sys.exit('watchfiles' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
