@@ -30,10 +30,9 @@ from msal_cli.codecs import obj_description
 from msal_cli.codecs.decimals import SHORTEST, SHORTEST_SINGLE, extent_decimals, usual_decimals
 from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.obj_content import Content
-from msal_cli.codecs.obj_errors import line_of
 from msal_cli.codecs.obj_parser import parse_content
 from msal_cli.codecs.slot_file import Change, SlotFile, require_finite_result
-from msal_cli.codecs.slots import require_range
+from msal_cli.codecs.slots import line_of, require_range
 from msal_cli.codecs.text_slots import Patch, Statements, replace_statements
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer

@@ -5,19 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 
+from msal_cli.codecs.slots import line_of
 from msal_cli.errors import ContentError, FormatError, TruncatedError
 from msal_cli.storage.buffers import Buffer
 
 _LOOKED_AT = 4096
 _ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
-
-
-def line_of(data: Buffer, at: int) -> int:
-    """The line, from one, that byte ``at`` is in; it may end with LF, CR LF or CR."""
-    before = bytes(memoryview(data)[:at])
-    # A CR LF that is cut in two by ``at`` has been counted by its CR.
-    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 
 
 def refuse_binary(data: Buffer) -> None:

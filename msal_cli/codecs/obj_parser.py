@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,10 @@ from msal_cli.codecs.obj_content import Arrays, Before, Content, cut_triangles
 from msal_cli.codecs.obj_errors import (
     bad_index_error,
     binary_error,
-    line_of,
     no_faces_error,
     refuse_binary,
 )
-from msal_cli.codecs.slots import number_hint
+from msal_cli.codecs.slots import line_of, number_hint
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
 
@@ -32,19 +31,8 @@ _T = TypeVar("_T", bound=np.generic)
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
 _NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
-_POSITION = re.compile(rb"v" + 3 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n]|\Z)")
 _PLANE_POSITION = re.compile(rb"v" + 2 * (rb"[ \t]++" + _NUMBER) + rb"[ \t]*+(?=[\r\n#])")
-_KEYWORD = re.compile(
-    rb"(?!(?:v|vt|vn|f|fo)[ \t\r\n])([^\x00-\x20\\#][^\x00-\x20\\]*+)"
-    rb"(?:[ \t][^\\\r\n]*+)?(?=[\r\n])"
-)
-_NEVER = 1 << 62
-
-_FIRST_REACH = 1 << 12
-"""Bytes that the walk for all statements takes over for when it is called first."""
-
-_MOST_READ = 5_000
-"""Statements that are read one by one: more take longer than the walk for all statements."""
+_ALL = 1 << 62
 
 
 def parse_content(data: Buffer) -> Content:
@@ -68,15 +56,14 @@ class Reading:
     """
 
     def __init__(self, data: Buffer, buf: Bytes, before: Before | None = None) -> None:
-        from msal_cli.kernels import obj_fast, obj_scan
+        from msal_cli.kernels import obj_scan
 
-        self._plain = obj_fast
         self._scan = obj_scan
         self._data = data
         self._buf = buf
         size = len(buf)
         self._before = before or Before()
-        n_vertices, n_normals, n_faces, n_zeros = obj_fast.counted(buf)
+        n_vertices, n_normals, n_faces, n_zeros = obj_scan.count_statements(buf)
         if n_zeros:
             at = next(re.finditer(rb"\0", memoryview(data))).start()
             raise binary_error(data, at, self._before.bytes, self._before.lines)
@@ -103,7 +90,6 @@ class Reading:
         self.undecided = np.empty((64, 2), dtype=np.int64)
         self.keywords = np.empty((obj_scan.MOST_KEYWORDS, 4), dtype=np.int64)
         self.libraries = np.empty(obj_scan.MOST_LIBRARIES, dtype=np.int64)
-        self._n_read = 0
         self.state = self._begun()
 
     def _begun(self) -> Longs:
@@ -121,18 +107,8 @@ class Reading:
     def walk(self) -> Arrays:
         """Read all statements; raises for one that is wrong."""
         scan, state = self._scan, self.state
-        reach = _FIRST_REACH
-        while True:
-            result = self._walk_plainly()
-            if result == self._plain.ODD and not self._read_statement():
-                # The slower walk takes over for longer and longer, so that a file of which much
-                # is not plain is hardly read in turns.
-                result = self._walk(state, int(state[scan.AT]) + reach, _NEVER)
-                reach *= 2
-            if result == scan.FULL:
-                self._grow()
-            elif result > scan.FULL or (result == scan.WHOLE and state[scan.AT] >= len(self._buf)):
-                break
+        while (result := self._walk(state, _ALL)) == scan.FULL:
+            self._grow()
         if result != scan.WHOLE:
             raise self._refusal(result)
         n_vertices, n_normals = int(state[scan.VERTICES]), int(state[scan.NORMALS])
@@ -200,61 +176,15 @@ class Reading:
             for _, count, at, size in self.keywords[: int(self.state[self._scan.KEYWORDS])]
         }
 
-    def _walk_plainly(self) -> int:
-        """Go on as far as the file is plain; what ``obj_fast.walked`` returns."""
-        return int(self._plain.walked(self._buf, self.state, *self._outputs()))
-
-    def _walk(self, state: Longs, until: int, n_faces: int) -> int:
-        """Go on to byte ``until``, or until ``n_faces`` faces are read; what ``scanned`` says."""
-        outputs = *self._outputs(), self.undecided, self.keywords, self.libraries
-        return int(self._scan.scanned(self._buf, state, until, n_faces, *outputs))
-
-    def _outputs(self) -> tuple[NDArray[Any], ...]:
-        """The arrays that both walks fill, in the order of their parameters."""
-        vertices = self.vertices, self.vertex_at, self.decimals
-        normals = self.normals, self.normal_at, self.normal_decimals
-        return *vertices, *normals, self.corners, self.corner_normals, self.sizes
-
-    def _read_statement(self) -> bool:
-        """Read one statement that is not plain but usual; whether it is one.
-
-        Nearly every file has a few keywords beside v, vt, vn and f, and some programs write the
-        few numbers next to zero with an exponent.
-        """
-        scan, state = self._scan, self.state
-        at, row = int(state[scan.AT]), int(state[scan.VERTICES])
-        self._n_read += 1
-        if self._n_read > _MOST_READ:
-            return False
-        view = memoryview(self._data)
-        if statement := _KEYWORD.match(view, at):
-            self._note(statement[1], at)
-        elif (statement := _POSITION.match(view, at)) and row < len(self.vertices):
-            numbers = statement.groups()
-            self.vertices[row] = [float(number) for number in numbers]
-            self.vertex_at[row] = at
-            self.decimals[row] = min(max(_decimals(number) for number in numbers), 255)
-            state[scan.VERTICES] += 1
-        else:
-            return False
-        state[scan.AT] = statement.end()
-        return True
-
-    def _note(self, keyword: bytes, at: int) -> None:
-        """Count a keyword in its row, as ``obj_scan.note_keyword`` does."""
-        scan, state = self._scan, self.state
-        size, n_rows = len(keyword), int(state[scan.KEYWORDS])
-        word = int.from_bytes(keyword[:8], "big", signed=size >= 8)
-        rows = self.keywords[:n_rows]
-        same = np.flatnonzero((rows[:, 0] == word) & (rows[:, 3] == size))
-        row = int(same[0]) if len(same) else min(n_rows, scan.MOST_KEYWORDS - 1)
-        if row == n_rows:
-            self.keywords[row] = word, 0, at, size
-            state[scan.KEYWORDS] += 1
-        self.keywords[row, 1] += 1
-        if keyword == b"mtllib" and state[scan.LIBRARIES] < len(self.libraries):
-            self.libraries[state[scan.LIBRARIES]] = at
-            state[scan.LIBRARIES] += 1
+    def _walk(self, state: Longs, n_faces: int) -> int:
+        """Go on until ``n_faces`` faces are read; what ``scanned`` says."""
+        outputs = (
+            *(self.vertices, self.vertex_at, self.decimals),
+            *(self.normals, self.normal_at, self.normal_decimals),
+            *(self.corners, self.corner_normals, self.sizes),
+            *(self.undecided, self.keywords, self.libraries),
+        )
+        return int(self._scan.scanned(self._buf, state, n_faces, *outputs))
 
     def _grow(self) -> None:
         """Make room in the arrays that are full."""
@@ -388,17 +318,11 @@ class Reading:
         # A second walk that ends behind this face says where it is, and so no other walk need
         # keep the place of every face.
         again = self._begun()
-        self._walk(again, _NEVER, face + 1)
+        self._walk(again, face + 1)
         number_of_face = self._before.faces + face + 1 + int(again[scan.SHORT])
         place = self._place(int(again[scan.LAST_FACE_AT]))
         shown = "2147483648 or more" if number >= 2**31 else str(number)
         raise bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
-
-
-def _decimals(number: bytes) -> int:
-    """Digits behind the point, the exponent counted in: ``1.5e-3`` has four."""
-    mantissa, _, exponent = number.lower().partition(b"e")
-    return max(len(mantissa.partition(b".")[2]) - int(exponent or b"0"), 0)
 
 
 def _number(word: bytes) -> float:

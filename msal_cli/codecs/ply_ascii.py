@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
-from msal_cli.codecs.slots import TextSlots, Tokens, number_hint
+from msal_cli.codecs.slots import TextSlots, Tokens, line_of, number_hint
 from msal_cli.codecs.text_slots import Statements
 from msal_cli.errors import FormatError, InputError, TruncatedError
 
@@ -117,7 +117,7 @@ class Lines:
         return f"{self.element.name} {self.before.records + record}, line {line}"
 
     def _line(self, at: int) -> int:
-        return self.before.lines + line_at(self.data, at, self.header.newline)
+        return self.before.lines + line_of(self.data, at)
 
     def spans(self, names: Sequence[str]) -> tuple[Longs, Longs]:
         """First bytes and ends (count * len(names),) of the tokens, record by record.
@@ -209,11 +209,6 @@ class Lines:
         counts = np.ascontiguousarray(self.tokens.stops[:, k])
         list_tokens(self.data, counts, lengths, starts, stops)
         return starts, stops, lengths
-
-
-def line_at(data: Bytes, at: int, newline: bytes) -> int:
-    """Number, from 1, of the line on which byte ``at`` stands."""
-    return 1 + int(np.count_nonzero(data[:at] == newline[-1]))
 
 
 def plain_lines(
@@ -423,7 +418,7 @@ def _find_tokens(
             where=f"line {header.format_line + 1}",
             hint="correct the format line, or export the file again",
         )
-    line = before.lines + line_at(data, stop, header.newline)
+    line = before.lines + line_of(data, stop)
     record = before.records + records
     place = f"{element.name} {record}, line {line}"
     if status == CUT or (status == TOO_FEW and stop == len(data)):

@@ -277,7 +277,7 @@ def _fortran_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
 def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
     shown = word[:40].decode("ascii", "backslashreplace")
     return FormatError(
-        f"{shown!r} is not a number", where=line_of(data, at), hint=number_hint(word)
+        f"{shown!r} is not a number", where=f"line {line_of(data, at)}", hint=number_hint(word)
     )
 
 
@@ -286,11 +286,11 @@ def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
     return "numbers need a decimal point, not a comma" if b"," in word else otherwise
 
 
-def line_of(data: Buffer | Bytes, at: int) -> str:
-    """The line of a byte, for messages."""
-    from msal_cli.kernels.text import as_bytes
-
-    return f"line {int(np.count_nonzero(as_bytes(data)[:at] == 10)) + 1}"
+def line_of(data: Buffer | Bytes, at: int) -> int:
+    """The line, from one, that byte ``at`` is in; lines may end with LF, CR LF or CR."""
+    before = bytes(memoryview(data)[:at])
+    # A CR LF that is cut in two by ``at`` has been counted by its CR.
+    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 
 
 def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> memoryview:

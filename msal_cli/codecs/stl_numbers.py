@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.slots import number_hint
+from msal_cli.codecs.slots import line_of, number_hint
 from msal_cli.codecs.stl_facets import check_countable, check_not_empty, not_finite
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
@@ -70,7 +70,7 @@ def decide_numbers(
         start = int(facet_at[facet] + offsets[facet, token + 3])
         value = _read_number(view, start)
         if not np.isfinite(value):
-            line = n_lines + _line(data, start)
+            line = n_lines + line_of(data, start)
             raise not_finite(first_facet + int(facet), int(token) // 3, line)
         numbers[facet, token + 3] = value
     for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
@@ -175,7 +175,7 @@ def scan_error(
 
     token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
     touches_end = at + len(token) == len(buf)
-    where = f"facet {facet}, line {n_lines + _line(buf, at)}"
+    where = f"facet {facet}, line {n_lines + line_of(buf, at)}"
     wanted = stl_scan.WORDS[word]
     others = {stl_scan.FACET: ("endsolid",), stl_scan.NORMAL: ("outer",)}
     known = (wanted, *others.get(word, ()))
@@ -214,10 +214,3 @@ def scan_error(
     if word == stl_scan.ENDLOOP and token.lower() == b"vertex":
         hint = "a facet of STL has three corners; triangulate the mesh first"
     return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)
-
-
-def _line(buf: Buffer | NDArray[np.uint8], at: int) -> int:
-    """The line, counted from one, that byte ``at`` stands in."""
-    before = np.frombuffer(buf, dtype=np.uint8)[:at]
-    feeds = int(np.count_nonzero(before == 10))
-    return 1 + (feeds or int(np.count_nonzero(before == 13)))

@@ -57,7 +57,7 @@ class Words:
     def where(self, i: int) -> str:
         """The line of a word, or of the end for one behind the last."""
         at = int(self.starts[i]) if i < len(self) else len(self.data)
-        return line_of(self.data, at)
+        return f"line {line_of(self.data, at)}"
 
     def require(self, stop: int, what: str) -> None:
         """Raise TruncatedError unless there are ``stop`` words."""
@@ -91,7 +91,9 @@ class Words:
         if wrong.any():
             at = int(starts[int(np.argmax(wrong))])
             raise FormatError(
-                "a whole number is expected", where=line_of(self.data, at), hint=EXPORT_AGAIN
+                "a whole number is expected",
+                where=f"line {line_of(self.data, at)}",
+                hint=EXPORT_AGAIN,
             )
         return values.astype(np.int64)
 

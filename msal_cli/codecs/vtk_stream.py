@@ -54,7 +54,7 @@ class Stream:
         """The line, or the byte in a binary file, at which the last line of words began."""
         if self._words is None:
             return f"byte {self._line_at}"
-        return line_of(self._data, self._line_at)
+        return f"line {line_of(self._data, self._line_at)}"
 
     def line(self) -> list[str]:
         """The words of the next line that has any; empty at the end."""

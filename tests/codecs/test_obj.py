@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.codecs import obj, obj_parser
-from msal_cli.errors import ContentError, InputError, InternalError, UnsupportedError
-from msal_cli.kernels import obj_fast, obj_scan, text
+from msal_cli.codecs import obj
+from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.kernels import obj_scan, text
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
@@ -345,7 +345,7 @@ def test_many_numbers_of_many_digits() -> None:
 def test_room_is_counted_generously(noise: bytes, more: list[bytes]) -> None:
     data = noise.join([b"", *more])
     lines = re.split(rb"[\r\n]", data)
-    found = [obj_fast.counted(text.as_bytes(data))[:3] if data else (1, 1, 1)]
+    found = [obj_scan.count_statements(text.as_bytes(data))[:3] if data else (1, 1, 1)]
     for place, keyword in enumerate((b"v", b"vn", b"f")):
         real = sum(1 for line in lines if re.match(rb"[\s]*%s[ \t\\]" % keyword, line))
         assert found[0][place] >= real
@@ -457,34 +457,6 @@ def test_replacing_is_exact_to_the_last_decimal(data: bytes, seed: int) -> None:
             if a != b and b"e" not in word:
                 decimals = len(word.partition(b".")[2])
                 assert word.decode().lstrip("-") == f"{b:.{decimals}f}".lstrip("-")
-
-
-@given(files(), st.binary(max_size=3), st.integers(0, 10**9), st.booleans())
-@settings(max_examples=30, deadline=None)
-def test_both_walks_read_the_same(data: bytes, noise: bytes, place: int, is_usual: bool) -> None:
-    if is_usual:
-        data = re.sub(rb"\\[\r\n]+|\x0c", b" ", data).replace(b"f -", b"f ")
-    at = place % len(data)
-    data = data[:at] + noise + data[at + len(noise) :]
-    seen = []
-    for is_plain in (True, False):
-        with pytest.MonkeyPatch.context() as patch:
-            if not is_plain:
-                patch.setattr(obj_parser.Reading, "_walk_plainly", lambda _: obj_fast.ODD)
-                patch.setattr(obj_parser.Reading, "_read_statement", lambda _: False)
-            try:
-                one = obj_parser.parse_content(data)
-            except InputError as error:
-                seen.append([str(error), error.where])
-                continue
-        arrays = (one.vertices, one.vertex_at, one.decimals, one.normals, one.normal_at)
-        more = (one.normal_decimals, one.corners, one.sizes, one.faces, one.libraries)
-        normals = None if one.face_normals is None else one.face_normals.tolist()
-        state = one.state.tolist()
-        for unlike in (obj_scan.UNDECIDED_ROWS, obj_scan.LAST_FACE_AT):
-            state[unlike] = 0
-        seen.append([*(a.tobytes() for a in (*arrays, *more)), normals, state, one.keywords])
-    assert seen[0] == seen[1]
 
 
 def test_a_position_has_the_decimals_of_its_own_line() -> None:

@@ -102,7 +102,7 @@ def test_words_are_numbers():
             parse_floats(*words(*texts))
         assert caught.value.where == f"line {line}"
     assert "comma" in number_hint(b"1,5") and number_hint(b"1.5", "other") == "other"
-    assert line_of(b"a\nb\nc", 4) == "line 3"
+    assert [line_of(b"a\nb\rc\r\nd", at) for at in (0, 2, 4, 5, 6, 7)] == [1, 2, 3, 3, 4, 4]
 
 
 def test_edits_in_any_order():

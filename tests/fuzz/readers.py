@@ -72,7 +72,6 @@ def main(arguments: list[str]) -> None:
         import msal_cli.codecs.threemf
 
         if is_interpreted:
-            import msal_cli.kernels.obj_fast
             import msal_cli.kernels.obj_scan
             import msal_cli.kernels.ply_scan
             import msal_cli.kernels.stl_scan  # noqa: F401
