@@ -13,7 +13,7 @@ from pathlib import Path
 
 import click
 
-from msal_cli.cli import exit_codes
+from msal_cli.cli import console
 from msal_cli.cli.command import Command
 from msal_cli.cli.main import COMMANDS, program
 
@@ -107,8 +107,8 @@ def describe_option(option: click.Parameter, context: click.Context) -> Iterator
 
 
 def exit_statuses() -> Iterator[str]:
-    """The statuses of the table in ``exit_codes``."""
-    rows = re.findall(r"^\| ([^|]+?) \| (.+?) \|$", str(exit_codes.__doc__), re.M | re.S)
+    """The statuses of the table in ``console``."""
+    rows = re.findall(r"^\| ([^|]+?) \| (.+?) \|$", str(console.__doc__), re.M | re.S)
     for status, meaning in rows:
         yield ".TP"
         yield rf"\fB{escape(status)}\fR"

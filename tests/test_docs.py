@@ -16,7 +16,7 @@ import click
 import pytest
 from click.exceptions import Exit
 
-from msal_cli.cli import config_file, exit_codes, main
+from msal_cli.cli import config, console, main
 from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.info_record import InfoRecord
@@ -94,7 +94,7 @@ def test_every_documented_command_parses(
 ) -> None:
     # The files of --config are not here.
     monkeypatch.setattr(
-        config_file, "read_config", lambda path, *given, **named: config_file.Config(path, {}, True)
+        config, "read_config", lambda path, *given, **named: config.Config(path, {}, True)
     )
     if call and not call[0].startswith("-"):
         assert call[0] in known_commands(), f"{page}: msal {shlex.join(call)}"
@@ -316,7 +316,7 @@ def test_exit_statuses_are_documented() -> None:
     text = (ROOT / "docs/usage.md").read_text("utf-8")
     part = text.partition("## Exit status")[2].partition("\n## ")[0]
     listed = {int(number) for number in re.findall(r"^\| (\d+) \|", part, re.MULTILINE)}
-    known = {v for k, v in vars(exit_codes).items() if k.isupper() and isinstance(v, int)}
+    known = {v for k, v in vars(console).items() if k.isupper() and isinstance(v, int)}
     assert listed == known | {129, 143}
 
 

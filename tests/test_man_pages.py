@@ -10,7 +10,7 @@ import tomllib
 import click
 import pytest
 
-from msal_cli.cli import exit_codes
+from msal_cli.cli import console
 from msal_cli.cli.main import COMMANDS, program
 from tests.scripts import ROOT, load_script
 
@@ -51,8 +51,8 @@ def test_a_page_has_every_option_and_every_group(name: str) -> None:
 def test_the_statuses_are_those_of_the_program() -> None:
     part = plain(PAGES["msal.1"]).partition(".SH EXIT STATUS")[2].partition("\n.SH")[0]
     listed = {int(one) for one in re.findall(r"^(\d+)$", part, re.M)}
-    known = {v for k, v in vars(exit_codes).items() if k.isupper() and isinstance(v, int)}
-    assert listed == known - {exit_codes.INTERRUPTED}
+    known = {v for k, v in vars(console).items() if k.isupper() and isinstance(v, int)}
+    assert listed == known - {console.INTERRUPTED}
     assert "128 + n" in part
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from msal_cli.cli import configuration
+from msal_cli.cli import config, console
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -86,7 +86,7 @@ class Command(click.Command):
         self.configurable = configurable
         groups: list[OptionGroup] = list(getattr(self.callback, _ATTRIBUTE, ()))
         if configurable:
-            options = configuration.make_options()
+            options = config.make_options()
             self.params += options
             names = tuple(str(one.name) for one in options)
             groups.append(OptionGroup("Configuration", (), names))
@@ -101,7 +101,7 @@ class Command(click.Command):
         """Parse the command line, with values of a configuration file where it gives none."""
         if ctx.resilient_parsing or not self.configurable:
             return super().parse_args(ctx, args)
-        return configuration.parse_args(self, ctx, args, super().parse_args)
+        return config.parse_args(self, ctx, args, super().parse_args)
 
     def _has_more(self) -> bool:
         """Whether ``--help-all`` shows more than ``--help``."""
@@ -206,3 +206,26 @@ def first_clause(text: str) -> str:
 def command(name: str, **settings: Any) -> Callable[[Callable[..., Any]], Command]:
     """``click.command`` with the groups of its options."""
     return click.command(name, cls=Command, **settings)
+
+
+@command(
+    "completion",
+    configurable=False,
+    epilog="""\b
+bash:  msal completion bash > ~/.local/share/bash-completion/completions/msal
+zsh:   msal completion zsh > ~/.zfunc/_msal     (a folder of your fpath)
+fish:  msal completion fish > ~/.config/fish/completions/msal.fish""",
+)
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.pass_context
+def completion(context: click.Context, shell: str) -> int:
+    """Print a script that completes commands, options, methods and file names in SHELL."""
+    from click.shell_completion import get_completion_class
+
+    from msal_cli.cli.main import COMPLETE_VARIABLE
+
+    kind = get_completion_class(shell)
+    if kind is None:
+        raise click.UsageError(f"there is no completion for {shell}")
+    console.put(kind(context.find_root().command, {}, "msal", COMPLETE_VARIABLE).source())
+    return console.SUCCESS

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import MESSAGES, MORE, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.cli.gates_check import Checks
     from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.report.gates import Gate
 
 _NO_PARTNER = "E_NO_PARTNER"
 
@@ -138,7 +138,6 @@ def command(
     from functools import partial
 
     from msal_cli.batch.inputs import discover_inputs
-    from msal_cli.cli.gates_check import build_checks
     from msal_cli.report.gates import names_field
 
     refuse_conflicts(find_given(context))
@@ -248,18 +247,18 @@ def _compare_two(
         console.put_bytes(json_report.json_bytes(document.plain_record(record)))
     if record.error is not None:
         _say_failure(record)
-        return exit_codes.FATAL
+        return console.FATAL
     if not as_json:
         console.put_lines(comparison_text.describe_comparison(record))
     console.say_lines(comparison_text.broken_gates([record]))
     if failure is not None:
         raise failure
-    return exit_codes.of_files(1, 0, is_gate_failed=is_any_broken([record]))
+    return console.status_of_files(1, 0, is_gate_failed=is_any_broken([record]))
 
 
 def _refuse_target(before: str, after: str, target: str) -> None:
     """Refuse a heat map that is no PLY, or would replace anything but another heat map."""
-    from msal_cli.cli.side_files import refuse_target
+    from msal_cli.cli.report_files import refuse_target
 
     if not target.lower().endswith(".ply"):
         raise UsageError(
@@ -319,8 +318,8 @@ def _print_table(
     n_failed = sum(record.error is not None for record in records)
     is_gate_failed = is_any_broken(records) or bool(vanished)
     if is_gate_failed and n_failed == len(records) - len(present) < len(records):
-        return exit_codes.GATE_FAILED
-    return exit_codes.of_files(len(records), n_failed)
+        return console.GATE_FAILED
+    return console.status_of_files(len(records), n_failed)
 
 
 def _is_without_partner(record: ComparisonRecord) -> bool:
@@ -337,3 +336,80 @@ def _say_failure(record: ComparisonRecord) -> None:
             console.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
             return
     console.say_failure(record.after, error)
+
+
+DEFAULT_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Gates, and the figures of an earlier run by path; None if there are none."""
+
+    gates: tuple[Gate, ...]
+    earlier: Mapping[str, Any] | None
+    tolerance: float
+
+    def judge_pair(self, record: ComparisonRecord) -> ComparisonRecord:
+        """The record of two files with what became of the gates."""
+        from msal_cli.report import baseline
+
+        if self.earlier is None or record.error is not None:
+            return self._judge([record], [None])[0]
+        # A baseline of one pair is that of this pair, whatever the files are called.
+        before = next(iter(self.earlier.values())) if len(self.earlier) == 1 else None
+        before = before or baseline.partner(record.after, self.earlier)
+        if before is None:
+            raise UsageError(
+                f"the baseline has no figures of {record.after!r}",
+                hint="make it anew with msal compare --json",
+            )
+        return self._judge([record], [before])[0]
+
+    def judge_pairs(self, records: Mapping[str, ComparisonRecord]) -> list[ComparisonRecord]:
+        """The records by path with what became of the gates."""
+        from msal_cli.report import baseline
+
+        earlier = [baseline.partner(name, self.earlier or {}) for name in records]
+        return self._judge(list(records.values()), earlier)
+
+    def _judge(
+        self, records: Sequence[ComparisonRecord], earlier: Sequence[Any]
+    ) -> list[ComparisonRecord]:
+        from msal_cli.report import baseline
+        from msal_cli.report.gates import with_gates
+
+        return [
+            record
+            if record.error is not None or before is None
+            else replace(
+                record,
+                gates=record.gates + baseline.compare_with_baseline(record, before, self.tolerance),
+            )
+            for record, before in zip(with_gates(self.gates, records), earlier, strict=True)
+        ]
+
+
+def build_checks(
+    expressions: Sequence[str], baseline: str | None, tolerance: float | None, unit: str | None
+) -> Checks:
+    """The checks: gates, and the report at the path ``baseline``.
+
+    ``unit`` is that of the files' lengths, where it is known.
+
+    Raises
+    ------
+    UsageError
+        for an expression that means nothing.
+    MsalError
+        if the baseline cannot be read, or is none.
+    """
+    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.report.gates import parse_gates
+    from msal_cli.report.read_comparison import comparisons
+    from msal_cli.storage import gzip_streams
+
+    gates = parse_gates(expressions, ComparisonRecord, unit)
+    if baseline is None:
+        return Checks(gates, None, 0.0)
+    earlier = comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
+    return Checks(gates, earlier, DEFAULT_TOLERANCE if tolerance is None else tolerance)

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 import sys
+import time
+from datetime import UTC, datetime
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, denoise_request, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.configuration import options_of_found_file
-from msal_cli.cli.conflicts import find_given
+from msal_cli.cli.config import options_of_found_file
+from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.denoise_options import OPTIONS
-from msal_cli.cli.denoise_records import describe_run, judge, log_record
-from msal_cli.cli.denoise_request import Request
 from msal_cli.cli.methods import list_defaults
-from msal_cli.errors import MsalError, OutputError, ResourceError
+from msal_cli.cli.options import SHORTCUTS, STREAM, parse_assignment
+from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
+from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Settings, parse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from msal_cli.batch.engine import EngineFactory
     from msal_cli.batch.events import Event
+    from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.streams import Stream
     from msal_cli.job.records import MeshRecord
-    from msal_cli.job.settings import Settings
     from msal_cli.report.document import Run
+    from msal_cli.report.gates import Gate
 
 _log = logging.getLogger("msal.denoise")
 
@@ -60,7 +67,6 @@ class _Session:
     """One call of the command: its request, and what its records are measured against."""
 
     def __init__(self, request: Request, arguments: tuple[str, ...]) -> None:
-        from msal_cli.cli.environment import Clock
         from msal_cli.job.settings import Limits
         from msal_cli.storage import urls
 
@@ -74,33 +80,30 @@ class _Session:
             from msal_cli.cli.streams import find_stream
 
             self._stream = find_stream(request.inputs, request.output)
-        denoise_request.check_request(request, self._stream)
+        check_request(request, self._stream)
         options.check_threads_variable()
-        self._gates = denoise_request.parse_gates(request)
+        self._gates = parse_gates(request)
         # For each record the path of its reference, where there are any.
         self._references: tuple[str, ...] = ()
 
     def run(self) -> int:
         """Check everything, then work; the exit status."""
-        settings = denoise_request.build_settings(self._request, self._gates)
+        settings = build_settings(self._request, self._gates)
         if self._stream is not None:
             return self._run_stream(self._stream, settings)
-        return self._run_files(denoise_request.build_plan(self._request, settings), settings)
+        return self._run_files(build_plan(self._request, settings), settings)
 
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
         from dataclasses import replace
 
         from msal_cli.cli import progress, report_files
-        from msal_cli.cli.stream_denoise import denoise_stream
-        from msal_cli.cli.streams import choose_format
+        from msal_cli.cli.streams import choose_format, denoise_stream
 
         request = self._request
-        self._references = denoise_request.find_references(request, ["-"])
-        denoise_request.refuse_found_targets(request, stream.target)
+        self._references = find_references(request, ["-"])
+        refuse_found_targets(request, stream.target)
         paths = [path for path in (stream.source, stream.target) if path != options.STREAM]
-        report_files.check(
-            request.reports, [*paths, *denoise_request.other_files(request)], request.csv_columns
-        )
+        report_files.check(request.reports, [*paths, *other_files(request)], request.csv_columns)
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
         try:
@@ -118,17 +121,15 @@ class _Session:
         from msal_cli.cli import progress, report_files
 
         request = self._request
-        engine = denoise_request.build_engine(request)
+        engine = build_engine(request)
         whole = plan.whole or plan
         tasks, is_file = whole.tasks, whole.homes[:1] == (None,)
-        denoise_request.refuse_found_targets(request, tasks[0].output if is_file else None)
+        refuse_found_targets(request, tasks[0].output if is_file else None)
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
-        report_files.check(
-            request.reports, [*paths, *denoise_request.other_files(request)], request.csv_columns
-        )
+        report_files.check(request.reports, [*paths, *other_files(request)], request.csv_columns)
         names = [task.relative for task in plan.tasks]
-        self._references = denoise_request.find_references(request, names)
+        self._references = find_references(request, names)
         finished: dict[int, MeshRecord] = {}
         _log.info("%s files, method %s %s", len(plan.tasks), settings.method, settings.parameters)
         if plan.shard is not None and plan.whole is not None and not request.quiet:
@@ -209,9 +210,9 @@ class _Session:
         self._print(run, records)
         try:
             if not is_dry:
-                from msal_cli.cli import github
+                from msal_cli.cli import report_files
 
-                github.annotate(records)
+                report_files.annotate(records)
                 report_files.write(
                     request.reports,
                     run,
@@ -232,7 +233,7 @@ class _Session:
         if n_left and not interrupted:
             failures = "1 failure" if n_failed == 1 else f"{n_failed:,} failures"
             console.say(f"stopped after {failures}; {n_left:,} files were not begun")
-        return exit_codes.of_files(
+        return console.status_of_files(
             len(records), n_failed, is_gate_failed=is_broken, is_given_up=n_left > 0
         )
 
@@ -276,3 +277,312 @@ def _describe_set(plan: Plan, settings: Settings, records: Sequence[MeshRecord])
     if tiles is not None:
         return f"as one mesh they are denoised in {tiles_text(tiles)}"
     return f"as one mesh they take up to {megabytes(memory_of_set(plan.tasks, settings))} of memory"
+
+
+_ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
+
+
+class Request(SimpleNamespace):
+    """The command line of ``msal denoise``: a field for each of ``denoise_options``, and ``given``,
+    which is what ``conflicts.find_given`` found, and ``found``, of
+    ``configuration.options_of_found_file``."""
+
+
+def check_request(request: Request, stream: Stream | None) -> None:
+    """Refuse options that do not go with each other, or with ``stream``; UsageError."""
+    given = dict(request.given)
+    if stream is not None:
+        given["stream"] = STREAM
+        if stream.target == STREAM:
+            given["stdout"] = STREAM
+    elif not {"output", "in_place"} & given.keys():
+        raise UsageError(
+            "there is no output",
+            hint="name a file or a folder with -o OUT, or replace the inputs with --in-place",
+        )
+    refuse_conflicts(given)
+    if "scheduler" in given and not re.fullmatch(_ADDRESS, str(request.scheduler)):
+        raise UsageError(
+            f"--scheduler {request.scheduler}: this is not an address",
+            hint="such as tcp://host:8786 or tls://host:8786; to use the cores of this machine, "
+            "leave --engine and --scheduler away",
+        )
+    if "dask" in given:
+        import importlib.util
+
+        from msal_cli.batch.dask import not_installed
+
+        if importlib.util.find_spec("distributed") is None:
+            raise not_installed()
+
+
+def other_files(request: Request) -> list[str]:
+    """Files that a report must not replace, beside the meshes."""
+    return [path for path in (request.log_file, request.reference) if path is not None]
+
+
+def refuse_found_targets(request: Request, output_file: str | None) -> None:
+    """Refuse what a msal.toml that was found, and may be another person's, must not write.
+
+    ``output_file`` is the output where that is one file, ``-`` for a stream.
+
+    Raises
+    ------
+    UsageError
+        for a file that is there already as the output, for a report outside the output folder or
+        in the place of what is no report of msal.
+    """
+    from msal_cli.cli.report_files import REPORT, refuse_target
+
+    is_stream = output_file == STREAM
+    hint = "name it on the command line, or give --config msal.toml if you trust that file"
+    is_file = output_file is not None and not is_stream
+    if is_file and "output" in request.found and os.path.lexists(str(output_file)):
+        raise UsageError(
+            f"msal.toml names the output {output_file!r}, which is there already", hint=hint
+        )
+    if "reports" not in request.found:
+        return
+    folder = None if is_stream else request.output
+    if is_file:
+        folder = os.path.dirname(str(output_file)) or os.curdir
+    for name in request.reports:
+        top = None if folder is None else os.path.realpath(folder)
+        if top is None or os.path.commonpath([top, os.path.realpath(name)]) != top:
+            raise UsageError(
+                f"msal.toml names the report {name!r}, which is outside the output folder",
+                hint=hint,
+            )
+        refuse_target(name, "the report", replaces=REPORT)
+
+
+def build_engine(request: Request) -> EngineFactory | None:
+    """What makes the engine that hands out the files; None is that of worker processes."""
+    if request.engine == "workers" or request.scheduler is None:
+        return None
+    from functools import partial
+
+    from msal_cli.batch.dask import DaskEngine
+
+    return partial(DaskEngine, scheduler=request.scheduler)
+
+
+def parse_gates(request: Request) -> tuple[Gate, ...]:
+    """The gates of --fail-on; UsageError for an expression that means nothing."""
+    if not request.fail_on:
+        return ()
+    from msal_cli.job.records import MeshRecord
+    from msal_cli.report import gates
+
+    found = gates.parse_gates(request.fail_on, MeshRecord, request.unit)
+    if request.reference is None:
+        gates.refuse_without_reference(found, "give --reference TRUTH")
+    return found
+
+
+def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
+    """For each input, known by its relative path, the path of its reference; () if none is given
+    for.
+
+    Raises
+    ------
+    UsageError
+        if what --reference names is neither file nor folder, or a folder for a stream.
+    """
+    from msal_cli.storage.urls import is_url
+
+    truth = request.reference
+    if truth is None:
+        return ()
+    if is_url(truth):
+        return tuple(truth + name if truth.endswith("/") else truth for name in names)
+    if os.path.isdir(truth):
+        if STREAM in request.inputs or request.output == STREAM:
+            raise UsageError(
+                "a stream has no name to look for in a folder", hint="name the reference's file"
+            )
+        return tuple(os.path.join(truth, name) for name in names)
+    if not os.path.isfile(truth):
+        raise UsageError(f"there is no file or folder {truth!r} to measure against")
+    return (truth,) * len(names)
+
+
+def _refuse_taken_names(plan: Plan) -> None:
+    """Refuse files of fields that would replace each other, an input or an output; UsageError."""
+    from msal_cli.job.fields import path_beside
+
+    taken = {path for task in plan.tasks for path in (task.input, task.output)}
+    for task in plan.tasks:
+        path = path_beside(task.output)
+        if path in taken:
+            raise UsageError(
+                f"the fields of {task.input!r} would be written to {path!r}, which is taken",
+                hint="rename one of the files, or run them into two output folders",
+                path=task.input,
+            )
+        taken.add(path)
+
+
+def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
+    """What decides the bytes of the outputs; UsageError for what no method or format knows."""
+    given = {**vars(request), "method": AUTO if request.auto else request.method}
+    given["parameters"] = [
+        (f"{option} {given[name]}", name, given[name])
+        for name, option in SHORTCUTS.items()
+        if given[name] is not None
+    ] + [parse_assignment(text) for text in request.assignments]
+    given["intersections"] = SELF_INTERSECTIONS in request.checks
+    if gates and not given["intersections"]:
+        from msal_cli.report.gates import names_field
+
+        given["intersections"] = names_field(gates, "self_intersections")
+    return parse(given, as_options=True)
+
+
+def build_plan(request: Request, settings: Settings) -> Plan:
+    """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
+    from msal_cli.batch import inputs, plan
+    from msal_cli.batch import shard as shards
+
+    shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
+    everything = plan_files(
+        request,
+        settings,
+        inputs.discover_inputs(
+            request.inputs, request.include, request.exclude, output=request.output
+        ),
+    )
+    # Everything is checked first, so that each shard refuses what a whole run would.
+    return everything if shard is None else plan.select_shard(everything, shard)
+
+
+def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:
+    """What becomes of each of these files; UsageError for outputs that cannot be."""
+    from msal_cli.batch import plan
+
+    backup = DEFAULT_BACKUP if request.backup is None else request.backup
+    everything = plan.build_plan(
+        found,
+        request.output,
+        to=settings.to,
+        in_place=request.in_place,
+        backup=None if request.no_backup else backup,
+        force=request.force,
+        fresh=request.fresh,
+        retry_failed=request.retry_failed,
+        is_set=request.tile_set,
+    )
+    if settings.fields:
+        _refuse_taken_names(everything)
+    return everything
+
+
+def judge(
+    settings: Settings,
+    records: Sequence[MeshRecord],
+    references: Sequence[str],
+    gates: Sequence[Gate],
+) -> tuple[Sequence[MeshRecord], bool]:
+    """The records, measured against their references and with what became of the gates; and
+    whether any gate is broken."""
+    if references:
+        from msal_cli.job.comparison import with_references
+
+        records = with_references(records, references, settings.format)
+    if not gates:
+        return records, False
+    from msal_cli.report.gates import is_any_broken, with_gates
+
+    records = with_gates(gates, records)
+    log_gates(records)
+    return records, is_any_broken(records)
+
+
+def describe_run(
+    request: Request,
+    settings: Settings,
+    clock: Clock,
+    command: tuple[str, ...],
+    *,
+    interrupted: bool,
+) -> Run:
+    """The run, for its reports."""
+    from dataclasses import asdict
+
+    from msal_cli.report.document import Run
+    from msal_cli.version import __version__
+
+    is_reported = request.reports or request.as_json
+    return Run(
+        version=__version__,
+        command=command,
+        settings=asdict(settings),
+        started=clock.started,
+        finished=clock.now(),
+        seconds=clock.seconds(),
+        interrupted=interrupted,
+        machine=describe_machine() if is_reported else {},
+    )
+
+
+def log_record(record: MeshRecord) -> None:
+    """One line of the log per file; a failure is printed elsewhere, so it is no warning here."""
+    if record.error is not None:
+        place = f"{record.error.where}: " if record.error.where else ""
+        why = f"{record.error.code}: {place}{record.error.message}"
+        _log.info("%s: failed: %s", record.input, why)
+        return
+    seconds = record.seconds.total if record.seconds is not None else 0.0
+    _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
+    if record.choice is not None:
+        _log.info("%s: %s", record.input, record.choice.reason)
+    if record.left_alone is not None:
+        _log.info("%s: left as it is: %s", record.input, record.left_alone)
+    for warning in record.warnings:
+        _log.info("%s: %s", record.input, warning)
+
+
+def log_gates(records: Sequence[MeshRecord]) -> None:
+    """One line of the log per broken gate."""
+    for record in records:
+        for gate in record.gates:
+            if gate.broken:
+                _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
+
+
+class Clock:
+    """Started when it is made; ``started`` is UTC, ISO 8601, to the millisecond."""
+
+    def __init__(self) -> None:
+        self.started = self.now()
+        self._start = time.perf_counter()
+
+    @staticmethod
+    def now() -> str:
+        """The time in the form of ``started``."""
+        return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+    def seconds(self) -> float:
+        """Wall-clock seconds since the start, by a monotonic clock."""
+        return time.perf_counter() - self._start
+
+
+def describe_machine() -> dict[str, str]:
+    """System, cores and versions by name; nothing that identifies the user or the host."""
+    import platform
+    from importlib import metadata
+
+    from msal_cli.machine import usable_cores
+
+    facts = {
+        "system": f"{platform.system()} {platform.release()}".strip(),
+        "processor": platform.machine(),
+        "cores": f"{usable_cores()} of {os.cpu_count() or 1}",
+        "python": platform.python_version(),
+    }
+    for name in ("numpy", "trimesh", "meshio"):
+        try:
+            facts[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return {name: value for name, value in facts.items() if value}

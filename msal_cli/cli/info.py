@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import MESSAGES, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
@@ -122,7 +122,7 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
         n_printed += 1
         console.put_lines(info_text.describe_info(record))
         console.flush()
-    return exit_codes.of_files(n_printed + n_failed, n_failed)
+    return console.status_of_files(n_printed + n_failed, n_failed)
 
 
 def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
@@ -144,7 +144,7 @@ def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
         console.flush()
     if n_printed:
         console.put_lines([table.foot()])
-    return exit_codes.of_files(n_printed + n_failed, n_failed)
+    return console.status_of_files(n_printed + n_failed, n_failed)
 
 
 def _print_json(records: Iterator[InfoRecord]) -> int:
@@ -159,4 +159,4 @@ def _print_json(records: Iterator[InfoRecord]) -> int:
         if record.error is not None:
             n_failed += 1
             console.say_failure(record.input, record.error)
-    return exit_codes.of_files(len(everything), n_failed)
+    return console.status_of_files(len(everything), n_failed)

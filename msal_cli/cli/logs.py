@@ -101,7 +101,7 @@ def _escape(text: str) -> str:
 
 
 def _file_handler(name: str) -> logging.Handler:
-    from msal_cli.cli.side_files import open_log
+    from msal_cli.cli.report_files import open_log
 
     try:
         stream = open_log(name)

@@ -16,7 +16,7 @@ import click
 from click.exceptions import Exit
 
 from msal_cli.batch import interrupts as signals
-from msal_cli.cli import console, exit_codes
+from msal_cli.cli import console
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.version import __version__
 
@@ -35,7 +35,7 @@ COMMANDS = {
     "report": "Report on earlier runs.",
     "completion": "Print the completion script of a shell.",
 }
-"""Each is a module of this folder; what help says of it, without importing it."""
+"""What help says of each, without importing its module of this folder."""
 
 
 class Msal(click.Group):
@@ -49,7 +49,9 @@ class Msal(click.Group):
         """The command of exactly that name."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"msal_cli.cli.{cmd_name}").command
+        is_completion = cmd_name == "completion"
+        module = import_module(f"msal_cli.cli.{'command' if is_completion else cmd_name}")
+        command: click.Command = module.completion if is_completion else module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -147,29 +149,29 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         with context:
             if not arguments:
                 console.say(context.get_help())
-                return exit_codes.USAGE
+                return console.USAGE
             _check_environment()
-            return int(group.invoke(context) or exit_codes.SUCCESS)
+            return int(group.invoke(context) or console.SUCCESS)
     except Exit as finish:
         return finish.exit_code
     except click.UsageError as error:
         _say_usage(error)
-        return exit_codes.USAGE
+        return console.USAGE
     except click.ClickException as error:
         console.say(f"msal: error: {error.format_message()}", "bad")
-        return exit_codes.FATAL
+        return console.FATAL
     except MsalError as error:
         console.say_error(error)
-        return exit_codes.of_error(error)
+        return console.status_of_error(error)
     except KeyboardInterrupt as interrupt:
         console.say("msal: interrupted")
-        return exit_codes.of_interrupt(interrupt)
+        return console.status_of_interrupt(interrupt)
     except BrokenPipeError:
         _abandon_output()
-        return exit_codes.READER_GONE
+        return console.READER_GONE
     except MemoryError:
         console.say("msal: error: not enough memory (E_MEMORY)", "bad")
-        return exit_codes.FATAL
+        return console.FATAL
     except Exception as error:
         return _internal_error(error)
 
@@ -197,13 +199,13 @@ def _internal_error(error: Exception) -> int:
 
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
         console.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
-        return exit_codes.FATAL
+        return console.FATAL
     words = f"{type(error).__name__}: {error}"
     console.say(
         f"msal: internal error: {escape_for_display(words)}; please report it (-v shows where)",
         "bad",
     )
-    return exit_codes.FATAL
+    return console.FATAL
 
 
 def _flush(status: int) -> int:
@@ -212,12 +214,12 @@ def _flush(status: int) -> int:
         console.flush()
     except BrokenPipeError:
         _abandon_output()
-        return exit_codes.worst(status, exit_codes.READER_GONE)
+        return console.worst_status(status, console.READER_GONE)
     except OutputError as error:
-        if status == exit_codes.SUCCESS:
+        if status == console.SUCCESS:
             console.say_error(error)
         _abandon_output()
-        return exit_codes.worst(status, exit_codes.FATAL)
+        return console.worst_status(status, console.FATAL)
     return status
 
 

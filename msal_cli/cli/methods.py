@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.command import group
 from msal_cli.cli.options import SHORTCUTS
@@ -39,7 +39,7 @@ def command(name: str | None, as_json: bool) -> int:
         console.put("\n".join(_page(chosen[0])) + "\n")
     else:
         console.put("\n".join(_table(chosen)) + "\n")
-    return exit_codes.SUCCESS
+    return console.SUCCESS
 
 
 def _table(chosen: list[Method]) -> Iterator[str]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import MESSAGES, MORE, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
@@ -160,7 +160,7 @@ def command(
     import os
 
     from msal_cli.batch import interrupts, plan
-    from msal_cli.cli.side_files import refuse_target
+    from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
     from msal_cli.report.phrases import file_name
 
@@ -199,7 +199,7 @@ def command(
             console.say(f"{name}: {escape_for_display(made.description)}")
             for warning in made.warnings:
                 console.say(f"warning: {name}: {escape_for_display(warning)}")
-    return exit_codes.of_files(len(targets), n_failed)
+    return console.status_of_files(len(targets), n_failed)
 
 
 def _find_inputs(

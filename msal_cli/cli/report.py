@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import MESSAGES, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.methods import list_defaults
+from msal_cli.errors import InputError, UsageError
+from msal_cli.report.document import Run
+from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.cli.run_summary import RunSummary
+    from msal_cli.batch.run_history import FileRow, RunEntry, RunHistory
+    from msal_cli.job.records import MeshRecord
 
 
 @grouped_command("report", epilog="Exit status: see msal --help.")
@@ -78,7 +86,7 @@ def command(
     """
     from dataclasses import replace
 
-    from msal_cli.cli import github, report_files, run_summary
+    from msal_cli.cli import report_files
     from msal_cli.job.records import MeshRecord
     from msal_cli.report import json_report, text
     from msal_cli.report.gates import parse_gates, refuse_without_reference, with_gates
@@ -87,7 +95,7 @@ def command(
     # Checked before a large folder is read.
     report_files.check(outputs, (), csv_columns)
     gates = parse_gates(fail_on, MeshRecord, unit)
-    account = run_summary.summarize(runs)
+    account = summarize(runs)
     done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
@@ -109,7 +117,7 @@ def command(
     for remark in account.remarks:
         console.say(remark, "bad")
     if check or gates:
-        github.annotate(account.records)
+        report_files.annotate(account.records)
     try:
         report_files.write(
             outputs, account.run, account.records, csv_columns=csv_columns, quiet=quiet
@@ -117,7 +125,7 @@ def command(
     finally:
         if as_json:
             console.put_bytes(json_report.render(account.run, account.records))
-    return _exit_status(account) if check or gates else exit_codes.SUCCESS
+    return _exit_status(account) if check or gates else console.SUCCESS
 
 
 def _exit_status(account: RunSummary) -> int:
@@ -125,7 +133,241 @@ def _exit_status(account: RunSummary) -> int:
     from msal_cli.report.gates import is_any_broken
 
     n_lost = sum(record.status in ("failed", "planned") for record in account.records)
-    status = exit_codes.of_files(
+    status = console.status_of_files(
         len(account.records), n_lost, is_gate_failed=is_any_broken(account.records)
     )
-    return status if account.is_whole else exit_codes.worst(status, exit_codes.SOME_FAILED)
+    return status if account.is_whole else console.worst_status(status, console.SOME_FAILED)
+
+
+_WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """What earlier runs did.
+
+    ``remarks`` say in words what is missing or still going on; it ``is_whole`` if nothing is.
+    ``paths`` are the files that it was read from.
+    """
+
+    run: Run
+    records: tuple[MeshRecord, ...]
+    remarks: tuple[str, ...]
+    is_whole: bool
+    paths: tuple[str, ...]
+
+
+def summarize(names: Sequence[str]) -> RunSummary:
+    """What the runs did that these output folders, manifests and reports are about.
+
+    Of several records of a file, distinguished by the paths of its input and output, the newest
+    counts.  The run is the newest one; its times span all runs of the same version and settings,
+    and its seconds are those in which any of them was at work.
+
+    Raises
+    ------
+    UsageError : there is no such file or folder, or no manifest in the folder.
+    FormatError : a file is neither a manifest nor a report.
+    OutputError, InputError : a file cannot be read.
+    """
+    from msal_cli.batch.manifest import list_manifests
+
+    rows: list[FileRow] = []
+    runs: list[RunEntry] = []
+    remarks: list[str] = []
+    paths: list[str] = []
+    for name in dict.fromkeys(names):
+        path = Path(name)
+        if is_url(name) or path.is_dir():
+            history = _read_folder(name)
+            remarks += _missing_parts(history.runs, name)
+            paths += [] if is_url(name) else map(str, list_manifests(name))
+        elif path.is_file():
+            history = _read_file(path)
+            paths.append(name)
+        else:
+            raise UsageError(
+                f"{name!r} is neither a regular file nor a folder"
+                if path.exists()
+                else f"there is no file or folder {name!r}",
+                hint=_WHAT_TO_NAME,
+                path=name,
+            )
+        rows += history.rows
+        runs += history.runs
+    records = _newest_records(rows)
+    is_finished = not remarks and all(record.status != "planned" for record in records)
+    run = _combine(runs, is_finished) if runs else _guess_run(rows, is_finished)
+    return RunSummary(run, tuple(records), tuple(remarks), not remarks, tuple(paths))
+
+
+def _read_folder(name: str) -> RunHistory:
+    from msal_cli.batch import run_history
+
+    history = run_history.read_home(name)
+    if history is None:
+        raise UsageError(
+            f"there is no manifest in the folder {name!r}",
+            hint="name the output folder of msal denoise (with --in-place the input)",
+            path=name,
+        )
+    return history
+
+
+def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
+    """What is not finished in a folder, in words: the newest run, or one of its shards."""
+    from msal_cli.batch.lock import lock_owners
+
+    # A store has no locks.
+    at_work = () if is_url(name) else lock_owners(name)
+    if at_work:
+        return [f"{' and '.join(at_work[:3])} still at work on {name!r}"]
+    if not runs:
+        # Manifests of older versions have no lines about runs.
+        return []
+    newest = runs[-1]
+    alike = [run for run in runs if run.configuration == newest.configuration]
+    last = {str(run.shard or ""): run for run in alike}
+    ended = {key for key, run in last.items() if not run.interrupted}
+    if any(ended.issuperset(_all_shards(run)) for run in last.values()):
+        return []
+    if newest.shard is None:
+        return [f"the run that began at {newest.started} in {name!r} did not come to its end"]
+    lost = [key for key in _all_shards(newest) if key not in ended]
+    more = f" and {len(lost) - 10} more" if len(lost) > 10 else ""
+    return [f"in {name!r} did not run, or not to the end: shard {', '.join(lost[:10])}{more}"]
+
+
+def _all_shards(run: RunEntry) -> list[str]:
+    """The shards that make up the whole that a run is a part of; of a whole run itself."""
+    count = 0 if run.shard is None else run.shard.count
+    return [f"{k}/{count}" for k in range(1, count + 1)] or [""]
+
+
+def _read_file(path: Path) -> RunHistory:
+    from msal_cli.batch import run_history
+    from msal_cli.report import read_report
+    from msal_cli.storage.gzip_streams import read_whole
+
+    name = str(path)
+    data = read_whole(name)
+    try:
+        at = path.stat().st_mtime_ns
+    except OSError as error:
+        raise InputError(
+            f"the file cannot be read: {error.strerror}", path=name, code="E_READ"
+        ) from None
+    records: Iterable[MeshRecord]
+    runs: tuple[RunEntry, ...] = ()
+    if path.suffix.lower() == ".jsonl":
+        if b'"kind":' in data.lstrip()[:10]:
+            return run_history.read_file(path)
+        records = read_report.lines(data, name)
+    elif path.suffix.lower() == ".json":
+        run, records = read_report.document(data, name)
+        ended = _parse_time(run.finished)
+        at = at if ended is None else int(ended * 1e9)
+        runs = (
+            run_history.RunEntry(
+                version=run.version,
+                command=run.command,
+                settings=run.settings,
+                started=run.started,
+                at=at,
+                finished=run.finished,
+                seconds=run.seconds,
+                interrupted=run.interrupted,
+            ),
+        )
+    else:
+        raise UsageError(
+            f"the suffix of {name!r} is not that of a report that can be read",
+            hint=_WHAT_TO_NAME,
+            path=name,
+        )
+    rows = (run_history.FileRow(at, one.input, one.output or "", one) for one in records)
+    return run_history.RunHistory(runs, tuple(rows))
+
+
+def _newest_records(rows: Iterable[FileRow]) -> list[MeshRecord]:
+    """One record for each file, by the path of its input."""
+    rows = list(rows)
+    named = {row.input for row in rows if row.output}
+    newest: dict[tuple[str, str], FileRow] = {}
+    failures: list[FileRow] = []
+    for row in sorted(rows, key=lambda row: row.at):
+        if row.output or row.input not in named:
+            newest[row.input, row.output] = row
+        else:
+            failures.append(row)
+    outputs: dict[str, list[tuple[str, str]]] = {}
+    for key in newest:
+        outputs.setdefault(key[0], []).append(key)
+    for row in failures:
+        # In a report a failure does not say which output is missing: any of its input.
+        for key in outputs[row.input]:
+            if newest[key].at <= row.at:
+                newest[key] = row
+    # Several outputs of one input may have got the same failure.
+    records = {id(row): row.record for row in newest.values()}
+    return sorted(records.values(), key=lambda record: record.input.split("/"))
+
+
+def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
+    """The newest of several runs, with the times of all of the same version and settings."""
+    newest = max(runs, key=lambda run: run.at)
+    alike = [run for run in runs if run.configuration == newest.configuration]
+    return Run(
+        version=newest.version,
+        command=newest.command,
+        settings=newest.settings,
+        started=min(run.started for run in alike),
+        finished=max(run.finished for run in alike),
+        seconds=round(_seconds_at_work(alike), 3),
+        interrupted=not is_finished,
+    )
+
+
+def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
+    """What is known of a run of which only the files are known."""
+    from msal_cli.auto import ALL
+    from msal_cli.batch.run_history import iso_timestamp
+    from msal_cli.job.settings import ADAPTIVE, AUTO
+    from msal_cli.version import __version__
+
+    times = [row.at for row in rows] or [0]
+    newest = max(rows, key=lambda row: row.at).record if rows else None
+    settings: dict[str, Any] = {}
+    if newest is not None and newest.choice is not None:
+        method = AUTO if newest.choice.among == ALL else ADAPTIVE
+        settings = {"method": method, "parameters": newest.choice.wishes}
+    elif newest is not None and newest.method is not None:
+        settings = {"method": newest.method.name, "parameters": newest.method.parameters}
+    return Run(
+        version=(newest.version if newest is not None else "") or __version__,
+        command=(),
+        settings=settings,
+        started=iso_timestamp(min(times)),
+        finished=iso_timestamp(max(times)),
+        seconds=0.0,
+        interrupted=not is_finished,
+    )
+
+
+def _seconds_at_work(runs: Iterable[RunEntry]) -> float:
+    """The seconds in which at least one run was at work."""
+    starts = [(_parse_time(run.started), run.seconds) for run in runs]
+    total, reached = 0.0, float("-inf")
+    spans = [(start, start + s) for start, s in starts if start is not None and s > 0.0]
+    for start, stop in sorted(spans):
+        total += max(0.0, stop - max(start, reached))
+        reached = max(reached, stop)
+    return total
+
+
+def _parse_time(timestamp: str) -> float | None:
+    """Seconds since 1970 of a time as reports have it; None if it is none."""
+    try:
+        return datetime.fromisoformat(timestamp).timestamp()
+    except (ValueError, OverflowError):
+        return None

@@ -1,15 +1,23 @@
-"""``--report FILE``: refused before any work if it cannot be, written when the work is done."""
+"""Files beside the meshes: reports, logs and pictures, and what they must not replace.
+
+Every command asks ``refuse_target`` before it works.  Names lead to files by links of both kinds,
+and what a file is shows in its content, so neither a name nor a path alone is trusted.
+
+GitHub Actions offers annotations in the log of a step, and a summary of its own.
+"""
 
 from __future__ import annotations
 
+import io
 import os
+import re
+import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli import report
-from msal_cli.cli import github
-from msal_cli.cli.side_files import refuse_target
+from msal_cli.cli import console
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.settings import DEFAULT_BACKUP
 
@@ -39,7 +47,7 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             raise UsageError(
                 "a report needs the name of a file", hint="--json prints records to standard output"
             )
-        if not github.is_step_summary(name):
+        if not is_step_summary(name):
             report.writer(name)
         path = _resolve(name)
         if path in seen:
@@ -80,9 +88,9 @@ def write(
     # Pages take longest: after Ctrl-C the other reports are there.
     for name in sorted(names, key=_is_page):
         try:
-            if github.is_step_summary(name):
-                data = markdown.render(run, records, most_bytes=github.room_in_summary(name))
-                github.append_to_summary(name, data)
+            if is_step_summary(name):
+                data = markdown.render(run, records, most_bytes=room_in_summary(name))
+                append_to_summary(name, data)
                 continue
             if _is_page(name):
                 data = _render_page(name, run, records, backup, without_pictures, quiet)
@@ -98,7 +106,7 @@ def write(
 
 
 def _is_page(name: str) -> bool:
-    return name.lower().endswith(".html") and not github.is_step_summary(name)
+    return name.lower().endswith(".html") and not is_step_summary(name)
 
 
 def _render_page(
@@ -159,3 +167,194 @@ def _resolve(name: str) -> str:
     from msal_cli.storage import urls
 
     return urls.identity(name) if urls.is_url(name) else os.path.normcase(os.path.realpath(name))
+
+
+_LOG_LINE = rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} "
+"""How every line of a log begins."""
+
+REPORT = (
+    r'\{\s*"schema": "msal\.report/|\{"input":[^\n]*"schema":"msal\.report/'
+    r"|input,status,output,(?:schema|format),"
+    r'|## [^\n]{1,4} msal denoise: |<\?xml[^\n]*\n<testsuites>\s*<testsuite id="0" package="msal" '
+    r'|<!DOCTYPE html>.*<meta name="generator" content="msal '
+)
+"""How the reports of msal begin."""
+
+_ANOTHER = "give it another name"
+
+
+def refuse_target(
+    name: str, what: str, taken: Iterable[str] = (), *, replaces: str | None = None
+) -> None:
+    """Refuse to write ``what`` (``the report``) to ``name``, where that would do harm.
+
+    Parameters
+    ----------
+    taken : paths and URLs of inputs and outputs, which it must not replace.
+    replaces : a pattern of how files begin that it may replace, although they may be meshes; by
+        default all that are no mesh.
+
+    Raises
+    ------
+    UsageError
+        for the name of a mesh that may not be one, of a file of msal's own, of a folder, a device
+        or a pipe; for one of ``taken``, and for another mesh that is there.
+    """
+    from msal_cli.batch.plan_checks import identify_file
+    from msal_cli.job.settings import is_mesh_name
+    from msal_cli.storage.urls import is_url
+
+    is_remote = is_url(name)
+    for path in (name,) if is_remote else (name, os.path.realpath(name)):
+        _refuse_own(path, f"{what} {name!r}")
+        if replaces is None and is_mesh_name(path):
+            raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
+    here = identify_file(name) or os.path.realpath(name)
+    for path in taken:
+        if here == (identify_file(path) or os.path.realpath(path)):
+            raise UsageError(f"{what} {name!r} would replace {path!r}", hint=_ANOTHER)
+    if is_remote or not os.path.lexists(name):
+        return
+    if os.path.isdir(name):
+        raise UsageError(f"{what} {name!r} is a folder", hint="name a file in it")
+    if os.path.exists(name) and not os.path.isfile(name):
+        raise UsageError(f"{what} {name!r} is a device or a pipe, not a file", hint=_ANOTHER)
+    _refuse_mesh(name, what, replaces)
+
+
+def _refuse_own(path: str, what: str) -> None:
+    from msal_cli.batch.temporary_files import is_own
+    from msal_cli.storage import urls
+
+    last = urls.name(path) if urls.is_url(path) else Path(path).name
+    # Where case does not count, another case is the same file.
+    if is_own(last.lower()):
+        raise UsageError(f"{what} would have the name of a file of msal's own", hint=_ANOTHER)
+
+
+def _refuse_mesh(name: str, what: str, replaces: str | None) -> None:
+    from msal_cli.codecs.detection import content_format
+    from msal_cli.storage.limits import LOOKED_AT
+    from msal_cli.storage.regular import open_regular
+
+    try:
+        with open_regular(name) as file:
+            head, size = file.read(LOOKED_AT), os.fstat(file.fileno()).st_size
+    except OSError:
+        # A link to nowhere; or what cannot be read, and is not known to be ours.
+        if os.path.exists(name):
+            raise UsageError(
+                f"{what} {name!r} is there, and cannot be read", hint=_ANOTHER
+            ) from None
+        return
+    if replaces is None:
+        if found := content_format(head, size=size):
+            raise UsageError(
+                f"{what} {name!r} would replace a mesh ({found.upper()})", hint=_ANOTHER
+            )
+    elif not re.match(replaces.encode(), head, re.DOTALL):
+        raise UsageError(
+            f"{what} {name!r} would replace a file that is none of its kind",
+            hint="move it away, or give another name",
+        )
+
+
+def open_log(name: str) -> io.TextIOWrapper:
+    """Open a log to append to it: a new file, an empty one, or what begins as a log of msal does.
+
+    A terminal, /dev/null and a pipe with a reader will do, too.
+
+    Raises
+    ------
+    UsageError
+        for any other file, which might be a mesh, an input or a file of msal's own.
+    OSError, ValueError
+        if it cannot be opened.
+    """
+    from msal_cli.job.settings import is_mesh_name
+    from msal_cli.storage.regular import open_regular
+
+    for path in (name, os.path.realpath(name)):
+        _refuse_own(path, f"the log file {name!r}")
+        if is_mesh_name(path):
+            raise UsageError(f"the log file {name!r} would be called like a mesh", hint=_ANOTHER)
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+    # A pipe without a reader is an error, and is not waited for.
+    for flag in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_NOINHERIT"):
+        flags |= getattr(os, flag, 0)
+    handle = os.open(name, flags, 0o666)
+    try:
+        status = os.fstat(handle)
+        if stat.S_ISREG(status.st_mode) and status.st_size:
+            with open_regular(name) as file:
+                is_same = os.path.samestat(os.fstat(file.fileno()), status)
+                if not is_same or re.match(_LOG_LINE, file.read(64)) is None:
+                    raise UsageError(
+                        f"the log file {name!r} is there, and is no log of msal",
+                        hint="only a log is appended to; give another name",
+                    )
+        if hasattr(os, "set_blocking"):
+            os.set_blocking(handle, True)
+        return open(handle, "a", encoding="utf-8", errors="backslashreplace")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+_SUMMARY = "GITHUB_STEP_SUMMARY"
+# A summary of more than 1 MiB is refused as a whole.
+_MOST_SUMMARY_BYTES = 1_000_000
+
+
+def annotate(records: Sequence[MeshRecord]) -> None:
+    """Mark the worst files that failed or broke a gate, if this runs in GitHub Actions."""
+    if os.environ.get("GITHUB_ACTIONS") != "true":
+        return
+    from msal_cli.report import github_annotations as as_annotations
+
+    # The runner reads both streams; standard output is for data.
+    for command in as_annotations.commands(records, _here()):
+        console.say(command)
+
+
+def is_step_summary(name: str) -> bool:
+    """Whether a report of this name is the summary of the step, which has no suffix."""
+    summary = os.environ.get(_SUMMARY)
+    return bool(summary) and os.path.realpath(name) == os.path.realpath(str(summary))
+
+
+def room_in_summary(name: str) -> int:
+    """Bytes that may be added to the summary of the step."""
+    try:
+        return max(0, _MOST_SUMMARY_BYTES - Path(name).stat().st_size)
+    except OSError:
+        return _MOST_SUMMARY_BYTES
+
+
+def append_to_summary(name: str, data: bytes) -> None:
+    """Add to what earlier commands of the step have put there.
+
+    Raises
+    ------
+    OutputError
+        if that cannot be done.
+    """
+    try:
+        with Path(name).open("ab") as file:
+            file.write(b"\n" + data if file.tell() else data)
+    except OSError as error:
+        raise OutputError(
+            f"the summary {name!r} cannot be written: {error.strerror}", path=name
+        ) from None
+
+
+def _here() -> str:
+    """The current folder as a path from the root of the repository; empty outside of it."""
+    root = os.environ.get("GITHUB_WORKSPACE")
+    if not root:
+        return ""
+    try:
+        here = os.path.relpath(os.path.realpath("."), os.path.realpath(root)).replace(os.sep, "/")
+    except (OSError, ValueError):
+        return ""
+    return "" if here == "." or here.startswith("..") else here

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import MESSAGES, MORE, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
@@ -121,7 +121,7 @@ def command(
     """
     from msal_cli import methods
     from msal_cli.auto.estimated_errors import estimate_errors
-    from msal_cli.cli.side_files import refuse_target
+    from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import open_surface, opened, surface_of
     from msal_cli.storage import atomic
     from msal_cli.view import parameter_grid
@@ -163,7 +163,7 @@ def command(
             console.put(_describe_nearest(cells))
         if not quiet:
             console.say_written(output)
-    return exit_codes.SUCCESS
+    return console.SUCCESS
 
 
 def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh, Filter]]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli.command import MESSAGES, MORE, group
 from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.options import STREAM
@@ -159,7 +159,7 @@ def command(
     PLY and STL files that are larger than memory are read in pieces, and decimated; two must
     have the same faces.
     """
-    from msal_cli.cli.side_files import refuse_target
+    from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
     from msal_cli.storage import atomic
     from msal_cli.view import pictures
@@ -186,14 +186,14 @@ def command(
         if not quiet:
             console.say_written(page)
         _show_in_browser(page)
-        return exit_codes.SUCCESS
+        return console.SUCCESS
     if output == STREAM:
         console.put_bytes(data)
-        return exit_codes.SUCCESS
+        return console.SUCCESS
     atomic.write_whole(output, data, sources=names)
     if not quiet:
         console.say_written(output)
-    return exit_codes.SUCCESS
+    return console.SUCCESS
 
 
 def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> Scene:

@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, denoise_request, exit_codes, options
+from msal_cli.cli import console, options
 from msal_cli.cli import denoise_options as denoise
 from msal_cli.cli.command import MORE, group
 from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.configuration import options_of_found_file
+from msal_cli.cli.config import options_of_found_file
 from msal_cli.cli.conflicts import find_given
-from msal_cli.cli.denoise_records import log_record
-from msal_cli.cli.denoise_request import Request
+from msal_cli.cli.denoise import (
+    Request,
+    build_settings,
+    check_request,
+    log_record,
+    plan_files,
+)
 from msal_cli.errors import OutputError, ResourceError, UsageError
 
 if TYPE_CHECKING:
@@ -129,9 +134,9 @@ class _Watch:
         self._command = ("msal", *arguments)
         self._limits = Limits(request.timeout, request.memory_limit, request.max_faces)
         _check_folders(request.inputs[0], request.output)
-        denoise_request.check_request(request, None)
+        check_request(request, None)
         options.check_threads_variable()
-        self._settings = denoise_request.build_settings(request, ())
+        self._settings = build_settings(request, ())
         self._max_failures: int | None = 1 if request.fail_fast else request.max_failures
         # The input of each output.
         self._sources: dict[str, str] = {}
@@ -177,7 +182,7 @@ class _Watch:
                 raise
         if self._is_given_up():
             console.say(f"stopped after {self._n_new_failures:,} failed")
-        return exit_codes.of_files(
+        return console.status_of_files(
             self._n_files, len(self._failed), is_given_up=self._is_given_up()
         )
 
@@ -201,7 +206,7 @@ class _Watch:
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
         """One plan of all files, or a plan of each that can be done if some cannot."""
         try:
-            plan = denoise_request.plan_files(self._request, self._settings, files)
+            plan = plan_files(self._request, self._settings, files)
             for task in plan.tasks:
                 source = self._sources.setdefault(os.path.normcase(task.output), task.input)
                 if source != task.input and os.path.lexists(source):

@@ -9,7 +9,7 @@ import pytest
 from msal_cli import errors
 from msal_cli.batch.inputs import NothingMatched
 from msal_cli.batch.interrupts import Terminated
-from msal_cli.cli import exit_codes
+from msal_cli.cli import console
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ from msal_cli.cli import exit_codes
     + [(3, 2, False, 3), (0, 0, False, 0)],
 )
 def test_of_files(n_files, n_failed, gate, status):
-    assert exit_codes.of_files(n_files, n_failed, is_gate_failed=gate) == status
+    assert console.status_of_files(n_files, n_failed, is_gate_failed=gate) == status
 
 
 @pytest.mark.parametrize(
@@ -34,18 +34,18 @@ def test_of_files(n_files, n_failed, gate, status):
     ],
 )
 def test_of_errors(error, status):
-    assert exit_codes.of_error(error) == status
+    assert console.status_of_error(error) == status
 
 
 def test_of_signals():
-    assert exit_codes.of_interrupt(KeyboardInterrupt()) == 130
-    assert exit_codes.of_interrupt(Terminated(15)) == 143
+    assert console.status_of_interrupt(KeyboardInterrupt()) == 130
+    assert console.status_of_interrupt(Terminated(15)) == 143
 
 
 def test_the_worst_wins():
     ranking = [130, 1, 3, 4, 0]
     for first, second in itertools.combinations_with_replacement(ranking, 2):
-        assert exit_codes.worst(first, second) == first
-        assert exit_codes.worst(second, first) == first
-    assert exit_codes.worst(2, 1) == exit_codes.worst(1, 2) == 2
-    assert exit_codes.worst(143, 130) == 143
+        assert console.worst_status(first, second) == first
+        assert console.worst_status(second, first) == first
+    assert console.worst_status(2, 1) == console.worst_status(1, 2) == 2
+    assert console.worst_status(143, 130) == 143

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from msal_cli.cli import github
+from msal_cli.cli import report_files
 from tests.cli.scans import BAD_SCAN, msal
 from tests.report.made import failed, written
 
@@ -18,7 +18,7 @@ def in_actions(tmp_path, monkeypatch):
 
 
 def test_failures_are_marked_where_the_repository_knows_them(in_actions, capsys):
-    github.annotate([written(), failed("bad.ply")])
+    report_files.annotate([written(), failed("bad.ply")])
     told = capsys.readouterr()
     assert told.out == ""
     assert told.err.startswith("::error file=scans/bad.ply,title=msal%3A failed::bad.ply: ")
@@ -34,7 +34,7 @@ def test_a_run_marks_its_failures_once(in_actions, tmp_path):
 @pytest.mark.parametrize("value", ["", "false"])
 def test_elsewhere_nothing_is_said(in_actions, monkeypatch, capsys, value):
     monkeypatch.setenv("GITHUB_ACTIONS", value)
-    github.annotate([failed()])
+    report_files.annotate([failed()])
     assert capsys.readouterr().err == ""
 
 
@@ -42,5 +42,5 @@ def test_outside_of_the_repository_names_stay_as_they_are(
     in_actions, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path / "elsewhere"))
-    github.annotate([failed("bad.ply")])
+    report_files.annotate([failed("bad.ply")])
     assert "::error file=bad.ply," in capsys.readouterr().err

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from msal_cli.cli import side_files
+from msal_cli.cli import report_files
 from msal_cli.errors import UsageError
 from tests.cli.scans import closed_scan, msal, msal_on, open_scan
 
@@ -87,18 +87,18 @@ def test_what_msal_made_is_replaced(project):
     assert msal("noise", "in/a.ply", "-o", "b.ply", "--force").exit_code == 0
     for name in reports:
         # Also where a msal.toml that was found names it.
-        side_files.refuse_target(name, "the report", replaces=side_files.REPORT)
+        report_files.refuse_target(name, "the report", replaces=report_files.REPORT)
     for name in ("notes.txt", "mesh.json", "h.ply"):
         with pytest.raises(UsageError, match="none of its kind"):
-            side_files.refuse_target(name, "the report", replaces=side_files.REPORT)
+            report_files.refuse_target(name, "the report", replaces=report_files.REPORT)
 
 
 @posix
 def test_a_log_goes_to_devices_and_waits_for_no_pipe(project):
-    with side_files.open_log("/dev/null") as stream:
+    with report_files.open_log("/dev/null") as stream:
         stream.write("nothing")
     with pytest.raises(OSError, match="No such device"):
-        side_files.open_log("pipe.csv")
+        report_files.open_log("pipe.csv")
 
 
 FOUND = [

@@ -29,8 +29,8 @@ from unittest import mock
 
 from click.testing import CliRunner
 
-from msal_cli.cli import environment
-from msal_cli.cli.environment import Clock
+from msal_cli.cli import denoise
+from msal_cli.cli.denoise import Clock
 from msal_cli.cli.main import COMMANDS as CLI_COMMANDS
 from msal_cli.cli.main import program
 from tests.frozen.corpus_sums import digest, here
@@ -237,7 +237,7 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
     with (
         mock.patch.object(Clock, "now", staticmethod(lambda: "2026-01-02T03:04:05.678Z")),
         mock.patch.object(Clock, "seconds", lambda self: 1.0),
-        mock.patch.object(environment, "describe_machine", lambda: {"system": "Linux"}),
+        mock.patch.object(denoise, "describe_machine", lambda: {"system": "Linux"}),
         mock.patch.dict(os.environ, COLUMNS="100", NO_COLOR="1", TERM="dumb"),
     ):
         yield from _outcomes(chosen)
