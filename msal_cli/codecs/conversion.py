@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_writer import Column, corners_of, write_ply
 from msal_cli.codecs.text_lines import float_lines, integer_lines
-from msal_cli.codecs.vertex_colours import vertex_colours
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
@@ -271,7 +271,8 @@ def _as_glb(points: Floats, mesh: _Mesh) -> bytes:
     surface = trimesh.Trimesh(
         points, mesh.faces, vertex_colors=mesh.colours, process=False, validate=False
     )
-    return bytes(trimesh.Scene(surface).export(file_type="glb"))
+    scene: Any = trimesh.Scene(surface)
+    return bytes(scene.export(file_type="glb"))
 
 
 def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:

@@ -242,20 +242,6 @@ class Scene:
         shape, strides = (place.count, width), (place.stride, size)
         return np.ndarray(shape, code, self.data, place.at, strides)
 
-    def read_view(self, index: object) -> bytes:
-        """The bytes of a buffer view, such as an image."""
-        where = f"bufferViews[{index!r}]"
-        view = self.entry("bufferViews", index)
-        number: Any = view.get("buffer")
-        self.entry("buffers", number)
-        place = self.buffers.get(number)
-        offset = _whole(view, "byteOffset", where, 0)
-        length = _whole(view, "byteLength", where)
-        if not isinstance(place, tuple) or offset + length > place[1]:
-            raise TruncatedError("the bytes are not in the file", where=where, hint=EXPORT_AGAIN)
-        begin = place[0] + offset
-        return self.data[begin : begin + length].tobytes()
-
     def parts(self) -> tuple[list[Part], tuple[str, ...]]:
         """All surfaces, those over one list of positions together, and warnings."""
         surfaces: dict[Accessor, _Surfaces] = {}

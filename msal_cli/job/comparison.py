@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from msal_cli.analysis.enclosure import Enclosure
     from msal_cli.arrays import Floats, Ints
-    from msal_cli.codecs.colour_values import SurfaceColours
+    from msal_cli.codecs.colours import SurfaceColours
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.job.streamed_progress import ReadingListener

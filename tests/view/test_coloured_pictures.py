@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.codecs.colour_values import SurfaceColours
+from msal_cli.codecs.colours import SurfaceColours
 from msal_cli.job.comparison import Surface
 from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View

@@ -1,0 +1,206 @@
+"""Colours of vertices, for conversions and for pictures; the codecs themselves keep bytes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.arrays import Floats
+from msal_cli.codecs.mesh_file import MeshFile
+
+if TYPE_CHECKING:
+    from msal_cli.codecs.gltf_file import SceneFile
+
+Colours = NDArray[np.uint8]
+
+UNPAINTED = (204, 204, 204)
+"""The colour of what has none beside what has one."""
+
+_PLY_NAMES = (
+    ("red", "green", "blue", "alpha"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"),
+)
+_CONTINUED = re.compile(rb"\\\r?\n")
+_OFF_HEADER = re.compile(r"\s*(?:ST)?(C)?(N)?OFF\b")
+_STL_VALID = 0x8000
+_MATERIALISE = b"COLOR="
+
+_GLTF_TYPES = {5126: ("<f4", 1.0), 5121: ("<u1", 255.0), 5123: ("<u2", 65535.0)}
+"""Number types of colours, and what stands for 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceColours:
+    """Colours (n, 3) of the vertices, None where there are none to show, and notes about them."""
+
+    vertices: Colours | None = None
+    notes: tuple[str, ...] = ()
+
+
+def vertex_colours(mesh_file: MeshFile) -> Colours | None:
+    """Colours (n, 3) or (n, 4) of a PLY or OBJ file's vertices, or None where it has none.
+
+    Colours as floating-point numbers are taken to go from 0 to 1.
+    """
+    if mesh_file.format == "ply":
+        return _of_ply(mesh_file)
+    if mesh_file.format == "obj" and "vertex colours" in mesh_file.properties:
+        return _of_obj(mesh_file)
+    return None
+
+
+def surface_colours(mesh_file: MeshFile) -> Colours | None:
+    """Colours (n, 3) of the vertices of a file of any format, or None where it has none."""
+    if mesh_file.format in ("glb", "gltf"):
+        from msal_cli.codecs.gltf_file import SceneFile
+
+        return _of_gltf(mesh_file) if isinstance(mesh_file, SceneFile) else None
+    if mesh_file.format == "off":
+        return _of_off(mesh_file)
+    if mesh_file.format == "stl":
+        return _of_stl(mesh_file)
+    colours = vertex_colours(mesh_file)
+    return None if colours is None else colours[:, :3]
+
+
+def _to_bytes(colours: Floats, scale: float = 1.0) -> Colours:
+    """``colours`` times ``scale`` as whole numbers from 0 to 255; 0 for what is no number."""
+    scaled = np.nan_to_num(colours * scale, posinf=255.0, neginf=0.0)
+    return np.rint(np.clip(scaled, 0.0, 255.0)).astype(np.uint8)
+
+
+def _of_ply(mesh_file: MeshFile) -> Colours | None:
+    from msal_cli.codecs.ply_header import parsed
+    from msal_cli.codecs.ply_sections import located
+    from msal_cli.kernels.text import as_bytes
+
+    # With no vertex moved every codec gives back its very input.
+    data = memoryview(mesh_file.replaced(mesh_file.vertices)).cast("B")
+    header = parsed(data)
+    element = next(one for one in header.elements if one.name == "vertex")
+    scalar = {one.name: one.code for one in element.properties if not one.is_list}
+    for names in _PLY_NAMES:
+        present = tuple(name for name in names if name in scalar)
+        codes = {scalar[name] for name in present}
+        if present[:3] != names[:3] or len(codes) != 1:
+            continue
+        (code,) = codes
+        if code not in ("u1", "f4", "f8"):
+            return None
+        sections, _ = located(
+            as_bytes(data), header, lambda _, wanted=present: wanted, last="vertex"
+        )
+        return _to_bytes(sections["vertex"].slots(present).values, 255.0 if code != "u1" else 1.0)
+    return None
+
+
+def _of_obj(mesh_file: MeshFile) -> Colours | None:
+    data = bytes(mesh_file.replaced(mesh_file.vertices))
+    rows = []
+    for line in _CONTINUED.sub(b" ", data).splitlines():
+        words = line.split(None, 8)
+        if words and words[0] == b"v":
+            # x y z r g b, or x y z w r g b
+            rows.append(words[-3:] if len(words) in (7, 8) else (b"1", b"1", b"1"))
+    try:
+        colours = np.array(rows, dtype=np.float64)
+    except ValueError:
+        return None
+    if colours.shape != mesh_file.vertices.shape or not np.isfinite(colours).all():
+        return None
+    return _to_bytes(colours, 255.0 if colours.max(initial=0.0) <= 1.0 else 1.0)
+
+
+def _of_off(mesh_file: MeshFile) -> Colours | None:
+    """Behind the positions (and normals): whole numbers to 255, or others to 1."""
+    text = bytes(mesh_file.replaced(mesh_file.vertices)).decode("latin-1")
+    lines = [plain for line in text.splitlines() if (plain := line.partition("#")[0].strip())]
+    header = _OFF_HEADER.match(lines[0].lstrip("\xef\xbb\xbf"))
+    if header is None:
+        return None
+    has_colours, has_normals = header.groups()
+    n_vertices = len(mesh_file.vertices)
+    n_heads, n_counts = 0, 0
+    for line in lines:
+        n_counts += len(line.split()) - (n_heads == 0)
+        n_heads += 1
+        if n_counts >= 2:
+            break
+    first = 6 if has_normals else 3
+    rows = [line.split()[first : first + 3] for line in lines[n_heads : n_heads + n_vertices]]
+    if len(rows) != n_vertices or any(len(row) < 3 for row in rows):
+        return None
+    values = np.array(rows, dtype=np.float64)
+    if not has_colours and (values.min() < 0.0 or values.max() > 255.0):
+        return None  # other numbers, such as normals
+    are_whole = not any("." in word for row in rows for word in row)
+    return _to_bytes(values, 1.0 if are_whole or values.max() > 1.0 else 255.0)
+
+
+def _of_stl(mesh_file: MeshFile) -> Colours | None:
+    """The words of a binary file's facets: 15 bits as VisCAM (and SolidView) or, where the header
+    has the colour of all, Materialise Magics writes them; means at the vertices."""
+    from msal_cli.codecs.stl_facets import FACET, HEADER_BYTES
+
+    properties = mesh_file.properties
+    has_default = "colour in the header" in properties
+    if mesh_file.encoding == "ascii" or not ("facet attribute words" in properties or has_default):
+        return None
+    data = bytes(mesh_file.replaced(mesh_file.vertices))
+    count, n_vertices = len(mesh_file.faces), len(mesh_file.vertices)
+    facets = np.frombuffer(data, dtype=FACET, count=count, offset=HEADER_BYTES + 4)
+    words = facets["attribute"].reshape(count, -1)[:, 0].astype(np.int64)
+    fifths = np.stack([(words >> shift) & 31 for shift in (10, 5, 0)], axis=1)
+    own = (words & _STL_VALID) != 0
+    colours = np.tile(np.array(UNPAINTED, dtype=np.float64), (count, 1))
+    at = data[:HEADER_BYTES].find(_MATERIALISE)
+    if at >= 0:
+        colours[:] = np.frombuffer(data, np.uint8, 3, at + len(_MATERIALISE))
+        fifths, own = fifths[:, ::-1], ~own
+    elif not own.any():
+        return None
+    colours[own] = fifths[own] * (255.0 / 31.0)
+    corners = mesh_file.faces.reshape(-1)
+    n_facets = np.maximum(np.bincount(corners, minlength=n_vertices), 1)
+    shares = np.repeat(colours, 3, axis=0).T
+    sums = [np.bincount(corners, weights=share, minlength=n_vertices) for share in shares]
+    return _to_bytes(np.stack(sums, axis=1) / n_facets[:, None])
+
+
+def _of_gltf(scene_file: SceneFile) -> Colours | None:
+    """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows."""
+    from msal_cli.codecs.gltf_json import as_dict, as_list
+
+    scene, has_colours = scene_file.scene, False
+    meshes = [as_dict(mesh) for mesh in as_list(scene.content.get("meshes"))]
+    primitives = [
+        as_dict(as_dict(primitive).get("attributes"))
+        for mesh in meshes
+        for primitive in as_list(mesh.get("primitives"))
+    ]
+    whole = []
+    for part in scene_file.parts:
+        shown = np.tile(np.array(UNPAINTED, dtype=np.uint8), (part.positions.count, 1))
+        for attributes in primitives:
+            if attributes.get("POSITION") not in part.accessors or "COLOR_0" not in attributes:
+                continue
+            entry = scene.entry("accessors", attributes["COLOR_0"])
+            kind, number = entry.get("type"), entry.get("componentType")
+            if kind not in ("VEC3", "VEC4") or number not in _GLTF_TYPES:
+                continue
+            code, largest = _GLTF_TYPES[number]
+            rows = scene.read_rows(attributes["COLOR_0"], {number: code}, int(kind[-1]))[:, :3]
+            value = np.clip(rows.astype(np.float64) / largest, 0.0, 1.0)
+            # The format says linear, but programs for scans write a screen's bytes as they are.
+            if code != "<u1":
+                # IEC 61966-2-1
+                curve = 1.055 * value ** (1.0 / 2.4) - 0.055
+                value = np.where(value <= 0.0031308, 12.92 * value, curve)
+            if len(value) == len(shown):
+                shown, has_colours = _to_bytes(value, 255.0), True
+        whole.append(shown)
+    return np.concatenate(whole) if has_colours else None
