@@ -20,8 +20,7 @@ from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.plain_data import reported_fields
 from msal_cli.job.records import SCHEMA, MeshRecord
-from msal_cli.report.document import Run, Totals
-from msal_cli.report.json_report import json_bytes
+from msal_cli.report.data import Run, Totals, json_bytes
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NULL_NOTE = (

@@ -21,7 +21,7 @@ from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.plain_data import reported_fields
-from msal_cli.report.document import Run, Totals
+from msal_cli.report.data import Run, Totals
 from tests.scripts import load_script
 
 refresh = load_script("docs/refresh.py")

@@ -232,7 +232,7 @@ def _compare_two(
     compare: Callable[[str, str], ComparisonRecord],
 ) -> int:
     from msal_cli.errors import MsalError
-    from msal_cli.report import comparison_text, document, json_report
+    from msal_cli.report import comparison, data
     from msal_cli.report.gates import is_any_broken
 
     record = checks.judge_pair(compare(before, after))
@@ -244,13 +244,13 @@ def _compare_two(
         except MsalError as error:
             failure = error
     if as_json:
-        console.put_bytes(json_report.json_bytes(document.plain_record(record)))
+        console.put_bytes(data.json_bytes(data.plain_record(record)))
     if record.error is not None:
         _say_failure(record)
         return console.FATAL
     if not as_json:
-        console.put_lines(comparison_text.describe_comparison(record))
-    console.say_lines(comparison_text.broken_gates([record]))
+        console.put_lines(comparison.describe_comparison(record))
+    console.say_lines(comparison.broken_gates([record]))
     if failure is not None:
         raise failure
     return console.status_of_files(1, 0, is_gate_failed=is_any_broken([record]))
@@ -272,7 +272,7 @@ def _write_heatmap(before: str, after: str, target: str, format: str | None) -> 
     from msal_cli.errors import UnsupportedError
     from msal_cli.job import comparison
     from msal_cli.job.larger_than_memory import are_too_large
-    from msal_cli.report.phrases import file_name
+    from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 
     if are_too_large((before, after), format):
@@ -296,21 +296,21 @@ def _print_table(
     """
     from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.job.plain_data import as_data
-    from msal_cli.report import baseline, comparison_text
+    from msal_cli.report import comparison
+    from msal_cli.report.facts import file_name
     from msal_cli.report.gates import is_any_broken
-    from msal_cli.report.phrases import file_name
 
     records = checks.judge_pairs(pairs)
     present = [name for name, one in pairs.items() if not _is_without_partner(one)]
-    vanished = baseline.missing(present, checks.earlier or {}) if is_all else []
+    vanished = comparison.list_missing(present, checks.earlier or {}) if is_all else []
     if as_json:
         console.put_json(ComparisonRecord.schema, records=[as_data(one) for one in records])
         for record in records:
             if record.error is not None:
                 _say_failure(record)
     else:
-        console.put_lines(comparison_text.table(records, width=console.width(sys.stdout)))
-    console.say_lines(comparison_text.broken_gates(records))
+        console.put_lines(comparison.comparison_table(records, width=console.width(sys.stdout)))
+    console.say_lines(comparison.broken_gates(records))
     for name in vanished:
         console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
     # A pair that cannot be compared weighs more than a broken gate, and that more than a file
@@ -351,13 +351,13 @@ class Checks:
 
     def judge_pair(self, record: ComparisonRecord) -> ComparisonRecord:
         """The record of two files with what became of the gates."""
-        from msal_cli.report import baseline
+        from msal_cli.report.comparison import find_partner
 
         if self.earlier is None or record.error is not None:
             return self._judge([record], [None])[0]
         # A baseline of one pair is that of this pair, whatever the files are called.
         before = next(iter(self.earlier.values())) if len(self.earlier) == 1 else None
-        before = before or baseline.partner(record.after, self.earlier)
+        before = before or find_partner(record.after, self.earlier)
         if before is None:
             raise UsageError(
                 f"the baseline has no figures of {record.after!r}",
@@ -367,15 +367,15 @@ class Checks:
 
     def judge_pairs(self, records: Mapping[str, ComparisonRecord]) -> list[ComparisonRecord]:
         """The records by path with what became of the gates."""
-        from msal_cli.report import baseline
+        from msal_cli.report.comparison import find_partner
 
-        earlier = [baseline.partner(name, self.earlier or {}) for name in records]
+        earlier = [find_partner(name, self.earlier or {}) for name in records]
         return self._judge(list(records.values()), earlier)
 
     def _judge(
         self, records: Sequence[ComparisonRecord], earlier: Sequence[Any]
     ) -> list[ComparisonRecord]:
-        from msal_cli.report import baseline
+        from msal_cli.report.comparison import compare_with_baseline
         from msal_cli.report.gates import with_gates
 
         return [
@@ -383,7 +383,7 @@ class Checks:
             if record.error is not None or before is None
             else replace(
                 record,
-                gates=record.gates + baseline.compare_with_baseline(record, before, self.tolerance),
+                gates=record.gates + compare_with_baseline(record, before, self.tolerance),
             )
             for record, before in zip(with_gates(self.gates, records), earlier, strict=True)
         ]
@@ -404,12 +404,12 @@ def build_checks(
         if the baseline cannot be read, or is none.
     """
     from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import parse_gates
-    from msal_cli.report.read_comparison import comparisons
     from msal_cli.storage import gzip_streams
 
     gates = parse_gates(expressions, ComparisonRecord, unit)
     if baseline is None:
         return Checks(gates, None, 0.0)
-    earlier = comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
+    earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
     return Checks(gates, earlier, DEFAULT_TOLERANCE if tolerance is None else tolerance)

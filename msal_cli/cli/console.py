@@ -28,7 +28,7 @@ from msal_cli.errors import MsalError, OutputError, UsageError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import Failure
-    from msal_cli.report.phrases import Line
+    from msal_cli.report.facts import Line
 
 _STYLES: dict[str, dict[str, object]] = {
     "good": {"fg": "green"},
@@ -59,7 +59,7 @@ def say_lines(lines: Iterable[Line]) -> None:
 
 def say_error(error: MsalError) -> None:
     """An error in words: ``msal: error: scan.ply: vertex 17: ... (E_NONFINITE)`` and its hint."""
-    from msal_cli.report.phrases import file_name, reason
+    from msal_cli.report.facts import file_name, reason
 
     code = "" if error.code == "E_USAGE" else error.code
     words = reason(error.where, error.message, code)
@@ -71,7 +71,7 @@ def say_error(error: MsalError) -> None:
 
 def say_failure(name: str, failure: Failure) -> None:
     """The failure of a single file, in the words of an error."""
-    from msal_cli.report.phrases import file_name, reason
+    from msal_cli.report.facts import file_name, reason
 
     why = reason(failure.where, failure.message, failure.code)
     _say_error_words(f"{file_name(name)}: {why}", failure.hint)
@@ -80,7 +80,7 @@ def say_failure(name: str, failure: Failure) -> None:
 def _say_error_words(words: str, hint: str) -> None:
     from msal_cli.job.display_names import escape_for_display
 
-    say(f"msal: error: {words}", "bad")
+    say(f"msal: error: {escape_for_display(words)}", "bad")
     if hint:
         say(f"hint: {escape_for_display(hint)}")
 
@@ -140,8 +140,7 @@ def _after_a_pause(rest: memoryview) -> memoryview:
 
 def put_json(schema: str, **data: Any) -> None:
     """A JSON document to standard output: its schema, the version of msal, and plain ``data``."""
-    from msal_cli.report.document import plain
-    from msal_cli.report.json_report import json_bytes
+    from msal_cli.report.data import json_bytes, plain
     from msal_cli.version import __version__
 
     put_bytes(json_bytes(plain({"schema": schema, "version": __version__, **data})))

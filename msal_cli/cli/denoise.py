@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.plan import Plan
     from msal_cli.cli.streams import Stream
     from msal_cli.job.records import MeshRecord
-    from msal_cli.report.document import Run
+    from msal_cli.report.data import Run
     from msal_cli.report.gates import Gate
 
 _log = logging.getLogger("msal.denoise")
@@ -226,9 +226,9 @@ class _Session:
                 console.say("dry run: no report is written")
         finally:
             if request.as_json:
-                from msal_cli.report import json_report
+                from msal_cli.report import data
 
-                console.put_bytes(json_report.render(run, records))
+                console.put_bytes(data.render_json(run, records))
         n_failed = sum(record.status == "failed" for record in records)
         if n_left and not interrupted:
             failures = "1 failure" if n_failed == 1 else f"{n_failed:,} failures"
@@ -251,7 +251,7 @@ class _Session:
         if len(records) == 1 and records[0].error is not None:
             console.say_failure(records[0].input, records[0].error)
             if records[0].remembered:
-                console.say(f"it {text.remembered_words()}")
+                console.say(f"it {text.remembered_text()}")
         elif request.quiet:
             console.say_lines(text.failures(records, verbose=False))
             console.say_lines(text.broken_gates(records, verbose=False))
@@ -270,7 +270,7 @@ class _Session:
 def _describe_set(plan: Plan, settings: Settings, records: Sequence[MeshRecord]) -> str:
     """What the files of a tile set will take together."""
     from msal_cli.machine import megabytes
-    from msal_cli.report.phrases import tiles_text
+    from msal_cli.report.facts import tiles_text
     from msal_cli.tiles.set_run import memory_of_set
 
     tiles = next((one.tiles for one in records if one.tiles is not None), None)
@@ -509,7 +509,7 @@ def describe_run(
     """The run, for its reports."""
     from dataclasses import asdict
 
-    from msal_cli.report.document import Run
+    from msal_cli.report.data import Run
     from msal_cli.version import __version__
 
     is_reported = request.reports or request.as_json

@@ -109,7 +109,7 @@ def _inspect(
 
 def _print_text(records: Iterator[InfoRecord]) -> int:
     """Print each file as soon as it is known, failures to standard error; the exit status."""
-    from msal_cli.report import info_text
+    from msal_cli.report.info import describe_info
 
     n_printed = n_failed = 0
     for record in records:
@@ -120,7 +120,7 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
         if n_printed:
             console.put("\n")
         n_printed += 1
-        console.put_lines(info_text.describe_info(record))
+        console.put_lines(describe_info(record))
         console.flush()
     return console.status_of_files(n_printed + n_failed, n_failed)
 
@@ -128,7 +128,7 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
 def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
     """Print a line for each file as soon as it is known, failures to standard error; the exit
     status."""
-    from msal_cli.report.info_table import InfoTable
+    from msal_cli.report.info import InfoTable
 
     table = InfoTable(paths, console.width(sys.stdout))
     n_printed = n_failed = 0

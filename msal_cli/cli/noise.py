@@ -162,7 +162,7 @@ def command(
     from msal_cli.batch import interrupts, plan
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
-    from msal_cli.report.phrases import file_name
+    from msal_cli.report.facts import file_name
 
     format = options.resolve_format(format)
     noise = _build_noise(**settings)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import console
 from msal_cli.job.display_names import escape_for_display, pad_name, shorten_name
-from msal_cli.report.phrases import seconds_text
+from msal_cli.report.facts import seconds_text
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event, Finished
@@ -172,7 +172,7 @@ class Log(Silent):
             console.say(f"{escape_for_display(name)}: {stage}{steps}")
 
     def _say_files(self, event: Finished) -> None:
-        from msal_cli.report.short_summary import file_text
+        from msal_cli.report.text import file_text
 
         now, n_files = time.monotonic(), len(self._tasks)
         if n_files > _MAX_LINES and now < self._said + _LOG_EVERY_S:

@@ -17,7 +17,7 @@ from msal_cli.cli.command import command as grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.methods import list_defaults
 from msal_cli.errors import InputError, UsageError
-from msal_cli.report.document import Run
+from msal_cli.report.data import Run
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def command(
 
     from msal_cli.cli import report_files
     from msal_cli.job.records import MeshRecord
-    from msal_cli.report import json_report, text
+    from msal_cli.report import data, text
     from msal_cli.report.gates import parse_gates, refuse_without_reference, with_gates
 
     refuse_conflicts(find_given(context))
@@ -124,7 +124,7 @@ def command(
         )
     finally:
         if as_json:
-            console.put_bytes(json_report.render(account.run, account.records))
+            console.put_bytes(data.render_json(account.run, account.records))
     return _exit_status(account) if check or gates else console.SUCCESS
 
 
@@ -246,7 +246,7 @@ def _all_shards(run: RunEntry) -> list[str]:
 
 def _read_file(path: Path) -> RunHistory:
     from msal_cli.batch import run_history
-    from msal_cli.report import read_report
+    from msal_cli.report.data import read_json, read_lines
     from msal_cli.storage.gzip_streams import read_whole
 
     name = str(path)
@@ -262,9 +262,9 @@ def _read_file(path: Path) -> RunHistory:
     if path.suffix.lower() == ".jsonl":
         if b'"kind":' in data.lstrip()[:10]:
             return run_history.read_file(path)
-        records = read_report.lines(data, name)
+        records = read_lines(data, name)
     elif path.suffix.lower() == ".json":
-        run, records = read_report.document(data, name)
+        run, records = read_json(data, name)
         ended = _parse_time(run.finished)
         at = at if ended is None else int(ended * 1e9)
         runs = (

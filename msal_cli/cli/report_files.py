@@ -23,7 +23,7 @@ from msal_cli.job.settings import DEFAULT_BACKUP
 
 if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
-    from msal_cli.report.document import Run
+    from msal_cli.report.data import Run
 
 
 def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = None) -> None:
@@ -124,7 +124,7 @@ def _render_page(
     from msal_cli.cli import console, progress
     from msal_cli.job.output import write_output
     from msal_cli.report import gallery, html
-    from msal_cli.report.phrases import format_count, seconds_text
+    from msal_cli.report.facts import format_count, seconds_text
     from msal_cli.report.picture_cache import PictureCache, cache_path
     from msal_cli.storage.urls import is_url
     from msal_cli.view.illustrations import EMPTY
@@ -310,10 +310,10 @@ def annotate(records: Sequence[MeshRecord]) -> None:
     """Mark the worst files that failed or broke a gate, if this runs in GitHub Actions."""
     if os.environ.get("GITHUB_ACTIONS") != "true":
         return
-    from msal_cli.report import github_annotations as as_annotations
+    from msal_cli.report.github import list_annotations
 
     # The runner reads both streams; standard output is for data.
-    for command in as_annotations.commands(records, _here()):
+    for command in list_annotations(records, _here()):
         console.say(command)
 
 

@@ -6,49 +6,49 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
-    from msal_cli.report.document import Run
+    from msal_cli.report.data import Run
 
     Writer = Callable[[Run, Sequence[MeshRecord]], bytes]
 
-_MODULES = {
-    ".json": "json_report",
-    ".jsonl": "json_report",
-    ".csv": "csv_report",
-    ".md": "markdown",
-    ".xml": "junit",
-    ".html": "html",
+_WRITERS = {
+    ".json": ("data", "render_json"),
+    ".jsonl": ("data", "render_lines"),
+    ".csv": ("data", "render_csv"),
+    ".md": ("markdown", "render"),
+    ".xml": ("junit", "render"),
+    ".html": ("html", "render"),
 }
 
 
 def suffixes() -> tuple[str, ...]:
     """The suffixes of reports that can be written."""
-    return tuple(_MODULES)
+    return tuple(_WRITERS)
 
 
 def writer(name: str, *, has_all_columns: bool = False) -> Writer:
     """The function that makes the bytes of a report of this name.
 
-    ``has_all_columns`` is for CSV, which else has those of ``csv_report.COMMON``.
+    ``has_all_columns`` is for CSV, which else has ``data.COMMON_COLUMNS``.
 
     Raises
     ------
     UsageError
-        if the suffix is none of ``suffixes``.
+        for another suffix.
     """
     suffix = os.path.splitext(name)[1].lower()
-    if suffix not in _MODULES:
+    if suffix not in _WRITERS:
         raise UsageError(
-            f"the suffix of the report {name!r} says no known format",
-            hint=f"known are {', '.join(_MODULES)}",
+            f"unknown report format: {name!r}", hint=f"known are {', '.join(_WRITERS)}"
         )
-    module = import_module(f"{__name__}.{_MODULES[suffix]}")
-    if suffix == ".csv":
-        return partial(module.render, has_all=has_all_columns)
-    made: Writer = module.render_lines if suffix == ".jsonl" else module.render
+    module, function = _WRITERS[suffix]
+    render: Any = getattr(import_module(f"{__name__}.{module}"), function)
+    if has_all_columns and suffix == ".csv":
+        render = partial(render, has_all=True)
+    made: Writer = render
     return made

@@ -24,10 +24,9 @@ from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
-from msal_cli.report.document import known_values
-from msal_cli.report.phrases import format_count
+from msal_cli.report.data import known_values
+from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.picture_cache import PictureCache, picture_key
-from msal_cli.report.ranking import worst_first
 from msal_cli.storage import gzip_streams
 from msal_cli.storage.digests import sha256_of_file
 from msal_cli.view import pictures, viewer

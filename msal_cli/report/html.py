@@ -1,7 +1,7 @@
 """The HTML report: one page for a whole run, which needs no network and no other file.
 
 Totals, what failed, histograms, the worst files in 3D, and a table of all files with their pictures
-that can be sorted and filtered.  The page stays below ``MOST_BYTES``: pictures of the files that
+that can be sorted and filtered.  The page stays below ``MAX_BYTES``: pictures of the files that
 are not among the worst are left out first, then scenes, and the page says so.
 
 A content security policy lets the browser run only the scripts and the styles that were written
@@ -14,37 +14,44 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from string import Template
 from typing import Any
 
-from msal_cli.job.display_names import figure
+from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import DONE, MeshRecord
-from msal_cli.report import histogram
-from msal_cli.report import rows as table
-from msal_cli.report.document import Run, Totals, known_values, plain, totals
-from msal_cli.report.phrases import (
-    chosen_text,
+from msal_cli.report.data import Run, Totals, known_values, plain, totals
+from msal_cli.report.facts import (
+    DETAIL,
+    ORDER_TEXT,
     command_text,
-    failure_text,
+    count_states,
+    facts,
     file_name,
     format_count,
+    gate_values,
+    list_figures,
     percent_text,
+    problem_tables,
     seconds_text,
-    unsure_text,
+    total_facts,
+    worst_first,
 )
-from msal_cli.report.ranking import WORDS, broken_gates, worst_first
 from msal_cli.view.html_parts import asset, content_policy, escape, to_base64
 from msal_cli.view.illustrations import EMPTY, Gallery, Pictures
 
-MOST_BYTES = 25_000_000
+MAX_BYTES = 25_000_000
 """Bytes of the largest page, as far as the figures of the files alone leave room."""
 
 STATIC_ROWS = 100
 """Rows in the page itself, for readers without scripts."""
 
-_LONGEST_COMMAND = 20_000
-_MOST_FAILURES = 200
+_MAX_COMMAND = 20_000
+_MAX_PROBLEMS = 200
+
+Column = dict[str, str]
+Row = dict[str, Any]
 
 
 def render(
@@ -52,24 +59,20 @@ def render(
     records: Sequence[MeshRecord],
     gallery: Gallery = EMPTY,
     *,
-    most_bytes: int = MOST_BYTES,
+    most_bytes: int = MAX_BYTES,
 ) -> bytes:
     """The page as UTF-8."""
     numbers = {id(record): at for at, record in enumerate(records)}
     worst = worst_first(records)
     order = [numbers[id(record)] for record in worst]
-    columns = table.columns(worst)
-    every = table.rows(worst)
-    rows = _json(every)
-    static = "".join(_static_row(columns, one) for one in every[:STATIC_ROWS])
+    columns, data = build_table(worst)
+    rows = _json(data)
+    static = "".join(_static_row(columns, row) for row in data[:STATIC_ROWS])
     # What surrounds it takes some 50 kB.
     room = most_bytes - len(rows) - len(static) - 200_000 - len(gallery.script)
-    scenes, room = _fitting_scenes(order, gallery.scenes, room)
-    pictures, n_dropped = _fitting_pictures(order, gallery.pictures, room)
+    scenes, room = _fit_scenes(order, gallery.scenes, room)
+    pictures, n_dropped = _fit_pictures(order, gallery.pictures, room)
     remarks = list(gallery.remarks)
-    sums = totals(records)
-    if sums.chosen:
-        remarks.insert(0, f"Chosen: {chosen_text(sums.chosen)}.")
     if n_dropped:
         remarks.append(
             f"Pictures of {n_dropped:,} files that are not among the worst were left out, "
@@ -77,232 +80,86 @@ def render(
         )
     scripts = ([gallery.script] if scenes else []) + [asset(__file__, "report.js")]
     styles = ([gallery.style] if scenes else []) + [asset(__file__, "report.css")]
-    shown_scenes = [(records[at], scenes[at]) for at in order if at in scenes]
+    n_more = len(records) - STATIC_ROWS
+    beyond = f'<noscript><p class="note">{n_more:,} more need scripts.</p></noscript>'
+    sums = totals(records)
     page = Template(asset(__file__, "report.html")).substitute(
         policy=content_policy(scripts, styles),
         version=escape(run.version),
         title=f"msal: {format_count(len(records), 'file')}",
-        styles="".join(f"<style>{one}</style>" for one in styles),
-        verdict=_verdict(run, records, sums),
-        totals=_totals(run, records, sums),
+        styles="".join(f"<style>{style}</style>" for style in styles),
+        verdict=_verdict(run, sums),
+        totals=_totals(run, sums),
+        notes="".join(
+            f'<p class="note">{escape(fact.word.capitalize())}: {escape(fact.text)}</p>'
+            for fact in total_facts(records, sums)
+        ),
         problems=_problems(worst),
         histograms=_histograms(records),
-        scenes=_scenes(shown_scenes),
+        scenes=_scenes([(records[at], scenes[at]) for at in order if at in scenes]),
         columns=_json(columns),
-        heads="".join(_head(one) for one in columns),
+        heads="".join(map(_head, columns)),
         static=static,
-        beyond=_beyond(len(records)),
-        words=escape(WORDS),
+        beyond=beyond if n_more > 0 else "",
+        words=escape(ORDER_TEXT),
         scale=_scale(gallery) if pictures else "",
-        remarks="".join(f'<p class="note">{escape(one)}</p>' for one in remarks),
+        remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in remarks),
         settings=_settings(run),
         rows=rows,
         pictures=_json(pictures) if pictures else "null",
-        scripts="".join(f"<script>{one}</script>" for one in scripts),
+        scripts="".join(f"<script>{script}</script>" for script in scripts),
     )
     return page.encode("utf-8")
 
 
-# What fits
+# The table of all files, as data for the page's script
 
 
-def _fitting_scenes(
-    order: Sequence[int], scenes: Mapping[int, str], room: int
-) -> tuple[dict[int, str], int]:
-    """The scenes of the worst files that take no more than half of the page, and what is left."""
-    kept: dict[int, str] = {}
-    most = room // 2
-    for at in order:
-        if at in scenes and len(scenes[at]) <= most:
-            kept[at] = scenes[at]
-            most -= len(scenes[at])
-            room -= len(scenes[at])
-    return kept, room
-
-
-def _fitting_pictures(
-    order: Sequence[int], pictures: Mapping[int, Pictures], room: int
-) -> tuple[list[list[str | None] | None], int]:
-    """The pictures of the worst files, in the order of the rows, and how many did not fit."""
-    kept: list[list[str | None] | None] = []
-    n_dropped = 0
-    for at in order:
-        found = pictures.get(at)
-        several = (found.before, found.after, found.deviation) if found else ()
-        texts = [None if one is None else to_base64(one) for one in several]
-        size = sum(len(one or "") + 4 for one in texts)
-        if texts and (n_dropped or size > room):
-            n_dropped += 1
-            kept.append(None)
-        else:
-            room -= size
-            kept.append(texts or None)
-    while kept and kept[-1] is None:
-        kept.pop()
-    return kept, n_dropped
-
-
-# Parts of the page
-
-
-def _verdict(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    chips = []
-    if sums.failed:
-        chips.append(("bad", f"{sums.failed:,} failed"))
-    if sums.gate_broken:
-        files = "file breaks" if sums.gate_broken == 1 else "files break"
-        chips.append(("bad", f"{sums.gate_broken:,} {files} a gate"))
-    if sums.planned:
-        chips.append(("warn", f"{sums.planned:,} not finished"))
-    elif run.interrupted:
-        chips.append(("warn", "interrupted"))
-    if not chips:
-        chips.append(("good", "all well" if records else "nothing done"))
-    return "".join(f'<span class="chip {kind}">{escape(text)}</span>' for kind, text in chips)
-
-
-def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    moves = known_values(records, "displacement.max_edges")
-    spread = sums.volume_change_percent
-    is_timed = run.seconds > 0.0
-    rate = float(f"{sums.vertices / run.seconds:.3g}") if is_timed else 0.0
-    tiles = [
-        (f"{count:,}", word, kind)
-        for count, word, kind in (
-            (sums.written, "written", ""),
-            (sums.unchanged, "unchanged", ""),
-            (sums.up_to_date, "up to date", ""),
-            (sums.planned, "not finished", "warn"),
-            (sums.gate_broken, "gate broken", "bad"),
-            (sums.failed, "failed", "bad"),
-        )
-        if count
+def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]:
+    """The columns, with ``kind`` ``name``, ``word`` or ``figure``, and a row for each record: its
+    ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the order of the columns
+    (None: not known) and ``details``, pairs of a word and a text."""
+    figures = list_figures(records, DETAIL)
+    words = ["File", "Status"]
+    has_choice = any(record.choice is not None for record in records)
+    words += ["Chosen"] if has_choice else []
+    columns = [
+        {"title": word, "unit": "", "kind": "word" if at else "name"}
+        for at, word in enumerate(words)
     ]
-    tiles.insert(0, (f"{sums.files:,}", "files" if sums.files != 1 else "file", ""))
-    if sums.vertices:
-        tiles.append((_short(sums.vertices), "vertices denoised", ""))
-    if is_timed:
-        tiles.append((seconds_text(run.seconds), "wall time", ""))
-    if is_timed and sums.vertices:
-        tiles.append((_short(rate), "vertices a second", ""))
-    if spread is not None:
-        tiles.append((percent_text(spread.median), "median volume change", ""))
-    if moves and math.isfinite(max(moves)):
-        tiles.append((f"{max(moves):.3g}", "edges, largest move", ""))
-    return "".join(
-        f'<div class="tile {kind}"><b>{escape(text)}</b><span>{escape(word)}</span></div>'
-        for text, word, kind in tiles
-    )
+    columns += [{"title": item.title, "unit": item.unit, "kind": "figure"} for item in figures]
+    rows = []
+    for record in records:
+        kind = "gate" if any(gate.broken for gate in record.gates) else "good"
+        kind = record.status if record.status in ("failed", "planned") else kind
+        status = {"planned": "not done", "up-to-date": "up to date"}.get(
+            record.status, "gate broken" if kind == "gate" else record.status
+        )
+        values: list[Any] = [file_name(record.input), status]
+        if has_choice:
+            chosen = record.method.name if record.choice and record.method else ""
+            values.append(escape_for_display(chosen))
+        values += [_round(item.value(record)) for item in figures]
+        details = [[fact.word.capitalize(), fact.text] for fact in facts(record)]
+        details += [["Output", escape_for_display(record.output)]] if record.output else []
+        rows.append({"kind": kind, "values": values, "details": details})
+    return columns, rows
 
 
-def _problems(worst: Sequence[MeshRecord]) -> str:
-    """What failed with reason and hint, broken gates, warnings, and what may be noise or texture;
-    nothing if all is well."""
-    failed = [(one, _failure_cells(one)) for one in worst if one.error is not None]
-    broken = [(one, [_lines(gates)]) for one in worst if (gates := broken_gates(one))]
-    warned = [(one, [_lines(one.warnings)]) for one in worst if one.warnings and not one.error]
-    unsure = [(one, [escape(text)]) for one in worst if (text := unsure_text(one))]
-    return (
-        _problem_table("Failed", ("File", "Reason", "What to do"), failed)
-        + _problem_table("Broken gates", ("File", "Gate"), broken)
-        + _problem_table("Warnings", ("File", "Warning"), warned)
-        + _problem_table("Look at these", ("File", "Noise or texture"), unsure)
-    )
+def _round(value: float | None) -> float | None:
+    """Six digits: more would make a page of ten thousand files larger, and none is read."""
+    if value is None or isinstance(value, int):
+        return value
+    return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def _failure_cells(record: MeshRecord) -> list[str]:
-    failure = record.error
-    assert failure is not None
-    why = escape(failure_text(failure, with_code=False))
-    return [f"{why} <code>{escape(failure.code)}</code>", escape(failure.hint)]
-
-
-def _lines(texts: Sequence[str]) -> str:
-    return "<br>".join(map(escape, texts))
-
-
-def _problem_table(
-    title: str, heads: Sequence[str], rows: Sequence[tuple[MeshRecord, list[str]]]
-) -> str:
-    if not rows:
-        return ""
-    cells = "".join(f'<th scope="col">{one}</th>' for one in heads)
-    lines = "".join(
-        f"<tr><th scope=row>{_name(record)}</th><td>{'</td><td>'.join(inner)}</td></tr>"
-        for record, inner in rows[:_MOST_FAILURES]
-    )
-    n_left = len(rows) - _MOST_FAILURES
-    more = f'<p class="note">{n_left:,} more are in the table of all files.</p>'
-    return (
-        f'<section class="problems"><h2>{title} <small>{len(rows):,}</small></h2>'
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table><thead><tr>'
-        f"{cells}</tr></thead><tbody>{lines}</tbody></table></div>{more if n_left > 0 else ''}"
-        "</section>"
-    )
-
-
-def _histograms(records: Sequence[MeshRecord]) -> str:
-    done = [record for record in records if record.status in DONE]
-    parts = []
-    for title, note, values, form in (
-        ("Volume change", "closed files", known_values(records, "volume.change_percent"), "+.3g"),
-        ("Largest displacement", "mean edge lengths",
-         known_values(records, "displacement.max_edges"), ".3g"),
-        ("Time for a file", "seconds", known_values(done, "seconds.total"), ".3g"),
-    ):  # fmt: skip
-        if drawn := histogram.svg(title, values, form, " %" if "+" in form else ""):
-            caption = f"<figcaption><b>{title}</b> <span>{note}</span></figcaption>"
-            parts.append(f'<figure class="histogram">{caption}{drawn}</figure>')
-    inner = "".join(parts)
-    return f'<section class="histograms" aria-label="Histograms">{inner}</section>' if parts else ""
-
-
-def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
-    if not scenes:
-        return ""
-    title = "The worst file in 3D" if len(scenes) == 1 else f"The worst {len(scenes)} in 3D"
-    cards = "".join(
-        f'<article class="card"><h3>{_name(record)}</h3><p class="note">{_caption(record)}</p>'
-        f"{elements}</article>"
-        for record, elements in scenes
-    )
-    return f'<section><h2>{title}</h2><div class="cards">{cards}</div></section>'
-
-
-def _caption(record: MeshRecord) -> str:
-    parts = list(broken_gates(record))
-    if record.displacement is not None:
-        parts.append(f"moved at most {record.displacement.max_edges:.3g} mean edge lengths")
-    if record.volume is not None and record.volume.valid:
-        inside_out = ", inside out" if record.inside_out else ""
-        parts.append(f"volume {percent_text(record.volume.change_percent)}{inside_out}")
-    return escape("; ".join(parts))
-
-
-def _scale(gallery: Gallery) -> str:
-    scale = gallery.scale
-    if scale is None:
-        return ""
-    n = max(1, len(scale.colours))
-    wide = f'width="{100 / n + 0.2:.3f}" height="10"'
-    rects = "".join(
-        f'<rect x="{100 * at / n:.3f}" {wide} fill="{escape(one)}"/>'
-        for at, one in enumerate(scale.colours)
-    )
-    return (
-        f'<div class="scale"><span>{escape(scale.title)}</span><span>{escape(scale.low)}</span>'
-        f'<svg viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">{rects}</svg>'
-        f"<span>{escape(scale.high)}</span></div>"
-    )
-
-
-def _head(column: Mapping[str, str]) -> str:
+def _head(column: Column) -> str:
     kind = ' class="figure"' if column["kind"] == "figure" else ""
     note = f"<small>{escape(column['unit'])}</small>" if column["unit"] else ""
     return f'<th scope="col"{kind}>{escape(column["title"])}{note}</th>'
 
 
-def _static_row(columns: Sequence[Mapping[str, str]], row: Mapping[str, Any]) -> str:
+def _static_row(columns: Sequence[Column], row: Row) -> str:
     why = dict(row["details"])
     cells = []
     for column, value in zip(columns, row["values"], strict=True):
@@ -322,14 +179,137 @@ def _static_row(columns: Sequence[Mapping[str, str]], row: Mapping[str, Any]) ->
     return f'<tr class="{escape(row["kind"])}">{"".join(cells)}</tr>'
 
 
-def _beyond(count: int) -> str:
-    if count <= STATIC_ROWS:
+# What fits
+
+
+def _fit_scenes(
+    order: Sequence[int], scenes: Mapping[int, str], room: int
+) -> tuple[dict[int, str], int]:
+    """The scenes of the worst files that take no more than half of the page, and what is left."""
+    kept: dict[int, str] = {}
+    most = room // 2
+    for at in order:
+        if at in scenes and len(scenes[at]) <= most:
+            kept[at] = scenes[at]
+            most -= len(scenes[at])
+            room -= len(scenes[at])
+    return kept, room
+
+
+def _fit_pictures(
+    order: Sequence[int], pictures: Mapping[int, Pictures], room: int
+) -> tuple[list[list[str | None] | None], int]:
+    """The pictures of the worst files, in the order of the rows, and how many did not fit."""
+    kept: list[list[str | None] | None] = []
+    n_dropped = 0
+    for at in order:
+        found = pictures.get(at)
+        several = (found.before, found.after, found.deviation) if found else ()
+        texts = [None if data is None else to_base64(data) for data in several]
+        size = sum(len(text or "") + 4 for text in texts)
+        if texts and (n_dropped or size > room):
+            n_dropped += 1
+            kept.append(None)
+        else:
+            room -= size
+            kept.append(texts or None)
+    while kept and kept[-1] is None:
+        kept.pop()
+    return kept, n_dropped
+
+
+# Parts of the page
+
+
+def _verdict(run: Run, sums: Totals) -> str:
+    kinds = {"bad": "bad", "faint": "warn"}
+    chips = [
+        (kinds[fact.tone], f"{fact.text} {fact.word}")
+        for fact in count_states(sums)
+        if fact.tone in kinds
+    ]
+    if run.interrupted and not sums.planned:
+        chips.append(("warn", "interrupted"))
+    chips = chips or [("good", "all well" if sums.files else "nothing done")]
+    return "".join(f'<span class="chip {kind}">{escape(text)}</span>' for kind, text in chips)
+
+
+def _totals(run: Run, sums: Totals) -> str:
+    tiles = [(f"{sums.files:,}", "file" if sums.files == 1 else "files", "")]
+    kinds = {"bad": "bad", "faint": "warn"}
+    tiles += [(fact.text, fact.word, kinds.get(fact.tone, "")) for fact in count_states(sums)]
+    if sums.vertices:
+        tiles.append((_short(sums.vertices), "vertices denoised", ""))
+    if run.seconds > 0.0:
+        tiles.append((seconds_text(run.seconds), "wall time", ""))
+        if sums.vertices:
+            rate = float(f"{sums.vertices / run.seconds:.3g}")
+            tiles.append((_short(rate), "vertices a second", ""))
+    return "".join(
+        f'<div class="tile {kind}"><b>{escape(text)}</b><span>{escape(word)}</span></div>'
+        for text, word, kind in tiles
+    )
+
+
+def _problems(worst: Sequence[MeshRecord]) -> str:
+    parts = []
+    for title, heads, rows in problem_tables(worst):
+        cells = "".join(f'<th scope="col">{head.capitalize()}</th>' for head in ("file", *heads))
+        lines = "".join(
+            f"<tr><th scope=row>{_name(record)}</th><td>{'</td><td>'.join(map(escape, texts))}"
+            "</td></tr>"
+            for record, texts in rows[:_MAX_PROBLEMS]
+        )
+        n_left = len(rows) - _MAX_PROBLEMS
+        more = f'<p class="note">{n_left:,} more are in the table of all files.</p>'
+        parts.append(
+            f'<section class="problems"><h2>{title} <small>{len(rows):,}</small></h2>'
+            f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table><thead>'
+            f"<tr>{cells}</tr></thead><tbody>{lines}</tbody></table></div>"
+            f"{more if n_left > 0 else ''}</section>"
+        )
+    return "".join(parts)
+
+
+def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
+    if not scenes:
         return ""
-    return f'<noscript><p class="note">{count - STATIC_ROWS:,} more need scripts.</p></noscript>'
+    title = "The worst file in 3D" if len(scenes) == 1 else f"The worst {len(scenes)} in 3D"
+    cards = []
+    for record, elements in scenes:
+        parts = [gate_values(gate) for gate in record.gates if gate.broken]
+        if record.displacement is not None:
+            parts.append(f"moved at most {record.displacement.max_edges:.3g} mean edge lengths")
+        if record.volume is not None and record.volume.valid:
+            inside_out = ", inside out" if record.inside_out else ""
+            parts.append(f"volume {percent_text(record.volume.change_percent)}{inside_out}")
+        caption = escape("; ".join(parts))
+        cards.append(
+            f'<article class="card"><h3>{_name(record)}</h3><p class="note">{caption}</p>'
+            f"{elements}</article>"
+        )
+    return f'<section><h2>{title}</h2><div class="cards">{"".join(cards)}</div></section>'
+
+
+def _scale(gallery: Gallery) -> str:
+    scale = gallery.scale
+    if scale is None:
+        return ""
+    n = max(1, len(scale.colours))
+    wide = f'width="{100 / n + 0.2:.3f}" height="10"'
+    rects = "".join(
+        f'<rect x="{100 * at / n:.3f}" {wide} fill="{escape(colour)}"/>'
+        for at, colour in enumerate(scale.colours)
+    )
+    return (
+        f'<div class="scale"><span>{escape(scale.title)}</span><span>{escape(scale.low)}</span>'
+        f'<svg viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">{rects}</svg>'
+        f"<span>{escape(scale.high)}</span></div>"
+    )
 
 
 def _settings(run: Run) -> str:
-    command = command_text(run.command, _LONGEST_COMMAND)
+    command = command_text(run.command, _MAX_COMMAND)
     head = f"<h3>Command</h3><pre><code>{escape(command)}</code></pre>" if command else ""
     parts = []
     for title, data in (
@@ -339,24 +319,22 @@ def _settings(run: Run) -> str:
     ):
         lines = "".join(
             f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
-            for name, value in _flat("", data)
+            for name, value in _flatten("", data)
         )
         parts.append(f'<div class="facts"><h3>{title}</h3><table>{lines}</table></div>')
     return f'{head}<div class="grid">{"".join(parts)}</div>'
 
 
-def _flat(prefix: str, data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    for name, value in data.items():
+def _flatten(prefix: str, data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for key, value in data.items():
+        name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            yield from _flat(f"{prefix}{name}.", value)
+            yield from _flatten(f"{name}.", value)
         elif isinstance(value, list | tuple):
             if value:
-                yield f"{prefix}{name}", ", ".join(map(str, value))
+                yield name, ", ".join(map(str, value))
         elif value is not None and value != "":
-            yield (
-                f"{prefix}{name}",
-                "yes" if value is True else "no" if value is False else str(value),
-            )
+            yield name, "yes" if value is True else "no" if value is False else str(value)
 
 
 def _name(record: MeshRecord) -> str:
@@ -366,8 +344,8 @@ def _name(record: MeshRecord) -> str:
 def _json(data: Any) -> str:
     """``data`` as the content of a script element: nothing in it ends the element or a line."""
     text = json.dumps(plain(data), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    for one in "<>&\u2028\u2029":
-        text = text.replace(one, f"\\u{ord(one):04x}")
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
     return text
 
 
@@ -376,3 +354,150 @@ def _short(number: float) -> str:
     if number < 1e6:
         return f"{number:,.0f}"
     return f"{number / 1e6:.3g} M" if number < 999.5e6 else f"{number / 1e9:.3g} G"
+
+
+# Histograms as SVG: how one figure is spread over the files of a run
+
+MIN_BINS, MAX_BINS = 8, 24
+"""Bars between the ends of the axis: more for more files."""
+
+_WIDTH, _HEIGHT = 360, 170
+_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 8, 14, 26
+_FAR_OUT = 6.0
+
+
+def _histograms(records: Sequence[MeshRecord]) -> str:
+    done = [record for record in records if record.status in DONE]
+    parts = []
+    for title, note, values, form in (
+        ("Volume change", "closed files", known_values(records, "volume.change_percent"), "+.3g"),
+        ("Largest displacement", "mean edge lengths",
+         known_values(records, "displacement.max_edges"), ".3g"),
+        ("Time for a file", "seconds", known_values(done, "seconds.total"), ".3g"),
+    ):  # fmt: skip
+        if drawn := draw_histogram(title, values, form, " %" if "+" in form else ""):
+            caption = f"<figcaption><b>{title}</b> <span>{note}</span></figcaption>"
+            parts.append(f'<figure class="histogram">{caption}{drawn}</figure>')
+    inner = "".join(parts)
+    return f'<section class="histograms" aria-label="Histograms">{inner}</section>' if parts else ""
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Counts between ``edges``; what lies below the first and beyond the last edge beside them."""
+
+    edges: tuple[float, ...]
+    counts: tuple[int, ...]
+    below: int
+    beyond: int
+
+
+def bin_values(values: Sequence[float]) -> Bins:
+    """The values in equal steps; a few far outliers get no axis that squeezes all the others.
+
+    ``values`` are finite, and at least one.
+    """
+    ranked = sorted(values)
+    low, high = _limits(ranked)
+    if high <= low:
+        pad = abs(low) * 0.05 or 0.5
+        low, high = low - pad, high + pad
+    n_bins = min(MAX_BINS, max(MIN_BINS, round(1.5 * math.sqrt(len(ranked)))))
+    step = (high - low) / n_bins
+    if not (math.isfinite(step) and low + step > low):
+        # Values that are too large or too close for steps between them.
+        return Bins((low, high), (len(values),), 0, 0)
+    counts = [0] * n_bins
+    below = beyond = 0
+    for value in values:
+        if value < low:
+            below += 1
+        elif value > high:
+            beyond += 1
+        else:
+            counts[min(n_bins - 1, int((value - low) / step))] += 1
+    return Bins(tuple(low + step * at for at in range(n_bins + 1)), tuple(counts), below, beyond)
+
+
+def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "") -> str:
+    """An SVG element with its description; ``form`` and ``unit`` say how a value is written.
+
+    What is not finite is left out.
+    """
+    ranked = sorted(value for value in values if math.isfinite(value))
+    if not ranked:
+        return ""
+
+    def text(value: float) -> str:
+        return html.escape(figure(value, form, unit))
+
+    bins = bin_values(ranked)
+    low, median, high = (text(ranked[at]) for at in (0, len(ranked) // 2, -1))
+    label = f"{html.escape(title)}: {len(ranked):,} files from {low} to {high}, median {median}"
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">'
+        f"{_bars(bins, text)}{_axes(bins, text)}</svg>"
+    )
+
+
+def _limits(ranked: Sequence[float]) -> tuple[float, float]:
+    """The ends of the axis: those of the values, unless a few lie far from nearly all."""
+
+    def at(share: float) -> float:
+        return ranked[round(share * (len(ranked) - 1))]
+
+    low, high = ranked[0], ranked[-1]
+    middle = at(0.5)
+    reach_below, reach_above = middle - at(0.05), at(0.95) - middle
+    # Where nearly all are alike there is nothing to be squeezed.
+    if reach_above > 0.0 and high - middle > _FAR_OUT * reach_above:
+        high = middle + _FAR_OUT * 0.5 * reach_above
+    if reach_below > 0.0 and middle - low > _FAR_OUT * reach_below:
+        low = middle - _FAR_OUT * 0.5 * reach_below
+    return low, high
+
+
+def _bars(bins: Bins, text: Callable[[float], str]) -> str:
+    most = max(*bins.counts, bins.below, bins.beyond, 1)
+    slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
+    floor, room = _HEIGHT - _BOTTOM, _HEIGHT - _BOTTOM - _TOP
+    steps = zip(bins.counts, bins.edges, bins.edges[1:], strict=False)
+    rows = [
+        (bins.below, f"below {text(bins.edges[0])}", "out"),
+        *((count, f"{text(low)} to {text(high)}", "bar") for count, low, high in steps),
+        (bins.beyond, f"above {text(bins.edges[-1])}", "out"),
+    ]
+    parts = []
+    for at, (count, where, kind) in enumerate(rows):
+        if count:
+            # A single file among thousands must still be seen.
+            height = max(2.0, room * count / most)
+            parts.append(
+                f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
+                f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
+                f'height="{height:.2f}" rx="1">'
+                f"<title>{format_count(count, 'file')}, {where}</title></rect>"
+            )
+    return (
+        f'{"".join(parts)}<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{_TOP}" '
+        f'y2="{_TOP}"/><text x="{_LEFT - 5}" y="{_TOP + 4}" text-anchor="end">{most:,}</text>'
+    )
+
+
+def _axes(bins: Bins, text: Callable[[float], str]) -> str:
+    floor = _HEIGHT - _BOTTOM
+    slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
+    left, right = _LEFT + slot, _WIDTH - _RIGHT - slot
+    low, high = bins.edges[0], bins.edges[-1]
+    parts = [
+        f'<line class="axis" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{floor}" y2="{floor}"/>'
+        f'<text x="{_LEFT - 5}" y="{floor + 1}" text-anchor="end">0</text>'
+    ]
+    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
+        x = left + share * (right - left)
+        parts.append(
+            f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{floor}" y2="{floor + 4}"/>'
+            f'<text x="{x:.2f}" y="{floor + 17}" text-anchor="{anchor}">'
+            f"{text(low + share * (high - low))}</text>"
+        )
+    return "".join(parts)

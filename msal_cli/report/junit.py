@@ -19,19 +19,11 @@ from xml.etree import ElementTree as Xml
 
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import DONE, MeshRecord
-from msal_cli.report.document import Run, plain
-from msal_cli.report.phrases import (
-    defects_text,
-    despiked_text,
-    failure_text,
-    failure_texts,
-    percent_text,
-    vertices_text,
-)
-from msal_cli.report.ranking import broken_gates
+from msal_cli.report.data import Run, plain
+from msal_cli.report.facts import SHORT, facts, failure_text, gate_values, problem_texts
 
 # Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
-_NO_CHARACTER = re.compile("[\ud800-\udfff\ufffe\uffff]")
+_NO_CHARACTERS = re.compile("[\ud800-\udfff\ufffe\uffff]")
 
 _TOP = "."
 _STREAM = "standard input"
@@ -52,18 +44,19 @@ def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml.Element:
     cases = [_case(folder, record) for record in records]
+    # Ant's schema knows neither fractions nor time zones.
+    started = re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", run.started)
     suite = _element(
         "testsuite",
         id=str(at),
         package="msal",
         name=folder,
-        # Ant's schema knows neither fractions nor time zones.
-        timestamp=_timestamp(run.started),
+        timestamp=started[0] if started else "1970-01-01T00:00:00",
         hostname="localhost",
         tests=str(len(cases)),
-        failures=_count(cases, "failure"),
-        errors=_count(cases, "error"),
-        skipped=_count(cases, "skipped"),
+        failures=str(sum(case.find("failure") is not None for case in cases)),
+        errors=str(sum(case.find("error") is not None for case in cases)),
+        skipped=str(sum(case.find("skipped") is not None for case in cases)),
         time=_seconds(sum(_duration(record) for record in records)),
     )
     properties = Xml.SubElement(suite, "properties")
@@ -71,7 +64,7 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
         properties.append(_element("property", name=name, value=value))
     suite.extend(cases)
     Xml.SubElement(suite, "system-out").text = _characters(
-        "\n".join(line for record in records for line in _figures(record))
+        "\n".join(text for record in records if (text := _facts_text(record)))
     )
     Xml.SubElement(suite, "system-err").text = _characters(
         "\n".join(
@@ -87,26 +80,21 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
     case = _element(
         "testcase", name=_name(record), classname=folder, time=_seconds(_duration(record))
     )
-    broken = broken_gates(record)
+    why = "\n".join(map(escape_for_display, problem_texts(record)))
+    result = None
     if record.error is not None:
         failure = record.error
-        why = failure_text(failure, with_code=False)
-        result = _element("error", type=failure.code, message=why)
-        result.text = _characters(
-            "\n".join(failure_texts(escape_for_display(record.input), failure))
-        )
-        case.append(result)
-    elif broken:
+        message = failure_text(failure, with_code=False)
+        result = _element("error", type=failure.code, message=message)
+    elif why:
         # Ant's schema has room for one failure in a case.
-        result = _element(
-            "failure", type="gate", message="; ".join(map(escape_for_display, broken))
-        )
-        result.text = _characters(
-            "\n".join([f"{escape_for_display(record.input)}:", *map(escape_for_display, broken)])
-        )
-        case.append(result)
+        broken = "; ".join(gate_values(gate) for gate in record.gates if gate.broken)
+        result = _element("failure", type="gate", message=broken)
     elif record.status == "planned":
         case.append(_element("skipped"))
+    if result is not None:
+        result.text = _characters(why)
+        case.append(result)
     return case
 
 
@@ -125,20 +113,14 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
         yield name, value if isinstance(value, str) else json.dumps(plain(value))
 
 
-def _figures(record: MeshRecord) -> Iterator[str]:
-    """One line with the figures of a file; none if there are none."""
-    moved, volume, choice = record.displacement, record.volume, record.choice
-    far = "" if moved is None else f"{moved.mean_edges:.3g} (most {moved.max_edges:.3g})"
-    parts = (
-        vertices_text(record.vertices, record.corners) if record.vertices is not None else "",
-        f"moved {far} mean edge lengths" if far else "",
-        f"volume {percent_text(volume.change_percent)}" if volume and volume.valid else "",
-        despiked_text(record.despiked) if record.despiked else "",
-        f"chosen: {escape_for_display(choice.reason)}" if choice else "",
-        defects_text(record),
-    )
-    if any(parts):
-        yield f"{_name(record)}: {record.status}, {', '.join(filter(None, parts))}"
+def _facts_text(record: MeshRecord) -> str:
+    """One line with what a summary has of a file; empty if there is nothing."""
+    parts = [
+        f"{fact.word}: {fact.text}"
+        for fact in facts(record)
+        if fact.level == SHORT and record.error is None
+    ]
+    return f"{_name(record)}: {record.status}; {'; '.join(parts)}" if parts else ""
 
 
 def _folder(name: str) -> str:
@@ -160,11 +142,7 @@ def _element(tag: str, **attributes: str) -> Xml.Element:
 
 def _characters(text: str) -> str:
     """``text`` without what XML 1.0 has no place for."""
-    return _NO_CHARACTER.sub(lambda one: f"\\u{ord(one[0]):04x}", text)
-
-
-def _count(cases: Sequence[Xml.Element], tag: str) -> str:
-    return str(sum(case.find(tag) is not None for case in cases))
+    return _NO_CHARACTERS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _duration(record: MeshRecord) -> float:
@@ -174,9 +152,3 @@ def _duration(record: MeshRecord) -> float:
 
 def _seconds(seconds: float) -> str:
     return f"{min(seconds, 1e9):.3f}"
-
-
-def _timestamp(text: str) -> str:
-    """A time to the second; a report that does not know when it was made gives the beginning."""
-    found = re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", text)
-    return found[0] if found else "1970-01-01T00:00:00"

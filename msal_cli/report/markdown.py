@@ -2,7 +2,7 @@
 
 It is made for the summary of a step on GitHub, which refuses more than 1 MiB, and for comments on
 a change.  It is GitHub's Markdown, and nothing of a file's name is markup in it.  Rows that do not
-fit into ``MOST_BYTES`` are left out, and the page says how many.
+fit into ``MAX_BYTES`` are left out, and the page says how many.
 """
 
 from __future__ import annotations
@@ -10,32 +10,33 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-from msal_cli.job.display_names import escape_for_display, figure, shorten_name
-from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import Failure, MeshRecord
-from msal_cli.report.document import Run, Totals, plain, totals
-from msal_cli.report.phrases import (
-    chosen_text,
+from msal_cli.job.display_names import escape_for_display, shorten_name
+from msal_cli.job.records import MeshRecord
+from msal_cli.report.data import Run, Totals, plain, totals
+from msal_cli.report.facts import (
+    DETAIL,
+    ORDER_TEXT,
     command_text,
-    failure_text,
+    count_states,
     format_count,
-    percent_text,
-    seconds_text,
+    list_figures,
+    problem_tables,
+    speed_text,
+    total_facts,
+    worst_first,
 )
-from msal_cli.report.ranking import WORDS, broken_gates, worst_first
 
-MOST_BYTES = 900_000
+MAX_BYTES = 900_000
 """Bytes of the largest report: below the 1 MiB that the summary of a step may have."""
 
-MOST_ROWS = 1_000
+MAX_ROWS = 1_000
 """Rows in a table: more is slow to show, and every file is in the other forms."""
 
-_OPEN_ROWS = 25
-_LONGEST_TEXT = 1_000
-_LONGEST_COMMAND = 4_000
+_N_OPEN_ROWS = 25
+_MAX_TEXT = 1_000
+_MAX_COMMAND = 4_000
 
 # All that Markdown, GitHub's extensions of it or HTML could take for more than text.  Underscores
 # within words, which names are full of, are text everywhere.
@@ -44,184 +45,96 @@ _MARKUP = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class _Table:
-    """A section with a table: the first of ``n_rows`` rows, as Markdown.
-
-    Figures are ``n_figures`` columns after the first two.
-    """
-
-    title: str
-    words: str
-    heads: tuple[str, ...]
-    n_rows: int
-    rows: Sequence[tuple[str, ...]]
-    n_figures: int = 0
-
-
-def render(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MOST_BYTES) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MAX_BYTES) -> bytes:
     """The report as UTF-8, in at most ``most_bytes`` (or what the page takes without rows)."""
     sums = totals(records)
-    parts = [_heading(run, sums), _totals(run, sums), _settings(run)]
+    parts = [_heading(run, sums), _totals(run, records, sums), _settings(run)]
     left = most_bytes - sum(len(part.encode()) for part in parts)
-    for table in _tables(worst_first(records)):
+    worst = worst_first(records)
+    for table in problem_tables(worst):
+        codes = Counter(cells[1] for _, cells in table.rows) if table.title == "Failed" else {}
+        counts = sorted(codes.items(), key=lambda item: -item[1])[:12]
+        remark = ", ".join(f"{count:,} × {_code(code)}" for code, count in counts)
+        rows = [(_name(record), *map(_text, cells)) for record, cells in table.rows[:MAX_ROWS]]
+        heads = ("file", *table.heads)
         # Many failures must not take the place of the figures.
-        text = _section(table, left // 2)
-        left -= len(text.encode())
-        parts.insert(-1, text)
+        parts.insert(-1, _section(table.title, remark, heads, rows, len(table.rows), left // 2))
+        left -= len(parts[-2].encode())
+    parts.insert(-1, _file_section(worst, left // 2))
     return "".join(parts).encode()
 
 
-# What comes before and after the tables
-
-
 def _heading(run: Run, sums: Totals) -> str:
-    n_broken = sums.gate_broken
-    words = [
-        f"{count:,} {word}"
-        for count, word in (
-            (sums.failed, "failed"),
-            (n_broken, "broke a gate" if n_broken == 1 else "broke gates"),
-            (sums.planned, "not finished"),
-        )
-        if count
-    ]
-    sign = "❌" if sums.failed or n_broken else "⚠️" if sums.planned or run.interrupted else "✅"
+    states = ", ".join(f"{fact.text} {fact.word}" for fact in count_states(sums))
+    is_bad = sums.failed or sums.gate_broken
+    sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
     files = format_count(sums.files, "file")
-    return f"## {sign} msal denoise: {files}, {', '.join(words) or 'all well'}\n\n"
+    return f"## {sign} msal denoise: {files}: {states or 'nothing done'}\n\n"
 
 
-def _totals(run: Run, sums: Totals) -> str:
-    spread, is_timed = sums.volume_change_percent, run.seconds > 0.0
-    change = (
-        ""
-        if spread is None
-        else (
-            f"{percent_text(spread.median)} (from {percent_text(spread.lowest)} "
-            f"to {percent_text(spread.highest)})"
-        )
-    )
-    rows = (
-        ("written", f"{sums.written:,}"),
-        ("unchanged: no vertex moved", figure(sums.unchanged or None, ",")),
-        ("up to date", figure(sums.up_to_date or None, ",")),
-        ("not finished", figure(sums.planned or None, ",")),
-        ("**failed**", f"**{sums.failed:,}**" if sums.failed else ""),
-        ("vertices denoised", figure(sums.vertices or None, ",")),
-        ("time", seconds_text(run.seconds) if is_timed else ""),
-        ("chosen", _markup_free(chosen_text(sums.chosen))),
-        ("volume change, median", change),
-    )
-    cells = "".join(f"| {word} | {text} |\n" for word, text in rows if text)
-    return f"| | |\n|---|--:|\n{cells}\n"
+def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
+    rows = [(fact.word, fact.text) for fact in total_facts(records, sums)]
+    rows += [("denoised", speed)] if (speed := speed_text(run, sums)) else []
+    lines = "".join(f"| {word} | {_text(text)} |\n" for word, text in rows)
+    return f"| | |\n|---|---|\n{lines}\n" if lines else ""
 
 
 def _settings(run: Run) -> str:
-    command = command_text(run.command, _LONGEST_COMMAND)
-    version, started, finished = map(escape_for_display, (run.version, run.started, run.finished))
-    made = f"msal {version}, {started} to {finished}"
-    settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
-    lines = [_markup_free(made)]
+    command = command_text(run.command, _MAX_COMMAND)
+    lines = [_text(f"msal {run.version}, {run.started} to {run.finished}")]
     lines += [f"Command: {_code(command)}"] if command else []
-    lines += [f"Settings: {_code(settings[:_LONGEST_COMMAND])}"] if run.settings else []
-    return (
-        "<details><summary>Command and settings</summary>\n\n"
-        + "\n\n".join(lines)
-        + ("\n\n</details>\n")
-    )
+    settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
+    lines += [f"Settings: {_code(settings[:_MAX_COMMAND])}"] if run.settings else []
+    inside = "\n\n".join(lines)
+    return f"<details><summary>Command and settings</summary>\n\n{inside}\n\n</details>\n"
 
 
-# Tables
-
-
-def _tables(worst: Sequence[MeshRecord]) -> Iterator[_Table]:
-    failed = [(one, one.error) for one in worst if one.error is not None]
-    codes = Counter(failure.code for _, failure in failed)
-    counts = ", ".join(f"{count:,} × {_code(code)}" for code, count in codes.most_common(12))
-    rows = [_failure_row(*one) for one in failed[:MOST_ROWS]]
-    yield _Table("Failed", counts, ("file", "reason", "hint"), len(failed), rows)
-    broken = [(one, "; ".join(gates)) for one in worst if (gates := broken_gates(one))]
-    yield _text_table("Broken gates", "gate", broken)
-    yield _figure_table([one for one in worst if one.status not in ("failed", "planned")])
-    warnings = [(record, one) for record in worst for one in record.warnings]
-    yield _text_table("Warnings", "warning", warnings)
-
-
-def _text_table(title: str, head: str, texts: Sequence[tuple[MeshRecord, str]]) -> _Table:
-    rows = [(_name(record), _text(text)) for record, text in texts[:MOST_ROWS]]
-    return _Table(title, "", ("file", head), len(texts), rows)
-
-
-def _failure_row(record: MeshRecord, failure: Failure) -> tuple[str, ...]:
-    why = f"{_text(failure_text(failure, with_code=False))} {_code(failure.code)}"
-    return _name(record), why, _text(failure.hint)
-
-
-_FIGURES = (
-    ("mean move, edges", "displacement.mean_edges", ".3f"),
-    ("max move, edges", "displacement.max_edges", ".3f"),
-    ("max move, file units", "displacement.max", ".4g"),
-    ("flipped", "flipped_faces", ","),
-    ("outliers", "despiked", ","),
-    ("seconds", "seconds.total", ".2f"),
-)
-_TO_REFERENCE = ("to reference, deg", "reference.mean_angular_error_deg", ".2f")
-
-
-def _corners(record: MeshRecord) -> str:
-    """The corners, for behind the vertices, where the file stores these (STL)."""
-    return "" if record.corners is None else f" ({record.corners:,} corners)"
-
-
-def _figure_table(done: Sequence[MeshRecord]) -> _Table:
-    has_reference = any(record.reference is not None for record in done)
+def _file_section(worst: Sequence[MeshRecord], most_bytes: int) -> str:
+    done = [record for record in worst if record.status not in ("failed", "planned")]
+    figures = list_figures(done, DETAIL)
     has_choice = any(record.choice is not None for record in done)
-    figures = (*_FIGURES, *([_TO_REFERENCE] if has_reference else []))
-    heads = ("file", "status", "vertices", "volume", *(head for head, _, _ in figures))
-    rows = [
-        (
-            _name(record),
-            "**gate**" if broken_gates(record) else record.status,
-            # Beside the vertices the corners, where the file stores these (STL).
-            figure(
-                record.vertices,
-                ",",
-                f" ({n:,} corners)" if (n := record.corners) is not None else "",
-            ),
-            percent_text(value_at(record, "volume.change_percent"))
-            + (" (inside out)" if record.inside_out else ""),
-            *(figure(value_at(record, path), form) for _, path, form in figures),
-            *([_text(value_at(record, "choice.reason") or "")] if has_choice else []),
-        )
-        for record in done[:MOST_ROWS]
-    ]
-    n_figures = len(heads) - 2
-    return _Table("Files", WORDS, heads + ("chosen",) * has_choice, len(done), rows, n_figures)
+    heads = ["file", "status"] + ["chosen"] * has_choice
+    heads += [", ".join(filter(None, (figure.title.lower(), figure.unit))) for figure in figures]
+    rows = []
+    for record in done[:MAX_ROWS]:
+        is_broken = any(gate.broken for gate in record.gates)
+        status: str = "**gate**" if is_broken else record.status
+        chosen = "" if record.choice is None else record.choice.reason
+        status += ", inside out" if record.inside_out else ""
+        cells = [figure.text(record) for figure in figures]
+        rows.append((_name(record), status, *[_text(chosen)] * has_choice, *cells))
+    return _section("Files", ORDER_TEXT, heads, rows, len(done), most_bytes, len(figures))
 
 
-def _section(table: _Table, most_bytes: int) -> str:
-    """A title and a table in about ``most_bytes``; nothing for a table without rows."""
-    if not table.rows:
+def _section(
+    title: str,
+    remark: str,
+    heads: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    n_rows: int,
+    most_bytes: int,
+    n_figures: int = 0,
+) -> str:
+    """A title and a table in about ``most_bytes``, its last columns figures; nothing for a table
+    without rows.  ``n_rows`` is the number of all rows, of which ``rows`` are the first."""
+    if not rows:
         return ""
-    rule = ["---"] * len(table.heads)
-    rule[2 : 2 + table.n_figures] = ["--:"] * table.n_figures
-    head = f"{_line(table.heads)}{_line(rule)}"
-    text = f"### {table.title}: {table.n_rows:,}\n\n"
-    text += f"{table.words}\n\n" if table.words else ""
+    rule = ["---"] * (len(heads) - n_figures) + ["--:"] * n_figures
+    head = f"{_line(heads)}{_line(rule)}"
+    text = f"### {title}: {n_rows:,}\n\n" + (f"{remark}\n\n" if remark else "")
     lines: list[str] = []
     left = most_bytes - len(text.encode()) - 2 * len(head.encode()) - 200
-    for row in table.rows:
+    for row in rows:
         line = _line(row)
         left -= len(line.encode())
         if left < 0:
             break
         lines.append(line)
-    text += f"{head}{''.join(lines[:_OPEN_ROWS])}\n"
-    if lines[_OPEN_ROWS:]:
-        more = f"{len(lines) - _OPEN_ROWS:,} more"
-        inside = f"{head}{''.join(lines[_OPEN_ROWS:])}"
-        text += f"<details><summary>{more}</summary>\n\n{inside}\n</details>\n\n"
-    if n_left := table.n_rows - len(lines):
+    text += f"{head}{''.join(lines[:_N_OPEN_ROWS])}\n"
+    if folded := lines[_N_OPEN_ROWS:]:
+        inside = f"{head}{''.join(folded)}"
+        text += f"<details><summary>{len(folded):,} more</summary>\n\n{inside}\n</details>\n\n"
+    if n_left := n_rows - len(lines):
         text += f"{n_left:,} more are not shown here; they are in a report in .json or .csv.\n\n"
     return text
 
@@ -239,14 +152,14 @@ def _name(record: MeshRecord) -> str:
 
 def _code(text: str) -> str:
     # Code by a tag, because a bar within backquotes would still end the cell.
-    return f"<code>{_markup_free(shorten_name(escape_for_display(text), _LONGEST_COMMAND))}</code>"
+    return f"<code>{_markup_free(shorten_name(escape_for_display(text), _MAX_COMMAND))}</code>"
 
 
 def _text(text: str) -> str:
     text = escape_for_display(text)
-    return _markup_free(text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]} ...")
+    return _markup_free(text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]} ...")
 
 
 def _markup_free(text: str) -> str:
     """One line of text as Markdown that shows it; a character by its number is never markup."""
-    return _MARKUP.sub(lambda one: f"&#{ord(one[0])};", text)
+    return _MARKUP.sub(lambda found: f"&#{ord(found[0])};", text)

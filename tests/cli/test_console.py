@@ -10,7 +10,7 @@ import pytest
 from msal_cli.cli import console as talk
 from msal_cli.errors import ContentError, OutputError, UsageError
 from msal_cli.job.records import Failure
-from msal_cli.report.phrases import Line
+from msal_cli.report.facts import Line
 
 
 class Terminal(io.StringIO):

@@ -53,8 +53,8 @@ def test_one_file_is_written_and_told(scan, tmp_path):
     assert "288 vertices, 576 faces, 1 component\n" in made.stderr
     assert len(made.stderr.splitlines()) <= 8
     made = msal("denoise", scan, "-o", output, "-v")
-    assert f"\n{scan} -> {output}\n" in made.stderr
-    assert "288 vertices, 576 faces, 1 component, ply ascii" in made.stderr
+    assert f"\n{scan} -> {output} in " in made.stderr
+    assert "stored as     ply ascii" in made.stderr
     assert "vertices/s" not in made.stderr
     before, after = scan.read_bytes(), output.read_bytes()
     assert before != after
@@ -166,7 +166,7 @@ def test_another_method(scan, tmp_path):
         (["-o", "OUT", "--format", "ob"], "--format ob: there is no such", "obj"),
         (["-o", "OUT", "--encoding", "hex"], "'hex' is not one of", "denoise --help"),
         (["-o", "OUT", "-j", "0"], "neither auto nor a whole number", "denoise --help"),
-        (["-o", "OUT", "--report", "r.txt"], "r.txt' says no known format", ".jsonl"),
+        (["-o", "OUT", "--report", "r.txt"], "unknown report format: 'r.txt'", ".jsonl"),
         (["-o", "OUT", "--report", "SCAN.json", "--report", "SCAN.json"], "given twice", ""),
         (["-o", "OUT", "nowhere.ply"], "there is no file or folder 'nowhere.ply'", ""),
         (["-o", "SCAN"], "overwritten by its own output", "--in-place"),

@@ -193,7 +193,7 @@ class TestRefusals:
             (("nowhere",), 2, "no file or folder"),
             (("in",), 2, "no manifest in the folder"),
             (("in/s0.ply",), 2, "suffix"),
-            (("r.json", "-o", "r.xyz"), 2, "no known format"),
+            (("r.json", "-o", "r.xyz"), 2, "unknown report format"),
             (("r.json", "-o", "r.json"), 2, "would replace"),
             (("r.json", "-o", "./out/s0.json"), 0, ""),
             (("r.json", "-o", "-"), 2, "name of a file"),

@@ -16,8 +16,8 @@ from tests.report.made import RUN, written
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("r.txt", "no known format"),
-        ("r", "no known format"),
+        ("r.txt", "unknown report format"),
+        ("r", "unknown report format"),
         ("-", "needs the name of a file"),
         ("folder.json", "is a folder"),
         ("mesh.json", "would replace"),
@@ -72,7 +72,7 @@ def test_one_that_cannot_be_written_does_not_keep_back_the_others(tmp_path):
 def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):
     summary = tmp_path / "step_summary_1"
     summary.write_text("# earlier\n")
-    with pytest.raises(UsageError, match="no known format"):
+    with pytest.raises(UsageError, match="unknown report format"):
         reports.check([str(summary)], [])
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
     reports.check([str(summary)], [])

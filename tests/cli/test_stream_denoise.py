@@ -126,7 +126,7 @@ def test_an_output_that_cannot_be_written_is_reported(tmp_path):
         (["-", "-o", "FOLDER"], "has no name to put there"),
         (["-", "--report", "-"], "needs the name of a file"),
         (["-", "-o", "o.ply", "--to", "stl"], "say two formats"),
-        (["SCAN", "-o", "-", "--report", "SCAN"], "no known format"),
+        (["SCAN", "-o", "-", "--report", "SCAN"], "unknown report format"),
     ],
 )
 def test_wrong_use(scan, tmp_path, arguments, words):

@@ -18,7 +18,7 @@ from msal_cli.job.records import (
     Seconds,
     Volume,
 )
-from msal_cli.report.document import Run
+from msal_cli.report.data import Run
 
 TEXT = st.text(
     st.characters(codec="utf-8") | st.characters(min_codepoint=0xD800, max_codepoint=0xDFFF),

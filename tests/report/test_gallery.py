@@ -12,7 +12,7 @@ from PIL import Image
 
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import gallery
-from msal_cli.report import read_report as reading
+from msal_cli.report.data import read_json
 from msal_cli.report.gallery import Bounds
 from msal_cli.report.picture_cache import PictureCache
 from msal_cli.view import streamed_scene
@@ -29,7 +29,7 @@ def denoised(folder, *options):
         options = (*options, "-o", folder / "out")
     options = (*options, "--method", "msal", "-q", "-j", 1)
     msal("denoise", folder / "in", *options, "--report", folder / "r.json")
-    return reading.document((folder / "r.json").read_bytes(), "r.json")[1]
+    return read_json((folder / "r.json").read_bytes(), "r.json")[1]
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def test_large_files_are_read_in_pieces_and_decimated(tmp_path, monkeypatch):
     write_ply(tmp_path / "in" / "a.ply", vertices, faces)
     options = ("-o", tmp_path / "out", "--method", "msal", "-q", "-j", 1)
     msal("denoise", tmp_path / "in", *options, "--report", tmp_path / "r.json")
-    records = reading.document((tmp_path / "r.json").read_bytes(), "r.json")[1]
+    records = read_json((tmp_path / "r.json").read_bytes(), "r.json")[1]
     monkeypatch.setattr(streamed_scene, "MOST_CELLS", 500)
     found = gallery.build_gallery(records, bounds=Bounds(faces=100))
     assert shown(records, found) == ["a.ply"] and found.scenes

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from msal_cli.job.records import ChoiceMade, Failure, MeshRecord, Reference
+from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.report import markdown as as_markdown
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
 
@@ -49,31 +49,15 @@ def plain(token):
     return token.content
 
 
-def test_what_it_tells():
-    page = text([written("good.ply"), gated(), failed()])
-    assert page.startswith("## ❌ msal denoise: 3 files, 1 failed, 1 broke a gate\n")
-    _, broken, gates, files = tables(page)
-    assert broken[1] == [
-        "bad.ply",
-        "vertex 17: position is not finite E_NONFINITE",
-        "repair it",
-    ]
-    assert gates[1] == ["gated.ply", "abs(volume_change) > 1% (volume_change is -2.1%)"]
-    assert [row[:5] for row in files[1:]] == [
-        ["gated.ply", "gate", "35,947", "-0.266 %", "0.110"],
-        ["good.ply", "written", "35,947", "-0.266 %", "0.110"],
-    ]
-
-
 @pytest.mark.parametrize("name", [*HOSTILE_NAMES, "www.x.y", "a@b.c", "a__b__c", "\\|", "~~a~~"])
 def test_names_stay_text(name):
     record = failed(name, error=Failure("E_X", name, name, name))
     page = text([record, written(name, warnings=(name,))])
-    (_, broken, files, warnings) = tables(page)
-    assert {len(row) for row in broken} == {3}
+    broken, warnings, files = (t for t in tables(page) if t[0][0] == "file")
+    assert {len(row) for row in broken} == {4}
     assert len(broken) == len(files) == len(warnings) == 2
     if name.isprintable() and not name.lstrip().startswith("::") and "##" not in name:
-        assert broken[1] == [name, f"{name}: {name} E_X", name]
+        assert broken[1] == [name, f"{name}: {name}", "E_X", name]
         assert files[1][0] == name
 
 
@@ -86,17 +70,11 @@ def test_any_records_make_a_page(records):
     assert sum(len(table) - 1 for table in rows) == len(done)
 
 
-def test_what_was_chosen_is_not_said_to_be_by_auto():
-    choice = ChoiceMade("noise 0.1 e; AL", None, 0.1, None, 1, (), {}, ())
-    page = text([written(choice=choice)])
-    assert "| chosen | msal 1 |" in page and "--auto" not in page
-
-
 def test_ten_thousand_files_fit_into_a_summary():
     records = [failed(f"scans/{at:06}{'-' * 99}_.ply") for at in range(3_000)]
     records += [gated(f"scans/{at:06}{'-' * 99}_.ply") for at in range(7_000)]
     data = as_markdown.render(RUN, records)
-    assert 100_000 < len(data) < as_markdown.MOST_BYTES
+    assert 100_000 < len(data) < as_markdown.MAX_BYTES
     assert "2,000 more are not shown here" in data.decode()
 
 
@@ -111,10 +89,3 @@ def test_what_is_beyond_the_first_rows_is_folded():
     page = text([written(f"{at}.ply") for at in range(60)])
     assert "<details><summary>35 more</summary>" in page
     assert html.unescape(page).count("<details>") == page.count("</details>") == 2
-
-
-def test_the_angle_to_a_reference_is_told_where_there_is_one():
-    reference = Reference("truth.ply", "vertices", mean_angular_error_deg=3.456)
-    (_, files) = tables(text([written("a.ply", reference=reference), written("b.ply")]))
-    assert files[0][-1] == "to reference, deg"
-    assert [row[-1] for row in files[1:]] == ["3.46", ""]

@@ -1,4 +1,4 @@
-"""The summary for people: every failure with its reason, no figure that cannot be trusted."""
+"""The summary for people: what is cut, what is never cut, and nothing that a terminal obeys."""
 
 from __future__ import annotations
 
@@ -8,134 +8,102 @@ import unicodedata
 import pytest
 
 from msal_cli.job.display_names import columns
-from msal_cli.job.records import Failure, MeshRecord, Volume
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import Failure, GateResult, MeshRecord, Planned, Volume
 from msal_cli.report import text as as_text
+from msal_cli.report.info import describe_info
 from tests.report.made import HOSTILE_NAMES, RUN, failed, written
 
-OPEN = Volume(1.0, 0.9, -0.1, -10.0, False, "open (812 boundary edges)")
+BROKEN = GateResult("flipped_faces > 0", True, True, {}, "flipped_faces is 3")
+PASSED = dataclasses.replace(BROKEN, broken=False)
 
 
-def text(records, **options):
-    return "\n".join(line.text for line in as_text.summary(RUN, records, **options))
-
-
-def test_one_file_is_told_in_some_detail():
-    said = text([written(degenerate_faces=1, non_manifold_edges=12)], verbose=True)
-    assert said.startswith("scan.ply -> out/scan.ply\n")
-    assert "35,947 vertices, 69,451 faces, 1 component, ply ascii float32" in said
-    assert "12 non-manifold edges, 1 degenerate face\n" in said
-    assert "msal (iterations 4, K 0.5)" in said
-    assert "10 -> 9.9734 (-0.266 %)" in said
-    assert (
-        "mean 0.11, 95 % below 0.33, most 0.44 mean edge lengths (most 0.4 in file units)" in said
-    )
-    assert "vertices/s" not in said
-    assert "0.95 s (read 0.10, connectivity 0.20, normals 0.05, sweeps 0.30" in said
-
-
-def test_no_volume_change_that_nobody_can_trust():
-    for records in ([written(volume=OPEN)], [written(volume=OPEN), written("b")]):
-        said = text(records)
-        assert "open (812 boundary edges)" in said
-        assert "-10" not in said
-
-
-def test_a_place_is_named_once():
-    message = "vertex 5 has a coordinate that is not a finite number"
-    one = failed(error=Failure("E_NONFINITE", message, "", "vertex 5"))
-    assert text([one]) == f"bad.ply: {message} (E_NONFINITE)"
-
-
-def test_a_single_failure_has_reason_place_code_and_hint():
-    assert text([failed()]) == (
-        "bad.ply: vertex 17: position is not finite (E_NONFINITE)\n  hint: repair it"
-    )
+def lines(*records, **options):
+    return [line.text for line in as_text.summary(RUN, records, **options)]
 
 
 @pytest.mark.parametrize(
-    ("record", "word"),
+    ("record", "line"),
     [
-        (written(status="unchanged"), "byte for byte as it was"),
+        (written(status="unchanged"), "scan.ply -> out/scan.ply in 0.95 s, byte for byte as it "
+         "was: no vertex moved"),
         (written(status="up-to-date"), "out/scan.ply is up to date"),
         (MeshRecord("a", "planned", "b"), "a would be written to b"),
-        (written(output="-", input="-"), "standard input -> standard output"),
-        (written(warnings=("lost in stl: colours",)), "warning       lost in stl: colours"),
-        (written(sidecars=("copied a.mtl",)), "beside it     copied a.mtl"),
+        (written(output="-", input="-"), "standard input -> standard output in 0.95 s"),
+        (failed(), "bad.ply: vertex 17: position is not finite (E_NONFINITE)"),
     ],
-)
-def test_what_one_file_may_say(record, word):
-    assert word in text([record])
+)  # fmt: skip
+def test_the_line_that_names_a_file(record, line):
+    assert lines(record)[0] == line
 
 
-def test_a_table_of_several_files():
-    said = text([written("a.ply"), written("long/name/b.ply", volume=OPEN), failed()])
-    lines = said.split("\n")
-    assert lines[0].split() == ["file", "vertices", "volume", "max", "move", "seconds"]
-    assert lines[1].split() == ["a.ply", "35,947", "-0.266", "%", "0.440", "0.95"]
-    assert lines[2].endswith("     0.95  open (812 boundary edges)")
-    assert lines[1].index("35,947") == lines[2].index("35,947")
-    assert "failed: 1" in lines
-    assert "  bad.ply: vertex 17: position is not finite (E_NONFINITE)" in lines
-    assert "volume change: median -0.266 %, from -0.266 % to -0.266 % (1 closed file)" in lines
-    assert lines[-1] == "3 files: 2 written, 1 failed; 71,894 vertices in 10.0 s"
+@pytest.mark.parametrize("n_warnings", range(8))
+def test_one_file_takes_at_most_eight_lines(n_warnings):
+    warnings = tuple(f"warning {k}" for k in range(n_warnings))
+    record = written(warnings=warnings, gates=(PASSED, BROKEN), sidecars=("copied a.mtl",))
+    whole = lines(record, verbose=True)
+    assert all(f"  warning       {warning}" in whole for warning in warnings)
+    found = lines(record)
+    assert "  gate          broken: flipped_faces > 0 (flipped_faces is 3)" in found
+    n_facts = 6 + n_warnings
+    if n_facts <= 7:
+        assert len(found) == 1 + n_facts
+    else:
+        assert len(found) == as_text.MAX_LINES
+        assert found[-1] == f"  ...           and {n_facts - 6} more (-v shows them)"
 
 
-def test_the_table_and_the_summary_name_what_calls_for_attention():
-    records = [written("a.ply", flipped_faces=1_234), written("b.ply", despiked=3, warnings=("w",))]
-    lines = text(records).split("\n")
-    assert lines[0].split()[-4:] == ["flipped", "outliers", "warnings", "seconds"]
-    assert lines[1].split()[-4:] == ["1,234", "-", "0", "0.95"]
-    assert lines[2].split()[-4:] == ["-", "3", "1", "0.95"]
-    assert (
-        "largest move: 0.44 mean edge lengths (a.ply); 1,234 flipped faces in 1 file; "
-        "3 outliers brought back in 1 file" in lines
-    )
+def test_what_is_left_out_is_red_if_it_is_a_warning():
+    assert as_text.summary(RUN, [written(warnings=tuple("abcdefgh"))])[-1].tone == "bad"
+    assert as_text.summary(RUN, [written(sidecars=tuple("abcdefgh"))])[-1].tone == "faint"
+
+
+def test_no_volume_change_that_cannot_be_trusted():
+    volume = Volume(1.0, 0.9, -0.1, -10.0, False, "open (812 boundary edges)")
+    record = written(volume=volume)
+    for records in ([record], [record, written("b")]):
+        said = "\n".join(lines(*records))
+        assert "open (812 boundary edges)" in said and "-10" not in said
 
 
 @pytest.mark.parametrize("width", [60, 80, 100, 140])
 def test_the_table_keeps_to_the_width(width):
     records = [written("folder/" * 20 + f"{at}.ply") for at in range(3)]
-    records.append(written("扫描" * 40 + "z.ply"))
-    rows = text(records, width=width).split("\n")[:5]
+    rows = lines(*records, written("扫描" * 40 + "z.ply"), width=width)[:5]
     assert max(map(columns, rows)) <= max(width, 78)
     assert all(row.startswith("...") for row in rows[1:])
     assert "2.ply " in rows[3]
 
 
 def test_long_tables_are_left_to_reports_unless_asked_for():
-    records = [written(f"{at:03}.ply") for at in range(as_text.MOST_ROWS + 1)]
-    assert "017.ply" not in text(records)
-    assert "(41 files: -v lists them all" in text(records)
-    assert "017.ply" in text(records, verbose=True)
-    assert "017.ply" in text(records[:-1])
+    records = [written(f"{at:03}.ply") for at in range(as_text.MAX_ROWS + 1)]
+    assert "(41 files: -v lists them all, and so does --report)" in lines(*records)
+    for shown in (lines(*records, verbose=True), lines(*records[:-1])):
+        assert any(line.startswith("017.ply") for line in shown)
 
 
 def test_many_warnings_and_failures_are_counted():
-    records = [written(f"{at}", warnings=("w",)) for at in range(as_text.MOST_WARNINGS + 5)]
-    assert "warnings: 25" in text(records)
-    assert "... and 5 more" in text(records)
-    assert "more (-v" not in text(records, verbose=True)
-    records = [failed(f"{at}") for at in range(as_text.MOST_FAILURES + 2)]
-    assert "... and 2 more" in text(records)
-    assert "... and 2 more" not in text(records, verbose=True)
+    records = [written(f"{at}", warnings=("w",)) for at in range(as_text.MAX_WARNINGS + 5)]
+    assert {"warnings: 25", "  ... and 5 more (-v or --report)"} <= set(lines(*records))
+    assert not any("more (-v" in line for line in lines(*records, verbose=True))
+    records = [failed(f"{at}") for at in range(as_text.MAX_FAILURES + 2)]
+    assert "  ... and 2 more (-v or --report)" in lines(*records)
+    assert not any("more (-v" in line for line in lines(*records, verbose=True))
 
 
 def test_what_earlier_runs_did_is_listed_only_on_demand():
     records = [written("old.ply", status="up-to-date", warnings=("w",)), written("new.ply")]
-    assert not any(line.startswith("old.ply") for line in text(records).split("\n"))
-    (row,) = [
-        line for line in text(records, verbose=True).split("\n") if line.startswith("old.ply")
-    ]
-    # The speed of an earlier run says nothing about this one.
+    assert not any(line.startswith("old.ply") for line in lines(*records))
+    (row,) = (line for line in lines(*records, verbose=True) if line.startswith("old.ply"))
     assert row.split()[-6:] == ["0.440", "1", "-", "up", "to", "date"]
-    assert "2 files: 1 written, 1 up to date" in text(records)
 
 
 def test_a_run_that_was_cut_short_says_what_is_not_done():
     run = dataclasses.replace(RUN, interrupted=True)
-    lines = as_text.summary(run, [written("a"), MeshRecord("b", "planned", "out/b")])
-    assert "1 written, 1 not done" in lines[-1].text
-    assert lines[-1].tone == "bad"
+    last = as_text.summary(run, [written("a"), MeshRecord("b", "planned", "out/b")])[-1]
+    assert "1 written, 1 not done" in last.text and last.tone == "bad"
+    (line,) = as_text.summary(run, [MeshRecord("b", "planned", "out/b")])
+    assert (line.text, line.tone) == ("b was not finished", "bad")
 
 
 NASTY = "a\x1b[2J\nb\udcff"
@@ -146,53 +114,36 @@ RECORDS = [
 ]
 
 
-@pytest.mark.parametrize("records", [RECORDS, *([one] for one in RECORDS)])
+@pytest.mark.parametrize("records", [RECORDS, *([record] for record in RECORDS)])
 def test_the_terminal_and_the_log_obey_nothing(records):
-    lines = as_text.summary(RUN, records, width=200, verbose=True)
-    assert len(lines) >= len(records)
-    for line in lines:
-        for one in line.text:
-            assert unicodedata.category(one) not in ("Cc", "Cf", "Cs", "Zl", "Zp"), line
+    shown = [*as_text.summary(RUN, records, width=200, verbose=True), *as_text.listing(records)]
+    assert len(shown) >= len(records)
+    said = [line.text for line in shown] + [as_text.file_text(record) for record in records]
+    said += [line.text for line in describe_info(InfoRecord(NASTY, warnings=(NASTY,)))]
+    for text in said:
+        for character in text:
+            assert unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Zl", "Zp"), text
         # Robots that read logs take a command only at the beginning of a line.
-        assert not line.text.lstrip().startswith(("::", "##")), line
+        assert not text.lstrip().startswith(("::", "##")), text
 
 
-def test_the_listing_of_a_dry_run():
-    records = [MeshRecord("a", "planned", "out/a"), written("b", status="up-to-date"), failed()]
-    assert [line.text for line in as_text.listing(records)][:3] == [
-        "a -> out/a",
+def test_the_listing_and_the_outlook_of_a_dry_run():
+    planned = Planned(2_000, 10, 8.0)
+    records = [
+        MeshRecord("a", "planned", "out/a", planned=planned),
+        MeshRecord("c", "planned", "out/c", planned=dataclasses.replace(planned, seconds=2.0)),
+        written("b", status="up-to-date"),
+        failed(),
+    ]
+    assert [line.text for line in as_text.listing(records)] == [
+        "a -> out/a: 2.0 kB, 10 vertices, about 8.00 s",
+        "c -> out/c: 2.0 kB, 10 vertices, about 2.00 s",
         "out/b is up to date",
         "bad.ply: vertex 17: position is not finite (E_NONFINITE)",
+        "  hint: repair it",
     ]
-
-
-@pytest.mark.parametrize(
-    ("seconds", "said"),
-    [(0.0, "0.00 s"), (9.994, "9.99 s"), (12.34, "12.3 s"), (99.96, "1 min 40 s")]
-    + [(185.4, "3 min 05 s"), (3599.9, "1 h 00 min"), (7800, "2 h 10 min")],
-)
-def test_seconds(seconds, said):
-    assert as_text.seconds_text(seconds) == said
-
-
-def test_figures():
-    assert as_text.percent_text(-0.2664) == "-0.266 %"
-    assert as_text.percent_text(123.456) == "+123.5 %"
-    assert as_text.percent_text(None) == ""
-
-
-def test_corners_stand_beside_the_vertices():
-    record = written("a.stl", format="stl", vertices=6720, corners=40320)
-    assert "6,720 vertices (of 40,320 corners), " in text([record])
-    (row,) = [
-        line for line in text([record, written("b")]).splitlines() if line.startswith("a.stl")
-    ]
-    assert row.split()[1] == "6,720"
-    assert row.endswith("  40,320 corners")
-
-
-def test_inside_out_is_told_of_one_file_and_in_the_table():
-    record = written(inside_out=True)
-    assert ", inside out\n" in text([record])
-    assert "defects       inside out" in text([record], verbose=True)
-    assert text([record, written("b")]).splitlines()[1].endswith("inside out")
+    start = "2 files to denoise, 0.0 MB, about 20 vertices, about"
+    assert as_text.outlook(records, 1).text == (
+        f"{start} 10.9 s on an idle machine, 1 up to date, 1 will fail"
+    )
+    assert as_text.outlook(records, 2).text.startswith(f"{start} 8.90 s")

@@ -6,7 +6,7 @@
   const data = (id) => JSON.parse(document.getElementById(id).textContent);
   const columns = data("columns"), rows = data("rows"), pictures = data("pictures");
   const VIEWS = ["Before", "After", "Deviation"];
-  const KINDS = [["failed", "Failed"], ["gate", "Gate broken"], ["planned", "Not finished"], ["good", "Well"]];
+  const KINDS = [["failed", "Failed"], ["gate", "Gate broken"], ["planned", "Not done"], ["good", "Well"]];
   const at = (id) => document.getElementById(id);
   const body = document.querySelector("#files tbody");
   const collator = new Intl.Collator("en", { numeric: true });

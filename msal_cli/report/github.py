@@ -7,42 +7,32 @@ holds can end the line, add a property or begin a command of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord
-from msal_cli.report.phrases import failure_texts, file_name
-from msal_cli.report.ranking import broken_gates, worst_first
+from msal_cli.report.facts import problem_texts, worst_first
 
-MOST = 10
-"""Annotations of a run: GitHub shows no more errors of one step."""
+MAX_ANNOTATIONS = 10
+"""GitHub shows no more errors of one step."""
 
 
-def commands(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
-    """The commands for the worst files that failed or broke a gate, at most ``MOST``.
+def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
+    """The commands for the worst files that failed or broke a gate.
 
     ``folder`` is where relative names begin, as a path from the root of the repository; empty if
     that is where the program runs.
     """
-    messages = [
-        (record, title, message)
-        for record in worst_first(records)
-        for title, message in _messages(record)
-    ]
-    return [
-        f"::error {_properties(record.input, folder, title)}::{_message(message)}"
-        for record, title, message in messages[:MOST]
-    ]
-
-
-def _messages(record: MeshRecord) -> Iterator[tuple[str, str]]:
-    """The title and the message of a file, if it failed or broke a gate."""
-    name = file_name(record.input)
-    if record.error is not None:
-        yield "msal: failed", "\n".join(failure_texts(name, record.error))
-    elif gates := broken_gates(record):
-        title = "msal: broken gate" if len(gates) == 1 else f"msal: {len(gates)} broken gates"
-        yield title, "\n".join([f"{name}:", *map(escape_for_display, gates)])
+    commands = []
+    for record in worst_first(records):
+        if texts := problem_texts(record):
+            n_gates = len(texts) - 1
+            title = "broken gate" if n_gates == 1 else f"{n_gates} broken gates"
+            title = "failed" if record.error is not None else title
+            properties = _properties(record.input, folder, f"msal: {title}")
+            message = _message("\n".join(map(escape_for_display, texts)))
+            commands.append(f"::error {properties}::{message}")
+    return commands[:MAX_ANNOTATIONS]
 
 
 def _properties(name: str, folder: str, title: str) -> str:

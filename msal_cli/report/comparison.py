@@ -1,0 +1,236 @@
+"""What ``msal compare`` says: the text on one pair of files, the table of many, and comparisons
+read back as a baseline.
+
+Against a baseline every figure of which less is better may be larger than it was by a tolerance;
+what is larger still is a broken gate, as if one had been given for each file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from msal_cli.errors import FormatError
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.display_names import figure
+from msal_cli.job.plain_data import value_at
+from msal_cli.job.records import SCHEMA, GateResult, Reference, SurfaceDistance
+from msal_cli.report.data import parse_json, read_json, read_record
+from msal_cli.report.facts import (
+    Line,
+    failure_lines,
+    file_name,
+    gate_text,
+    self_intersections_text,
+    vertices_text,
+)
+from msal_cli.report.text import table_lines
+
+# Title, path in the record, format and unit.
+_COLUMNS = (
+    ("angle", "mean_angular_error_deg", ".2f", "°"),
+    ("vertex error", "vertex_error_percent", ".2f", " %"),
+    ("max move", "displacement.max_edges", ".3g", " e"),
+    ("volume", "volume_change_percent", "+.3f", " %"),
+    ("area", "area_change_percent", "+.3f", " %"),
+    ("flipped", "flipped_faces", ",", ""),
+    ("Hausdorff", "hausdorff_edges", ".3g", " e"),
+)
+
+BASELINE_FIGURES = (
+    "mean_angular_error_deg",
+    "vertex_error_percent",
+    "displacement.rms_edges",
+    "displacement.max_edges",
+    "hausdorff_edges",
+    "volume_change_percent",
+    "area_change_percent",
+    "flipped_faces",
+)
+"""What is compared with the baseline, changes by their size."""
+
+SLACK = 1e-6
+"""What any figure may grow, in its own unit: rounding differs between machines."""
+
+_SIGNED = ("volume_change_percent", "area_change_percent")
+
+
+def describe_comparison(record: ComparisonRecord) -> list[Line]:
+    """The lines on two files: their names, then one line per measure."""
+    if record.error is not None:
+        return failure_lines(_pair_name(record), record.error)
+    before = vertices_text(record.vertices_before, record.corners_before)
+    after = vertices_text(record.vertices_after, record.corners_after)
+    lines = [
+        Line(
+            f"before  {file_name(record.before)}: {before}, {record.faces_before or 0:,} triangles"
+        ),
+        Line(f"after   {file_name(record.after)}: {after}, {record.faces_after or 0:,} triangles"),
+    ]
+    lines += [Line(f"  {word:<18} {text}") for word, text in _facts(record)]
+    return lines + [Line(f"  {'warning':<18} {text}", "bad") for text in record.warnings]
+
+
+def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
+    """A row for every pair, then what could not be compared and why; lengths in mean edges."""
+    compared = [record for record in records if record.error is None]
+    if compared:
+        rows = [
+            [figure(value_at(record, path), form, unit, "-") for _, path, form, unit in _COLUMNS]
+            for record in compared
+        ]
+        heads = ("after", *(column[0] for column in _COLUMNS))
+        yield from table_lines(heads, [file_name(record.after) for record in compared], rows, width)
+    for warning in dict.fromkeys(text for record in compared for text in record.warnings):
+        yield Line(f"warning: {warning}", "bad")
+    for record in records:
+        yield from failure_lines(_pair_name(record), record.error)
+    n_failed = len(records) - len(compared)
+    end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")
+    yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")
+
+
+def broken_gates(records: Sequence[ComparisonRecord]) -> Iterator[Line]:
+    """A line for every gate that a pair breaks, with the value."""
+    for record in records:
+        for gate in record.gates:
+            if gate.broken:
+                yield Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
+
+
+def _pair_name(record: ComparisonRecord) -> str:
+    return f"{file_name(record.before)} and {file_name(record.after)}"
+
+
+def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
+    yield "mean edge before", figure(record.mean_edge_length, ".6g", unknown="-")
+    if record.correspondence == "surface":
+        yield "compared", "surfaces only: the faces are not the same"
+    if record.mean_angular_error_deg is not None:
+        largest = record.max_angular_error_deg or 0.0
+        yield "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
+    if record.vertex_error_percent is not None:
+        yield "vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge"
+    for word, distance in (
+        ("displacement", record.displacement),
+        ("after to before", record.distance_to_before),
+        ("before to after", record.distance_to_after),
+    ):
+        if distance is not None:
+            yield word, _distance_text(distance)
+    if record.hausdorff is not None and record.hausdorff_edges is not None:
+        yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)"
+    volume = record.volume
+    if volume is not None:
+        change = figure(volume.change_percent, "+.4g", " %", "-")
+        known = f"{change} ({figure(volume.change, '+.4g')})"
+        yield "volume", f"- {volume.reason}" if volume.change is None else known
+    yield "area", figure(record.area_change_percent, "+.4g", " %", "-")
+    if record.flipped_faces is not None:
+        yield "flipped faces", f"{record.flipped_faces:,}"
+    if record.self_intersections is not None:
+        yield "intersecting", self_intersections_text(record.self_intersections)
+
+
+def _distance_text(distance: SurfaceDistance) -> str:
+    return ", ".join(
+        f"{word} {getattr(distance, word):.4g} ({getattr(distance, f'{word}_edges'):.4g} e)"
+        for word in ("mean", "rms", "p95", "max")
+    )
+
+
+# Baseline
+
+
+def read_comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Reference]:
+    """What was measured, by the path of the mesh that was measured; failures are left out.
+
+    ``data`` is what ``msal compare --json`` printed, or a report of ``msal denoise --reference``.
+
+    Raises
+    ------
+    FormatError
+        if it is neither; ``name`` is for the error.
+    """
+    content = parse_json(data, name, _not_a_baseline)
+    schema = content.get("schema") if isinstance(content, dict) else None
+    found: dict[str, ComparisonRecord | Reference] = {}
+    if schema == SCHEMA:
+        for record in read_json(data, name)[1]:
+            reference = record.reference
+            if record.output is not None and reference is not None and reference.error is None:
+                found[record.output] = reference
+        if not found:
+            raise _not_a_baseline(name, "no file in it was measured against a reference")
+        return found
+    if schema != ComparisonRecord.schema:
+        wanted = ComparisonRecord.schema
+        raise _not_a_baseline(name, f"missing or unsupported schema (expected {wanted})")
+    rows = content.get("records", [content])
+    if not isinstance(rows, list):
+        raise _not_a_baseline(name, "it has no list of records")
+    for at, row in enumerate(rows, 1):
+        pair = read_record(ComparisonRecord, row, name, f"record {at}", _not_a_baseline)
+        if pair.error is None:
+            found[pair.after] = pair
+    return found
+
+
+def _not_a_baseline(name: str, reason: str, where: str = "") -> FormatError:
+    return FormatError(
+        f"this is no baseline: {reason}",
+        where=where,
+        hint="keep what msal compare --json prints, or a report of msal denoise --reference",
+        path=name,
+    )
+
+
+def find_partner(name: str, earlier: Mapping[str, Any]) -> Any | None:
+    """The earlier record of a file by its path or by the end of its path, because folders are
+    often others than they were; None if there is none, or more than one."""
+    if name in earlier:
+        return earlier[name]
+    end = "/" + name.replace("\\", "/")
+    found = [record for path, record in earlier.items() if path.replace("\\", "/").endswith(end)]
+    return found[0] if len(found) == 1 else None
+
+
+def compare_with_baseline(
+    record: Any, before: Any | None, tolerance: float
+) -> tuple[GateResult, ...]:
+    """What became of each figure of a record that was known ``before``.
+
+    Parameters
+    ----------
+    record, before : a comparison now and then, or the reference part of a denoising; ``before`` is
+        None for a file that is new, which has no gates.
+    tolerance : by which share of what it was a figure may be larger.
+    """
+    results = []
+    for path in BASELINE_FIGURES:
+        then, now = _baseline_figure(before, path), _baseline_figure(record, path)
+        if then is None:
+            continue
+        limit = then * (1.0 + tolerance) + SLACK
+        name = f"abs({path})" if path in _SIGNED else path
+        was = f"{then:.6g} in the baseline, tolerance {100.0 * tolerance:g} %"
+        result = GateResult(
+            expression=f"{name} > {limit:.6g}",
+            broken=now is None or now > limit,
+            decided=now is not None,
+            values={path: now},
+            reason=f"{path} is not known, {was}" if now is None else f"{name} is {now:.6g}, {was}",
+        )
+        results.append(result)
+    return tuple(results)
+
+
+def _baseline_figure(record: Any, path: str) -> float | None:
+    value = value_at(record, path)
+    return None if value is None or value - value != 0.0 else abs(value)
+
+
+def list_missing(names: Sequence[str], earlier: Mapping[str, Any]) -> list[str]:
+    """Paths of the baseline that no file of ``names`` has now."""
+    found = {id(find_partner(name, earlier)) for name in names}
+    return [path for path, record in earlier.items() if id(record) not in found]

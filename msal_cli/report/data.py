@@ -1,0 +1,414 @@
+"""Reports for programs: what a run is, its totals, and records as JSON, JSON Lines and CSV.
+
+JSON is one document (schema ``msal.report/1``) with the run, totals and records; JSON Lines are
+the records alone, in the order of the inputs.  Both can be read back.
+
+CSV has one row per file, for spreadsheets: RFC 4180 in UTF-8 without a byte order mark, line ends
+CR LF, a header row.  Nested fields have dotted names such as ``volume.change_percent``; unknown
+values are empty; several texts in one cell are joined by ``"; "``.  Text that a spreadsheet would
+take for a formula (it begins with ``=``, ``+``, ``-``, ``@``, tab, CR or LF) gets an apostrophe in
+front, and so does text that begins with an apostrophe: taking one away from every cell that has one
+gives the text back.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import typing
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from msal_cli.errors import FormatError
+from msal_cli.job.display_names import portable, restore_name
+from msal_cli.job.plain_data import (
+    about,
+    as_data,
+    from_data,
+    known,
+    reported_fields,
+    value_at,
+)
+from msal_cli.job.records import DONE, SCHEMA, MeshRecord
+
+Refusal = Callable[..., FormatError]
+"""Makes an error of a file's name, a reason, and a place in the file."""
+
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "'")
+_FREE_FORM = ("method.parameters", "choice.wishes")
+
+COMMON_COLUMNS = (
+    "input",
+    "status",
+    "output",
+    "format",
+    "vertices",
+    "faces",
+    "components",
+    "boundary_edges",
+    "non_manifold_edges",
+    "degenerate_faces",
+    "inside_out",
+    "mean_edge_length",
+    "noise_estimate.mean_edges",
+    "noise_estimate.negligible",
+    "noise_estimate.unsure",
+    "noise_estimate.words",
+    "method.name",
+    "choice.reason",
+    "left_alone",
+    "despiked",
+    "displacement.mean_edges",
+    "displacement.p95_edges",
+    "displacement.max_edges",
+    "displacement.max",
+    "normal_change.mean_deg",
+    "flipped_faces",
+    "volume.valid",
+    "volume.before",
+    "volume.after",
+    "volume.change_percent",
+    "area.change_percent",
+    "reference.mean_angular_error_deg",
+    "reference.vertex_error_percent",
+    "reference.error.message",
+    "gates",
+    "warnings",
+    "warning_codes",
+    "seconds.total",
+    "error.code",
+    "error.message",
+    "error.where",
+    "error.hint",
+)
+"""The columns that people sort and filter by."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One call of the program; times are UTC, ISO 8601, to the millisecond.
+
+    ``machine`` describes the system and the libraries; it is empty where that is not known.
+    """
+
+    version: str = field(metadata=about("version of msal"))
+    command: tuple[str, ...] = field(
+        metadata=about("the command as it was given, program name first")
+    )
+    settings: Mapping[str, Any] = field(
+        metadata=about("what decides the output beside the input: method, parameters, conversion")
+    )
+    started: str = field(metadata=about("when the run began, UTC, ISO 8601"))
+    finished: str = field(metadata=about("when it ended, UTC, ISO 8601"))
+    seconds: float = field(metadata=about("wall-clock seconds between the two"))
+    interrupted: bool = known("true if the run was ended before all files were dealt with", False)
+    machine: Mapping[str, str] = field(
+        default_factory=dict,
+        metadata=about("system, cores and libraries, by name; empty where they are not known"),
+    )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The lowest, the median and the highest of a figure over ``files`` files."""
+
+    files: int = field(metadata=about("files that the figure is over"))
+    lowest: float = field(metadata=about("lowest value"))
+    median: float = field(metadata=about("median"))
+    highest: float = field(metadata=about("highest value"))
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Sums over the records of a run.
+
+    ``chosen`` counts files by the method that was chosen for them.  ``vertices`` and
+    ``work_seconds`` count the files that were denoised in this run, and ``volume_change_percent``
+    those whose volume can be trusted, up-to-date ones included.
+    """
+
+    files: int = field(metadata=about("records in this report"))
+    written: int = field(metadata=about("files written with some vertex moved, or in another form"))
+    unchanged: int = field(
+        metadata=about("files written byte for byte as they were, because no vertex moved")
+    )
+    up_to_date: int = field(metadata=about("files whose output of an earlier run is current"))
+    planned: int = field(
+        metadata=about("files not dealt with: by a dry run, or because the run ended before")
+    )
+    failed: int = field(metadata=about("files that failed"))
+    gate_broken: int = field(metadata=about("files written or up to date that break a gate"))
+    chosen: Mapping[str, int] = field(
+        metadata=about(
+            "files written, unchanged or up to date by the method that was chosen, the most "
+            "frequent first; empty where the method was given"
+        )
+    )
+    vertices: int = field(metadata=about("vertices of the files denoised in this run"))
+    work_seconds: float = field(
+        metadata=about("sum of the seconds of the files denoised in this run")
+    )
+    volume_change_percent: Spread | None = field(
+        metadata=about("change of volume over the files whose volume is valid")
+    )
+
+
+def totals(records: Sequence[MeshRecord]) -> Totals:
+    import statistics
+
+    states = Counter(record.status for record in records)
+    fresh = [record for record in records if record.status in DONE]
+    changes = known_values(records, "volume.change_percent")
+    chosen = Counter(
+        record.method.name
+        for record in records
+        if record.choice is not None and record.method is not None and record.error is None
+    )
+    return Totals(
+        files=len(records),
+        written=states["written"],
+        unchanged=states["unchanged"],
+        up_to_date=states["up-to-date"],
+        planned=states["planned"],
+        failed=states["failed"],
+        gate_broken=sum(any(gate.broken for gate in record.gates) for record in records),
+        chosen=dict(sorted(chosen.items(), key=lambda item: (-item[1], item[0]))),
+        vertices=sum(record.vertices or 0 for record in fresh),
+        work_seconds=sum(known_values(fresh, "seconds.total")),
+        volume_change_percent=(
+            Spread(len(changes), min(changes), statistics.median(changes), max(changes))
+            if changes
+            else None
+        ),
+    )
+
+
+def known_values(records: Sequence[Any], path: str) -> list[Any]:
+    """The values of a field, by its dotted path, of the records that have one."""
+    values = (value_at(record, path) for record in records)
+    return [value for value in values if value is not None]
+
+
+# Plain data
+
+
+def plain_record(record: Any) -> dict[str, Any]:
+    """The reported fields of a record as strict JSON data."""
+    data = as_data(record)
+    return {item.name: plain(data[item.name]) for item in reported_fields(type(record))}
+
+
+def plain(value: Any) -> Any:
+    """``value`` with nothing in it that strict JSON lacks.
+
+    A number that is not finite becomes None, text becomes ``portable``, a tuple a list, and a
+    number of another library a number.
+
+    Raises
+    ------
+    TypeError
+        for anything that is not data.
+    """
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, str):
+        return portable(value)
+    if isinstance(value, float):
+        return float(value) if value - value == 0.0 else None
+    if isinstance(value, Mapping):
+        return {portable(str(key)): plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    if hasattr(value, "item"):
+        return plain(value.item())
+    raise TypeError(f"a report cannot hold {type(value).__name__}")
+
+
+# JSON and JSON Lines
+
+
+def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
+    """The report as UTF-8.
+
+    The order of keys is fixed; numbers that are not finite are null; names that are not valid
+    Unicode are written as ``display_names.portable`` says.
+    """
+    run_data, sums = (plain(dataclasses.asdict(part)) for part in (run, totals(records)))
+    # Record by record: the plain data of ten thousand would take several times the text's memory.
+    empty = json_bytes({"schema": SCHEMA, **run_data, "totals": sums, "records": []})
+    if not records:
+        return empty
+    end = b"[]\n}\n"
+    inner = b",\n    ".join(
+        _indented(plain_record(record)).replace("\n", "\n    ").encode() for record in records
+    )
+    return empty.removesuffix(end) + b"[\n    " + inner + b"\n  ]\n}\n"
+
+
+def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
+    """The records as UTF-8; each line is a ``MeshRecord`` of the schema ``msal.report/1``.
+
+    Only ASCII is used, because some readers of lines also break at U+2028.
+    """
+    return b"".join(
+        json.dumps(plain_record(record), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+        for record in records
+    )
+
+
+def json_bytes(data: Any) -> bytes:
+    """Plain data as strict, indented JSON in UTF-8, with a line end."""
+    return _indented(data).encode() + b"\n"
+
+
+def _indented(data: Any) -> str:
+    # Line breaks within strings are escaped, so that those in the text are all of the layout.
+    return json.dumps(data, ensure_ascii=False, allow_nan=False, indent=2)
+
+
+def read_json(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
+    """The run and the records of a JSON report; ``name`` is for errors.
+
+    Raises
+    ------
+    FormatError
+        if it is no report of this schema.
+    """
+    content = parse_json(data, name, _not_a_report)
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise _not_a_report(name, f"missing or unsupported schema (expected {SCHEMA})")
+    run: Run = read_record(Run, content, name, "", _not_a_report)
+    records = content.get("records")
+    if not isinstance(records, list):
+        raise _not_a_report(name, "it has no list of records")
+    return run, [_read_mesh_record(row, name, f"record {at}") for at, row in enumerate(records, 1)]
+
+
+def read_lines(data: bytes, name: str) -> list[MeshRecord]:
+    """The records of a JSON Lines report; the errors are those of ``read_json``."""
+    places = ((f"line {at}", line) for at, line in enumerate(data.split(b"\n"), 1) if line.strip())
+    return [
+        _read_mesh_record(parse_json(line, name, _not_a_report, where), name, where)
+        for where, line in places
+    ]
+
+
+def parse_json(data: bytes, name: str, refuse: Refusal, where: str = "") -> Any:
+    """JSON, with the bytes in names that JSON cannot hold."""
+    try:
+        return _restore_names(json.loads(data))
+    except (ValueError, RecursionError) as error:
+        reason = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
+        raise refuse(name, f"it is not JSON: {reason}", where) from None
+
+
+def read_record(kind: type[Any], data: Any, name: str, where: str, refuse: Refusal) -> Any:
+    """A record of one kind from plain data."""
+    try:
+        return from_data(kind, data)
+    except TypeError as error:
+        raise refuse(name, str(error), where) from None
+
+
+def _read_mesh_record(data: Any, name: str, where: str) -> MeshRecord:
+    record: MeshRecord = read_record(MeshRecord, data, name, where, _not_a_report)
+    if record.schema != SCHEMA or (record.status == "failed") != (record.error is not None):
+        raise _not_a_report(name, "it is no record of what became of a file", where)
+    return record
+
+
+def _restore_names(value: Any) -> Any:
+    if isinstance(value, str):
+        return restore_name(value)
+    if isinstance(value, list):
+        return [_restore_names(inner) for inner in value]
+    if isinstance(value, dict):
+        return {restore_name(key): _restore_names(inner) for key, inner in value.items()}
+    return value
+
+
+def _not_a_report(name: str, reason: str, where: str = "") -> FormatError:
+    return FormatError(
+        f"this is no report of msal denoise: {reason}",
+        where=where,
+        hint="name an output folder, a manifest in it, or a report in .json or .jsonl",
+        path=name,
+    )
+
+
+# CSV
+
+
+def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False) -> bytes:
+    """The records as CSV, with ``COMMON_COLUMNS`` or with all fields in the order of the record.
+
+    Of all columns only the method's parameters and the wishes of --auto depend on the run.
+    """
+    import csv
+    import io
+
+    rows = [dict(_flatten(plain_record(record), "")) for record in records]
+    names = tuple(_all_columns(rows)) if has_all else COMMON_COLUMNS
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerow(names)
+    writer.writerows([_cell(row.get(name)) for name in names] for row in rows)
+    return text.getvalue().encode()
+
+
+def _all_columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+    for name in _field_names(MeshRecord, ""):
+        if name in _FREE_FORM:
+            yield from sorted({key for row in rows for key in row if key.startswith(f"{name}.")})
+        else:
+            yield name
+
+
+def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
+    hints = typing.get_type_hints(kind)
+    for item in reported_fields(kind):
+        hint = hints[item.name]
+        inner = [part for part in typing.get_args(hint) if dataclasses.is_dataclass(part)]
+        if inner and typing.get_origin(hint) is not tuple:
+            yield from _field_names(typing.cast("type[Any]", inner[0]), f"{prefix}{item.name}.")
+        else:
+            yield prefix + item.name
+
+
+def _flatten(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
+        if isinstance(value, dict):
+            yield from _flatten(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    text = value if isinstance(value, str) else "; ".join(map(_item_text, value))
+    return f"'{text}" if text.startswith(_FORMULA_STARTS) else text
+
+
+def _item_text(value: Any) -> str:
+    """One of several texts in a cell: ``broken: abs(volume_change) > 1% (volume_change is -2.1%)``,
+    ``AL, 3 sweeps (0.0724)`` with its risk, ``noise 0.08 (0.6)`` with level and probability."""
+    if not isinstance(value, dict):
+        return str(value)
+    if "label" in value:
+        return f"{value['label']} ({_number_text(value['risk_edges'])})"
+    if "probability" in value:
+        level, probability = map(_number_text, (value["level_edges"], value["probability"]))
+        return f"{value['kind']} {level} ({probability})"
+    word = "broken" if value["broken"] else "held"
+    return f"{word}: {value['expression']} ({value['reason']})"
+
+
+def _number_text(value: float | None) -> str:
+    return "?" if value is None else f"{value:.4g}"

@@ -1,0 +1,578 @@
+"""Facts and figures of records, from which all reports for people are written.
+
+``facts`` says in words what is known of a file, ``FIGURES`` are the columns of tables, and
+``worst_first`` is the order in which files are listed.  ``facts`` are escaped for display; other
+texts are not: every writer escapes them for its format.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+from msal_cli.job.display_names import escape_for_display, figure
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.plain_data import value_at
+from msal_cli.job.records import (
+    DONE,
+    Failure,
+    GateResult,
+    MeshRecord,
+    NoiseEstimate,
+    Reference,
+    SelfIntersections,
+)
+from msal_cli.job.tile_records import Tiles, TileSetPart
+from msal_cli.machine import megabytes
+from msal_cli.report.data import Run, Totals, known_values
+
+Tone = Literal["plain", "good", "bad", "faint"]
+
+ATTENTION, SHORT, DETAIL = 0, 1, 2
+"""Levels of facts and figures: what calls for attention, what a summary has, all that is known."""
+
+IMPULSIVE_TAIL = 0.02
+"""Share of outlying vertices from which noise is called impulsive; Gaussian noise has 0.01."""
+
+
+class Fact(NamedTuple):
+    """A text on a file and the word that stands before it."""
+
+    word: str
+    text: str
+    tone: Tone = "plain"
+    level: int = SHORT
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of text, escaped for display, and how it may be coloured."""
+
+    text: str
+    tone: Tone = "plain"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", escape_for_display(self.text))
+
+
+# Facts of a file
+
+
+def facts(record: MeshRecord, defaults: Mapping[str, Any] | None = None) -> list[Fact]:
+    """What is known of a mesh and of what was done to it, what calls for attention first among
+    the remarks at the end; of its method's parameters those that differ from ``defaults``."""
+    return [
+        fact._replace(text=escape_for_display(fact.text))
+        for source in (_facts(record, defaults or {}), _remarks(record))
+        for fact in source
+        if fact.text
+    ]
+
+
+def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
+    if record.error is not None:
+        yield Fact("reason", failure_text(record.error), "bad", ATTENTION)
+        yield Fact("what to do", record.error.hint)
+    yield Fact("mesh", mesh_text(record))
+    stored = (record.format, record.encoding, record.precision)
+    yield Fact("stored as", " ".join(filter(None, stored)), level=DETAIL)
+    if record.noise_estimate is not None:
+        noise, *estimate = noise_texts(record.noise_estimate, record)
+        yield Fact("noise", noise)
+        yield Fact("estimate", "; ".join(estimate), level=DETAIL)
+    yield Fact("unsure", unsure_text(record))
+    choice, method = record.choice, record.method
+    if choice is not None:
+        import shlex
+
+        yield Fact("chosen", choice.reason)
+        yield Fact("better", auto_text([record]))
+        risks = (f"{item.label} (risk {item.risk_edges:.2g} e)" for item in choice.runners_up)
+        yield Fact("next best", ", ".join(risks), level=DETAIL)
+        yield Fact("by hand", shlex.join(choice.repeat), level=DETAIL)
+    if method is not None:
+        given = (
+            f"{name} {value}"
+            for name, value in method.parameters.items()
+            if name not in defaults or defaults[name] != value
+        )
+        named = ", ".join(given)
+        level = SHORT if choice is None else DETAIL
+        yield Fact("method", method.name + (f" ({named})" if named else ""), level=level)
+    if record.tiles is not None:
+        yield Fact("tiles", tiles_text(record.tiles))
+    is_unchanged = record.status == "unchanged"
+    level = DETAIL if is_unchanged else SHORT
+    yield Fact("left as it is", record.left_alone or "", level=level)
+    yield Fact("moved", "; ".join(_changes(record)), level=level)
+    moved, volume = record.displacement, record.volume
+    if moved is not None:
+        text = f"95 % below {moved.p95_edges:.3g} mean edge lengths, most {moved.max:.3g}"
+        yield Fact("displacement", f"{text} in file units", level=DETAIL)
+    if volume is not None and not volume.valid:
+        # Boundary edges are a reason that the line on the mesh gives.
+        level = DETAIL if is_unchanged or record.boundary_edges else SHORT
+        yield Fact("volume", f"no figure: {volume.reason}", level=level)
+    elif volume is not None and volume.before is not None and volume.after is not None:
+        yield Fact("volume", f"{volume.before:.6g} -> {volume.after:.6g}", level=DETAIL)
+    yield Fact("tile set", tile_set_text([record]))
+    yield Fact("time", _time_text(record), level=DETAIL)
+
+
+def _changes(record: MeshRecord) -> Iterator[str]:
+    moved, volume = record.displacement, record.volume
+    if moved is not None:
+        yield f"mean {moved.mean_edges:.3g}, most {moved.max_edges:.3g} mean edge lengths"
+    if volume is not None and volume.change_percent is not None:
+        yield f"volume {percent_text(volume.change_percent)}"
+    if record.flipped_faces:
+        yield format_count(record.flipped_faces, "flipped face")
+    if record.despiked:
+        yield despiked_text(record.despiked)
+    for count, word in (
+        (record.clamped_vertices, "cut to the longest move"),
+        (record.locked_vertices, "locked"),
+    ):
+        if count is not None:
+            yield f"{format_count(count, 'vertex', 'vertices')} {word}"
+
+
+def _time_text(record: MeshRecord) -> str:
+    seconds = record.seconds
+    if seconds is None:
+        return ""
+    stages = ["read", "connectivity", "normals", "sweeps", "measure", "write"]
+    if record.choice is not None or seconds.choose:
+        stages.insert(2, "choose")
+    spent = ", ".join(f"{stage} {getattr(seconds, stage):.2f}" for stage in stages)
+    return f"{seconds_text(seconds.total)} ({spent})"
+
+
+def _remarks(record: MeshRecord) -> Iterator[Fact]:
+    for gate in record.gates:
+        if gate.broken:
+            yield Fact("gate", gate_text(gate), "bad", ATTENTION)
+    for warning in record.warnings:
+        yield Fact("warning", warning, "bad", ATTENTION)
+    reference = record.reference
+    if reference is not None and reference.error is not None:
+        yield Fact("reference", failure_text(reference.error), "bad", ATTENTION)
+    elif reference is not None:
+        yield Fact("reference", f"{_reference_text(reference)} ({file_name(reference.path)})")
+        for warning in reference.warnings:
+            yield Fact("warning", warning, "bad", ATTENTION)
+    for gate in record.gates:
+        if not gate.broken:
+            yield Fact("gate", gate_text(gate), "good")
+    if record.self_intersections is not None:
+        yield Fact("intersecting", self_intersections_text(record.self_intersections))
+    for sidecar in record.sidecars:
+        yield Fact("beside it", sidecar)
+
+
+# Figures
+
+
+class Figure(NamedTuple):
+    """A column of a table: the ``path`` of its value in the record, and its format."""
+
+    title: str
+    unit: str
+    path: str
+    form: str
+    level: int = SHORT
+
+    def value(self, record: MeshRecord) -> Any:
+        """The value; the number of texts where there are several; None if it is not known."""
+        if self.path == "seconds.total" and record.status not in DONE:
+            return None  # of an earlier run
+        value = value_at(record, self.path)
+        return len(value) if isinstance(value, tuple) else value
+
+    def text(self, record: MeshRecord) -> str:
+        """The value in words; empty if it is not known."""
+        value = self.value(record)
+        return percent_text(value) if self.unit == "%" else figure(value, self.form)
+
+
+FIGURES = (
+    Figure("Vertices", "", "vertices", ","),
+    Figure("Volume", "%", "volume.change_percent", "+.3f"),
+    Figure("Mean move", "edges", "displacement.mean_edges", ".3f", DETAIL),
+    Figure("Max move", "edges", "displacement.max_edges", ".3f"),
+    Figure("Max move", "file units", "displacement.max", ".4g", DETAIL),
+    Figure("Normals", "mean turn, °", "normal_change.mean_deg", ".3g", DETAIL),
+    Figure("Flipped", "faces", "flipped_faces", ","),
+    Figure("Outliers", "brought back", "despiked", ","),
+    Figure("Warnings", "", "warnings", ","),
+    Figure("To reference", "mean angle, °", "reference.mean_angular_error_deg", ".2f"),
+    Figure("Time", "s", "seconds.total", ".2f"),
+)
+
+
+def list_figures(records: Sequence[MeshRecord], level: int) -> list[Figure]:
+    """The figures of a level: of rare ones those that any record has, other than 0."""
+    rare = ("Flipped", "Outliers", "Warnings", "To reference")
+    return [
+        column
+        for column in FIGURES
+        if column.level <= level
+        and (column.title not in rare or any(column.value(record) for record in records))
+    ]
+
+
+# Which files to look at first
+
+ORDER_TEXT = (
+    "Worst first: what failed, then what broke a gate (the most gates first), then what was not "
+    "finished, then the largest displacement in mean edge lengths, then the largest change of "
+    "volume."
+)
+
+
+def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
+    """The records in the order that ``ORDER_TEXT`` describes; equals stay in their order.
+
+    A figure that is not finite counts as the largest, one that is not known as the smallest.
+    """
+
+    def rank(record: MeshRecord) -> tuple[int, int, float, float]:
+        n_broken = sum(gate.broken for gate in record.gates)
+        group = {"failed": 0, "planned": 2}.get(record.status, 3)
+        moved = value_at(record, "displacement.max_edges")
+        change = value_at(record, "volume.change_percent")
+        return min(group, 1) if n_broken else group, -n_broken, -_size(moved), -_size(change)
+
+    return sorted(records, key=rank)
+
+
+def _size(value: float | None) -> float:
+    if value is None:
+        return -1.0
+    return abs(value) if math.isfinite(value) else math.inf
+
+
+class ProblemTable(NamedTuple):
+    """Files that share a kind of problem, with the cells behind their names."""
+
+    title: str
+    heads: tuple[str, ...]
+    rows: Sequence[tuple[MeshRecord, tuple[str, ...]]]
+
+
+def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
+    """What a reader has to look at, by kind; none without rows."""
+    failed = [
+        (record, (failure_text(failure, with_code=False), failure.code, failure.hint))
+        for record in worst
+        if (failure := record.error) is not None
+    ]
+    broken = [
+        (record, (gate_values(gate),)) for record in worst for gate in record.gates if gate.broken
+    ]
+    warned = [(record, (warning,)) for record in worst for warning in record.warnings]
+    unsure = [(record, (text,)) for record in worst if (text := unsure_text(record))]
+    tables = (
+        ProblemTable("Failed", ("reason", "code", "what to do"), failed),
+        ProblemTable("Broken gates", ("gate",), broken),
+        ProblemTable("Warnings", ("warning",), warned),
+        ProblemTable("Noise or texture", ("readings",), unsure),
+    )
+    return [table for table in tables if table.rows]
+
+
+def problem_texts(record: MeshRecord) -> list[str]:
+    """Why a file failed or which gates it broke, one line each; none if all is well."""
+    name = file_name(record.input)
+    if record.error is not None:
+        hint = [f"hint: {record.error.hint}"] if record.error.hint else []
+        return [f"{name}: {failure_text(record.error)}", *hint]
+    broken = [gate_values(gate) for gate in record.gates if gate.broken]
+    return [f"{name}:", *broken] if broken else []
+
+
+# Totals of a run
+
+
+def count_states(sums: Totals) -> list[Fact]:
+    """How many files are in which state: a word and a number."""
+    counts: tuple[tuple[str, int, Tone], ...] = (
+        ("written", sums.written, "plain"),
+        ("unchanged", sums.unchanged, "plain"),
+        ("up to date", sums.up_to_date, "plain"),
+        ("not done", sums.planned, "faint"),
+        ("failed", sums.failed, "bad"),
+        ("broke a gate", sums.gate_broken, "bad"),
+    )
+    return [Fact(word, f"{count:,}", tone) for word, count, tone in counts if count]
+
+
+def total_facts(records: Sequence[MeshRecord], sums: Totals) -> list[Fact]:
+    """What a reader looks at over all files."""
+    found = []
+    moves = [record for record in records if record.displacement is not None]
+    if moves:
+        far = max(moves, key=lambda record: _size(value_at(record, "displacement.max_edges")))
+        most = value_at(far, "displacement.max_edges")
+        found.append(Fact("largest move", f"{most:.3g} mean edge lengths ({file_name(far.input)})"))
+    for word, path in (("flipped faces", "flipped_faces"), ("outliers brought back", "despiked")):
+        counts = [count for count in known_values(records, path) if count]
+        if counts:
+            found.append(Fact(word, f"{sum(counts):,} in {format_count(len(counts), 'file')}"))
+    spread = sums.volume_change_percent
+    if spread is not None:
+        ends = f"from {percent_text(spread.lowest)} to {percent_text(spread.highest)}"
+        files = format_count(spread.files, "closed file")
+        text = f"median {percent_text(spread.median)}, {ends} ({files})"
+        found.append(Fact("volume change", text))
+    if sums.chosen:
+        chosen = ", ".join(f"{name} {count:,}" for name, count in sums.chosen.items())
+        found.append(Fact("chosen", chosen))
+    return found
+
+
+def speed_text(run: Run, sums: Totals) -> str:
+    """``71,894 vertices in 10.0 s``; empty where nothing was done."""
+    if not sums.vertices or run.seconds <= 0.0:
+        return ""
+    return f"{format_count(sums.vertices, 'vertex', 'vertices')} in {seconds_text(run.seconds)}"
+
+
+# Phrases
+
+
+def format_count(number: int | None, singular: str, plural: str = "") -> str:
+    """``1 file``, ``1,200 files``; empty for None."""
+    if number is None:
+        return ""
+    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
+
+
+def percent_text(percent: float | None) -> str:
+    """``-0.266 %``, with its sign; empty for None."""
+    if percent is None:
+        return ""
+    return f"{percent:+.3f} %" if abs(percent) < 10.0 else f"{percent:+.1f} %"
+
+
+def seconds_text(seconds: float) -> str:
+    """``0.42 s``, ``3 min 05 s`` or ``2 h 10 min``."""
+    if not math.isfinite(seconds):
+        return "unknown"
+    if seconds < 99.95:
+        return f"{seconds:.2f} s" if seconds < 10.0 else f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def command_text(command: Sequence[str], max_length: int) -> str:
+    """A command line as a shell takes it, cut to a length."""
+    import shlex
+
+    text = shlex.join(command)
+    return text if len(text) <= max_length else f"{text[:max_length]} ..."
+
+
+def file_name(name: str) -> str:
+    """A file's name, escaped for display; ``-`` is where a stream comes from."""
+    return "standard input" if name == "-" else escape_for_display(name)
+
+
+def reason(where: str, message: str, code: str) -> str:
+    """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
+    place = "" if not where or message.startswith(f"{where} ") else f"{where}: "
+    return f"{place}{message}" + (f" ({code})" if code else "")
+
+
+def failure_text(failure: Failure, *, with_code: bool = True) -> str:
+    return reason(failure.where, failure.message, failure.code if with_code else "")
+
+
+def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[Line]:
+    """Why a file failed, and what to do about it; nothing if it did not fail."""
+    if failure is None:
+        return []
+    lines = [Line(f"{indent}{name}: {failure_text(failure)}", "bad")]
+    return lines + ([Line(f"{indent}  hint: {failure.hint}")] if failure.hint else [])
+
+
+def gate_values(gate: GateResult) -> str:
+    """A gate with the values that it was decided by, or why it could not be decided."""
+    text = f"{gate.expression} ({gate.reason})"
+    return text if gate.decided else f"not decided: {text}"
+
+
+def gate_text(gate: GateResult) -> str:
+    """``broken: max_displacement > 0.5e (max_displacement is 0.0123 (0.62e))``."""
+    word = "broken: " if gate.broken and gate.decided else "" if gate.broken else "passed: "
+    return f"{word}{gate_values(gate)}"
+
+
+def mesh_text(record: MeshRecord) -> str:
+    """The size of a mesh and its defects."""
+    counts = (
+        vertices_text(record.vertices, record.corners),
+        format_count(record.faces, "face"),
+        format_count(record.components, "component"),
+        defects_text(record),
+    )
+    return ", ".join(filter(None, counts))
+
+
+def vertices_text(vertices: int | None, corners: int | None) -> str:
+    """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL); they alone
+    where the vertices are not known."""
+    if vertices is None:
+        return format_count(corners, "corner")
+    beside = f" (of {corners:,} corners)" if corners is not None else ""
+    return format_count(vertices, "vertex", "vertices") + beside
+
+
+def defects_text(record: MeshRecord | InfoRecord) -> str:
+    """What is wrong with a mesh, as counts; empty if nothing is."""
+    counts = (
+        format_count(record.boundary_edges or None, "boundary edge"),
+        format_count(record.non_manifold_edges or None, "non-manifold edge"),
+        format_count(record.inconsistent_edges or None, "edge between faces of opposite winding",
+                "edges between faces of opposite winding"),
+        format_count(record.degenerate_faces or None, "degenerate face"),
+        format_count(record.duplicate_faces or None, "duplicate face"),
+        format_count(record.unreferenced_vertices or None, "unreferenced vertex",
+                "unreferenced vertices"),
+        "inside out" if record.inside_out else "",
+    )  # fmt: skip
+    return ", ".join(filter(None, counts))
+
+
+def despiked_text(despiked: int) -> str:
+    return format_count(despiked, "outlier vertex", "outlier vertices") + " brought back"
+
+
+def self_intersections_text(pairs: SelfIntersections) -> str:
+    """``164 -> 145 pairs of faces, 101 of them new``."""
+    new = "" if pairs.created is None else f", {pairs.created:,} of them new"
+    return f"{pairs.before:,} -> {pairs.after:,} pairs of faces{new}"
+
+
+def _reference_text(reference: Reference) -> str:
+    parts = (
+        ("normals", figure(reference.mean_angular_error_deg, ".2f", " degrees off in the mean")),
+        ("vertices", figure(reference.vertex_error_percent, ".3g", " % of the mean edge length")),
+        ("Hausdorff", figure(reference.hausdorff_edges, ".3g", " mean edge lengths")),
+    )
+    return ", ".join(f"{word} {text}" for word, text in parts if text) or "not known"
+
+
+def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[str]:
+    """The level of a mesh's noise and what it is like, then how it was estimated."""
+    level = f"{noise.mean_edges:.3g} mean edge lengths"
+    texts = [f"{noise.file_units:.3g} in file units"]
+    if noise.low_edges is not None and noise.high_edges is not None:
+        texts[0] = f"{noise.low_edges:.2g} to {noise.high_edges:.2g}; {texts[0]}"
+    if noise.negligible:
+        is_filtered = (
+            isinstance(record, MeshRecord)
+            and record.method is not None
+            and record.left_alone is None
+            and record.status != "unchanged"
+        )
+        words = "hardly any, filtered all the same" if is_filtered else "none to speak of"
+        return [f"{level}: {words}", *texts]
+    if noise.words and noise.confidence is not None:
+        texts.append(f"{100.0 * noise.confidence:.0f} % sure: {noise.basis}")
+    is_uneven = noise.uneven and noise.kind != "uneven"
+    if is_uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
+        texts.append(f"uneven: {noise.lowest_edges:.2g} to {noise.highest_edges:.2g} by region")
+    tail, rms = noise.tail, noise.rms_edges
+    if tail is not None and rms is not None and tail >= IMPULSIVE_TAIL:
+        texts.append(
+            f"impulsive: {100.0 * tail:.1f} % of the vertices stand out; with them "
+            f"{rms:.3g} mean edge lengths"
+        )
+    return [", ".join(filter(None, (level, noise.words))), *texts]
+
+
+def unsure_text(record: MeshRecord) -> str:
+    """Where a choice was made for noise or texture: ``noise of 0.08 e (60 %) or texture (40 %):
+    filtered mildly, --assume noise or texture decides``; else empty."""
+    noise, choice = record.noise_estimate, record.choice
+    if noise is None or choice is None or not noise.unsure or choice.wishes.get("assume"):
+        return ""
+    readings = " or ".join(
+        reading.kind
+        + (f" of {reading.level_edges:.2g} e" if reading.level_edges else "")
+        + f" ({100.0 * reading.probability:.0f} %)"
+        for reading in noise.readings
+    )
+    done = "left as it is" if record.status == "unchanged" else "filtered mildly"
+    return f"{readings}: {done}, --assume noise or texture decides"
+
+
+def auto_text(records: Sequence[MeshRecord]) -> str:
+    """Where --auto is expected to come much nearer to the truth, in one line; else empty."""
+    seconds = known_values(records, "choice.auto_seconds")
+    if not seconds:
+        return ""
+    where = "" if len(records) == 1 else f" on {len(seconds):,} of {len(records):,} files"
+    about = f"{sum(seconds):.0f} s" if sum(seconds) < 100.0 else f"{sum(seconds) / 60.0:.0f} min"
+    return (
+        f"--auto would probably come much nearer to the true surface{where} (machined parts, "
+        f"strong noise), in about {about} of one core"
+    )
+
+
+# Tiles
+
+
+def tile_set_text(records: Sequence[MeshRecord]) -> str:
+    """What came of the files of a tile set that are written; empty if there is none."""
+    parts = [one.tile_set for one in records if one.tile_set is not None]
+    if not parts:
+        return ""
+    gaps = [one.tile_gap for one in records if one.tile_set is not None]
+    known = [one for one in gaps if one is not None]
+    gap = f"{max(known):.3g}" if known and len(known) == len(gaps) else "not known"
+    texts = [f"{format_count(len(parts), 'file')} as one mesh"]
+    texts.append(f"largest gap between shared vertices {gap}")
+    if n_welded := sum(one.welded_vertices for one in parts):
+        widest = max(one.largest_weld for one in parts)
+        welded = format_count(n_welded, "border vertex", "border vertices")
+        texts.append(f"{welded} welded, which closed gaps of up to {widest:.3g}")
+    if n_fixed := sum(one.fixed_border_vertices for one in parts):
+        texts.append(f"{format_count(n_fixed, 'border vertex', 'border vertices')} held fixed")
+    return "; ".join(texts)
+
+
+def touches_text(part: TileSetPart) -> str:
+    """What a file of a tile set shares with others: ``touches b.ply, c.ply: 60 vertices``."""
+    if not part.neighbours:
+        return "touches no other file"
+    names = ", ".join(part.neighbours)
+    return f"touches {names}: {format_count(part.shared_vertices, 'vertex', 'vertices')}"
+
+
+def tiles_text(tiles: Tiles) -> str:
+    """Such as ``128 tiles with 6 rings around each, 2 at a time, 21 GB of scratch space``."""
+    parts = [format_count(tiles.number, "tile")]
+    if tiles.rings is not None:
+        parts[0] += f" with {format_count(tiles.rings, 'ring')} around each"
+    # The rings are known once tiles are made; before, the rest is an estimate.
+    about = "about " * (tiles.rings is None)
+    space = f"{about}{megabytes(tiles.scratch_bytes)} of scratch space"
+    parts += [f"{tiles.jobs} at a time", space]
+    if tiles.choice_vertices is not None:
+        parts.append(
+            f"noise and choice of {format_count(tiles.choice_vertices, 'vertex', 'vertices')}"
+        )
+    if tiles.resumed_tasks:
+        parts.append(f"{format_count(tiles.resumed_tasks, 'task')} done by an earlier run")
+    is_done = tiles.rings is not None
+    if tiles.memory_bytes is not None and not is_done:
+        parts.append(f"{megabytes(tiles.memory_bytes)} of memory")
+    if tiles.expected_seconds is not None and not is_done:
+        parts.append(f"about {seconds_text(tiles.expected_seconds)}")
+    return ", ".join(parts)

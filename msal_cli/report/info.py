@@ -1,0 +1,134 @@
+"""What ``msal info`` prints for people: the facts of a file, or a line for each of many."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from msal_cli.job.display_names import columns, figure, pad_name, shorten_name
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.report.facts import (
+    Line,
+    defects_text,
+    failure_lines,
+    file_name,
+    format_count,
+    noise_texts,
+)
+
+_SHAPES = {"3": "triangles", "4": "quads"}
+
+# Heads and their widths, left to right; a file is printed before the next is read.
+_COLUMNS = (("format", 7), ("vertices", 10), ("faces", 10), ("noise", 6), ("surface", 7))
+_LAST = "problems"
+_MIN_NAME_WIDTH = 16
+_ROOM_FOR_PROBLEMS = 12
+
+
+def describe_info(record: InfoRecord) -> list[Line]:
+    """The lines on one file: its name, then one line per fact."""
+    name = file_name(record.input)
+    if record.error is not None:
+        return failure_lines(name, record.error)
+    lines = [Line(name, "good")]
+    lines += [Line(f"  {word:<15} {text}") for word, text in _facts(record)]
+    return lines + [Line(f"  {'warning':<15} {text}", "bad") for text in record.warnings]
+
+
+def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
+    storage = [part for part in (record.format, record.encoding, record.precision) if part]
+    size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
+    yield "format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size])
+    beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
+    unknown = "not counted" if record.read_in_pieces else "-"
+    yield "vertices", _count(record.vertices, unknown) + beside
+    sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
+    parts = [f"{count:,} {_SHAPES.get(size, f'with {size} corners')}" for size, count in sizes]
+    yield "faces", _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
+    yield "components", _count(record.components, unknown)
+    yield "surface", _surface_text(record)
+    yield "winding", (record.winding or "-") + (", inside out" if record.inside_out else "")
+    for word, count, unit in (
+        ("degenerate", record.degenerate_faces, "faces"),
+        ("duplicate", record.duplicate_faces, "faces"),
+        ("unreferenced", record.unreferenced_vertices, "vertices"),
+        ("welded", record.welded_vertices, "vertices"),
+    ):
+        yield word, _count(count, unknown) + ("" if count is None else f" {unit}")
+    if record.self_intersections is not None:
+        yield "intersecting", f"{record.self_intersections:,} pairs of faces"
+    if record.bounds is not None:
+        low, high = record.bounds
+        yield "from", ", ".join(f"{x:.9g}" for x in low)
+        yield "to", ", ".join(f"{x:.9g}" for x in high)
+        yield "size", " x ".join(f"{b - a:.6g}" for a, b in zip(low, high, strict=True))
+    yield "area", figure(record.area, ".6g", unknown="-")
+    if record.volume_valid and record.volume is not None:
+        yield "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
+    else:
+        yield "volume", f"- {record.volume_reason}".rstrip()
+    yield "mean edge", figure(record.mean_edge_length, ".6g", unknown="-")
+    if record.noise_estimate is not None:
+        level, *details = noise_texts(record.noise_estimate, record)
+        yield "noise estimate", level
+        yield from (("", text) for text in details)
+    yield "carried along", ", ".join(record.properties) or "nothing else"
+    if record.read_in_pieces:
+        yield "read in pieces", "the file is larger than memory; noise is that of a part"
+    if record.references:
+        yield "refers to", ", ".join(record.references)
+
+
+def _surface_text(record: InfoRecord) -> str:
+    if record.closed is None and record.read_in_pieces:
+        return "open, too many boundary edges to count them in pieces"
+    kind = "closed" if record.closed else f"open, {_count(record.boundary_edges)} boundary edges"
+    if record.non_manifold_edges:
+        kind += f", {_count(record.non_manifold_edges)} non-manifold edges"
+    return kind
+
+
+def _count(number: int | None, unknown: str = "-") -> str:
+    return figure(number, ",", unknown=unknown)
+
+
+class InfoTable:
+    """The lines of a table for files whose paths are known beforehand; ``width`` in columns."""
+
+    def __init__(self, paths: Sequence[str], width: int) -> None:
+        taken = sum(size + 2 for _, size in _COLUMNS) + 2 + _ROOM_FOR_PROBLEMS
+        longest = max((columns(file_name(path)) for path in paths), default=0)
+        self._name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - taken)))
+
+    def head(self) -> Line:
+        """The names of the columns."""
+        return Line(self._join("file", [name for name, _ in _COLUMNS], _LAST), "faint")
+
+    def row(self, record: InfoRecord) -> Line:
+        """The line on a file that could be read."""
+        noise = record.noise_estimate
+        cells = [
+            (record.format or "-") + (".gz" if record.compressed else ""),
+            figure(record.vertices, ",", unknown="-"),
+            figure(record.faces, ",", unknown="-"),
+            "-" if noise is None else "none" if noise.negligible else f"{noise.mean_edges:.2g}",
+            "-" if record.closed is None else "closed" if record.closed else "open",
+        ]
+        counts = (
+            defects_text(record),
+            format_count(record.self_intersections or None, "pair of faces that intersect",
+                    "pairs of faces that intersect"),
+            format_count(len(record.warnings) or None, "warning"),
+        )  # fmt: skip
+        problems = ", ".join(filter(None, counts))
+        return Line(self._join(file_name(record.input), cells, problems))
+
+    def foot(self) -> Line:
+        """What the figures mean."""
+        words = "(noise in mean edge lengths; -v shows all that is known of each file)"
+        return Line(words, "faint")
+
+    def _join(self, name: str, cells: Sequence[str], last: str) -> str:
+        parts = [pad_name(shorten_name(name, self._name_width), self._name_width)]
+        for cell, (head, size) in zip(cells, _COLUMNS, strict=True):
+            parts.append(pad_name(cell, size, right=head not in ("format", "surface")))
+        return "  ".join([*parts, last]).rstrip()

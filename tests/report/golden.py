@@ -1,0 +1,174 @@
+"""What each writer makes of one run with a file of every kind, kept in the folder ``golden``.
+
+``python -m tests.report.golden`` writes the files anew; read their difference before committing.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import (
+    ChoiceMade,
+    MeshRecord,
+    NoiseEstimate,
+    NoiseReading,
+    Reference,
+    RunnerUp,
+    SelfIntersections,
+    Volume,
+)
+from msal_cli.report import comparison, data, facts, github, html, info, junit, markdown, text
+from tests.report.made import RUN, failed, gated, written
+
+FOLDER = Path(__file__).with_name("golden")
+
+NOISE = NoiseEstimate(
+    mean_edges=0.12,
+    file_units=0.03,
+    low_edges=0.1,
+    high_edges=0.14,
+    rms_edges=0.15,
+    tail=0.031,
+    negligible=False,
+    lowest_edges=0.05,
+    highest_edges=0.2,
+    uneven=True,
+    kind="white",
+    confidence=0.8,
+    basis="the spectrum",
+    words="noise along the normals",
+    unsure=True,
+    readings=(NoiseReading("noise", 0.12, 0.7), NoiseReading("texture", 0.0, 0.3)),
+)
+CHOICE = ChoiceMade(
+    reason="noise 0.12 e; AL (3 sweeps)",
+    surface="machined",
+    noise_edges=0.12,
+    risk_edges=0.07,
+    tried=3,
+    runners_up=(RunnerUp("MSAL, 2 sweeps", 0.08),),
+    wishes={},
+    repeat=("--method", "al", "--set", "iterations=3"),
+    among="family",
+    auto_seconds=2.6,
+)
+FULL = written(
+    "scans/full.stl",
+    corners=208_353,
+    noise_estimate=NOISE,
+    choice=CHOICE,
+    boundary_edges=12,
+    degenerate_faces=1,
+    despiked=3,
+    flipped_faces=1_234,
+    clamped_vertices=1,
+    locked_vertices=4,
+    volume=Volume(1.0, 0.9, -0.1, -10.0, False, "open (12 boundary edges)"),
+    gates=gated().gates,
+    warnings=("colours are lost in stl (W_COLOURS)",),
+    reference=Reference(
+        "truth.ply", "vertices", mean_angular_error_deg=3.456, vertex_error_percent=2.0
+    ),
+    self_intersections=SelfIntersections(164, 145, 101),
+    sidecars=("copied a.mtl",),
+)
+RECORDS = [
+    FULL,
+    written("scans/plain.ply"),
+    failed("scans/bad.ply"),
+    written("still.ply", status="unchanged", left_alone="noise below 0.01 e"),
+    written("old.ply", status="up-to-date"),
+    written("turned.ply", inside_out=True),
+    MeshRecord("rest.ply", "planned", "out/rest.ply"),
+]
+INFO = InfoRecord(
+    input="scan.ply",
+    format="ply",
+    encoding="ascii",
+    precision="float32",
+    compressed=True,
+    bytes=123456,
+    vertices=1000,
+    corners=6000,
+    faces=1500,
+    polygon_sizes={"3": 1000, "4": 499, "12": 2, "5": 1},
+    components=2,
+    closed=False,
+    boundary_edges=12,
+    non_manifold_edges=3,
+    winding="inconsistent",
+    bounds=((0.0, -1.0, 4650000.125), (1.0, 1.0, 4650003.125)),
+    area=12.5,
+    volume=3.0,
+    volume_valid=False,
+    volume_reason="open (12 boundary edges)",
+    mean_edge_length=0.25,
+    noise_estimate=NOISE,
+    properties=("vertex.quality float",),
+    references=("a\x1b.mtl",),
+    warnings=("odd",),
+)
+CLOSED = InfoRecord(
+    input="ball.ply", format="ply", closed=True, volume_valid=True, volume=3.0, inside_out=True
+)
+PAIR = ComparisonRecord(
+    before="a.ply",
+    after="b.ply",
+    correspondence="vertices",
+    vertices_before=10,
+    vertices_after=10,
+    faces_before=16,
+    faces_after=16,
+    mean_edge_length=0.5,
+    mean_angular_error_deg=3.456,
+    max_angular_error_deg=20.0,
+    vertex_error_percent=2.5,
+    displacement=FULL.displacement,
+    volume=Volume(10.0, 9.0, -1.0, -10.0, True, ""),
+    volume_change_percent=-10.0,
+    area_change_percent=1.25,
+    flipped_faces=1_234,
+    hausdorff=0.25,
+    hausdorff_edges=0.5,
+    self_intersections=SelfIntersections(1, 2, None),
+    warnings=("their windings differ",),
+)
+UNLIKE = ComparisonRecord("a.ply", "c.ply", error=failed().error)
+
+
+def outputs() -> Iterator[tuple[str, str]]:
+    """The name of each file and what is in it."""
+    yield "one.txt", lines(text.summary(RUN, [RECORDS[1]], defaults={"K": 0.5, "iterations": 6}))
+    yield "all_of_one.txt", lines(text.summary(RUN, [FULL], verbose=True))
+    yield "summary.txt", lines(text.summary(RUN, RECORDS))
+    yield "summary_verbose.txt", lines(text.summary(RUN, RECORDS, verbose=True))
+    yield "info.txt", lines([*info.describe_info(INFO), *info.describe_info(CLOSED)])
+    table = info.InfoTable(["scan.ply", "ball.ply"], 80)
+    yield "info_table.txt", lines([table.head(), table.row(INFO), table.row(CLOSED), table.foot()])
+    yield "compare.txt", lines(comparison.describe_comparison(PAIR))
+    yield "compare_table.txt", lines(comparison.comparison_table([PAIR, UNLIKE], width=90))
+    yield "report.md", markdown.render(RUN, RECORDS).decode()
+    yield "report.xml", junit.render(RUN, RECORDS).decode()
+    yield "annotations.txt", "\n".join([*github.list_annotations(RECORDS), ""])
+    columns, rows = html.build_table(facts.worst_first(RECORDS))
+    table_lines = (json.dumps(line, ensure_ascii=False) for line in (columns, *rows))
+    yield "table.jsonl", "".join(f"{line}\n" for line in table_lines)
+    page = html.render(RUN, RECORDS).decode()
+    body = page.partition("<body>")[2].partition('<script type="application/json"')[0]
+    yield "page.html", re.sub("(?=<(?:section|tr|p|figure)[ >])", "\n", body)
+    yield "report.csv", data.render_csv(RUN, RECORDS).decode()
+
+
+def lines(several: object) -> str:
+    return "".join(f"{line.text}\n" for line in several)  # type: ignore[attr-defined]
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for name, made in outputs():
+        (FOLDER / name).write_text(made, encoding="utf-8", newline="")

@@ -1,0 +1,220 @@
+"""JSON, JSON Lines and CSV: strict, complete, and as the published schemas say."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from msal_cli.errors import FormatError
+from msal_cli.job.display_names import restore_name
+from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import GateResult, MeshRecord, MethodUsed, Volume
+from msal_cli.report.data import (
+    COMMON_COLUMNS,
+    plain,
+    plain_record,
+    read_json,
+    read_lines,
+    render_csv,
+    render_json,
+    render_lines,
+    totals,
+)
+from tests.report.made import RUN, failed, of, written
+from tests.report.schemas import DOCS, info_schema, load, report_schema
+
+REPORT = Draft202012Validator(report_schema())
+INFO = Draft202012Validator(info_schema())
+SCHEMAS = ("report.schema.json", "info.schema.json", "compare.schema.json")
+
+
+def test_totals_count_by_status_and_leave_out_what_earlier_runs_did():
+    records = [
+        written("a"),
+        written("b", vertices=10, status="unchanged"),
+        written("c", status="up-to-date"),
+        MeshRecord("d", "planned"),
+        failed("e"),
+    ]
+    sums = totals(records)
+    assert (sums.files, sums.written, sums.unchanged, sums.up_to_date) == (5, 1, 1, 1)
+    assert (sums.planned, sums.failed) == (1, 1)
+    assert sums.vertices == 35957
+    assert sums.work_seconds == pytest.approx(1.9)
+
+
+def test_the_volume_spread_is_over_valid_volumes_only():
+    def volume(percent, valid=True):
+        return Volume(1.0, 1.0, 0.0, percent, valid, "" if valid else "open")
+
+    changes = [-3.0, 1.0, -0.5]
+    records = [written(str(change), volume=volume(change)) for change in changes]
+    records.append(written("open", volume=volume(-99.0, valid=False)))
+    records.append(written("flat", volume=volume(None)))
+    spread = totals(records).volume_change_percent
+    assert (spread.files, spread.lowest, spread.median, spread.highest) == (3, -3.0, -0.5, 1.0)
+    assert totals([failed()]).volume_change_percent is None
+
+
+def test_plain_data():
+    made = plain(
+        {"a": float("nan"), "b": (1, float("-inf")), "c": "x\udcff", "d": True, 3: None}
+        | {"n": np.float64(1.5), "i": np.int32(7), "t": np.bool_(True), "z": np.float32("nan")}
+    )
+    assert made == {"a": None, "b": [1, None], "c": "x\\udcff", "d": True, "3": None} | {
+        "n": 1.5, "i": 7, "t": True, "z": None,
+    }  # fmt: skip
+    assert {type(made["n"]), type(made["i"]), type(made["t"])} == {float, int, bool}
+    with pytest.raises(TypeError, match="object"):
+        plain([object()])
+
+
+# JSON
+
+
+def parse_strict(data):
+    def refuse(token):
+        raise AssertionError(f"{token} is not JSON")
+
+    return json.loads(data.decode("utf-8"), parse_constant=refuse)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(of(MeshRecord), max_size=3))
+def test_any_records_make_json_of_the_schema_and_one_ascii_line_each(records):
+    made = parse_strict(render_json(RUN, records))
+    REPORT.validate(made)
+    assert [restore_name(row["input"]) for row in made["records"]] == [
+        record.input for record in records
+    ]
+    data = render_lines(RUN, records)
+    assert data.isascii()
+    *lines, last = data.split(b"\n")
+    assert last == b""
+    assert list(map(parse_strict, lines)) == made["records"]
+
+
+def test_records_come_back():
+    records = [written(), failed()]
+    assert read_lines(render_lines(RUN, records), "r.jsonl") == records
+    assert read_json(render_json(RUN, records), "r.json") == (RUN, records)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda data: data.update(schema="msal.report/2"), "missing or unsupported schema"),
+        (lambda data: data.update(records=3), "no list of records"),
+        (lambda data: data["records"][0].update(status="fine"), "status: it is none of"),
+        (lambda data: data["records"][0].update(status="failed"), "it is no record"),
+        (lambda data: data["records"][0].update(vertices="many"), "vertices: it is str, not int"),
+        (lambda data: data["records"][0]["volume"].pop("valid"), "valid"),
+        (lambda data: data["records"][0].update(error={"code": "E_X"}), "message"),
+    ],
+)
+def test_a_spoilt_report_is_refused_and_does_not_fit_the_schema(spoil, reason):
+    data = json.loads(render_json(RUN, [written()]))
+    REPORT.validate(data)
+    spoil(data)
+    assert not REPORT.is_valid(data) or reason == "it is no record"
+    with pytest.raises(FormatError, match=reason):
+        read_json(json.dumps(data).encode(), "r.json")
+
+
+def test_the_document_has_the_run():
+    made = parse_strict(render_json(RUN, [written(seam_gap=float("nan")), failed()]))
+    assert made["schema"] == "msal.report/1"
+    assert made["command"] == ["msal", "denoise", "scans", "-o", "out"]
+    assert made["settings"]["parameters"] == {"K": 0.5}
+    assert made["totals"]["failed"] == 1
+    assert made["records"][0]["seam_gap"] is None
+    assert made["interrupted"] is False
+
+
+def test_the_committed_schemas_are_current(tmp_path):
+    subprocess.run([sys.executable, DOCS / "make_schemas.py", tmp_path], check=True)
+    for name in SCHEMAS:
+        assert (DOCS / name).read_bytes() == (tmp_path / name).read_bytes(), "run docs/refresh.py"
+        Draft202012Validator.check_schema(load(name))
+
+
+@settings(max_examples=40, deadline=None)
+@given(of(InfoRecord))
+def test_every_info_fits(record):
+    INFO.validate({"schema": "msal.info/1", "version": "1", "records": [plain_record(record)]})
+
+
+# CSV
+
+
+def rows(*records):
+    text = render_csv(RUN, records, has_all=True).decode("utf-8")
+    return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+
+
+def header(records, **options):
+    return render_csv(RUN, records, **options).split(b"\r\n")[0].decode().split(",")
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(of(MeshRecord), max_size=4))
+def test_any_records_can_be_read_back_and_no_text_begins_like_a_formula(records):
+    text = render_csv(RUN, records, has_all=True).decode("utf-8")
+    names, *table = csv.reader(io.StringIO(text, newline=""), strict=True)
+    assert len(table) == len(records)
+    assert {len(row) for row in table} <= {len(names)}
+    at = names.index("input")
+    assert [restore_name(row[at].removeprefix("'")) for row in table] == [
+        record.input for record in records
+    ]
+    for cell in (cell for row in table for cell in row):
+        assert cell[:1] not in ("=", "+", "@", "\t", "\r", "\n")
+        if cell[:1] == "-":
+            float(cell)
+
+
+def test_cells():
+    broken = GateResult("faces > 9", True, True, {"faces": 10.0}, "faces is 10")
+    held = GateResult("-faces > 9", False, True, {"faces": 10.0}, "faces is 10")
+    row, bad = rows(written("'=a", gates=(broken, held), warnings=("one", "two")), failed("it's"))
+    assert row["input"] == "''=a" and bad["input"] == "it's"
+    assert row["volume.change"] == "-0.0266"
+    assert row["volume.valid"] == "true"
+    assert row["vertices"] == "35947"
+    assert row["gates"] == "broken: faces > 9 (faces is 10); held: -faces > 9 (faces is 10)"
+    assert row["warnings"] == "one; two"
+    assert bad["error.code"] == "E_NONFINITE"
+    assert bad["vertices"] == bad["volume.before"] == bad["output"] == bad["gates"] == ""
+
+
+def test_lines_end_as_the_standard_says_and_cells_are_quoted():
+    data = render_csv(RUN, [written('a,"b"\nc.ply')])
+    assert data.endswith(b"\r\n")
+    assert b'"a,""b""\nc.ply"' in data
+
+
+def test_all_columns_are_those_of_the_record_with_sorted_parameters():
+    names = header([written()], has_all=True)
+    assert names[:3] == ["input", "status", "output"]
+    assert names[-4:] == ["error.code", "error.message", "error.hint", "error.where"]
+    at = names.index("method.name")
+    assert names[at + 1 : at + 3] == ["method.parameters.K", "method.parameters.iterations"]
+    assert len(names) == len(set(names))
+    assert names == header([failed(method=written().method)], has_all=True)
+    assert header([written()]) == list(COMMON_COLUMNS)
+    assert set(COMMON_COLUMNS) <= set(names)
+
+
+def test_parameters_of_several_methods_stand_side_by_side():
+    first, second = rows(written("a"), written("b", method=MethodUsed("al", {"time_step": 1.0})))
+    assert (first["method.parameters.time_step"], first["method.parameters.K"]) == ("", "0.5")
+    assert (second["method.parameters.time_step"], second["method.parameters.K"]) == ("1.0", "")
