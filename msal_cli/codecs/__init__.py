@@ -54,14 +54,10 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.codecs import stl
 
         return stl.read(data, name)
-    if wanted == "glb":
-        from msal_cli.codecs import glb
-
-        return glb.read(data, name)
-    if wanted == "gltf":
+    if wanted in ("glb", "gltf"):
         from msal_cli.codecs import gltf
 
-        return gltf.read(data, name)
+        return gltf.read_glb(data, name) if wanted == "glb" else gltf.read_gltf(data, name)
     if wanted == "3mf":
         from msal_cli.codecs import threemf
 

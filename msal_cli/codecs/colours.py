@@ -13,7 +13,7 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.gltf_file import SceneFile
+    from msal_cli.codecs.gltf import SceneFile
 
 Colours = NDArray[np.uint8]
 
@@ -56,7 +56,7 @@ def vertex_colours(mesh_file: MeshFile) -> Colours | None:
 def surface_colours(mesh_file: MeshFile) -> Colours | None:
     """Colours (n, 3) of the vertices of a file of any format, or None where it has none."""
     if mesh_file.format in ("glb", "gltf"):
-        from msal_cli.codecs.gltf_file import SceneFile
+        from msal_cli.codecs.gltf import SceneFile
 
         return _of_gltf(mesh_file) if isinstance(mesh_file, SceneFile) else None
     if mesh_file.format == "off":
@@ -173,7 +173,7 @@ def _of_stl(mesh_file: MeshFile) -> Colours | None:
 
 def _of_gltf(scene_file: SceneFile) -> Colours | None:
     """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows."""
-    from msal_cli.codecs.gltf_json import as_dict, as_list
+    from msal_cli.codecs.gltf_scene import as_dict, as_list
 
     scene, has_colours = scene_file.scene, False
     meshes = [as_dict(mesh) for mesh in as_list(scene.content.get("meshes"))]

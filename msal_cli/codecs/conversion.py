@@ -103,8 +103,7 @@ def converted(
         encode = getattr(mesh_file, "encoded")  # noqa: B009 - not part of the protocol
         return encode(vertices, encoding, precision), ()
     if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
-        from msal_cli.codecs.gltf_file import SceneFile
-        from msal_cli.codecs.gltf_repack import repack
+        from msal_cli.codecs.gltf import SceneFile, repack
 
         scene = repack(mesh_file, vertices, to) if isinstance(mesh_file, SceneFile) else None
         if scene is not None:
@@ -310,10 +309,9 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
 
 
 def _as_gltf(scene: bytes) -> Buffer:
-    from msal_cli.codecs import glb
-    from msal_cli.codecs.gltf_repack import repack
+    from msal_cli.codecs import gltf
 
-    made = glb.read(scene, "")
-    data = repack(made, made.vertices, "gltf")
+    made = gltf.read_glb(scene, "")
+    data = gltf.repack(made, made.vertices, "gltf")
     assert data is not None
     return data

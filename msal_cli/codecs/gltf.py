@@ -1,34 +1,46 @@
-"""glTF as text (.gltf): positions and normals replaced in its buffers.
+"""glTF: positions and normals replaced in binary data, and bounds of positions in a description.
 
-A buffer is base64 inside the text, which is replaced there, or a file beside it, which is written
-beside the output.  Of the other text only the bounds change that the format demands of positions,
-and the name of a file that could not be kept.
-"""
+All else is kept: materials, textures, animations, extras, the order of everything.  A GLB file has
+its data in a chunk of its own; a .gltf has them as base64 inside its text, which is replaced there,
+or in files beside it, which are written beside the output.  The names of those come from strangers:
+nothing outside the folder of the .gltf is opened, and nothing but regular files."""
 
 from __future__ import annotations
 
+import base64
+import binascii
+import errno
 import json
+import operator
 import os
-from pathlib import Path
+import struct
+from pathlib import Path, PureWindowsPath
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
-from msal_cli.arrays import Floats
-from msal_cli.codecs import gltf_buffers
-from msal_cli.codecs.gltf_file import SceneFile
-from msal_cli.codecs.gltf_json import (
+import numpy as np
+
+from msal_cli.arrays import Flags, Floats
+from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable
+from msal_cli.codecs.gltf_scene import (
+    Part,
+    Scene,
     as_dict,
     as_list,
     find_entries,
+    has_scheme,
     parse_json,
     replace_spans,
     require_short,
+    write_bound,
 )
-from msal_cli.codecs.gltf_scene import Scene
+from msal_cli.codecs.layout import Layout, require_finite
 from msal_cli.codecs.mesh_file import Companion
+from msal_cli.codecs.slot_file import Change, SlotFile
 from msal_cli.errors import (
     EXPORT_AGAIN,
     FormatError,
+    InputError,
     InternalError,
     MsalError,
     OutputError,
@@ -36,29 +48,350 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.limits import memory_bytes
+from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url
+
+
+class SceneFile(SlotFile):
+    """An opened scene; see ``codecs.mesh_file.MeshFile``.
+
+    ``vertices`` are those of every part, one behind the other.  With several parts they are in the
+    frame of the scene, since two parts may coincide in their own; with one part, in its own.
+
+    Its numbers lie in ``scene.data``; those who inherit put that into a file.
+    """
+
+    format = ""
+
+    def __init__(self, data: Buffer, text: bytes, scene: Scene) -> None:
+        self.data = data
+        self.scene = scene
+        self.text = text.decode("latin-1")
+        parts, warnings = scene.parts()
+        self.parts = parts
+        super().__init__(scene.data.data, self.format, lambda _: _layout(scene, parts, warnings))
+
+    def replaced(self, vertices: Floats) -> Buffer:
+        if np.array_equal(vertices, self.vertices):
+            return self.data
+        return self._pack(self.replace_data(vertices))
+
+    def replace_data(self, vertices: Floats) -> memoryview:
+        """The data of the scene with other positions (n, 3)."""
+        return memoryview(super().replaced(vertices))
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        try:
+            text, data = self._unpack(output, vertices)
+            content = json.loads(text.decode().removeprefix("\ufeff"))
+        except (MsalError, ValueError) as failure:
+            raise InternalError(
+                f"the {self.format} file that was made cannot be read: {failure}"
+            ) from None
+        super().check(data, vertices)
+        expected = json.loads(json.dumps(self.scene.content))
+        for part in self.parts:
+            bounds = part.bounds(as_bytes(data))
+            for entry in (expected["accessors"][index] for index in part.accessors):
+                for word, new in bounds.items():
+                    if word in entry:
+                        entry[word] = json.loads(write_bound(json.dumps(entry[word]), new))
+        # As text, because a number that is none, which Python reads, is not equal to itself.
+        is_right = json.dumps(content) == json.dumps(expected)
+        if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
+            raise InternalError("the description of a scene is not what it should be")
+
+    def _changes(self, vertices: Floats) -> list[Change]:
+        # Also when checked: positions of the first part that moved must be ones that can be stored.
+        changes = super()._changes(vertices)
+        self._require_ranges(changes[:1])
+        return changes
+
+    def text_of(self, data: Buffer) -> bytes:
+        """The description with the bounds that positions have in ``data``."""
+        spans = find_entries(self.text, "accessors")
+        edits = []
+        for part in self.parts:
+            bounds = part.bounds(as_bytes(data))
+            for own in (spans[index] for index in part.accessors):
+                for word, new in bounds.items():
+                    if word in own:
+                        start, stop = own[word]
+                        edits.append((own[word], write_bound(self.text[start:stop], new)))
+        return replace_spans(self.text, edits).encode("latin-1")
+
+    def _pack(self, data: memoryview) -> Buffer:
+        """The file with other data, and with a description that fits them."""
+        raise NotImplementedError
+
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        """The description and the data of a file that was made."""
+        raise NotImplementedError
+
+
+def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layout:
+    properties = scene.properties()
+    frames = scene.frames(parts)
+    if len(parts) > 1:
+        properties = (f"{len(parts)} parts", *properties)
+    elif is_placed(frames[0]):
+        properties = (*properties, PLACEMENT)
+    is_framed = len(parts) > 1 and all(map(is_usable, frames))
+    if not is_framed:
+        frames = [np.eye(4) for _ in parts]
+    positions = tuple(part.positions.slots(scene.data) for part in parts)
+    for part, slots in zip(parts, positions, strict=True):
+        require_finite(slots.values, f"accessor {part.positions.index}, vertex {{}}".format)
+    starts = np.cumsum([0, *(slots.count for slots in positions)])
+    faces = np.concatenate(
+        [part.faces + first for part, first in zip(parts, starts.tolist(), strict=False)]
+    ).astype(np.int32)
+    normals = [
+        (part, part.normals.slots(scene.data), frame, int(first))
+        for part, frame, first in zip(parts, frames, starts, strict=False)
+        if part.normals is not None
+    ]
+    return Layout(
+        "binary_little_endian",
+        "float32" if any(part.positions.code == "<f4" for part in parts) else "integer",
+        positions,
+        normals=tuple(slots for _, slots, _, _ in normals),
+        renew_normals=lambda old, new: [
+            _renew_normals(part, slots.values, frame[:3, :3], old[first:], new[first:])
+            for part, slots, frame, first in normals
+        ],
+        frames=tuple(frames) if is_framed else (),
+        properties=properties,
+        warnings=warnings,
+        references=scene.references(),
+        faces=faces,
+    )
+
+
+def _renew_normals(
+    part: Part, stored: Floats, linear: Floats, old: Floats, new: Floats
+) -> tuple[Floats, Flags]:
+    """The normals (n, 3) of a part, which ``linear`` (3, 3) takes into the scene, and which of them
+    changed; ``old`` and ``new`` begin with its vertices."""
+    from msal_cli.kernels.geometry import regrouped_normals
+
+    count = len(stored)
+    faces = part.faces.astype(np.int32)
+    # A stored normal may be anything.
+    with np.errstate(over="ignore", invalid="ignore"):
+        normals, is_changed = regrouped_normals(
+            old[:count], new[:count], faces, faces, stored @ np.linalg.inv(linear)
+        )
+        normals = normals @ linear
+        length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+        normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0.0)
+    return normals, is_changed
+
+
+_HEAD = 20
+"""Bytes before the description: the header of the file and that of its first chunk."""
+
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942
+_CUT = "the file was cut short; copy or export it again"
+
+
+def read_glb(data: Buffer, name: str) -> GlbFile:
+    """Read the surfaces of a GLB file; ``name`` is there for all codecs alike."""
+    return GlbFile(data)
+
+
+def expected_bytes(head: memoryview, total: int) -> int:
+    """The bytes that a file of ``total`` bytes that begins with ``head`` should have."""
+    if total < _HEAD:
+        raise TruncatedError(f"the file has only {total} bytes", hint=EXPORT_AGAIN)
+    magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
+    if magic != b"glTF" or (version == 2 and kind != _JSON):
+        raise FormatError(
+            "the file does not begin as a GLB file does", where="byte 0", hint=EXPORT_AGAIN
+        )
+    if version != 2:
+        raise UnsupportedError(
+            f"glTF version {version} is not read", hint="convert it to version 2"
+        )
+    if length > total or _HEAD + size > length:
+        raise TruncatedError(
+            f"the file should have {max(length, _HEAD + size)} bytes but has {total}",
+            where=f"byte {total}",
+            hint=_CUT,
+        )
+    require_short(size, "JSON chunk")
+    return int(length)
+
+
+def _split_glb(data: Buffer) -> tuple[bytes, memoryview, int]:
+    """The description, all behind it, and how much of that belongs to the file."""
+    view = memoryview(data).cast("B")
+    length = expected_bytes(view, len(view))
+    (size,) = struct.unpack_from("<I", view, 12)
+    return bytes(view[_HEAD : _HEAD + size]), view[_HEAD + size :], length - _HEAD - size
+
+
+def _parse_glb(text: bytes, rest: memoryview, length: int) -> Scene:
+    from msal_cli.kernels.text import as_bytes
+
+    content = parse_json(text, "JSON chunk")
+    size = 0
+    if length >= 8:
+        size, kind = struct.unpack_from("<II", rest)
+        size *= kind == _BINARY
+        if 8 + size > length:
+            end = _HEAD + len(text) + length
+            raise TruncatedError(
+                f"the binary chunk should have {size} bytes but has {length - 8}",
+                where=f"byte {end}",
+                hint=_CUT,
+            )
+    first = as_list(content.get("buffers"))[:1]
+    is_inside = "uri" not in as_dict(first[0] if first else None)
+    return Scene(content, as_bytes(rest), {0: (8 * (size > 0), size)} if is_inside else {})
+
+
+class GlbFile(SceneFile):
+    """An opened GLB file."""
+
+    format = "glb"
+
+    def __init__(self, data: Buffer) -> None:
+        parts = _split_glb(data)
+        super().__init__(data, parts[0], _parse_glb(*parts))
+
+    def _pack(self, data: memoryview) -> bytes:
+        """The file with other data behind the description, whose padding is made to fit."""
+        begin = _HEAD + len(self.text)
+        head = memoryview(self.data).cast("B")[:begin]
+        text = self.text_of(data)
+        if text != head[_HEAD:]:
+            padding = len(text) - len(text.rstrip(b" "))
+            text = text[: len(text) - min(padding, 3)]
+            text += b" " * (-len(text) % 4)
+            size = _HEAD + len(text) + len(data)
+            head = memoryview(struct.pack("<4sIIII", b"glTF", 2, size, len(text), _JSON) + text)
+        return b"".join([head, data])
+
+    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
+        text, data, length = _split_glb(output)
+        heads = (memoryview(one).cast("B")[:_HEAD] for one in (output, self.data))
+        if length != len(data) and operator.ne(*heads):
+            raise InternalError("the length in its header is not what it should be")
+        return text, data
+
+
+_BASE64 = ";base64,"
+_MOST_BEHIND = 256 << 20
+"""Bytes behind the declared end of a buffer that are carried along whatever its size."""
+
+_AS_GLB = "export it as .glb, which holds everything in one file"
+
+
+def decode_data_uri(uri: str, where: str) -> bytes | None:
+    """The content of a ``data:`` reference; None for any other."""
+    if uri[:5].lower() != "data:":
+        return None
+    comma = uri.find(",", 0, 1000)
+    if not uri[: comma + 1].lower().endswith(_BASE64):
+        raise UnsupportedError("data that are not base64 are not read", where=where, hint=_AS_GLB)
+    try:
+        return base64.b64decode(uri[comma + 1 :], validate=True)
+    except (binascii.Error, ValueError) as failure:
+        said = str(failure)[:100]
+        raise FormatError(
+            f"the data are not base64: {said}", where=where, hint=EXPORT_AGAIN
+        ) from None
+
+
+def encode_data_uri(uri: str, content: Buffer) -> str:
+    comma = uri.index(",")
+    return uri[: comma + 1] + base64.b64encode(content).decode("ascii")
+
+
+def file_name(uri: str, where: str) -> str:
+    """The path, with slashes, that a reference means relative to the folder of its .gltf.
+
+    Raises UnsupportedError if it leads out of that folder, or is no path.
+    """
+    try:
+        name = unquote(uri, errors="strict")
+    except UnicodeDecodeError:  # percent signs that are no escapes
+        name = uri
+    parts = name.split("/")
+    if (
+        has_scheme(uri)
+        or not name.strip()
+        or name.startswith("/")
+        or "\0" in name
+        or ".." in parts
+        or PureWindowsPath(name).drive
+        or "\\" in name
+    ):
+        raise UnsupportedError(
+            f"the buffer {uri[:200]!r} is not in the folder of the .gltf, and is not read",
+            where=where,
+            hint=f"put it beside the .gltf, or {_AS_GLB}",
+        )
+    return name
+
+
+def read_buffer(name: str, folder: Path, declared: int, room: int, where: str) -> bytes:
+    """The bytes of the file ``name`` in ``folder``: from ``declared`` to ``room`` of them."""
+    try:
+        path = os.path.realpath(folder / name)
+        if not Path(path).is_relative_to(os.path.realpath(folder)):
+            raise UnsupportedError(
+                f"the buffer {name!r} is a link that leads out of the folder, and is not read",
+                where=where,
+                hint="put the file itself beside the .gltf",
+            )
+        with open_regular(path) as file:
+            status = os.fstat(file.fileno())
+            if status.st_size > min(2 * declared + _MOST_BEHIND, room):
+                raise TooLargeError(
+                    f"the buffer {name!r} has {status.st_size:,} bytes, not {declared:,}",
+                    where=where,
+                    hint="export the mesh again",
+                )
+            content = file.read()
+    except NotRegularError:
+        raise UnsupportedError(
+            f"the buffer {name!r} is not a regular file", where=where, hint=_AS_GLB
+        ) from None
+    except (OSError, ValueError) as failure:
+        is_missing = getattr(failure, "errno", None) in (errno.ENOENT, errno.ENOTDIR)
+        reason = getattr(failure, "strerror", None) or str(failure)
+        raise InputError(
+            f"the buffer {name!r} is missing beside the .gltf"
+            if is_missing
+            else f"the buffer {name!r} cannot be read: {reason}",
+            where=where,
+            code="E_READ",
+            hint="copy it beside the .gltf; a .gltf does not hold its mesh itself",
+        ) from failure
+    if len(content) < declared:
+        raise TruncatedError(
+            f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
+            where=where,
+            hint="the file was cut short; copy or export it again",
+        )
+    return content
+
 
 _MOST_BUFFERS = 10_000
 _PACK = "write one file with --to glb"
 _DATA_URI = b'"data:'
 
 
-def read(data: Buffer, name: str) -> GltfFile:
+def read_gltf(data: Buffer, name: str) -> GltfFile:
     """Read the surfaces of a .gltf file and of the buffers in its folder; ``name`` is its path.
 
-    Raises
-    ------
-    FormatError, TruncatedError, TooLargeError
-        if the file, or a buffer, is not what its format says.
-    InputError
-        with code ``E_READ`` if a buffer cannot be read.
-    UnsupportedError
-        for compressed positions, and buffers outside its folder.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
+    Raises InputError (``E_READ``) if a buffer cannot be read.
     """
     text = bytes(data)
     # Base64 inside the text does not count.
@@ -96,7 +429,9 @@ class _Buffers:
         self._files: dict[str, tuple[int, int]] = {}
         self._contents: list[bytes] = []
         self._size = 0
-        self._folder = gltf_buffers.folder_of(path)
+        # A stream and an object in a store have no folder.
+        is_file = path not in ("", "-") and not is_url(path)
+        self._folder = Path(path).parent if is_file else None
         entries = as_list(content.get("buffers"))
         if len(entries) > _MOST_BUFFERS:
             raise TooLargeError(
@@ -124,9 +459,9 @@ class _Buffers:
             raise FormatError(
                 f"byteLength is {declared!r}, not a count", where=where, hint=EXPORT_AGAIN
             )
-        content = gltf_buffers.decode_data_uri(uri, where)
+        content = decode_data_uri(uri, where)
         if content is None:
-            name = gltf_buffers.file_name(uri, where)
+            name = file_name(uri, where)
             if name not in self._files:
                 self._files[name] = self._append(self._load(name, declared, where))
             span = self._files[name]
@@ -150,7 +485,7 @@ class _Buffers:
                 hint="give the file by its path, or export it as .glb",
             )
         room = memory_bytes() // 2 - self._size
-        return gltf_buffers.read_buffer(name, self._folder, declared, room, where)
+        return read_buffer(name, self._folder, declared, room, where)
 
     def _append(self, content: bytes) -> tuple[int, int]:
         span = self._size, len(content)
@@ -184,7 +519,7 @@ class GltfFile(SceneFile):
         for number in self.buffers.changed(data) - set(self.buffers.names):
             at, size = self.buffers.spans[number]
             uri = self.scene.entry("buffers", number)["uri"]
-            new = gltf_buffers.encode_data_uri(uri, data[at : at + size])
+            new = encode_data_uri(uri, data[at : at + size])
             edits.append((spans[number]["uri"], json.dumps(new)))
         return replace_spans(text, edits).encode("latin-1")
 
@@ -201,20 +536,13 @@ class GltfFile(SceneFile):
                 continue
             at, size = self.buffers.spans[number]
             uri = content["buffers"][number]["uri"]
-            if gltf_buffers.decode_data_uri(uri, "") != bytes(data[at : at + size]):
+            if decode_data_uri(uri, "") != bytes(data[at : at + size]):
                 raise InternalError("a buffer of a .gltf file was not written right")
             start, stop = original[number]["uri"]
             restored.append((spans["uri"], self.text[start:stop]))
         return replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The text with ``vertices`` (n, 3); glTF has one encoding and one precision.
-
-        Raises
-        ------
-        UnsupportedError
-            for another encoding or precision, and for a file with others beside it.
-        """
         if self.buffers.names:
             raise UnsupportedError(
                 "a .gltf with buffers of its own has one encoding",
@@ -297,7 +625,6 @@ class GltfFile(SceneFile):
 
 
 def _stem(path: str) -> str:
-    """A file's name without ``.gltf`` and ``.gz``."""
     name = Path(path).name
     name = name[:-3] if is_gzip_name(name) else name
     return Path(name).stem
@@ -318,7 +645,67 @@ def names_of_buffers(data: Buffer) -> set[str]:
         for number, entry in enumerate(as_list(content.get("buffers"))):
             uri = as_dict(entry).get("uri")
             if isinstance(uri, str) and uri and not uri.startswith("data:"):
-                found.add(gltf_buffers.file_name(uri, f"buffer {number}"))
+                found.add(file_name(uri, f"buffer {number}"))
     except MsalError:
         return set()
     return found
+
+
+def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
+    """The scene with ``vertices`` (n, 3) as ``glb`` or ``gltf``.
+
+    None where that would lose something: for buffers that could not be read, and for views that
+    are described a second time in an extension.
+    """
+    is_moved = bool((vertices != file.vertices).any())
+    data = file.replace_data(vertices)
+    text = file.text_of(data) if is_moved else file.text.encode("latin-1")
+    content = json.loads(text.decode().removeprefix("\ufeff"))
+    try:
+        binary = _merge_buffers(content, file.scene.buffers, data)
+    except (TypeError, ValueError, LookupError, AttributeError):
+        return None
+    if to == "gltf":
+        content["buffers"][0]["uri"] = encode_data_uri(
+            "data:application/octet-stream;base64,", binary
+        )
+        return _to_json(content)
+    description = _to_json(content)
+    description += b" " * (-len(description) % 4)
+    binary += bytes(-len(binary) % 4)
+    chunks = [struct.pack("<I4s", len(description), b"JSON"), description]
+    chunks += [struct.pack("<I4s", len(binary), b"BIN\0"), binary]
+    return b"".join([struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks))), *chunks])
+
+
+def _merge_buffers(content: dict[str, Any], places: dict[int, Any], data: memoryview) -> bytes:
+    """The content of all buffers one behind the other; the description is changed to match.
+
+    Raises ValueError and others where it cannot be.
+    """
+    starts: list[int] = []
+    pieces: list[Buffer] = []
+    size = 0
+    for number in range(len(content["buffers"])):
+        at, length = places[number]
+        pieces += [bytes(-size % 4), data[at : at + length]]
+        size += -size % 4
+        starts.append(size)
+        size += length
+    for entry in content["bufferViews"]:
+        if "extensions" in entry:
+            raise ValueError("an extension may name the buffer again")
+        entry["byteOffset"] = entry.get("byteOffset", 0) + starts[entry["buffer"]]
+        entry["buffer"] = 0
+    first = content["buffers"][0] if len(starts) == 1 else {}
+    first.pop("uri", None)
+    content["buffers"] = [first | {"byteLength": size}]
+    return b"".join(pieces)
+
+
+def _to_json(content: dict[str, Any]) -> bytes:
+    """The description as UTF-8; half a surrogate pair, which has none, stays an escape."""
+    try:
+        return json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return json.dumps(content, separators=(",", ":")).encode()

@@ -161,10 +161,10 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
 
 
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
-    from msal_cli.codecs import glb
+    from msal_cli.codecs import gltf
 
     most, error = _try(
-        lambda: size if is_packed else glb.expected_bytes(memoryview(head), size),
+        lambda: size if is_packed else gltf.expected_bytes(memoryview(head), size),
     )
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     is_there = head[:4] == b"glTF" and stop <= len(head)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs import convert, glb, threemf
+from msal_cli.codecs import convert, gltf, threemf
 from msal_cli.codecs.frames import PLACEMENT
 from tests.codecs import test_glb
 from tests.codecs.plain_3mf import model, package, shape
@@ -27,7 +27,7 @@ from tests.shapes import cube
 def test_gltf_losses(more, is_placed):
     scene = test_glb.simple()
     scene.content["nodes"][0] |= more
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert np.array_equal(file.vertices, cube()[0])
     _, losses = convert(file, file.vertices, "ply", "same", "same")
     assert (PLACEMENT in losses) is is_placed

@@ -12,7 +12,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from msal_cli.codecs import glb, gltf_scene, open_mesh
+from msal_cli.codecs import gltf, gltf_scene, open_mesh
 from msal_cli.errors import ContentError, InternalError, MsalError
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
@@ -39,7 +39,7 @@ def simple(normals: bool = True, stride: int = 0, code: str = "<u2") -> Scene:
 @pytest.mark.parametrize("code", ["<u1", "<u2", "<u4"])
 def test_positions_and_faces_are_read(stride, code):
     vertices, faces = cube()
-    file = glb.read(simple(stride=stride, code=code).data(), "a.glb")
+    file = gltf.read_glb(simple(stride=stride, code=code).data(), "a.glb")
     assert np.array_equal(file.vertices, vertices)
     assert np.array_equal(file.faces, faces)
     assert file.faces.dtype == np.int32
@@ -52,7 +52,7 @@ def test_positions_and_faces_are_read(stride, code):
 @pytest.mark.parametrize("stride", [0, 20])
 def test_only_positions_normals_and_bounds_change(stride):
     data = simple(stride=stride).data()
-    file = glb.read(data, "a.glb")
+    file = gltf.read_glb(data, "a.glb")
     vertices = file.vertices.copy()
     vertices[7] = [3.0, 2.0, 1.5]
     output = file.replaced(vertices)
@@ -69,7 +69,7 @@ def test_only_positions_normals_and_bounds_change(stride):
     allowed = {start + step * row + k for start in starts for row in range(8) for k in range(12)}
     assert changed <= allowed
     assert any(at >= starts[1] for at in changed), "normals"
-    again = glb.read(output, "a.glb")
+    again = gltf.read_glb(output, "a.glb")
     assert np.array_equal(again.vertices, vertices)
     assert np.array_equal(again.faces, file.faces)
     # Vertex 0 is in no face that moved.
@@ -88,7 +88,7 @@ def test_normals_are_those_of_the_new_faces():
     scene.mesh(
         {"attributes": attributes, "indices": scene.accessor(faces.reshape(-1), "<u4", "SCALAR")}
     )
-    file = glb.read(scene.data(), "a.glb")
+    file = gltf.read_glb(scene.data(), "a.glb")
     tilted = vertices[:, [2, 1, 0]]  # into the plane x = 0, which turns the normal to -x
     output = file.replaced(tilted)
     file.check(output, tilted)
@@ -108,14 +108,14 @@ def test_strips_fans_and_faces_without_indices():
     for mode, faces in expected.items():
         scene = Scene()
         scene.mesh({"attributes": {"POSITION": scene.positions(corners)}, "mode": mode})
-        assert glb.read(scene.data(), "").faces.tolist() == faces
+        assert gltf.read_glb(scene.data(), "").faces.tolist() == faces
 
 
 def test_lines_and_points_are_kept():
     scene = simple()
     for mode in (0, 1, 3):
         scene.mesh({"attributes": {"POSITION": scene.positions(np.eye(3))}, "mode": mode})
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert len(file.vertices) == 8
     assert any("points and lines" in one for one in file.warnings)
 
@@ -149,7 +149,7 @@ def test_parts_stand_where_the_scene_puts_them(frame):
     import trimesh
 
     data = two_parts(**frame).data()
-    file = glb.read(data, "a.glb")
+    file = gltf.read_glb(data, "a.glb")
     assert len(file.vertices) == 96
     assert file.faces.max() == 95
     scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
@@ -161,7 +161,7 @@ def test_parts_stand_where_the_scene_puts_them(frame):
     vertices[40:90] = file.vertices[40:90]
     output = file.replaced(vertices)
     file.check(output, vertices)
-    again = glb.read(output, "a.glb")
+    again = gltf.read_glb(output, "a.glb")
     assert np.allclose(again.vertices, vertices, atol=1e-4)
     # Through the frame and back costs a bit: unmoved rows must not go that way.
     before, after = (
@@ -174,7 +174,7 @@ def test_frames_of_parents_count():
     scene = two_parts(translation=[1, 0, 0])
     parent = {"children": [1], "translation": [0, 100, 0], "scale": [2, 2, 2]}
     scene.content["nodes"].append(parent)
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     own = file.vertices[:48]
     assert np.allclose(file.vertices[48:], 2 * (own + [1, 0, 0]) + [0, 100, 0])
 
@@ -190,7 +190,7 @@ def test_the_frame_of_a_node_is_found_once(monkeypatch):
     calls = []
     transform = gltf_scene._transform
     monkeypatch.setattr(gltf_scene, "_transform", lambda node: calls.append(1) or transform(node))
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert len(calls) == count
     shift = np.array([1, 0, 0]) * np.arange(1, count + 1)[:, None, None]
     assert np.allclose(file.vertices.reshape(count, 3, 3), corners + shift, atol=1e-5)
@@ -212,7 +212,7 @@ def test_the_frame_of_a_node_is_found_once(monkeypatch):
     ],
 )
 def test_frames_that_cannot_be_undone_are_left_out(frame):
-    file = glb.read(two_parts(**frame).data(), "")
+    file = gltf.read_glb(two_parts(**frame).data(), "")
     vertices = noisy(file.vertices)
     file.check(file.replaced(vertices), vertices)
 
@@ -235,11 +235,11 @@ def test_parts_whose_rows_alternate(second):
         indices = scene.accessor(triangles.reshape(-1), "<u2", "SCALAR")
         attributes = {"POSITION": first, "NORMAL": first + 1}
         scene.mesh({"attributes": attributes, "indices": indices})
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     moved = noisy(file.vertices)
     output = file.replaced(moved)
     file.check(output, moved)
-    assert np.allclose(glb.read(output, "").vertices, moved, atol=1e-5)
+    assert np.allclose(gltf.read_glb(output, "").vertices, moved, atol=1e-5)
 
 
 def test_primitives_that_share_positions_are_one_part():
@@ -254,7 +254,7 @@ def test_primitives_that_share_positions_are_one_part():
         for half in (faces[:6], faces[6:])
     ]
     scene.mesh(*primitives)
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert len(file.vertices) == 8
     assert np.array_equal(file.faces, faces)
 
@@ -265,12 +265,12 @@ def test_a_mesh_in_two_places_counts_once():
     scene.content["nodes"].append({"mesh": 0, "translation": [5, 0, 0]})
     # As some exporters do it: another mesh of the same lists, with another material.
     scene.mesh({**primitive, "material": 1}, translation=[9, 0, 0])
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert (len(file.vertices), len(file.faces), file.n_polygons) == (8, 12, 12)
     assert "instances" in file.properties
     vertices = noisy(file.vertices)
     file.check(file.replaced(vertices), vertices)
-    assert "instances" not in glb.read(simple().data(), "").properties
+    assert "instances" not in gltf.read_glb(simple().data(), "").properties
 
 
 def test_shared_lists_are_read_once_however_often_they_are_named():
@@ -283,7 +283,7 @@ def test_shared_lists_are_read_once_however_often_they_are_named():
     for k in range(3_000):
         scene.mesh(primitive, again, translation=[3 * k, 0, 0])
     data = scene.data()
-    file = glb.read(data, "")
+    file = gltf.read_glb(data, "")
     assert (len(file.vertices), len(file.faces)) == (8, 12)
     assert file.scene._data_size + 65_536 < 12 * 3 * 6_001
     # The vertices are one set: what moves one shows in every mesh, and normals follow.
@@ -305,7 +305,7 @@ def test_accessors_over_the_same_bytes_are_one_list():
         accessors.append(dict(accessors[attributes[name]]))
         attributes[name] = len(accessors) - 1
     scene.mesh({**primitive, "attributes": attributes})
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert (len(file.vertices), len(file.faces), file.warnings) == (8, 12, ())
     vertices = file.vertices * 2.0
     output = file.replaced(vertices)
@@ -322,14 +322,14 @@ def test_shared_positions_stand_where_the_first_mesh_is_shown():
     vertices, faces = torus(8, 6)
     indices = scene.accessor(faces.reshape(-1), "<u2", "SCALAR")
     scene.mesh({"attributes": {"POSITION": scene.positions(vertices)}, "indices": indices})
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert np.array_equal(file.vertices[:8], cube()[0] + [5, 0, 0])
 
 
 @pytest.mark.parametrize("at", [8, 12])
 def test_the_check_sees_a_wrong_length(at):
     """Of the file and of its description, which some readers go by."""
-    file = glb.read(simple().data(), "")
+    file = gltf.read_glb(simple().data(), "")
     vertices = noisy(file.vertices)
     output = bytearray(file.replaced(vertices))
     file.check(output, vertices)
@@ -340,7 +340,7 @@ def test_the_check_sees_a_wrong_length(at):
 
 def test_the_check_sees_a_position_beyond_float32():
     data = simple().data()
-    file = glb.read(data, "")
+    file = gltf.read_glb(data, "")
     vertices = file.vertices.copy()
     vertices[3, 1] = 1e39
     for work in (file.replaced, functools.partial(file.check, data)):
@@ -358,7 +358,7 @@ def test_the_text_of_the_description_is_kept_but_for_bounds():
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + data[20 + size :]
     data = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-    file = glb.read(data, "")
+    file = gltf.read_glb(data, "")
     vertices = file.vertices.copy()
     vertices[7] = [3.0, 1.0, 0.5]
     output = bytes(file.replaced(vertices))
@@ -372,7 +372,7 @@ def test_textures_animations_and_extras_survive():
     scene = simple()
     scene.content["images"] = [{"uri": "data:image/png;base64,AAAA"}]
     scene.content["animations"] = [{"channels": [], "samplers": []}]
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     vertices = noisy(file.vertices)
     after, _ = content_of(file.replaced(vertices))
     for word in ("images", "animations", "extras", "materials", "asset"):
@@ -382,7 +382,7 @@ def test_textures_animations_and_extras_survive():
 def test_trimesh_reads_what_is_written():
     import trimesh
 
-    file = glb.read(simple().data(), "")
+    file = gltf.read_glb(simple().data(), "")
     vertices = noisy(file.vertices)
     scene = trimesh.load_scene(io.BytesIO(file.replaced(vertices)), file_type="glb", process=False)
     (part,) = scene.geometry.values()
@@ -395,7 +395,7 @@ def test_normals_that_are_no_numbers_do_no_harm():
     for mesh in scene.content["meshes"]:
         normals = np.tile([np.nan, np.inf, 3e38], (48, 1))
         mesh["primitives"][0]["attributes"]["NORMAL"] = scene.accessor(normals, "<f4", "VEC3")
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     vertices = noisy(file.vertices)
     file.check(file.replaced(vertices), vertices)
 
@@ -520,7 +520,7 @@ def test_damaged_files_and_their_errors(name):
 def test_half_a_surrogate_pair_survives_new_bounds():
     scene = simple()
     scene.content["extras"] = {"name": "\ud800"}
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     vertices = file.vertices * 0.5
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
@@ -539,10 +539,10 @@ def test_very_many_lists_over_the_same_bytes_are_refused_at_once():
     )
     data = scene.data()
     with pytest.raises(MsalError, match="overlap"):
-        glb.read(data, "")
+        gltf.read_glb(data, "")
     tracemalloc.start()
     with pytest.raises(MsalError, match="overlap"):
-        glb.read(data, "")
+        gltf.read_glb(data, "")
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     # One number for each row of each list would be 160 MB.
@@ -556,7 +556,7 @@ def test_json_that_is_nested_too_deeply():
         "<I4s", len(text), b"JSON"
     )
     with pytest.raises(MsalError) as caught:
-        glb.read(data + text, "")
+        gltf.read_glb(data + text, "")
     assert caught.value.code == "E_FORMAT"
 
 
@@ -582,14 +582,14 @@ def quantised(code: str, largest: int, *, normalized: bool = False, **node) -> S
 def test_quantised_positions_stay_whole_numbers(code, largest, normalized):
     scene = quantised(code, largest, normalized=normalized, scale=[0.5, 0.5, 0.5])
     data = scene.data()
-    file = glb.read(data, "")
+    file = gltf.read_glb(data, "")
     assert file.precision == "integer" and "rounded" in file.warnings[0]
     assert file.vertices.max() == largest and np.array_equal(file.vertices, file.vertices.round())
     vertices = file.vertices.copy()
     vertices[5] = [3.4, 2.6, 1.0]
     output = file.replaced(vertices)
     file.check(output, vertices)
-    again = glb.read(output, "")
+    again = gltf.read_glb(output, "")
     assert np.array_equal(again.vertices, np.rint(vertices))
     bounds = content_of(output)[0]["accessors"][0]
     assert bounds["max"] == again.vertices.max(axis=0).tolist()
@@ -604,14 +604,14 @@ def test_quantised_positions_stand_where_the_scene_puts_them(normalized):
     vertices, faces = torus(8, 6)
     indices = scene.accessor(faces.reshape(-1), "<u2", "SCALAR")
     scene.mesh({"attributes": {"POSITION": scene.positions(vertices)}, "indices": indices})
-    file = glb.read(scene.data(), "")
+    file = gltf.read_glb(scene.data(), "")
     assert file.precision == "float32"
     unit = 65_535.0 if normalized else 1.0
     assert np.isclose(file.vertices[:48].max(), 60_000 / unit * 0.5 + 7.0)
     moved = file.vertices + 0.01
     output = file.replaced(moved)
     file.check(output, moved)
-    assert np.abs(glb.read(output, "").vertices - moved).max() <= 0.5 * 0.5 / unit + 1e-6
+    assert np.abs(gltf.read_glb(output, "").vertices - moved).max() <= 0.5 * 0.5 / unit + 1e-6
 
 
 def test_a_quantised_scene_changes_its_container(tmp_path):
@@ -625,10 +625,10 @@ def test_a_quantised_scene_changes_its_container(tmp_path):
 def test_a_position_that_is_not_finite():
     scene = simple()
     data = bytearray(scene.data())
-    scene = glb.read(bytes(data), "").scene
+    scene = gltf.read_glb(bytes(data), "").scene
     at = len(data) - len(scene.data) + scene.parts()[0][0].positions.at + 12 * 3 + 4
     struct.pack_into("<f", data, at, float("nan"))
     with pytest.raises(MsalError) as caught:
-        glb.read(bytes(data), "")
+        gltf.read_glb(bytes(data), "")
     assert caught.value.code == "E_NONFINITE"
     assert caught.value.where == "accessor 0, vertex 3"

@@ -64,7 +64,6 @@ def main(arguments: list[str]) -> None:
     seen = ["msal_cli.codecs"] + [f"msal_cli.kernels.{name}" for name in _SCANNERS * is_interpreted]
     # What numba compiles must not be instrumented: it does not know the calls that are put in.
     with atheris.instrument_imports(include=seen):
-        import msal_cli.codecs.glb
         import msal_cli.codecs.gltf
         import msal_cli.codecs.obj
         import msal_cli.codecs.ply
