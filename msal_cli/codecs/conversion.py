@@ -217,7 +217,7 @@ def _vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     """A new file; ``single`` rounds positions to float32."""
-    from msal_cli.codecs import stl_writer, threemf_writer, vtk_xml
+    from msal_cli.codecs import stl_writer, threemf, vtk_xml
 
     if to == "ply":
         return _as_ply(mesh, encoding, single)
@@ -237,7 +237,7 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
         head = f"OFF\n{len(points)} {len(sizes)} 0\n".encode()
         rows_of_faces = integer_lines(corners, sizes, b"3 ")
         return b"".join([head, float_lines(points, single=single), rows_of_faces])
-    writers = {"3mf": threemf_writer.to_3mf, "vtp": vtk_xml.written}
+    writers = {"3mf": threemf.to_3mf, "vtp": vtk_xml.to_vtp}
     if to in writers:
         return writers[to](points, mesh.faces, single=single)
     if to in SCENES:

@@ -8,12 +8,16 @@ mesh, and is denoised once.
 from __future__ import annotations
 
 import functools
+import io
 import math
+import zipfile
+from collections import deque
 from collections.abc import Mapping
+from xml.parsers import expat
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.decimals import (
     SHORTEST,
     SHORTEST_SINGLE,
@@ -22,33 +26,206 @@ from msal_cli.codecs.decimals import (
     print_numbers,
     usual_decimals,
 )
-from msal_cli.codecs.frames import PLACEMENT
+from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable, transform
 from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.codecs.slots import Tokens, require_range, splice
-from msal_cli.codecs.threemf_model import Model, parse_model
-from msal_cli.codecs.threemf_package import Package
-from msal_cli.codecs.zip_archive import Archive
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.codecs.threemf_model import (
+    Model,
+    Use,
+    parse_model,
+    place_of,
+    start_parser,
+)
+from msal_cli.codecs.zip_archive import Archive, Member
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    ContentError,
+    FormatError,
+    InternalError,
+    MsalError,
+    UnsupportedError,
+)
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
+from msal_cli.storage.limits import memory_bytes
+
+LARGEST_RATIO = 40
+"""Expanded bytes of XML per byte of the archive; see docs/formats.md."""
+
+_MOST_RELATIONSHIPS = 1 << 20
+"""Bytes of the relationships of a package; real ones have some hundred."""
+
+_RELATIONSHIPS = "http://schemas.openxmlformats.org/package/2006/relationships"
+_MODEL_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+_KEYSTORE_TYPE = "http://schemas.microsoft.com/3dmanufacturing/2019/04/keystore"
+_ORIGIN_TYPE = (
+    "http://schemas.openxmlformats.org/package/2006/relationships/digital-signature/origin"
+)
+_ROOT = "_rels/.rels"
+
+
+class Package:
+    """A 3MF file taken apart.
+
+    Attributes
+    ----------
+    archive : the zip archive.
+    models : its model parts by the names of their members, the root first.
+    texts : the content of these members.
+    frames : the frame (4, 4) in the build of each mesh with triangles, in the order of ``models``;
+        empty where all of them stay in their own.
+    is_signed : whether a digital signature holds its bytes.
+    has_instances : whether an object is put to several places.
+    is_sole_part_placed : whether there is one mesh only, and the build turns, scales or shifts it.
+    """
+
+    def __init__(self, data: Buffer) -> None:
+        self.archive = Archive(data)
+        self.room = min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data)))
+        self._room = self.room
+        self.is_signed = False
+        self._root = self._member(self._root_target(), _ROOT)
+        self.models: dict[str, Model] = {}
+        self.texts: dict[str, bytes] = {}
+        self._load()
+        placed, self.has_instances = self._find_frames()
+        meshes = [
+            (mesh, placed.get((name, number), np.eye(4)))
+            for name, model in self.models.items()
+            for number, mesh in model.meshes.items()
+            if len(mesh.faces)
+        ]
+        if not meshes:
+            raise ContentError(
+                "the file has no triangles",
+                code="E_NO_FACES",
+                hint="msal denoises surfaces; this file has none",
+            )
+        self.is_sole_part_placed = len(meshes) == 1 and is_placed(meshes[0][1])
+        is_framed = len(meshes) > 1 and all(
+            is_usable(frame) and np.isfinite(transform(mesh.vertices, frame)).all()
+            for mesh, frame in meshes
+        )
+        self.frames = tuple(frame for _, frame in meshes) if is_framed else ()
+
+    def _member(self, path: str, where: str) -> Member:
+        member = self.archive.find(path)
+        if member is None:
+            raise FormatError(
+                f"there is no member {path[:200]!r} in the archive", where=where, hint=EXPORT_AGAIN
+            )
+        return member
+
+    def _content(self, member: Member) -> bytes:
+        content = self.archive.content(member, self._room)
+        self._room -= len(content)
+        return content
+
+    def _root_target(self) -> str:
+        """The path of the root model, by the relationships of the package."""
+        root = self._member(_ROOT, "central directory")
+        content = self.archive.content(root, _MOST_RELATIONSHIPS)
+        parser = start_parser(content, _ROOT)
+        targets: list[str] = []
+
+        def start(name: str, attributes: dict[str, str]) -> None:
+            if name != f"{_RELATIONSHIPS} Relationship":
+                return
+            kind = attributes.get("Type", "")
+            if kind == _KEYSTORE_TYPE:
+                raise UnsupportedError(
+                    "the file has encrypted content",
+                    where=_ROOT,
+                    hint="export it without encryption",
+                )
+            self.is_signed |= kind == _ORIGIN_TYPE
+            if kind == _MODEL_TYPE and attributes.get("TargetMode") != "External":
+                targets.append(attributes.get("Target", ""))
+
+        parser.StartElementHandler = start
+        try:
+            parser.Parse(content, True)
+        except expat.ExpatError as failure:
+            raise FormatError(
+                f"the XML is damaged: {expat.ErrorString(failure.code)}",
+                where=place_of(content, _ROOT, parser.ErrorByteIndex),
+                hint=EXPORT_AGAIN,
+            ) from None
+        if len(targets) != 1:
+            raise FormatError(
+                f"the package names {len(targets)} models, not one", where=_ROOT, hint=EXPORT_AGAIN
+            )
+        return targets[0]
+
+    def _load(self) -> None:
+        """Read the root model and all that its build and components lead to."""
+        waiting = deque([self._root])
+        while waiting:
+            member = waiting.popleft()
+            if member.name in self.models:
+                continue
+            text = self.texts[member.name] = self._content(member)
+            model = self.models[member.name] = parse_model(text, member.name)
+            for use in _uses(model):
+                if use.path:
+                    other = self.archive.find(use.path)
+                    if other is None:
+                        raise self._missing(member.name, use, f"the part {use.path[:200]!r}")
+                    if other.name not in self.models:
+                        waiting.append(other)
+        root = self.models[self._root.name]
+        for name, model in self.models.items():
+            if model.unit != root.unit:
+                raise UnsupportedError(
+                    f"{name} is in {model.unit}, and the root model in {root.unit}",
+                    hint="export all parts in one unit",
+                )
+
+    def _missing(self, name: str, use: Use, what: str) -> FormatError:
+        where = place_of(self.texts[name], name, use.at)
+        return FormatError(f"{what} is not in the package", where=where, hint=EXPORT_AGAIN)
+
+    def _find_frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
+        """The frame of each object that is built, by the first way to it; if one has several.
+
+        An object is followed once, however often it is used, since a file can nest uses so that
+        there are more of them than any machine can count.
+        """
+        known: dict[tuple[str, int], Floats] = {}
+        has_instances = False
+        waiting = deque(
+            (self._root.name, use, np.eye(4)) for use in self.models[self._root.name].items
+        )
+        while waiting:
+            name, use, above = waiting.popleft()
+            member = self.archive.find(use.path) if use.path else None
+            own = member.name if member is not None else name
+            model = self.models[own]
+            key = own, use.object_id
+            if use.object_id not in model.ids:
+                raise self._missing(name, use, f"object {use.object_id}")
+            if key in known:
+                has_instances = True
+                continue
+            with np.errstate(all="ignore"):
+                known[key] = above @ use.frame
+            parts = model.components.get(use.object_id, ())
+            waiting.extend((own, part, known[key]) for part in parts)
+        return known, has_instances
+
+
+def _uses(model: Model) -> list[Use]:
+    return [*model.items, *(use for uses in model.components.values() for use in uses)]
+
 
 _BETWEEN = b"\0"
 """Between the texts of model parts, which have no such byte."""
 
 
 def read(data: Buffer, name: str) -> ThreeMfFile:
-    """Read the meshes of a 3MF file.
-
-    Raises
-    ------
-    FormatError, TruncatedError, TooLargeError
-        if the file is not what its format says, or expands beyond all meshes.
-    UnsupportedError
-        for encryption, a required extension that is not understood, and rare kinds of archives.
-    ContentError
-        ``E_NO_FACES``, ``E_INDEX`` or ``E_NONFINITE``.
-    """
+    """Read the meshes of a 3MF file; ``name`` is there for all codecs alike."""
     return ThreeMfFile(data)
 
 
@@ -111,13 +288,6 @@ class ThreeMfFile(SlotFile):
         self.package = package
 
     def replaced(self, vertices: Floats) -> Buffer:
-        """The file with the coordinates that differ from the stored ones replaced.
-
-        Raises
-        ------
-        UnsupportedError
-            for a file with slices, a beam lattice or a signature, which would no longer fit.
-        """
         if np.array_equal(vertices, self.vertices):
             return self.data
         self._require_free()
@@ -126,13 +296,6 @@ class ThreeMfFile(SlotFile):
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3), all of them as the shortest text that is read back as
         the same float32 or float64, unless ``precision`` is ``same``.
-
-        Raises
-        ------
-        UnsupportedError
-            for an encoding other than ``same`` and ``binary``.
-        ContentError
-            with code ``E_RANGE`` for a position beyond float32.
         """
         if encoding == "ascii":
             raise UnsupportedError("3MF has no ascii encoding", hint="leave --encoding away")
@@ -150,7 +313,6 @@ class ThreeMfFile(SlotFile):
         return self._pack(splice(as_bytes(self._data), edits))
 
     def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
         old = self.package.archive
         texts, changed = [], {}
         try:
@@ -242,3 +404,64 @@ def _layout(package: Package, models: Mapping[str, Model], text: Buffer) -> Layo
         properties=tuple(dict.fromkeys(properties)),
         faces=np.concatenate(faces).astype(np.int32),
     )
+
+
+_TYPES_PART = b"""<?xml version="1.0" encoding="UTF-8"?>
+<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
+<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>
+<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
+</Types>
+"""
+_RELATIONSHIP_PART = b"""<?xml version="1.0" encoding="UTF-8"?>
+<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
+<Relationship Target="/3D/3dmodel.model" Id="rel0" \
+Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
+</Relationships>
+"""
+_HEAD = b"""<?xml version="1.0" encoding="UTF-8"?>
+<model unit="millimeter" xml:lang="en-US" \
+xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">
+<resources>
+<object id="1" type="model">
+<mesh>
+<vertices>
+"""
+_MIDDLE = b"</vertices>\n<triangles>\n"
+_TAIL = b"""</triangles>
+</mesh>
+</object>
+</resources>
+<build>
+<item objectid="1"/>
+</build>
+</model>
+"""
+_EARLIEST = (1980, 1, 1, 0, 0, 0)
+_UNIX = 3
+
+
+def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
+    """A 3MF file of vertices (n, 3) and triangles (m, 3); the same bytes on every run.
+
+    Each number is the shortest text that is read back as the same float64, or float32.
+    """
+    from msal_cli.kernels import text
+    from msal_cli.kernels.text_rows import fill_rows
+
+    digits, stops = text.printed_shortest(vertices.reshape(-1), single)
+    rows = fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)
+    digits, stops = text.printed(faces.reshape(-1).astype(np.float64), 0)
+    triangles = fill_rows((b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'), digits, stops)
+    model = b"".join([_HEAD, *rows, _MIDDLE, *triangles, _TAIL])
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in (
+            ("[Content_Types].xml", _TYPES_PART),
+            ("_rels/.rels", _RELATIONSHIP_PART),
+            ("3D/3dmodel.model", model),
+        ):
+            entry = zipfile.ZipInfo(name, _EARLIEST)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.create_system = _UNIX
+            archive.writestr(entry, content)
+    return file.getvalue()

@@ -11,13 +11,231 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from msal_cli.arrays import Longs
 from msal_cli.codecs.cells import Cells
 from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.slots import UnitSlots
-from msal_cli.codecs.vtk_stream import Stream
-from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, UnsupportedError
+from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, line_of
+from msal_cli.codecs.tokens import Words
+from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
+
+_CODES = {
+    "char": ">i1",
+    "signed_char": ">i1",
+    "unsigned_char": ">u1",
+    "short": ">i2",
+    "unsigned_short": ">u2",
+    "int": ">i4",
+    "unsigned_int": ">u4",
+    "long": ">i8",
+    "unsigned_long": ">u8",
+    "vtkidtype": ">i4",
+    "vtktypeint8": ">i1",
+    "vtktypeuint8": ">u1",
+    "vtktypeint16": ">i2",
+    "vtktypeuint16": ">u2",
+    "vtktypeint32": ">i4",
+    "vtktypeuint32": ">u4",
+    "vtktypeint64": ">i8",
+    "vtktypeuint64": ">u8",
+    "float": ">f4",
+    "double": ">f8",
+}
+_LINE = re.compile(rb"\s*([^\r\n]*)(?:\r\n|\n|\r|\Z)")
+_PARAGRAPH_END = re.compile(rb"\n[ \t]*\r?\n|\Z")
+
+
+class Stream:
+    """A position in a VTK file; ``precision`` is that of the points once they are read."""
+
+    def __init__(self, data: Buffer, at: int, *, is_text: bool) -> None:
+        from msal_cli.kernels.text import as_bytes
+
+        self.precision = ""
+        self._bytes = data
+        self._data = as_bytes(data)
+        self._at = self._line_at = self._before_line = at
+        self._words = Words(data, at) if is_text else None
+
+    def where(self) -> str:
+        """The line, or the byte in a binary file, at which the last line of words began."""
+        if self._words is None:
+            return f"byte {self._line_at}"
+        return f"line {line_of(self._data, self._line_at)}"
+
+    def line(self) -> list[str]:
+        """The words of the next line that has any; empty at the end."""
+        found = _LINE.match(self._bytes, self._at)
+        assert found is not None  # it matches the empty rest, too
+        self._before_line, self._line_at = self._at, found.start(1)
+        self._at = found.end()
+        return found[1][:1000].decode("ascii", "replace").split()
+
+    def back(self) -> None:
+        """Go back to the beginning of the last line."""
+        self._at = self._before_line
+
+    def skip_paragraph(self) -> None:
+        """Go behind the next blank line, as it ends METADATA."""
+        found = _PARAGRAPH_END.search(self._bytes, max(self._at - 1, 0))
+        assert found is not None
+        self._at = found.end()
+
+    def word_of(self, words: list[str], k: int) -> str:
+        """One of the words of a line."""
+        if k >= len(words):
+            raise FormatError("the line is too short", where=self.where(), hint=EXPORT_AGAIN)
+        return words[k]
+
+    def count_of(self, words: list[str], k: int, what: str) -> int:
+        """One of the words of a line as a number of things."""
+        word = self.word_of(words, k)
+        if not (word.isascii() and word.isdigit()) or len(word) > 18:
+            raise FormatError(
+                f"{word[:40]!r} is not a number of {what}", where=self.where(), hint=EXPORT_AGAIN
+            )
+        return int(word)
+
+    def positions(self, n_points: int, kind: str) -> UnitSlots:
+        """The points (n, 3) that follow."""
+        code = self._code(kind)
+        if code not in (">f4", ">f8"):
+            raise UnsupportedError(
+                f"the points are stored as {kind}, not as float or double",
+                where=self.where(),
+                hint="write the points as float or double",
+            )
+        self.precision = "float32" if code == ">f4" else "float64"
+        return self._floats(n_points, code, is_normals=False)
+
+    def normals(self, count: int, kind: str) -> UnitSlots | None:
+        """The normals (n, 3) that follow; None if they are stored as whole numbers."""
+        code = self._code(kind)
+        if code not in (">f4", ">f8"):
+            self.skip(3 * count, kind)
+            return None
+        return self._floats(count, code, is_normals=True)
+
+    def _floats(self, count: int, code: str, *, is_normals: bool) -> UnitSlots:
+        if self._words is not None:
+            chosen = self._next_words(3 * count)
+            starts, stops = self._words.starts[chosen], self._words.stops[chosen]
+            return Tokens(self._data, starts, stops, unit_length=is_normals)
+        size = 3 * np.dtype(code).itemsize
+        at = self._next_bytes(size * count)
+        return BinaryNumbers(self._data, at + np.arange(count, dtype=np.int64) * size, code)
+
+    def integers(self, count: int, kind: str) -> Longs:
+        """The whole numbers that follow."""
+        code = self._code(kind)
+        if self._words is not None:
+            return self._words.integers(self._next_words(count))
+        size = np.dtype(code).itemsize
+        at = self._next_bytes(size * count)
+        return self._data[at : at + size * count].view(code).astype(np.int64)
+
+    def cells(self, words: list[str]) -> tuple[Longs, Longs]:
+        """Sizes (k,) and corners of the cells whose section begins with this line."""
+        first, second = (self.count_of(words, k, "cells") for k in (1, 2))
+        at = self._at
+        header = self.line()
+        if header and header[0].upper() == "OFFSETS":
+            offsets = self.integers(first, self.word_of(header, 1)) if first else _ZERO
+            header = self.line()
+            if not header or header[0].upper() != "CONNECTIVITY":
+                raise FormatError("no CONNECTIVITY", where=self.where(), hint=EXPORT_AGAIN)
+            corners = self.integers(second, self.word_of(header, 1))
+            sizes = np.diff(offsets)
+            if offsets[0] != 0 or offsets[-1] != second or (sizes < 0).any():
+                raise FormatError(
+                    "the OFFSETS of cells are wrong", where=self.where(), hint=EXPORT_AGAIN
+                )
+            return sizes, corners
+        self._at = at
+        return self._counted_cells(first, self.integers(second, "int"))
+
+    def _counted_cells(self, n_cells: int, numbers: Longs) -> tuple[Longs, Longs]:
+        """Sizes and corners of cells that are stored as a count and their corners each."""
+        if n_cells > len(numbers):
+            raise FormatError("more cells than numbers", where=self.where(), hint=EXPORT_AGAIN)
+        size = int(numbers[0]) + 1 if n_cells else 0
+        if size > 0 and n_cells * size == len(numbers) and (numbers[::size] == size - 1).all():
+            firsts = np.arange(n_cells, dtype=np.int64) * size
+        else:
+            firsts = self._find_counts(n_cells, numbers)
+        is_corner = np.ones(len(numbers), dtype=bool)
+        is_corner[firsts] = False
+        return numbers[firsts], numbers[is_corner]
+
+    def _find_counts(self, n_cells: int, numbers: Longs) -> Longs:
+        firsts = np.empty(n_cells, dtype=np.int64)
+        values = numbers.tolist()
+        at = 0
+        for k in range(n_cells):
+            if at >= len(values) or values[at] < 0:
+                break
+            firsts[k] = at
+            at += values[at] + 1
+        else:
+            if at == len(values):
+                return firsts
+        raise FormatError(
+            "the numbers of corners do not add up to the size of the cells",
+            where=self.where(),
+            hint=EXPORT_AGAIN,
+        )
+
+    def skip(self, count: int, kind: str) -> None:
+        """Go behind an array of so many numbers."""
+        if self._words is not None:
+            self._next_words(count)
+        elif kind.lower() == "bit":
+            self._next_bytes((count + 7) // 8)
+        elif kind.lower() in ("string", "utf8_string"):
+            self._skip_strings(count)
+        else:
+            self._next_bytes(count * np.dtype(self._code(kind)).itemsize)
+
+    def _skip_strings(self, count: int) -> None:
+        """Go behind strings; the first two bits of each tell how many bytes its length takes."""
+        for _ in range(count):
+            at = self._next_bytes(1)
+            width = (8, 4, 2, 1)[int(self._data[at]) >> 6]
+            self._next_bytes(width - 1)
+            length = int.from_bytes(self._data[at : at + width].tobytes(), "big")
+            self._next_bytes(length & ((1 << (8 * width - 2)) - 1))
+
+    def _code(self, kind: str) -> str:
+        code = _CODES.get(kind.lower())
+        if code is None:
+            raise UnsupportedError(f"numbers of the type {kind[:40]!r}", where=self.where())
+        return code
+
+    def _next_words(self, count: int) -> slice:
+        assert self._words is not None
+        first = int(np.searchsorted(self._words.starts, self._at))
+        self._words.require(first + count, "numbers")
+        if count:
+            # Behind the line end too, so that a blank line behind it still ends METADATA.
+            self._at = int(self._words.stops[first + count - 1])
+        return slice(first, first + count)
+
+    def _next_bytes(self, count: int) -> int:
+        at = self._at
+        if at + count > len(self._data):
+            raise TruncatedError(
+                f"{at + count - len(self._data):,} bytes are missing",
+                where=f"byte {len(self._data)}",
+                hint="the file was cut short; copy or export it again",
+            )
+        self._at += count
+        return at
+
+
+_ZERO = np.zeros(1, dtype=np.int64)
+
 
 _HEADER = re.compile(
     rb"# vtk DataFile Version[ \t]+(\d+)\.(\d+)[^\r\n]*\r?\n([^\r\n]*)\r?\n"

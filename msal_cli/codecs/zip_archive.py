@@ -92,12 +92,7 @@ class Member:
 
 
 class Archive:
-    """An archive taken apart.
-
-    Raises
-    ------
-    FormatError, TruncatedError, UnsupportedError
-    """
+    """An archive taken apart."""
 
     def __init__(self, data: Buffer) -> None:
         self.data = memoryview(data).cast("B")
@@ -215,14 +210,7 @@ class Archive:
     def content(self, member: Member, room: int) -> bytes:
         """The expanded content of a member, of at most ``room`` bytes.
 
-        Raises
-        ------
-        FormatError
-            if it is damaged, or has another size or checksum than the directory says.
-        TooLargeError
-            if it is larger; nothing beyond the size in the directory is ever expanded.
-        UnsupportedError
-            if it is encrypted or compressed in another way than by deflate.
+        Nothing beyond the size in the directory is ever expanded.
         """
         if member.flags & _IS_ENCRYPTED:
             raise UnsupportedError(

@@ -10,7 +10,7 @@ import zipfile
 
 import pytest
 
-from msal_cli.codecs import open_mesh, threemf_model, threemf_package
+from msal_cli.codecs import open_mesh, threemf, threemf_model
 from msal_cli.errors import MsalError
 from tests.codecs.plain_3mf import MODEL, mesh, model, package, rels, shape
 from tests.codecs.test_threemf import CUBE, VERTICES, parts_of_equal_numbers, simple, texts
@@ -178,8 +178,8 @@ def test_a_bomb_takes_no_memory():
 
 
 def test_parts_share_one_room(monkeypatch):
-    monkeypatch.setattr(threemf_package, "ALWAYS_EXPANDED", 3_000)
-    monkeypatch.setattr(threemf_package, "LARGEST_RATIO", 0)
+    monkeypatch.setattr(threemf, "ALWAYS_EXPANDED", 3_000)
+    monkeypatch.setattr(threemf, "LARGEST_RATIO", 0)
     open_mesh(package(model(shape(1, CUBE))), "a.3mf")
     with pytest.raises(MsalError, match="there is room"):
         open_mesh(parts_of_equal_numbers(), "a.3mf")

@@ -11,7 +11,7 @@ import meshio
 import numpy as np
 import pytest
 
-from msal_cli.codecs import open_mesh, vtk_arrays
+from msal_cli.codecs import open_mesh, vtk_xml
 from msal_cli.errors import MsalError
 from tests.codecs.patching import patched
 from tests.shapes import grid, noisy, torus
@@ -200,8 +200,8 @@ def test_a_file_that_expands_to_far_more_is_refused():
 
 
 def test_many_pieces_that_share_one_array_are_refused(monkeypatch):
-    monkeypatch.setattr(vtk_arrays, "ALWAYS_EXPANDED", 1 << 20)
-    monkeypatch.setattr(vtk_arrays, "LARGEST_RATIO", 4)
+    monkeypatch.setattr(vtk_xml, "ALWAYS_EXPANDED", 1 << 20)
+    monkeypatch.setattr(vtk_xml, "LARGEST_RATIO", 4)
     writer = Writer("raw")
     points = writer.array("Points", np.zeros((1 << 12, 3)))
     piece = b'<Piece NumberOfPoints="4096"><Points>' + points + b"</Points></Piece>"
