@@ -18,7 +18,6 @@ from typing import Any, Literal
 
 from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.plain_data import reported_fields
 from msal_cli.job.records import SCHEMA, MeshRecord
 from msal_cli.report.data import Run, Totals, json_bytes
 
@@ -84,7 +83,7 @@ class _Builder:
         hints = typing.get_type_hints(kind)
         shared = {one.name: one.metadata for one in dataclasses.fields(MeshRecord)}
         properties = {}
-        for one in reported_fields(kind):
+        for one in dataclasses.fields(kind):
             typed = {"const": one.default} if one.name == "schema" else self.of(hints[one.name])
             text = (one.metadata or shared[one.name])["description"]
             properties[one.name] = typed | {"description": text}

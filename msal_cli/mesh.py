@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -22,7 +22,6 @@ from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity
-    from msal_cli.kernels.whole import Whole
 
 
 MOST_FACES = (2**31 - 1) // 6
@@ -45,15 +44,12 @@ class Mesh:
     faces : (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside.
     fixed_vertices : (n,) vertices that must stay where they are; None if all may move.
     trust : (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it.
-    whole : what is known of the whole mesh, where this is a part of it; None where it is all.  Then
-        numbers of the whole mesh may not be known yet: see ``kernels.whole.Pending``.
     """
 
     vertices: Floats
     faces: Ints
     fixed_vertices: NDArray[np.bool_] | None = None
     trust: Floats | None = None
-    whole: Whole | None = None
 
     @functools.cached_property
     def topology(self) -> Connectivity:
@@ -67,16 +63,7 @@ class Mesh:
         """Mean length of the unique edges, file units."""
         from msal_cli.kernels import geometry
 
-        rings = self.topology.one_ring
-        if self.whole is None:
-            return geometry.mean_edge_length(self.vertices, *rings)
-        own = self.whole.own_vertices
-        return float(
-            self.whole.reduce_for_mesh(
-                "mean edge length",
-                lambda: geometry.edge_lengths_partial(self.vertices, *rings, own),
-            )
-        )
+        return geometry.mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
         """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
@@ -94,15 +81,6 @@ class Mesh:
                 normals, links.ring_start, links.ring, mollify
             )
         return known[weighting, mollify]
-
-    @property
-    def known_normals(self) -> Mapping[tuple[str, int], Floats]:
-        """The normals that were computed so far, by weighting and passes of mollifying."""
-        return dict(self._cached_normals)
-
-    def take_normals(self, known: Mapping[tuple[str, int], Floats]) -> None:
-        """Use normals that are ``known_normals`` of this very mesh."""
-        self._cached_normals.update(known)
 
     @functools.cached_property
     def _cached_normals(self) -> dict[tuple[str, int], Floats]:
@@ -140,25 +118,15 @@ class Mesh:
         self, fixed_vertices: NDArray[np.bool_] | None, trust: Floats | None
     ) -> Mesh:
         """The same mesh with vertices that are fixed, or trusted more or less; see above."""
-        return self._with(Mesh(self.vertices, self.faces, fixed_vertices, trust, self.whole))
-
-    def with_whole(self, whole: Whole | None) -> Mesh:
-        """The same mesh that knows something else of the whole; see above."""
-        return self._with(Mesh(self.vertices, self.faces, self.fixed_vertices, self.trust, whole))
-
-    def _with(self, other: Mesh) -> Mesh:
-        """``other``, with all that is known of this one's vertices and faces."""
-        own = {one: value for one, value in self.__dict__.items() if one not in other.__dict__}
+        other = Mesh(self.vertices, self.faces, fixed_vertices, trust)
+        # All that is known of vertices and faces goes with them.
+        own = {name: value for name, value in self.__dict__.items() if name not in other.__dict__}
         other.__dict__.update(own)
         return other
 
     def with_vertices(self, vertices: Floats) -> Mesh:
-        """The same mesh with its vertices at other positions (n, 3); connectivity is shared.
-
-        Of a part: the numbers that follow from the positions of the whole are other ones then.
-        """
-        whole = None if self.whole is None else self.whole.moved()
-        other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust, whole)
+        """The same mesh with its vertices at other positions (n, 3); connectivity is shared."""
+        other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust)
         if "topology" in self.__dict__:
             other.__dict__["topology"] = self.topology
         return other

@@ -20,7 +20,6 @@ from msal_cli.cli import config, console, main
 from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.plain_data import reported_fields
 from msal_cli.report.data import Run, Totals
 from tests.scripts import load_script
 
@@ -278,7 +277,7 @@ def fields(kind: type[Any], prefix: str = "") -> set[str]:
     """Names of a record's fields; those of an inner record follow with a dot."""
     names = set()
     hints = typing.get_type_hints(kind)
-    for one in reported_fields(kind):
+    for one in dataclasses.fields(kind):
         names.add(prefix + one.name)
         for inner in typing.get_args(hints[one.name]):
             if dataclasses.is_dataclass(inner) and not prefix and kind is records.MeshRecord:

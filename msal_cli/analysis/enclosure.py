@@ -81,14 +81,6 @@ class Enclosure:
         return signs
 
 
-def describe_turned(n_turned: int, n_parts: int) -> str:
-    """How many of a surface's parts are inside out, in words."""
-    if n_turned == n_parts:
-        return "the surface is inside out: its normals point inwards"
-    are = "is" if n_turned == 1 else "are"
-    return f"{n_turned:,} of {n_parts:,} parts {are} inside out: normals point inwards"
-
-
 def measure_enclosure(ready: PreparedMesh) -> Enclosure:
     """What a surface encloses; one that has no volume has no inside."""
     return enclosure_of(ready.mesh, ready.defects, *area_and_volume(ready.mesh))

@@ -6,7 +6,6 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure
 from msal_cli.job.settings import (
     FORECAST,
@@ -16,7 +15,6 @@ from msal_cli.job.settings import (
     forecast,
     least_memory_bytes,
     method_bytes_per_face,
-    refuse_oversized,
 )
 from msal_cli.machine import available_bytes, megabytes
 
@@ -45,24 +43,27 @@ class MemoryBudget:
     large : bytes expected for each large file.
     light : ... for any other.
     least : ... for each large file for which so much is certain.
-    beyond_limit : why a file exceeds the limit of memory, for each that does.
     available : bytes that this process may take now; None where that is not known.
+    limit : bytes that one file may take, which replaces what is available; None for none.
     """
 
     large: Mapping[int, int]
     light: int
     least: Mapping[int, int]
-    beyond_limit: Mapping[int, Failure]
     available: int | None
+    limit: int | None
 
     @property
     def total(self) -> int | None:
         """What all current files together may need; None where that is not known."""
         return None if self.available is None else int(_SHARE * self.available)
 
-    def oversized(self) -> dict[int, Failure]:
-        """Why a file cannot be done here, for each that needs more than there is."""
-        if self.available is None:
+    def find_oversized(self) -> dict[int, Failure]:
+        """Why a file is not loaded, for each that needs more memory than there is.
+
+        A limit set by the user is held by the worker, see ``settings.refuse_oversized``.
+        """
+        if self.available is None or self.limit is not None:
             return {}
         return {
             index: Failure(
@@ -86,7 +87,6 @@ def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limit
 
     large: dict[int, int] = {}
     least: dict[int, int] = {}
-    beyond: dict[int, Failure] = {}
     largest_light = 0
     per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
     for index, task in tasks.items():
@@ -96,12 +96,6 @@ def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limit
         except (OSError, ValueError):
             # It is gone; the reader will report that.
             continue
-        at_most = least_memory_bytes() + int(per_byte * size)
-        if limits.memory_bytes is not None and at_most > limits.memory_bytes:
-            try:
-                refuse_oversized(forecast(task, settings), Limits(memory_bytes=limits.memory_bytes))
-            except ResourceError as error:
-                beyond[index] = Failure(error.code, error.message, error.hint, error.where)
         if size < LARGE_BYTES:
             largest_light = max(largest_light, size)
         else:
@@ -113,4 +107,4 @@ def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limit
             elif expected.format not in _COUNTED:
                 least[index] = needed // _GUESSED
     light = limited(least_memory_bytes() + int(per_byte * largest_light))
-    return MemoryBudget(large, light, least, beyond, available_bytes())
+    return MemoryBudget(large, light, least, available_bytes(), limits.memory_bytes)

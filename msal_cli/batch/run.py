@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.batch import interrupts, temporary_files, tile_set
+from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.denoise_task import denoise_in_worker
 from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
 from msal_cli.batch.manifest_dirs import open_folder, open_manifest, output_folders
 from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
-from msal_cli.batch.oversized import Oversized, find_oversized
 from msal_cli.batch.resume import (
     file_states,
     hash_settings,
@@ -28,9 +27,6 @@ from msal_cli.batch.resume import (
 )
 from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
-from msal_cli.batch.tile_estimate import planned_tiles
-from msal_cli.batch.tile_files import denoise_oversized, help_others
-from msal_cli.batch.tile_options import TileJob, TileOptions
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.outlook import foresee
@@ -64,7 +60,6 @@ def run(
     command: Sequence[str] = (),
     denoise: Denoise = denoise_file,
     engine: EngineFactory | None = None,
-    tiles: TileOptions | None = None,
     cancellation: interrupts.Cancellation | None = None,
     manifests: Mapping[str, Manifest] | None = None,
 ) -> list[MeshRecord]:
@@ -88,7 +83,6 @@ def run(
     command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
     engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
-    tiles : how files that do not fit into memory are denoised, after all others; None: not at all.
     cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
         which can be ended at any time.
     manifests : those of output folders that the caller has opened, and locked, for several runs.
@@ -118,7 +112,6 @@ def run(
             retries=retries,
             stop_after_failures=stop_after_failures,
             engine=engine,
-            tiles=tiles,
             cancellation=cancellation,
             opened=manifests or {},
         )
@@ -136,7 +129,6 @@ class _BatchRun:
     retries: int
     stop_after_failures: int | None
     engine: EngineFactory | None
-    tiles: TileOptions | None
     cancellation: interrupts.Cancellation | None
     opened: Mapping[str, Manifest]
 
@@ -159,21 +151,18 @@ class _BatchRun:
             self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
-                records = tile_set.survey_set(
-                    self.plan, self.settings, self._manifests, self._tile_job(0)
-                )
+                from msal_cli.batch.tile_set import survey_set
+
+                records = survey_set(self.plan, self.settings, self._manifests)
             else:
-                planned = {index: self._planned_record(index) for index in todo}
-                expected = {} if self.tiles is None else self._find_oversized(todo).by_tiles
-                tiles = {index: planned_tiles(one) for index, one in expected.items()}
                 records = {
-                    n: foresee(
-                        replace(one, tiles=tiles.get(n)),
-                        self.plan.tasks[n],
+                    index: foresee(
+                        self._planned_record(index),
+                        self.plan.tasks[index],
                         self.settings,
                         self.limits,
                     )
-                    for n, one in planned.items()
+                    for index in todo
                 }
             for index, record in records.items():
                 self._emit_finished(index, record)
@@ -257,40 +246,19 @@ class _BatchRun:
             )
         return todo, restored
 
-    def _drop_oversized(self, todo: list[int], oversized: Oversized) -> list[int]:
-        """The files to load; those that fit neither into memory nor into tiles fail."""
-        for index, failure in oversized.failures.items():
-            self.on_event(Started(index))
-            self._finish({index: self._failed_record(index, failure)})
-        return [index for index in todo if index not in oversized]
-
-    def _find_oversized(self, todo: list[int], budget: MemoryBudget | None = None) -> Oversized:
-        tasks = {index: self.plan.tasks[index] for index in todo}
-        budget = budget or estimate_memory(tasks, self.settings, self.limits)
-        return find_oversized(tasks, self.settings, budget, self._tile_job(0))
-
-    def _tile_job(self, index: int) -> TileJob:
-        return TileJob(
-            self.tiles,
-            self.limits,
-            self.jobs or self._cores,
-            self.retries,
-            None,  # worker processes of this machine
-            self.cancellation,
-            self.plan.shard,
-            lambda *step: self.on_event(Progress(index, *step)),
-        )
-
     # The work
 
     def _run_files(self, todo: list[int], budget: MemoryBudget) -> None:
-        oversized = self._find_oversized(todo, budget)
-        todo = self._drop_oversized(todo, oversized)
+        # The machines of another engine have their own memory.
+        oversized = {} if self.engine is not None else budget.find_oversized()
+        for index, failure in oversized.items():
+            self.on_event(Started(index))
+            self._finish({index: self._failed_record(index, failure)})
+        todo = [index for index in todo if index not in oversized]
         if self._is_single() or self.plan.is_in_process:
             self._run_in_process(todo)
         elif todo and self._failure is None and not self._has_too_many_failures():
             self._run_engine(todo, budget)
-        self._run_by_tiles(oversized)
 
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
@@ -315,20 +283,22 @@ class _BatchRun:
                 if self._failure is not None:
                     return
 
-    def _run_by_tiles(self, oversized: Oversized) -> None:
-        for index in oversized.by_tiles:
-            if self._failure is None and not self._has_too_many_failures():
-                self.on_event(Started(index))
-                task, job = self.plan.tasks[index], self._tile_job(index)
-                self._finish({index: denoise_oversized(task, self.settings, job)})
-        help_others(self.plan, self.settings, self._tile_job(0))
-
     def _run_set(self, todo: list[int]) -> None:
         """Denoise all files as one mesh, led by this process."""
         if todo:
-            many, job = self.stop_after_failures, self._tile_job(0)
-            state = self.plan, self.settings, self.on_event, many, self._manifests, job
-            self._finish(tile_set.denoise_set(*state))
+            from msal_cli.batch.tile_set import denoise_set
+
+            self._finish(
+                denoise_set(
+                    self.plan,
+                    self.settings,
+                    self.on_event,
+                    self.stop_after_failures,
+                    self._manifests,
+                    self.limits,
+                    self.cancellation,
+                )
+            )
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
         from msal_cli.batch.engine import Interrupt, Work

@@ -1,150 +1,537 @@
-"""A plan whose files are denoised as the one mesh that they are together."""
+"""A tile set: files that touch, denoised as the one joined mesh that they are.
+
+First every file is read by itself: what it holds, and its border.  Border vertices of different
+files that are one are found, then the joined mesh is denoised in memory, and then every file is
+read again and written with its part of the new positions.
+"""
 
 from __future__ import annotations
 
+import itertools
 import os
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from msal_cli.analysis.correspondence import at_other_positions
+from msal_cli.analysis.shared_borders import (
+    Border,
+    SharedBorders,
+    count_unmatched,
+    find_border,
+    share_borders,
+)
 from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.events import Progress
 from msal_cli.batch.manifest_dirs import output_folders
-from msal_cli.errors import UnsupportedError
+from msal_cli.errors import InputError, MsalError, ResourceError, TooLargeError, UsageError
+from msal_cli.job import changes, output
+from msal_cli.job.opened_mesh import open_mesh, to_known_error
+from msal_cli.job.pipeline import FileRun, start_record
+from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
+from msal_cli.job.settings import (
+    FORECAST,
+    NO_LIMITS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    is_mesh_name,
+    least_memory_bytes,
+)
+from msal_cli.machine import available_bytes, megabytes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
+    from msal_cli.arrays import Flags, Floats, Ints
     from msal_cli.batch.events import OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
-    from msal_cli.batch.set_tiles import SetTiles
-    from msal_cli.batch.tile_options import TileJob
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.job.settings import Settings
-    from msal_cli.job.tile_records import Tiles, TileSetPart
-    from msal_cli.tiles.set_run import EarlierRuns
+    from msal_cli.codecs.mesh_file import MeshFile
+    from msal_cli.job.pipeline import OnProgress
+
+OnStep = Callable[[int, str, int, int], None]
+"""Called as ``on_step(index, stage, done, total)`` with the index of a task."""
+
+_SHARE_OF_MEMORY = 0.8
+_SHARED_FIELDS = (
+    "method",
+    "choice",
+    "left_alone",
+    "despiked",
+    "clamped_vertices",
+    "locked_vertices",
+)
+_ROUNDING = {"text": 0, "integer": 0, "float32": 1}
+"""Precisions that round positions more than double precision, the coarsest first."""
+
+
+@dataclass(frozen=True)
+class EarlierRuns:
+    """What earlier runs have found of files that may be missing now: by the number of a task, and,
+    of files that belonged to the set and are no longer among the tasks, by name."""
+
+    parts: Mapping[int, TileSetPart] = field(default_factory=dict)
+    absent: Mapping[str, TileSetPart] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A file of a set that could be read: the index of its task, and its record so far."""
+
+    index: int
+    task: Task
+    record: MeshRecord
+    border: Border
+
+    @property
+    def n_vertices(self) -> int:
+        """Its vertices, of an STL the welded ones."""
+        return self.record.vertices or 0
+
+
+class JoinedMesh:
+    """The vertices (n, 3) and faces (m, 3) of several files behind one another, with ``properties``
+    (n,) of the vertices by name."""
+
+    merged_vertices = 0
+
+    def __init__(self, vertices: Floats, faces: Ints, properties: Mapping[str, Floats]) -> None:
+        self.vertices, self.faces, self._properties = vertices, faces, properties
+
+    def forget_vertices(self) -> None:
+        """Keep them: they cannot be read again in little time."""
+
+    def vertex_property(self, name: str) -> Floats:
+        """A number of each vertex (n,)."""
+        return self._properties[name]
 
 
 def denoise_set(
     plan: Plan,
     settings: Settings,
-    on_event: OnEvent,
-    most_failures: int | None,
-    manifests: Mapping[str, Manifest],
-    job: TileJob,
+    on_event: OnEvent = lambda event: None,
+    max_failures: int | None = None,
+    manifests: Mapping[str, Manifest] | None = None,
+    limits: Limits = NO_LIMITS,
+    cancellation: interrupts.Cancellation | None = None,
 ) -> dict[int, MeshRecord]:
-    """The records of all files that were dealt with, by the numbers of their tasks.
+    """Denoise the files of a plan as one mesh: the records of all that were dealt with, by the
+    numbers of their tasks.
 
-    A set that does not fit into memory is denoised by tiles, as ``job`` says.
-
-    Once ``most_failures`` files cannot be read, no other is written: their records are not there.
+    A file that cannot be read fails; what its neighbours may share with it stays where it is.  Once
+    ``max_failures`` files cannot be read, no other is written: their records are not there.
     """
-    from msal_cli.tiles import set_run
 
     def on_step(index: int, stage: str, done: int, total: int) -> None:
-        if job.cancellation is not None:
-            job.cancellation.check()
+        if cancellation is not None:
+            cancellation.check()
         on_event(Progress(index, stage, done, total))
 
     def clean() -> None:
         for folder in output_folders(plan.tasks):
             temporary_files.sweep_after(os.getpid(), folder)
 
+    earlier = read_earlier(plan, manifests or {})
     with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
-        records = set_run.denoise_set(
-            plan.tasks,
-            settings,
-            on_step,
-            job.limits,
-            most_failures,
-            run_tiles=_build_tiles(plan, job),
-            earlier=read_earlier(plan, manifests),
-        )
-    return {index: one for index, one in enumerate(records) if one.status != "planned"}
+        return _SetRun(plan.tasks, settings, on_step, limits, earlier).denoise(max_failures)
 
 
 def survey_set(
-    plan: Plan, settings: Settings, manifests: Mapping[str, Manifest], job: TileJob
+    plan: Plan, settings: Settings, manifests: Mapping[str, Manifest] | None = None
 ) -> dict[int, MeshRecord]:
-    """What would be denoised: records with counts, neighbours and the tiles of a set that does not
-    fit into memory; the files are only read."""
-    from msal_cli.tiles import set_run
-
-    earlier = read_earlier(plan, manifests)
-    records = set_run.survey_set(plan.tasks, settings, earlier)
-    tiles = _plan_tiles(plan, settings, records, job)
-    return {
-        index: replace(one, tiles=tiles) if one.status == "planned" else one
-        for index, one in enumerate(records)
-    }
+    """What a set holds, without denoising it: records with ``tile_set``, or failures."""
+    earlier = read_earlier(plan, manifests or {})
+    return _SetRun(plan.tasks, settings, lambda *step: None, NO_LIMITS, earlier).survey()
 
 
-def _plan_tiles(
-    plan: Plan, settings: Settings, records: Sequence[MeshRecord], job: TileJob
-) -> Tiles | None:
-    """The tiles that a set would be cut into; None where it fits, or tiles are no way."""
-    from msal_cli.batch.tile_estimate import memory_bound, planned_tiles
-    from msal_cli.tiles.file_set import SetFile, SetSource
-    from msal_cli.tiles.set_run import memory_of_set
-
-    run_tiles, bound = _build_tiles(plan, job), memory_bound(job.limits)
-    found = [
-        (task, one)
-        for task, one in zip(plan.tasks, records, strict=True)
-        if one.status == "planned"
-    ]
-    if run_tiles is None or not found:
-        return None
-    fits = bound is None or memory_of_set(plan.tasks, settings) <= bound
-    if fits and not run_tiles.is_forced:
-        return None
-    try:
-        run_tiles.refuse(settings)
-    except UnsupportedError:
-        return None
-    files = [
-        SetFile(task.input, one.vertices or 0, one.triangles or 0, os.stat(task.input).st_size)
-        for task, one in found
-    ]
-    is_single = all(one.precision == "float32" for _, one in found)
-    vertex_type = "float32" if is_single else "float64"
-    source = SetSource(files, settings.format, vertex_type, b"")
-    return planned_tiles(run_tiles.estimate(source, settings))
-
-
-def _build_tiles(plan: Plan, job: TileJob) -> SetTiles | None:
-    """What denoises the set by tiles; None where that is no way."""
-    if job.options is None:
-        return None
-    from msal_cli.batch.set_tiles import SetTiles
-
-    home = plan.homes[0] or os.path.dirname(plan.tasks[0].output)
-    return SetTiles(plan.tasks, home, job, job.options)
+def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
+    """Bytes of memory that denoising these files as one will need."""
+    base = least_memory_bytes()
+    needs = [forecast(task, settings).memory_bytes or base for task in tasks]
+    return base + sum(max(0, need - base) for need in needs)
 
 
 def read_earlier(plan: Plan, manifests: Mapping[str, Manifest]) -> EarlierRuns:
     """What the manifests say of the files of a set and, unless all is to be done afresh, of files
     that belonged to it and are gone."""
-    from msal_cli.tiles.set_run import EarlierRuns
-
     parts: dict[int, TileSetPart] = {}
     absent: dict[str, TileSetPart] = {}
-    keys: dict[str, set[str]] = {home: set() for home in manifests}
-    for index, home in enumerate(plan.homes):
-        if home is not None:
-            key = plan.manifest_key(index)
-            keys[home].add(key)
-            record = _read_record(manifests[home], key)
-            if record is not None and record.tile_set is not None:
-                parts[index] = record.tile_set
-    for home, manifest in manifests.items():
-        for key in sorted(manifest.names() - keys[home]) if not plan.fresh else ():
-            record = _read_record(manifest, key)
-            if record is not None and record.tile_set is not None:
+    keys = {
+        plan.manifest_key(index): index for index, home in enumerate(plan.homes) if home is not None
+    }
+    for manifest in manifests.values():
+        for name in sorted(manifest.names()):
+            entry = manifest.get(name)
+            record = None if entry is None else entry.record()
+            if record is None or record.tile_set is None:
+                continue
+            if name in keys:
+                parts[keys[name]] = record.tile_set
+            elif not plan.fresh:
                 absent[record.input] = record.tile_set
     return EarlierRuns(parts, absent)
 
 
-def _read_record(manifest: Manifest, key: str) -> MeshRecord | None:
-    entry = manifest.get(key)
-    return None if entry is None else entry.record()
+class _SetRun:
+    """One set on its way; a *place* is the number of a file among those that could be read."""
+
+    def __init__(
+        self,
+        tasks: Sequence[Task],
+        settings: Settings,
+        on_step: OnStep,
+        limits: Limits,
+        earlier: EarlierRuns,
+    ) -> None:
+        self._tasks, self._settings = tasks, settings
+        self._on_step, self._limits, self._earlier = on_step, limits, earlier
+        self._members: list[Member] = []
+        # Vertices (n, 3), faces (m, 3) and properties of each member, until they are joined.
+        self._arrays: list[tuple[Floats, Ints, dict[str, Floats]]] = []
+        self._records: dict[int, MeshRecord] = {}
+
+    def survey(self) -> dict[int, MeshRecord]:
+        """See ``survey_set``."""
+        for index in range(len(self._tasks)):
+            self._scan(index)
+            self._arrays.clear()
+        shared = self._share()
+        for member, part in zip(self._members, self._describe(shared), strict=True):
+            self._records[member.index] = replace(
+                member.record, status="planned", output=member.task.output, tile_set=part
+            )
+        return self._records
+
+    def denoise(self, max_failures: int | None) -> dict[int, MeshRecord]:
+        """See ``denoise_set``."""
+        try:
+            self._refuse_oversized()
+            for index in range(len(self._tasks)):
+                self._scan(index)
+            has_given_up = max_failures is not None and len(self._records) >= max_failures
+            if self._members and not has_given_up:
+                self._denoise_members()
+        except UsageError:
+            raise
+        except Exception as error:
+            # The set fails as a whole: every file that has no failure of its own has this one.
+            known = to_known_error(error, "the tile set")
+            failure = Failure(known.code, known.message, known.hint, known.where)
+            for index, task in enumerate(self._tasks):
+                if index not in self._records:
+                    start = start_record(task.input, self._settings)
+                    self._records[index] = replace(start, error=failure)
+        return self._records
+
+    def _refuse_oversized(self) -> None:
+        """Refuse a joined mesh that does not fit into memory, by forecast; ResourceError."""
+        limit, left = self._limits.memory_bytes, available_bytes()
+        if limit is None and left is not None:
+            limit = int(_SHARE_OF_MEMORY * left)
+        needed = memory_of_set(self._tasks, self._settings)
+        if limit is not None and needed > limit:
+            raise ResourceError(
+                f"denoising these {len(self._tasks)} files as one takes up to "
+                f"{megabytes(needed)}, and there are {megabytes(limit, rounded_up=False)}",
+                code="E_MEMORY",
+                where=FORECAST,
+                hint="use a machine with more memory, or denoise fewer files as one",
+            )
+        # A file that does not fit by itself fails before it is loaded.
+        self._limits = replace(self._limits, memory_bytes=limit)
+
+    def _progress_of(self, index: int) -> OnProgress:
+        return lambda stage, done, total: self._on_step(index, stage, done, total)
+
+    def _scan(self, index: int) -> None:
+        """Read a file for the first time: a member, or the record of its failure."""
+        task = self._tasks[index]
+        run = FileRun(task.input, self._settings, self._progress_of(index), self._limits)
+        try:
+            mesh_file, _ = run.open(run.read(task))
+            with run.stage("connectivity"):
+                border = find_border(
+                    run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
+                )
+                properties = self._read_properties(mesh_file)
+            arrays = mesh_file.vertices, mesh_file.faces, properties
+            record = run.finish(None)
+        except Exception as error:
+            self._records[index] = run.fail(error)
+            return
+        self._arrays.append(arrays)
+        self._members.append(Member(index, task, record, border))
+
+    def _read_properties(self, mesh_file: MeshFile) -> dict[str, Floats]:
+        """The properties of vertices that --lock and --weights name, of one file."""
+        from msal_cli import codecs
+        from msal_cli.job.constraints import parse_lock
+
+        locks = (parse_lock(lock) for lock in self._settings.lock)
+        names = {lock.name for lock in locks if lock is not None}
+        if self._settings.weights is not None:
+            names.add(self._settings.weights)
+        return {name: codecs.vertex_property(mesh_file, name) for name in sorted(names)}
+
+    def _share(self) -> SharedBorders:
+        is_single = [member.record.precision == "float32" for member in self._members]
+        return share_borders([member.border for member in self._members], is_single)
+
+    def _fixed_points(self, shared: SharedBorders) -> Flags | None:
+        """(n,) border points that a file may share which failed or is gone; None if there is none.
+
+        Where an earlier run has read it they lie within its bounds; else any may be its.
+        """
+        parts = [self._earlier.parts.get(index) for index in self._records]
+        parts += self._earlier.absent.values()
+        if not parts:
+            return None
+        if None in parts:
+            return ~shared.is_shared
+        is_inside = np.zeros(len(shared.group), dtype=np.bool_)
+        for part in parts:
+            if part is not None and part.low is not None and part.high is not None:
+                low, high = np.array(part.low), np.array(part.high)
+                is_inside |= ((shared.positions >= low) & (shared.positions <= high)).all(axis=1)
+        return ~shared.is_shared & is_inside
+
+    def _describe(self, shared: SharedBorders) -> list[TileSetPart]:
+        """What each member shares with the others."""
+        if not self._members:
+            return []
+        lengths = np.array([member.record.mean_edge_length or 0.0 for member in self._members])
+        n_triangles = np.array([member.record.triangles or 0 for member in self._members])
+        edge = float(np.average(lengths, weights=n_triangles))
+        borders = [member.border for member in self._members]
+        unmatched = count_unmatched(borders, shared, edge)
+        neighbours, gaps = shared.neighbours(), shared.distances(shared.positions)
+        is_shared, fixed = shared.is_shared, self._fixed_points(shared)
+        is_moved = (shared.joined_positions != shared.positions).any(axis=1)
+        parts = []
+        for place in range(len(self._members)):
+            own = shared.of_file(place)
+            bounds: dict[str, Any] = {}
+            if len(positions := shared.positions[own]):
+                bounds = {
+                    "low": tuple(positions.min(axis=0).tolist()),
+                    "high": tuple(positions.max(axis=0).tolist()),
+                }
+            parts.append(
+                TileSetPart(
+                    files=len(self._members),
+                    neighbours=tuple(self._members[i].task.relative for i in neighbours[place]),
+                    shared_vertices=int(is_shared[own].sum()),
+                    welded_vertices=int(is_moved[own].sum()),
+                    largest_weld=float(gaps[own].max(initial=0.0)),
+                    unmatched_vertices=unmatched[place],
+                    fixed_border_vertices=0 if fixed is None else int(fixed[own].sum()),
+                    **bounds,
+                )
+            )
+        return parts
+
+    def _denoise_members(self) -> None:
+        """Move the vertices of all files, and write each."""
+        shared = self._share()
+        parts = self._describe(shared)
+        starts = [0, *itertools.accumulate(member.n_vertices for member in self._members)]
+        run = FileRun(
+            "the tile set", self._settings, self._progress_of(self._members[0].index), NO_LIMITS
+        )
+        moved = run.move_vertices(*self._join(shared, starts))
+        joint = run.finish(None)
+        known = {name: getattr(joint, name) for name in _SHARED_FIELDS}
+        written = np.full_like(shared.positions, np.nan)
+        # What the first file stores that has a point: the others take it from there.
+        agreed = np.full_like(shared.positions, np.nan)
+        is_single = np.zeros(len(self._members), dtype=np.bool_)
+        # Those first that round positions most, so that all can store a shared point alike.
+        for place in sorted(
+            range(len(self._members)),
+            key=lambda place: _ROUNDING.get(self._members[place].record.precision or "", 2),
+        ):
+            member, part = self._members[place], slice(starts[place], starts[place + 1])
+            vertices, own = np.array(moved[part]), shared.of_file(place)
+            new = agreed[shared.group[own]][member.border.points]
+            is_known = ~np.isnan(new).any(axis=1)
+            vertices[member.border.vertices[is_known]] = new[is_known]
+            values = {name: column[part] for name, column in run.field_values.items()}
+            record, points, is_single[place] = self._write(member, vertices, known, values)
+            written[own] = points
+            first = shared.group[own]
+            is_open = np.isnan(agreed[first]).any(axis=1)
+            agreed[first[is_open]] = points[is_open]
+            share = member.n_vertices / starts[-1]
+            record = _add_seconds(record, (member.record.seconds, 1.0), (joint.seconds, share))
+            peak = max(record.peak_memory_bytes or 0, joint.peak_memory_bytes or 0) or None
+            self._records[member.index] = replace(
+                record, tile_set=parts[place], peak_memory_bytes=peak
+            )
+        self._record_gaps(shared, written, is_single, joint.warnings)
+
+    def _join(
+        self, shared: SharedBorders, starts: Sequence[int]
+    ) -> tuple[JoinedMesh, Flags | None]:
+        """The joined mesh, and which of its vertices (n,) stay; the files' arrays are freed."""
+        if starts[-1] > np.iinfo(np.int32).max:
+            raise TooLargeError(
+                f"the files have {starts[-1]:,} vertices, too many for one mesh",
+                hint="denoise fewer files as one",
+            )
+        vertices = np.concatenate([rows for rows, _, _ in self._arrays])
+        faces = np.concatenate(
+            [
+                rows + np.int32(start)
+                for (_, rows, _), start in zip(self._arrays, starts, strict=False)
+            ]
+        )
+        properties = {
+            name: np.concatenate([found[name] for _, _, found in self._arrays])
+            for name in self._arrays[0][2]
+        }
+        self._arrays.clear()
+        fixed = self._fixed_points(shared)
+        pinned = None if fixed is None else np.zeros(len(vertices), dtype=np.bool_)
+        positions = shared.joined_positions
+        for place, (member, start) in enumerate(zip(self._members, starts, strict=False)):
+            own, border = shared.of_file(place), member.border
+            vertices[start + border.vertices] = positions[own][border.points]
+            if pinned is not None and fixed is not None:
+                pinned[start + border.vertices] = fixed[own][border.points]
+        return JoinedMesh(vertices, faces, properties), pinned
+
+    def _write(
+        self,
+        member: Member,
+        vertices: Floats,
+        known: Mapping[str, Any],
+        field_values: dict[str, Floats],
+    ) -> tuple[MeshRecord, Floats, bool]:
+        """Write a file with new positions (n, 3); its record, its border points (k, 3) as they are
+        in the output, and whether that is in single precision.
+
+        ``known`` are fields of the record that all files of the set share.
+        """
+        task = member.task
+        run = FileRun(task.input, self._settings, self._progress_of(member.index), NO_LIMITS)
+        try:
+            data = run.read(task)
+            mesh_file, is_compressed = run.open(data)
+            if run.record.input_sha256 != member.record.input_sha256:
+                raise InputError(
+                    "the file changed while its tile set was denoised",
+                    code="E_CHANGED",
+                    hint="run the same command again once it is complete",
+                )
+            with run.stage("connectivity"):
+                ready = run.prepare_mesh(mesh_file)
+            with run.stage("measure"):
+                moved = at_other_positions(ready, vertices).vertices
+                run.know_changes(changes.measure(ready, moved, None))
+                run.check_intersections(ready, moved)
+                run.know(seam_gap=ready.seam_gap(vertices), **known)
+                ready.mesh.release_normals()
+            run.field_values = field_values
+            source = output.Source(data, task.input, is_compressed)
+            made = run.build(mesh_file, vertices, task.output, source)
+            record = run.write(task, data, made)
+            return record, *_read_points(member.border, mesh_file, made, task.output)
+        except Exception as error:
+            return run.fail(error), np.full_like(member.border.positions, np.nan), False
+
+    def _record_gaps(
+        self, shared: SharedBorders, written: Floats, is_single: Flags, warnings: Sequence[str]
+    ) -> None:
+        """Add to the records what the whole set shows, and what a user should know of it."""
+        # Where only some of the files that have a point are in single precision, it counts in that.
+        counts = np.bincount(shared.group, minlength=len(shared.group))
+        n_single = np.bincount(
+            shared.group, weights=is_single[shared.file_of], minlength=len(shared.group)
+        )
+        mixed = ((n_single > 0) & (n_single < counts))[shared.group]
+        written[mixed] = written[mixed].astype(np.float32)
+        gaps = shared.distances(written)
+        gaps[np.isnan(written).any(axis=1) & shared.is_shared] = np.nan
+        failed = sorted(i for i, record in self._records.items() if record.status == "failed")
+        for index in set(failed) & self._earlier.parts.keys():
+            part = self._earlier.parts[index]
+            self._records[index] = replace(self._records[index], tile_set=part)
+        names = [self._tasks[index].relative for index in failed] + list(self._earlier.absent)
+        notes = [f"the tile set: {warning}" for warning in warnings]
+        for place, member in enumerate(self._members):
+            record = self._records[member.index]
+            if record.status == "failed":
+                continue
+            # NaN where an output cannot be read back.
+            largest = float(gaps[shared.of_file(place)].max(initial=0.0))
+            gap = None if np.isnan(largest) else largest
+            notes += _warnings_of(record, gap or 0.0, names)
+            self._records[member.index] = replace(
+                record, tile_gap=gap, warnings=(*record.warnings, *notes)
+            )
+            notes = []
+
+
+def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[str]:
+    """What a user should know of the borders of a file."""
+    part = record.tile_set
+    assert part is not None
+    notes = []
+    if part.fixed_border_vertices:
+        names = ", ".join(failed[:3]) + (" ..." if len(failed) > 3 else "")
+        notes.append(
+            f"{part.fixed_border_vertices:,} border vertices were held in their place, because "
+            f"files that failed or are gone may share them: {names}"
+        )
+    if part.unmatched_vertices:
+        notes.append(
+            f"{part.unmatched_vertices:,} border vertices lie at the border of another file but "
+            "are no vertices of it: there the surface stays cut"
+        )
+    if gap > 0.0:
+        notes.append(
+            f"shared vertices differ by up to {gap:.3g} from those of other files, which store "
+            "positions with other digits"
+        )
+    return notes
+
+
+def _add_seconds(record: MeshRecord, *others: tuple[Seconds | None, float]) -> MeshRecord:
+    """A record whose seconds have those of other work added, each times a share of it."""
+    if record.seconds is None:
+        return record
+    sums = {
+        stage.name: getattr(record.seconds, stage.name)
+        + sum(share * getattr(more, stage.name) for more, share in others if more is not None)
+        for stage in fields(Seconds)
+    }
+    total = sums["total"]
+    speed = (record.vertices or 0) / total if total > 0.0 and record.error is None else None
+    return replace(record, seconds=Seconds(**sums), vertices_per_second=speed)
+
+
+def _read_points(
+    border: Border, mesh_file: MeshFile, made: output.Output, output_path: str
+) -> tuple[Floats, bool]:
+    """The border points (k, 3) of a file as they are in the bytes of its output, NaN where they
+    cannot be read, and whether these are in single precision."""
+    unknown = np.full_like(border.positions, np.nan)
+    format = None if is_mesh_name(output_path) else mesh_file.format
+    try:
+        there, _ = open_mesh(made.data, output_path, format)
+    except MsalError:
+        return unknown, False
+    has_same_vertices = (
+        len(there.vertices) == len(mesh_file.vertices)
+        and there.merged_vertices == mesh_file.merged_vertices == 0
+    )
+    if has_same_vertices:
+        unknown[border.points[::-1]] = there.vertices[border.vertices[::-1]]
+        return unknown, there.precision == "float32"
+    if len(there.faces) == len(mesh_file.faces):
+        # The order of vertices is another, such as that of STL, but faces have kept theirs.
+        corners = there.faces.reshape(-1)[border.corners]
+        return there.vertices[corners], there.precision == "float32"
+    return unknown, False

@@ -128,16 +128,12 @@ def command(
     error in % of the mean edge length of A, the change of volume and area, flipped faces, and the
     Hausdorff distance. Where the faces are not the same, the surfaces are compared.
 
-    PLY and STL files that are larger than memory are read in pieces; their faces must be the same,
-    and distances between the surfaces are not measured.
-
     Of folders and of more than two files the exit status is 3 if a pair cannot be compared, else 4
     if a gate is broken or the baseline not met, else 3 if a file has no partner; 1 if no pair at
     all can be compared.
     """
-    from functools import partial
-
     from msal_cli.batch.inputs import discover_inputs
+    from msal_cli.job.comparison import compare_files
     from msal_cli.report.gates import names_field
 
     refuse_conflicts(find_given(context))
@@ -145,7 +141,10 @@ def command(
     format = options.resolve_format(format)
     sides = [discover_inputs((one,), include, exclude) for one in (before, *others)]
     is_checked = bool(checks) or names_field(gates.gates, "self_intersections")
-    compare = partial(_compare, format=format, with_intersections=is_checked)
+
+    def compare(before: str, after: str) -> ComparisonRecord:
+        return compare_files(before, after, format, with_intersections=is_checked)
+
     are_folders = [any(one.root for one in side) for side in sides]
     after = others[0]
     if ignore_missing and not any(are_folders):
@@ -178,18 +177,6 @@ def command(
     # Files that were left out on purpose are not missed.
     is_all = not include and not exclude and not ignore_missing
     return _print_table(records, gates, as_json, is_all=is_all)
-
-
-def _compare(
-    before: str, after: str, *, format: str | None, with_intersections: bool
-) -> ComparisonRecord:
-    from msal_cli.cli.progress import reading_bar
-    from msal_cli.job.comparison import compare_files
-
-    with reading_bar() as bar:
-        return compare_files(
-            before, after, format, with_intersections=with_intersections, listener=bar
-        )
 
 
 def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
@@ -269,17 +256,10 @@ def _refuse_target(before: str, after: str, target: str) -> None:
 
 def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
     from msal_cli.batch import interrupts
-    from msal_cli.errors import UnsupportedError
     from msal_cli.job import comparison
-    from msal_cli.job.larger_than_memory import are_too_large
     from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 
-    if are_too_large((before, after), format):
-        raise UnsupportedError(
-            "no heat map is written of files that are larger than memory",
-            hint="let msal view show the deviation, or use a machine with more memory",
-        )
     reference = comparison.opened(before, format)
     made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
     with interrupts.noticed(interrupts.raise_for):

@@ -29,7 +29,6 @@ _FOR_FILES = (
     "fields",
     "retries",
     "max_failures",
-    "tiled",
     "scratch",
     "tile_set",
 )
@@ -86,6 +85,12 @@ _CONFLICTS = (
         "leave --timeout away",
     ),
     (
+        "tile_set",
+        "dask",
+        "--engine dask deals out files, and the files of a tile set are one mesh",
+        "leave --engine dask away, or leave --tile-set away",
+    ),
+    (
         "dask",
         "jobs",
         "-j is for this machine; a Dask cluster has as many workers as it has",
@@ -116,7 +121,6 @@ _CONFLICTS = (
 _NEEDS = (
     ("backup", "in_place", "other inputs are never replaced"),
     ("no_backup", "in_place", "other inputs are never replaced"),
-    ("weld", "tile_set", "vertices of one file are one only where they coincide"),
     ("scheduler", "dask", "add --engine dask"),
     (
         "dask",

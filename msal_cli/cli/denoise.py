@@ -117,7 +117,6 @@ class _Session:
         from msal_cli.batch import interrupts
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
-        from msal_cli.batch.tile_options import TileOptions
         from msal_cli.cli import progress, report_files
 
         request = self._request
@@ -157,7 +156,6 @@ class _Session:
                 stop_after_failures=1 if request.fail_fast else request.max_failures,
                 command=self._command,
                 engine=engine,
-                tiles=TileOptions(request.tiled, request.scratch),
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
             bar.close()
@@ -166,7 +164,11 @@ class _Session:
         finally:
             bar.close()
         if plan.is_set and request.dry_run and not request.quiet:
-            console.say(_describe_set(plan, settings, records))
+            from msal_cli.batch.tile_set import memory_of_set
+            from msal_cli.machine import megabytes
+
+            needed = megabytes(memory_of_set(plan.tasks, settings))
+            console.say(f"as one mesh they take up to {needed} of memory")
         with interrupts.noticed(interrupts.raise_for):
             return self._conclude(settings, records)
 
@@ -265,18 +267,6 @@ class _Session:
                     defaults=list_defaults(records),
                 )
             )
-
-
-def _describe_set(plan: Plan, settings: Settings, records: Sequence[MeshRecord]) -> str:
-    """What the files of a tile set will take together."""
-    from msal_cli.machine import megabytes
-    from msal_cli.report.facts import tiles_text
-    from msal_cli.tiles.set_run import memory_of_set
-
-    tiles = next((one.tiles for one in records if one.tiles is not None), None)
-    if tiles is not None:
-        return f"as one mesh they are denoised in {tiles_text(tiles)}"
-    return f"as one mesh they take up to {megabytes(memory_of_set(plan.tasks, settings))} of memory"
 
 
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"

@@ -223,21 +223,11 @@ MEMORY_LIMIT = click.option(
     help="Most memory for one file and for each worker: 500M, 2G, 1.5GiB.  [default: none]",
 )
 
-TILED = click.option(
-    "--tiled",
-    is_flag=True,
-    help="Denoise every mesh in tiles by way of temporary files, which takes little memory "
-    "however large it is; for PLY, STL and OBJ, also .gz. The result is the same to the last "
-    "byte.  "
-    "[default: meshes that do not fit into memory, or into --memory-limit]",
-)
-
 SCRATCH = click.option(
     "--scratch",
     metavar="FOLDER",
     type=options.PATH,
-    help="Where the temporary files of tiles go, some 250 bytes for each vertex.  "
-    "[default: a hidden folder beside the output]",
+    help="Where temporary files go.  [default: beside the output]",
 )
 
 MAX_FACES = click.option(
@@ -280,16 +270,8 @@ MANY_FILES = group(
         help="The files are tiles that touch: denoise them as the one mesh that they are, so that "
         "vertices which they share stay the same.",
     ),
-    click.option(
-        "--weld",
-        metavar="LENGTH",
-        help="With --tile-set: border vertices of different files within LENGTH are one, too: 0.1e "
-        "is mean edge lengths, 0.001 file units; greater closes wider gaps.  [default: only those "
-        "at the same place]",
-    ),
     TIMEOUT,
     MEMORY_LIMIT,
-    TILED,
     SCRATCH,
     MAX_FACES,
     RETRIES,

@@ -60,10 +60,6 @@ def command(
     standard input. Of several files there is one line each. Nothing is written.
 
     Lengths are in file units.
-
-    A PLY or STL that is larger than memory is read in pieces: its counts are said at once,
-    the rest follows. Parts, welded vertices, duplicate faces and intersections are not counted
-    then, and the noise is estimated on a part.
     """
     from msal_cli.cli import logs
 
@@ -94,17 +90,14 @@ def _find_paths(
 def _inspect(
     paths: tuple[str, ...], format: str | None, *, with_intersections: bool
 ) -> Iterator[InfoRecord]:
-    from msal_cli.cli.progress import reading_bar
     from msal_cli.cli.streams import read_stream
     from msal_cli.job import inspection
 
     for path in paths:
         data = read_stream() if path == STREAM else None
-        with reading_bar() as bar:
-            record = inspection.inspect_file(
-                path, format, data=data, with_intersections=with_intersections, listener=bar
-            )
-        yield record
+        yield inspection.inspect_file(
+            path, format, data=data, with_intersections=with_intersections
+        )
 
 
 def _print_text(records: Iterator[InfoRecord]) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,15 +16,10 @@ from msal_cli.report.facts import seconds_text
 
 if TYPE_CHECKING:
     from msal_cli.batch.events import Event, Finished
-    from msal_cli.codecs.streamed_mesh import StreamedMesh
     from msal_cli.job.settings import Task
 
 _NAME_WIDTH = 32
 _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
-_SHARE_FORMAT = "{desc} {percentage:3.0f} %|{bar}| [{elapsed}<{remaining}]"
-
-TILES = "tiles"
-"""The stage of a mesh that is denoised by tiles, which is counted in parts of the whole."""
 
 # What takes less time gets no bar (seconds).
 _DELAY_S = 0.4
@@ -42,7 +37,7 @@ _SILENT_S = 15.0
 _MAX_LINES = 200
 """Files up to which a log has a line for each."""
 
-_COUNTED = ("choose", "sweeps", TILES)
+_COUNTED = ("choose", "sweeps")
 
 
 class Silent:
@@ -91,8 +86,7 @@ class SweepBar(Silent):
             self._bar = self._empty()
         if stage != self._stage or is_counted == (self._bar.bar_format == "{desc}"):
             self._stage = stage
-            counted = _SHARE_FORMAT if stage == TILES else _FORMAT
-            self._bar.bar_format = counted if is_counted else "{desc}"
+            self._bar.bar_format = _FORMAT if is_counted else "{desc}"
             self._bar.set_description_str(f"{self._name}: {stage}", refresh=False)
             if time.monotonic() >= self._wakes:
                 self._bar.refresh()
@@ -112,19 +106,15 @@ class FileBar(Silent):
 
     def on_event(self, event: Event) -> None:
         """Show what happened to one file."""
-        from msal_cli.batch.events import Finished, Progress, Started
+        from msal_cli.batch.events import Finished, Started
 
-        if isinstance(event, Progress) and event.stage == TILES:
-            share = f"{100.0 * event.done / event.total:.0f} % of the tiles"
-            self._bar.set_postfix_str(share, refresh=False)
-        elif isinstance(event, Started):
+        if isinstance(event, Started):
             name = pad_name(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
             self._bar.set_description_str(name, refresh=False)
         elif isinstance(event, Finished):
             self._n_failed += event.record.status == "failed"
-            if self._n_failed or event.record.tiles is not None:
-                failed = f"{self._n_failed} failed" if self._n_failed else ""
-                self._bar.set_postfix_str(failed, refresh=False)
+            if self._n_failed:
+                self._bar.set_postfix_str(f"{self._n_failed} failed", refresh=False)
             self._bar.update(1)
         # A folder of small files must not spend its time on a bar.
         if time.monotonic() >= self._shown + _BETWEEN_S:
@@ -227,76 +217,6 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         yield tell
     finally:
         shown.close()
-
-
-class ReadingBar:
-    """Says which meshes are read in pieces, and shows a bar while they are."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        self._is_quiet = quiet
-        self._bar: Any = None
-        self._text = ""
-        self._has_signals = False
-        self.at_end = ExitStack()
-
-    def on_folder(self) -> None:
-        """Have a signal end the work by an exception, so that what is kept in files is removed."""
-        from msal_cli.batch import interrupts
-
-        if not self._has_signals:
-            self._has_signals = True
-            self.at_end.enter_context(interrupts.noticed(interrupts.raise_for))
-
-    def on_text(self, name: str, done: int, total: int) -> None:
-        """Show how much of a text was read, whose numbers are kept in a file first."""
-        if self._text != name:
-            self._text = name
-            self._say(f"{escape_for_display(name)}: larger than memory, so it is read in pieces")
-            self._begin(f"{_short(name)}: reading text")
-        self.on_progress(done, total)
-
-    def on_begin(self, names: Sequence[str], meshes: Sequence[StreamedMesh]) -> None:
-        """Say what the headers tell, long before all is read."""
-        for name, mesh in zip(names, meshes, strict=True):
-            counts = f"{mesh.n_vertices:,} {'corners' if mesh.are_corners else 'vertices'}"
-            self._say(
-                f"{escape_for_display(name)}: larger than memory, so it is read in pieces: "
-                f"{counts}, {mesh.n_polygons:,} faces, {mesh.size:,} bytes"
-            )
-        self._begin(_short(names[-1]))
-
-    def _say(self, text: str) -> None:
-        self.close()
-        if not self._is_quiet:
-            console.say(text)
-
-    def _begin(self, description: str) -> None:
-        self.close()
-        if not self._is_quiet and console.is_terminal(sys.stderr):
-            self._bar = _bar(desc=description, bar_format=_SHARE_FORMAT, delay=_DELAY_S)
-
-    def on_progress(self, done: int, total: int) -> None:
-        """Show how much was read."""
-        if self._bar is not None:
-            self._bar.total = total
-            self._bar.update(done - self._bar.n)
-
-    def close(self) -> None:
-        """Take the bar away."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
-
-
-@contextmanager
-def reading_bar(*, quiet: bool = False) -> Iterator[ReadingBar]:
-    """What listens while meshes are read in pieces; see ``job.streamed_progress``."""
-    shown = ReadingBar(quiet=quiet)
-    with shown.at_end:
-        try:
-            yield shown
-        finally:
-            shown.close()
 
 
 def _size(path: str) -> int:

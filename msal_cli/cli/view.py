@@ -155,9 +155,6 @@ def command(
     All panels show the same view. Where A and B have the same faces the colours show how far
     each vertex moved along its normal, else how far it is from A's surface. Neither a display nor
     a graphics card is needed.
-
-    PLY and STL files that are larger than memory are read in pieces, and decimated; two must
-    have the same faces.
     """
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
@@ -173,7 +170,7 @@ def command(
     if output is not None and output != STREAM:
         refuse_target(output, "the picture", names)
     view = dataclasses.replace(view, colours=colours)
-    scene = _build_scene(names, format, quiet=quiet)
+    scene = _build_scene(names, format)
     if view.shows_file_colours and not quiet:
         for note in scene.notes:
             console.say(f"msal: {escape_for_display(note)}", "warn")
@@ -196,18 +193,12 @@ def command(
     return console.SUCCESS
 
 
-def _build_scene(names: tuple[str, ...], format: str | None, *, quiet: bool) -> Scene:
-    from msal_cli.cli.progress import reading_bar
-    from msal_cli.job.larger_than_memory import opened_in_pieces
+def _build_scene(names: tuple[str, ...], format: str | None) -> Scene:
+    from msal_cli.job.opened_mesh import refuse_beyond_memory
     from msal_cli.view import pictures
-
-    with reading_bar(quiet=quiet) as bar, opened_in_pieces(names, format, bar) as streamed:
-        if streamed is not None:
-            from msal_cli.view.streamed_scene import scene_of_streamed
-
-            return scene_of_streamed(streamed, names, bar)
     from msal_cli.view.surface_colours import open_coloured_surface
 
+    refuse_beyond_memory(names, format)
     surfaces = [open_coloured_surface(name, format) for name in names]
     return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 

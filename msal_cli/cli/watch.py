@@ -92,8 +92,8 @@ _OPTIONS = options.combine(
 )
 
 _NOT_GIVEN = {
-    **dict.fromkeys(("in_place", "no_backup", "dry_run", "tile_set", "tiled", "as_json"), False),
-    **dict.fromkeys(("backup", "weld", "shard", "scheduler", "scratch", "reference")),
+    **dict.fromkeys(("in_place", "no_backup", "dry_run", "tile_set", "as_json"), False),
+    **dict.fromkeys(("backup", "shard", "scheduler", "scratch", "reference")),
     **dict.fromkeys(("reports", "fail_on"), ()),
     "engine": "workers",
 }

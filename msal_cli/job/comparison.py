@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
 from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.opened_mesh import open_mesh, to_known_error
+from msal_cli.job.opened_mesh import open_mesh, refuse_beyond_memory, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
     Area,
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from msal_cli.codecs.colours import SurfaceColours
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
-    from msal_cli.job.streamed_progress import ReadingListener
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.storage.buffers import Buffer
 
@@ -97,11 +96,10 @@ def compare_files(
     format: str | None = None,
     *,
     with_intersections: bool = False,
-    listener: ReadingListener | None = None,
 ) -> ComparisonRecord:
     """As ``measure_files``; what cannot be read gives a record with an error."""
     try:
-        return measure_files(before, after, format, with_intersections, listener)
+        return measure_files(before, after, format, with_intersections)
     except Exception as error:
         known = to_known_error(error, f"{before} and {after}")
         where = f"{known.path}: {known.where}" if known.path and known.where else known.path
@@ -114,22 +112,12 @@ def measure_files(
     after: str,
     format: str | None = None,
     with_intersections: bool = False,
-    listener: ReadingListener | None = None,
 ) -> ComparisonRecord:
     """A file against the reference ``before``; MsalError where one of them cannot be read.
 
-    ``with_intersections`` counts the faces of each that intersect each other.  Files that are
-    larger than memory are read in pieces, which ``listener`` hears of.
+    ``with_intersections`` counts the faces of each that intersect each other.
     """
-    from msal_cli.job.larger_than_memory import opened_in_pieces
-
-    with opened_in_pieces((before, after), format, listener) as streamed:
-        if streamed is not None:
-            from msal_cli.job.streamed_comparison import compare_streamed
-
-            record = compare_streamed(streamed[0], streamed[1], (before, after), listener)
-            words = "intersections are not counted: the files are larger than memory"
-            return _warned(record, words) if with_intersections else record
+    refuse_beyond_memory((before, after), format)
     return compare_meshes(
         open_surface(before, format),
         open_surface(after, format),

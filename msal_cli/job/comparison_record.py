@@ -41,11 +41,6 @@ class ComparisonRecord(ScreenRepr):
     corners_after: int | None = known("corners that an STL after stores, null for other files")
     faces_before: int | None = known("triangles before")
     faces_after: int | None = known("triangles after")
-    read_in_pieces: bool = known(
-        "true if the files are larger than memory and were read in pieces: then there are no "
-        "distances to the surfaces, and no Hausdorff distance",
-        False,
-    )
     mean_edge_length: float | None = known("mean length of the edges before, file units")
     mean_angular_error_deg: float | None = known(
         "mean angle between corresponding face normals, degrees (the MSAE of much of the "

@@ -19,12 +19,6 @@ class InfoRecord:
     precision: str | None = None
     compressed: bool = known("whether the file is compressed with gzip", False)
     bytes: int | None = known("size of the file")
-    read_in_pieces: bool = known(
-        "true if the file is larger than memory and was read in pieces: then parts, edges with "
-        "more than two faces, duplicate faces and welded vertices are not counted, and the noise "
-        "is estimated on a part",
-        False,
-    )
     vertices: int | None = None
     corners: int | None = None
     faces: int | None = None

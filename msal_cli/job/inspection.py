@@ -5,17 +5,15 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from msal_cli.job.changes import defect_fields, noise_field
 from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
+from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, refuse_beyond_memory, to_known_error
 from msal_cli.job.records import Failure
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile
-    from msal_cli.job.streamed_progress import ReadingListener
     from msal_cli.storage.buffers import Buffer
 
 
@@ -25,36 +23,23 @@ def inspect_file(
     *,
     data: Buffer | None = None,
     with_intersections: bool = False,
-    listener: ReadingListener | None = None,
 ) -> InfoRecord:
     """What is in a file, or in its ``data``; one that cannot be read gives a record with an error.
 
     ``with_intersections`` counts the faces that intersect each other, which takes longer than all
-    the rest.  A file that is larger than memory is read in pieces, which ``listener`` hears of; its
-    intersections are not counted.
+    the rest.
     """
     from msal_cli.codecs import header_check
-    from msal_cli.job.larger_than_memory import opened_in_pieces
 
     try:
         if data is None:
-            with opened_in_pieces((path,), format, listener) as streamed:
-                if streamed is not None:
-                    from msal_cli.job.streamed_inspection import inspect_streamed
-
-                    record = inspect_streamed(streamed[0], path, listener)
-                    return _with_uncounted(record) if with_intersections else record
+            refuse_beyond_memory((path,), format)
             data = header_check.read_input(path, format)
         return _inspect(data, path, format, with_intersections)
     except Exception as error:
         known = to_known_error(error, path)
         failure = Failure(known.code, known.message, known.hint, known.where)
         return InfoRecord(input=path, error=failure)
-
-
-def _with_uncounted(record: InfoRecord) -> InfoRecord:
-    words = "intersections are not counted: the file is larger than memory"
-    return replace(record, warnings=(*record.warnings, words))
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:

@@ -25,9 +25,6 @@ _AUTO_S, _AUTO_S_PER_MILLION = 2.2, 28.0
 _FILTER_S_PER_MILLION = 0.13
 _USUAL_COST = 20.0
 
-_BY_TILES = 1.3
-"""Processor time by tiles over that in memory, with --auto on a million vertices."""
-
 _BYTES_PER_VERTEX = 75
 """Of a text with twice as many triangles as vertices, and no more than positions."""
 
@@ -47,8 +44,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
     if n is None and size is not None:
         n = size * (_PACKED if task.input.lower().endswith(".gz") else 1) // _BYTES_PER_VERTEX
     try:
-        # By tiles the header was checked, and a file may be larger than memory.
-        if record.tiles is None and not is_url(task.input):
+        if not is_url(task.input):
             counted = _check(task.input, settings.format)
             n = n if counted is None else counted
         refuse_faces(expected.faces, limits)
@@ -56,13 +52,8 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         failure = Failure(error.code, error.message, error.hint, error.where)
         return replace(record, status="failed", output=None, error=failure)
     seconds = None if n is None else round(_seconds(n, settings), 2)
-    tiles = record.tiles
-    if tiles is not None and tiles.expected_seconds is not None and seconds is not None:
-        # By tiles less is known of the method, and more is done.
-        least_s = _BY_TILES * seconds / tiles.jobs
-        tiles = replace(tiles, expected_seconds=max(tiles.expected_seconds, least_s))
     planned = Planned(size, n, seconds)
-    return replace(record, format=expected.format or None, planned=planned, tiles=tiles)
+    return replace(record, format=expected.format or None, planned=planned)
 
 
 def _size(task: Task) -> int | None:

@@ -10,14 +10,10 @@ from msal_cli.errors import InternalError, LossError, MsalError, OutputError
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import Companion, MeshFile
     from msal_cli.storage.atomic import Sources
     from msal_cli.storage.buffers import Buffer
-
-_PIECE = 4 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,42 +179,15 @@ def keep_backup(task: Task, data: Buffer) -> None:
     if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
         return
     if not _is_backup(backup) or gzip_streams.read_whole(backup) != data:
-        raise _wrong_backup(backup)
-
-
-def keep_backup_of_file(task: Task) -> None:
-    """The same for an original of any size, which gets a second name where the disk can do that."""
-    from msal_cli.storage import atomic
-    from msal_cli.storage.digests import sha256_of_file
-
-    backup = task.input + str(task.backup)
-    if os.path.lexists(backup):
-        if not _is_backup(backup) or sha256_of_file(backup) != sha256_of_file(task.input):
-            raise _wrong_backup(backup)
-        return
-    try:
-        # The output is moved to the first name, and the second one stays with the original.
-        os.link(task.input, backup)
-    except OSError:
-        atomic.write_whole(backup, _read_pieces(task.input), sources=[task.input])
+        raise OutputError(
+            f"the backup {backup!r} exists and is not this file",
+            hint="move it away or choose another --backup suffix",
+        )
 
 
 def _is_backup(path: str) -> bool:
     """Whether a backup may be there: a link could lead to the very file that is to be replaced."""
     return os.path.isfile(path) and not os.path.islink(path)
-
-
-def _wrong_backup(path: str) -> OutputError:
-    return OutputError(
-        f"the backup {path!r} exists and is not this file",
-        hint="move it away or choose another --backup suffix",
-    )
-
-
-def _read_pieces(path: str) -> Iterator[bytes]:
-    with open(path, "rb", buffering=0) as file:
-        while piece := file.read(_PIECE):
-            yield piece
 
 
 def write_output(

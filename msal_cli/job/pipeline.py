@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
-from msal_cli.job.border_marks import mark_border
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
 from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
@@ -297,7 +296,6 @@ class FileRun:
         """The mesh of a file, fit for computing, and its defects in the record."""
         ready = prepare_mesh(mesh_file)
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
-        self.know(border_marks=mark_border(ready, mesh_file))
         self.warn(*changes.defect_warnings(ready.defects))
         return ready
 

@@ -57,17 +57,6 @@ def screen_repr(name: str, facts: Mapping[str, Any]) -> str:
     return "\n".join([f"{name}(", *lines, ")"])
 
 
-def kept(description: str, default: Any = None) -> Any:
-    """As ``known``, for what later runs need and reports leave out."""
-    return dataclasses.field(default=default, metadata=about(description) | {"is_reported": False})
-
-
-def reported_fields(kind: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
-    """The fields of a record that reports have."""
-    every = dataclasses.fields(kind)
-    return tuple(one for one in every if one.metadata.get("is_reported", True))
-
-
 def as_data(record: Any) -> Any:
     """A record as plain dicts, lists, texts and numbers, ready for JSON.
 

@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from msal_cli.job.plain_data import ScreenRepr, about, kept, known
-from msal_cli.job.tile_records import Tiles, TileSetPart
+from msal_cli.job.plain_data import ScreenRepr, about, known
 
 SCHEMA = "msal.report/1"
 
@@ -359,6 +358,45 @@ class Planned:
     seconds: float | None = known("seconds of one core of an idle machine, about")
 
 
+@dataclass(frozen=True, slots=True)
+class TileSetPart:
+    """What a file is within the tile set that was denoised as one mesh; border vertices at one
+    place of the file count once."""
+
+    files: int = field(metadata=about("files of the set that could be read"))
+    neighbours: tuple[str, ...] = field(
+        metadata=about("files, by their relative paths, that share border vertices with this one")
+    )
+    shared_vertices: int = field(metadata=about("border vertices that other files have, too"))
+    welded_vertices: int = field(
+        metadata=about(
+            "of these, those for which the position of another file was taken, which stores fewer "
+            "digits"
+        )
+    )
+    largest_weld: float = field(
+        metadata=about(
+            "largest distance before between vertices of this file and others that are one, file "
+            "units"
+        )
+    )
+    unmatched_vertices: int = field(
+        metadata=about(
+            "border vertices that lie at the border of another file but are no vertices of it"
+        )
+    )
+    fixed_border_vertices: int = field(
+        metadata=about(
+            "border vertices that were held in their place because a file that failed, or is "
+            "gone since an earlier run, may share them"
+        )
+    )
+    low: tuple[float, float, float] | None = known(
+        "least coordinates of its border vertices before, file units; null if it has none"
+    )
+    high: tuple[float, float, float] | None = known("greatest coordinates of them")
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class MeshRecord(ScreenRepr):
     """One row per file; fields that could not be determined are None.
@@ -410,11 +448,6 @@ class MeshRecord(ScreenRepr):
         "of a tile set, largest distance between the new positions, as written, of border vertices "
         "that this file shares with others, file units; null without --tile-set"
     )
-    border_marks: tuple[int, ...] = kept(
-        "hashes of a few border vertices, the same in files that share these; empty for a closed "
-        "surface",
-        (),
-    )
     tile_set: TileSetPart | None = known(
         "what the file shares with others of its tile set; null without --tile-set"
     )
@@ -451,11 +484,8 @@ class MeshRecord(ScreenRepr):
     vertices_per_second: float | None = known(
         "vertices (of an STL after welding) over total seconds"
     )
-    peak_memory_bytes: int | None = known(
-        "highest memory of the process so far; by tiles, of all processes together"
-    )
+    peak_memory_bytes: int | None = known("highest memory of the process so far")
     planned: Planned | None = known("of a dry run, what the file will take (below)")
-    tiles: Tiles | None = known("how it was denoised by tiles; null if it was in memory as a whole")
     input_sha256: str | None = known("SHA-256 of the input's bytes, hexadecimal")
     output_sha256: str | None = known("SHA-256 of the output's bytes, hexadecimal")
     input_object: ObjectMark | None = known(

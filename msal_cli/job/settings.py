@@ -67,8 +67,6 @@ class Settings:
     min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
         ``NEGLIGIBLE`` for "no noise to speak of".
     tile_set : whether all files are denoised as the one mesh that they are together.
-    weld : within which distance border vertices of its files are one: a length as of
-        ``constraints``, or None for vertices at the very same place.
     """
 
     method: str
@@ -86,7 +84,6 @@ class Settings:
     checks: tuple[str, ...] = ()
     despike: bool | None = None
     tile_set: bool = False
-    weld: str | None = None
 
     @property
     def assume(self) -> str | None:
@@ -237,7 +234,6 @@ _SETTINGS = {
     "format": _Setting("--format", _input_format),
     "fields": _Setting("--fields", _field_names),
     "tile_set": _Setting("--tile-set", _as_given),
-    "weld": _Setting("--weld", _length),
 }
 """What a user may give beside a method and its parameters, by the names of the Python API."""
 

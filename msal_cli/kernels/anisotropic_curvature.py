@@ -18,9 +18,9 @@ from msal_cli.kernels.connectivity import Connectivity, index_rows
 from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 from msal_cli.kernels.vectors import edges_and_normal
-from msal_cli.kernels.whole import Whole, median_of_mesh
 
 LONGEST = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""
@@ -85,27 +85,19 @@ def _weighted_curvatures(
     return results
 
 
-def curvature_threshold(
-    vertices: Floats, corners: Ints, deviations: float, whole: Whole | None = None
-) -> float:
+def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
     """Median length of H(e) plus so many standard deviations of it, in file units.
 
     The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
-    ``flaps`` (e, 4).  Of a part of a mesh the flaps of its own vertices count, by their first one.
+    ``flaps`` (e, 4).
     """
-
-    @functools.cache
-    def lengths() -> Floats:
-        found: Floats = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
-        return found if whole is None else found[whole.own_vertices[corners[:, 0]]]
-
-    middle = median_of_mesh(whole, "median curvature of edges", lengths)
-    if middle is None or not deviations:
-        return middle or 0.0
-    spread = median_of_mesh(
-        whole, "spread of the curvature of edges", lambda: np.abs(lengths() - middle)
-    )
-    return float(middle + deviations * PER_MEDIAN * (spread or 0.0))
+    lengths: Floats = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
+    if not len(lengths):
+        return 0.0
+    middle = median(lengths)
+    if not deviations:
+        return middle
+    return float(middle + deviations * PER_MEDIAN * median(np.abs(lengths - middle)))
 
 
 @compiled

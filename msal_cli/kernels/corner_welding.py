@@ -133,34 +133,3 @@ def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, i
             _enter(vertices[:found], np.uint64(64 - bits), table)
     vertices.resize((found, 3), refcheck=False)
     return vertices, faces, at if is_bad else -1
-
-
-@compiled
-def _measure_back(numbers, first, back):  # type: ignore[no-untyped-def]
-    found = np.uint64(0)
-    for i in range(np.uint64(len(back))):
-        number = np.uint64(numbers[i])
-        if number == found:
-            first[number] = i
-            found += np.uint64(1)
-        back[i] = i - np.uint64(first[number])
-    return found
-
-
-def measure_back(positions: NDArray[np.float32] | Floats) -> tuple[NDArray[np.uint32], int]:
-    """How many rows before each of the finite positions (n, 3) the first one equal to it is, (n,),
-    and how many there are that equal one before them.
-
-    For positions of which most equal an earlier one this takes a quarter of the time and of the
-    memory of ``welding.first_alike``.
-    """
-    n = len(positions)
-    facets = np.empty((-(-n // 3), 9), dtype=positions.dtype)
-    rows = facets.reshape(-1, 3)
-    rows[:n] = positions
-    # What fills the last facet equals the last position.
-    rows[n:] = positions[n - 1 :]
-    vertices, faces, _ = weld_corners(facets)
-    first, back = np.empty(len(vertices), dtype=np.uint32), np.empty(n, dtype=np.uint32)
-    n_first = int(_measure_back(faces.reshape(-1), first, back))
-    return back, n - n_first

@@ -19,7 +19,7 @@ items after the other, and they are put together then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -28,10 +28,9 @@ from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, side_circles
-from msal_cli.kernels.geometry import edge_lengths_partial, mean_edge_length
+from msal_cli.kernels.geometry import mean_edge_length
 from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
-from msal_cli.kernels.whole import State, Whole
 
 MOST_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
@@ -181,28 +180,12 @@ def face_centroids(vertices: Floats, faces: Ints) -> Floats:
     return fill_array(_centroids, (len(faces), 3), vertices, faces)
 
 
-def mean_centroid_distance(
-    centroids: Floats,
-    ring_start: Ints,
-    ring: Ints,
-    whole: Whole | None = None,
-    key: str = "mean distance of centroids",
-    state: Callable[[], State] = dict,
-    exchanged: Sequence[str] = (),
-) -> float:
+def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> float:
     """Mean distance of the centroids (m, 3) of neighbours, file units; zero without neighbours.
 
-    Over the pairs of the rows; those of edges are usual.  Of a part of a mesh the pairs whose lower
-    face is its own count; ``key``, ``state`` and ``exchanged`` are those of ``Whole.reduce``.
+    Over the pairs of the rows; those of edges are usual.
     """
-    if whole is None:
-        return mean_edge_length(centroids, ring_start, ring)
-    own = whole.own_faces
-
-    def partial() -> dict[str, Any]:
-        return edge_lengths_partial(centroids, ring_start, ring, own)
-
-    return float(whole.reduce(key, partial, state, exchanged))
+    return mean_edge_length(centroids, ring_start, ring)
 
 
 @compiled

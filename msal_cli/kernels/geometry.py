@@ -7,14 +7,11 @@ normal, and a zero vector takes its place.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.exact_sum import BINS, add_exactly, combine_means, mean_partial
 from msal_cli.kernels.parallel import SMALLEST_RANGE, fill_array, over_ranges, threads
 from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
@@ -23,6 +20,9 @@ MOST_PARTS = 8
 
 LENGTHS_AT_ONCE = 1024
 """Lengths that are collected before they are added up exactly."""
+
+POWERS = 2048
+"""Powers of two that a float64 may have, by the bits of its exponent."""
 
 DEGENERATE = 1e-12
 """Doubled area over longest edge squared, at and below which a face has no usable normal."""
@@ -239,7 +239,21 @@ def distances(before: Floats, after: Floats) -> Floats:
 
 
 @compiled
-def _add_edge_lengths(start, stop, vertices, ring_start, ring, own, bins, counts):
+def _add_exactly(bits, count, bins):
+    """Add the first ``count`` of finite numbers, not below zero and seen as int64 ``bits``, to
+    ``bins`` (2 * POWERS,): the upper halves of their 53 bits by power of two, then the lower ones,
+    so that 2^36 numbers cannot overflow."""
+    for at in range(count):
+        power = np.uint64(bits[at]) >> np.uint64(52)
+        digits = np.uint64(bits[at]) & np.uint64(0xFFFFFFFFFFFFF)
+        # A number of power 0 has no hidden bit, and the exponent of power 1.
+        digits = (digits | np.uint64(0x10000000000000)) if power else digits << np.uint64(1)
+        bins[power] += np.int64(digits >> np.uint64(26))
+        bins[power + np.uint64(2048)] += np.int64(digits & np.uint64(0x3FFFFFF))
+
+
+@compiled
+def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
     """Add the edges of a share of the vertices, those to vertices of higher number, to each row."""
     n = len(vertices)
     most = LENGTHS_AT_ONCE
@@ -249,8 +263,6 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, own, bins, counts
         filled = 0
         count = 0
         for i in range(n * row // len(counts), n * (row + 1) // len(counts)):
-            if len(own) and not own[i]:
-                continue
             for at in range(ring_start[i], ring_start[i + 1]):
                 k = ring[at]
                 if k > i:
@@ -260,36 +272,28 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, own, bins, counts
                     lengths[filled] = np.sqrt(dx * dx + dy * dy + dz * dz)
                     filled += 1
                     if filled == most:
-                        add_exactly(bits, filled, bins[row])
+                        _add_exactly(bits, filled, bins[row])
                         count += filled
                         filled = 0
-        add_exactly(bits, filled, bins[row])
+        _add_exactly(bits, filled, bins[row])
         counts[row] = count + filled
-
-
-def edge_lengths_partial(
-    vertices: Floats, ring_start: Ints, ring: Ints, own: Flags | None = None
-) -> dict[str, Any]:
-    """What the unique edges contribute to their mean length, see ``exact_sum.mean_partial``.
-
-    Of a part of a mesh with its vertices in the order of the whole: the edges of ``own`` (n,)
-    vertices to others of higher number, so that each edge counts in one part only.
-    """
-    rows = max(1, min(len(vertices) // SMALLEST_RANGE, threads()))
-    bins, counts = np.zeros((rows, BINS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
-    flags = np.empty(0, dtype=bool) if own is None else own
-    over_ranges(
-        _add_edge_lengths, rows, vertices, ring_start, ring, flags, bins, counts, smallest=1
-    )
-    return mean_partial(bins, int(counts.sum()))
 
 
 def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
     """Mean length of the unique edges, in file units; zero without edges.
 
-    It is the float64 next to the mean of their lengths as they are computed, in whatever order.
+    It is the float64 next to the mean of their lengths as they are computed, in whatever order: the
+    sum is a whole number of 2^-1075, which does not depend on the number of threads.
     """
-    return combine_means([edge_lengths_partial(vertices, ring_start, ring)])
+    rows = max(1, min(len(vertices) // SMALLEST_RANGE, threads()))
+    bins, counts = np.zeros((rows, 2 * POWERS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
+    over_ranges(_add_edge_lengths, rows, vertices, ring_start, ring, bins, counts, smallest=1)
+    total, count = 0, int(counts.sum())
+    sums = bins.sum(axis=0).reshape(2, POWERS)
+    for power in np.flatnonzero(sums.any(axis=0)).tolist():
+        total += ((int(sums[0, power]) << 26) + int(sums[1, power])) << power
+    # Python rounds a quotient of integers once, however large they are.
+    return total / (count << 1075) if count else 0.0
 
 
 @compiled

@@ -7,7 +7,6 @@ normals, and to one over the way between their centroids.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -17,10 +16,10 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.elementary import LOG2_E, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, most_neighbours
 from msal_cli.kernels.robust_laplacian import PER_MEDIAN
 from msal_cli.kernels.vectors import write_unit
-from msal_cli.kernels.whole import Whole, median_of_mesh
 
 LONGEST = 0.75
 """Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""
@@ -133,32 +132,19 @@ def _differences(start, stop, n, ring_start, ring, lengths):
             lengths[at] = length if counts else -1.0
 
 
-def difference_width(
-    normals: Floats, ring_start: Ints, ring: Ints, whole: Whole | None = None
-) -> float:
+def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
     """1.4826 times the median absolute deviation of |n - m| over neighbours n, m.
 
     ``normals`` (m, 3), zero for faces that have none, which are left out; the rows are those of
-    ``face_rings``.  Zero where there are no neighbours.  Of a part of a mesh the pairs whose lower
-    face is its own count.
+    ``face_rings``.  Zero where there are no neighbours.
     """
-
-    @functools.cache
-    def lengths() -> Floats:
-        found = np.empty(len(ring))
-        rows = ring_start.view(np.uint32), ring.view(np.uint32)
-        over_ranges(_differences, len(normals), normals.reshape(-1), *rows, found)
-        if whole is not None:
-            found[~np.repeat(whole.own_faces, np.diff(ring_start))] = -1.0
-        return found[found >= 0.0]
-
-    middle = median_of_mesh(whole, "median difference of normals", lengths)
-    if middle is None:
+    lengths = np.empty(len(ring))
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    over_ranges(_differences, len(normals), normals.reshape(-1), *rows, lengths)
+    lengths = lengths[lengths >= 0.0]
+    if not len(lengths):
         return 0.0
-    spread = median_of_mesh(
-        whole, "spread of the differences of normals", lambda: np.abs(lengths() - middle)
-    )
-    return float(PER_MEDIAN * (spread or 0.0))
+    return float(PER_MEDIAN * median(np.abs(lengths - median(lengths))))
 
 
 def diffused_normals(

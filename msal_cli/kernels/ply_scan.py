@@ -80,40 +80,6 @@ def walk_binary(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def count_binary(data, at, count, sizes, count_sizes, signed, big_endian, wanted):  # type: ignore[no-untyped-def]
-    """Walk over whole binary records from byte ``at`` on, ``count`` of them at the most.
-
-    Parameters as in ``walk_binary``; ``wanted`` is the list whose items are the corners of a
-    polygon, -1 for none.  Returns (records walked, end of the last one, triangles that their
-    polygons give, polygons of fewer than three corners, status, place reached, property, items
-    and item size in bytes that the place reached needs).
-    """
-    end = len(data)
-    n_triangles = n_few = 0
-    for record in range(count):
-        start = at
-        corners = 3
-        for p in range(len(sizes)):
-            length = 1
-            if count_sizes[p]:
-                if count_sizes[p] > end - at:
-                    return record, start, n_triangles, n_few, CUT, at, p, 1, count_sizes[p]
-                length = _whole_number(data, at, count_sizes[p], signed[p], big_endian)
-                if length < 0:
-                    return record, start, n_triangles, n_few, BAD_COUNT, at, p, 0, 0
-                at += count_sizes[p]
-            if length > (end - at) // sizes[p]:
-                return record, start, n_triangles, n_few, CUT, at, p, length, sizes[p]
-            if p == wanted:
-                corners = length
-            at += length * sizes[p]
-        if wanted >= 0:
-            n_triangles += max(corners - 2, 0)
-            n_few += corners < 3
-    return count, at, n_triangles, n_few, WHOLE, at, 0, 0, 0
-
-
-@compiled
 def _is_token_end(data, at):  # type: ignore[no-untyped-def]
     return at >= len(data) or data[np.uint64(at)] == 32 or 9 <= data[np.uint64(at)] <= 13
 
@@ -208,19 +174,6 @@ def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengt
         if not is_stream and not _is_line_end(data, rest):
             return record, rest, TOO_MANY
     return count, at, WHOLE
-
-
-@compiled
-def count_lines(data):  # type: ignore[no-untyped-def]
-    """Lines that have a token."""
-    count = at = 0
-    while True:
-        at = _next_record(data, at)
-        if at == len(data):
-            return count
-        count += 1
-        while not _is_line_end(data, at):
-            at += 1
 
 
 @compiled

@@ -35,9 +35,6 @@ it is the sum of squares of s^b - s^(b + 1), as convolutions; of s^4 for the las
 PLACE, SECOND_PLACE = 6, 3
 """Passes by which a power is averaged around a vertex, for the first look and for the second."""
 
-RESTORATION_RINGS = 2 * (len(NOISE_SHARES) - 1) + PLACE + SECOND_PLACE
-"""Rings that both looks take: the levels, and the averages of their powers."""
-
 CAUTION, SECOND_CAUTION = 1.4, 0.4
 """Multiples of the noise's power from which gains are computed; chosen on noisy meshes whose true
 shape is known.  The first look has to separate shape from the scatter of averaged noise."""

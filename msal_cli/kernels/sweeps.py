@@ -5,7 +5,6 @@ Every sweep computes all of its terms from the positions that the sweep before l
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,11 +12,10 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.operators import Operator, RingOperator, Step
+from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import quantile_above_zero
 from msal_cli.kernels.schedules import Pace, Schedule
-from msal_cli.kernels.whole import State, Whole, largest_of_all, quantile_of_all
 
 OnSweep = Callable[[int, int], None]
 """Called as ``on_sweep(done, iterations)`` after every sweep."""
@@ -70,7 +68,6 @@ def run_sweeps(
     on_sweep: OnSweep | None = None,
     scale: Callable[[Floats], Floats] | None = None,
     trust: Floats | None = None,
-    whole: Whole | None = None,
 ) -> Swept:
     """``iterations`` sweeps of eq. (2) from ``vertices`` (n, 3), which are not changed.
 
@@ -84,34 +81,23 @@ def run_sweeps(
     scale : gives sigma (n,) of eq. (4) at positions (n, 3), for a schedule that uses it over an
         operator that does not compute it.
     trust : (n,) from 0 to 1, the part of lambda that each vertex gets; None for all of it.
-    whole : of a part of a mesh.  Where a schedule needs a quantile of sigma that is not known,
-        ``Pending`` is raised, and the next call goes on after the sweep's operator.
     """
     if isinstance(operator, RingOperator) and iterations:
-        return _swept_over_rings(vertices, operator, schedule, iterations, on_sweep, trust, whole)
+        return _swept_over_rings(vertices, operator, schedule, iterations, on_sweep, trust)
     n = len(vertices)
-    saved = {} if whole is None else whole.state()
-    x = saved["x"].copy() if "x" in saved else vertices.copy()
-    offsets = saved["offsets"].copy() if "offsets" in saved else np.zeros(n)
+    x = vertices.copy()
+    offsets = np.zeros(n)
     # Never written to: memory of zeros costs nothing until then.
     unused = np.zeros(n)
-    fidelity = saved.get("fidelity", unused)
-    for sweep in range(int(saved["sweep"][0]) if saved else 0, iterations):
-        if saved:
-            step = Step(saved["move"], saved["sigma"])
-            saved = {}
-        else:
-            step = operator(x)
+    fidelity = unused
+    for sweep in range(iterations):
+        step = operator(x)
         move, sigma = step.move, step.sigma
         if schedule.quantile is not None and sigma is None:
             if scale is None:
                 raise ValueError("the schedule needs sigma, and nothing computes it")
             sigma = scale(x)
-        carried = {"x": x} if operator.normals is None else {"offsets": offsets}
-        if sweep:
-            carried["fidelity"] = fidelity
-        state = functools.partial(_to_state, sweep, move=move, sigma=sigma, **carried)
-        pace: Pace = _pace(schedule, sweep, sigma, step.largest_sigma, whole, state)
+        pace: Pace = _pace(schedule, sweep, sigma, step.largest_sigma)
         if sigma is None:
             sigma = unused
         if trust is not None:
@@ -128,30 +114,11 @@ def run_sweeps(
     return Swept(x, fidelity)
 
 
-def _to_state(sweep: int, **arrays: Floats | None) -> State:
-    """What is saved within a sweep, after its operator."""
-    known = {name: array for name, array in arrays.items() if array is not None}
-    return {"sweep": np.array([sweep]), **known}
-
-
-def _pace(
-    schedule: Schedule,
-    sweep: int,
-    sigma: Floats | None,
-    largest: float | None,
-    whole: Whole | None,
-    state: Callable[[], State],
-) -> Pace:
-    """The pace of a sweep; ``largest`` is max sigma, where it is known, and ``state()`` what a
-    part of a mesh goes on from."""
+def _pace(schedule: Schedule, sweep: int, sigma: Floats | None, largest: float | None) -> Pace:
+    """The pace of a sweep; ``largest`` is max sigma, where it is known."""
     share = schedule.quantile
     if sigma is None or share is None:
         return schedule(sweep, None)
-    if whole is not None:
-        key = f"sigma of sweep {sweep + 1}"
-        if share == 1.0:
-            return schedule(sweep, largest_of_all(whole, key, sigma, state))
-        return schedule(sweep, quantile_of_all(whole, key, sigma, share, state))
     if share == 1.0:
         return schedule(sweep, float(sigma.max(initial=0.0)) if largest is None else largest)
     return schedule(sweep, quantile_above_zero(sigma, share))
@@ -177,7 +144,6 @@ def _swept_over_rings(
     iterations: int,
     on_sweep: OnSweep | None,
     trust: Floats | None,
-    whole: Whole | None,
 ) -> Swept:
     """The same, with no arrays made anew for every sweep, and as few passes as can be.
 
@@ -188,23 +154,13 @@ def _swept_over_rings(
     is_measured = schedule.quantile is not None or trust is not None
     n = len(vertices)
     assert operator.normals is not None
-    saved = {} if whole is None else whole.state()
-    offsets = saved["offsets"].copy() if saved else np.zeros(n)
-    fidelity, none = saved.get("fidelity", np.zeros(n)), np.empty(0)
+    offsets, fidelity, none = np.zeros(n), np.zeros(n), np.empty(0)
     x, moved = vertices, np.empty_like(vertices)
     heights, sigma = (np.empty(n), np.empty(n)) if is_measured else (none, none)
-    for sweep in range(int(saved["sweep"][0]) if saved else 0, iterations):
+    for sweep in range(iterations):
         if is_measured:
-            if saved:
-                largest: float | None = None
-                heights[:], sigma[:] = saved["move"], saved["sigma"]
-                saved = {}
-            else:
-                largest = operator.measure(x, heights, sigma)
-
-            carried = {"offsets": offsets, "fidelity": fidelity} if sweep else {"offsets": offsets}
-            state = functools.partial(_to_state, sweep, move=heights, sigma=sigma, **carried)
-            pace = _pace(schedule, sweep, sigma, largest, whole, state)
+            largest = operator.measure(x, heights, sigma)
+            pace = _pace(schedule, sweep, sigma, largest)
             pulls = sigma
             if trust is not None:
                 pace, pulls = _trust(pace, sigma, trust)

@@ -5,8 +5,7 @@ A module of this folder whose name does not start with an underscore is a method
 - a docstring whose first line is the summary and which holds a ``Source:`` line,
 - a frozen dataclass ``Parameters`` whose fields are made by ``parameter``,
 - a function ``denoise(mesh, parameters, on_sweep) -> Result``,
-- ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``),
-- a function ``reach(parameters) -> int | None``, if it can run on parts (see ``Method.reach``).
+- ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``).
 
 Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
 """
@@ -256,20 +255,6 @@ class Method:
     def uses_largest_sigma(self, parameters: Mapping[str, Any]) -> bool:
         """Whether lambda is scaled by the largest sigma (eq. 7), so that one spike can rule it."""
         return bool(getattr(self.module.Parameters(**parameters), "uses_largest_sigma", False))
-
-    def reach(self, parameters: Mapping[str, Any]) -> int | None:
-        """Rings of vertices beyond which nothing changes what a vertex comes to.
-
-        A part of a mesh that has so many rings around its own vertices, and all faces between its
-        vertices, gives these the very bits that the whole mesh would.  The rim of the part counts:
-        of the vertices in the last ring some faces are missing.  None where the whole mesh is
-        needed, with complete ``parameters`` as they are.
-        """
-        reach = getattr(self.module, "reach", None)
-        if reach is None:
-            return None
-        rings: int | None = reach(self.module.Parameters(**parameters))
-        return rings
 
     def denoise(
         self, mesh: Mesh, parameters: Mapping[str, Any], on_sweep: OnSweep | None = None

@@ -10,12 +10,10 @@ from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import (
-    measure_sliding,
-    reach_of_sliding,
     sliding_parameter,
     undo_sliding,
 )
-from msal_cli.methods._sweeps import LEAST_RINGS, free_vertices
+from msal_cli.methods._sweeps import free_vertices
 
 
 @dataclass(frozen=True)
@@ -48,29 +46,6 @@ class NormalFilterParameters:
         choices=("fixed", "free"),
     )
     sliding: str = sliding_parameter()
-
-
-def reach_of_filter(parameters: NormalFilterParameters) -> int:
-    """Rings that a ``run`` reaches, see ``Method.reach``."""
-    if not parameters.iterations:
-        return LEAST_RINGS
-    passes = rings_of_passes(parameters.iterations, parameters.neighbours)
-    rings = parameters.vertex_iterations + passes + reach_of_sliding(parameters.sliding)
-    return max(rings, PAIR_RINGS)
-
-
-def rings_of_passes(passes: int, neighbours: str) -> int:
-    """Rings that so many passes over face normals take, each of which looks at the neighbours.
-
-    Faces around a vertex come first.  Beyond an edge whose ends are farthest away a face has one
-    vertex that is a ring farther; its edges have an end that is not, so that only every second
-    step across edges leads farther.
-    """
-    return passes if neighbours == "vertex" else -(-passes // 2)
-
-
-PAIR_RINGS = 2
-"""Rings that a mean over the pairs of faces takes: an own face, and those across its edges."""
 
 
 @dataclass()
@@ -112,7 +87,6 @@ def run(
         normal_passes = parameters.iterations
     passes = Passes(on_sweep, parameters.iterations, normal_passes + parameters.vertex_iterations)
     timer = Timer()
-    measure_sliding(mesh, parameters.sliding)
     normals = filtered_normals(passes)
     timer.start_sweeps()
     vertices = update_vertices(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,8 @@ import numpy as np
 from msal_cli.analysis.noise_estimate.local import apply_umbrella
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals
+from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vertex_update import update_vertices
-from msal_cli.kernels.whole import median_of_mesh
 from msal_cli.mesh import Mesh, cached_by_mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
@@ -63,21 +62,6 @@ def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> 
     )
 
 
-def reach_of_sliding(sliding: str) -> int:
-    """Rings beyond those of the filter that ``undo_sliding`` takes, see ``Method.reach``."""
-    # The vertices that the passes take, and their normals in the outcome.
-    return 0 if sliding == "kept" else FINAL_PASSES + 1
-
-
-def measure_sliding(mesh: Mesh, sliding: str) -> None:
-    """Measure at once what ``undo_sliding`` needs in the end, where ``mesh`` is a part.
-
-    So that the filter is not run in vain when the measure of the whole mesh is not known.
-    """
-    if mesh.whole is not None and sliding == "auto":
-        sideways_share(mesh)
-
-
 @cached_by_mesh
 def sideways_share(mesh: Mesh) -> float:
     """Noise within the surface over that along the normals, per direction; inf without the latter.
@@ -86,24 +70,6 @@ def sideways_share(mesh: Mesh) -> float:
     applied twice, by the median over the vertices within the surface; uneven sampling counts as
     noise within it.
     """
-
-    @functools.cache
-    def left() -> tuple[Floats, Floats]:
-        return _measure_noise(mesh)
-
-    # Medians of |x| and of the length of (x, y) for standard normal numbers.
-    along = median_of_mesh(mesh.whole, "noise along the normals", lambda: left()[0])
-    if along is None:
-        return np.inf
-    across = median_of_mesh(mesh.whole, "noise within the surface", lambda: left()[1])
-    assert across is not None
-    heights, ways = along / 0.6745, across / 1.1774
-    return ways / heights if heights > 0.0 else np.inf
-
-
-def _measure_noise(mesh: Mesh) -> tuple[Floats, Floats]:
-    """How far the umbrella, applied twice, takes each own vertex (k,) within the surface: along its
-    normal, and across it."""
     links = mesh.topology
     second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
     normals = mesh.vertex_normals("uniform", 1)
@@ -111,6 +77,8 @@ def _measure_noise(mesh: Mesh) -> tuple[Floats, Floats]:
     second -= along[:, None] * normals
     across = np.sqrt(np.einsum("ij,ij->i", second, second))
     inner = links.has_ring & ~links.boundary
-    if mesh.whole is not None:
-        inner &= mesh.whole.own_vertices
-    return np.abs(along[inner]), across[inner]
+    if not inner.any():
+        return np.inf
+    # Medians of |x| and of the length of (x, y) for standard normal numbers.
+    heights, ways = median(np.abs(along[inner])) / 0.6745, median(across[inner]) / 1.1774
+    return ways / heights if heights > 0.0 else np.inf

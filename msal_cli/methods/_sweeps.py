@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
-from msal_cli.errors import InternalError
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
-from msal_cli.kernels.restoration import RESTORATION_RINGS
 from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
 from msal_cli.kernels.sweeps import Swept, run_sweeps
 from msal_cli.mesh import Mesh
@@ -53,9 +51,6 @@ class NormalParameters:
 
 WIENER_BYTES_PER_FACE = 60
 """Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face``."""
-
-LEAST_RINGS = 1
-"""What every method takes: the edges around each vertex, for their mean length."""
 
 MOST_NOISE_MULTISCALE = 0.15
 """Mean edge lengths: with stronger noise the multiscale schedules leave much of it.  At 0.2 ten
@@ -249,42 +244,10 @@ def run(
         on_sweep,
         scale,
         mesh.trust,
-        mesh.whole,
     )
     if isinstance(schedule, Wiener) and parameters.iterations:
         result = _restore(mesh, parameters, result.vertices, schedule)
     return timer.finish(result.vertices, {"fidelity": result.fidelity})
-
-
-def reach_of_run(
-    parameters: NormalParameters, schedule: Schedule, normals: int, step: int = 1
-) -> int:
-    """Rings that a ``run`` reaches, see ``Method.reach``.
-
-    Parameters
-    ----------
-    normals : rings that the operator's own normals take, 0 if it has none: see ``normal_rings``.
-    step : rings that the operator looks at, at each sweep.
-    """
-    rings = reach_of_sweeps(parameters.iterations, normals, step)
-    if schedule.quantile is not None:
-        # What pulls back does nothing in the first sweep.
-        sweeps = max(parameters.iterations - 1, 1)
-        rings = max(rings, reach_of_sweeps(sweeps, normal_rings(parameters), step))
-    if isinstance(schedule, Wiener) and parameters.iterations:
-        return RESTORATION_RINGS + max(rings, normal_rings(parameters))
-    return rings
-
-
-def reach_of_sweeps(iterations: int, normals: int, step: int = 1) -> int:
-    """The same of ``iterations`` sweeps of any schedule."""
-    # The last sweep looks at vertices that the first one has moved, along their normals.
-    return max(step * (iterations - 1) + max(step, normals), LEAST_RINGS)
-
-
-def normal_rings(parameters: NormalParameters) -> int:
-    """Rings that a vertex normal takes: its faces, and one more for each pass of mollifying."""
-    return parameters.mollify + 1
 
 
 def resolve_noise_level(mesh: Mesh, noise: float) -> float:
@@ -292,8 +255,6 @@ def resolve_noise_level(mesh: Mesh, noise: float) -> float:
     which is taken for noise where it is unsure."""
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
-    if not noise and mesh.whole is not None:
-        raise InternalError("the noise of a part of a mesh is not that of the mesh")
     if noise:
         return noise * mesh.mean_edge_length
     return estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length).file_units

@@ -14,12 +14,6 @@ MOLLIFY = 3
 """Passes that average the normals of the tangent planes."""
 
 
-def reach_of_evening(passes: int) -> int:
-    """Rings that ``even_out`` takes, see ``Method.reach``."""
-    # The normals are those of the input: the faces around, and a ring for each mollifying pass.
-    return passes + MOLLIFY if passes else 0
-
-
 def even_out(mesh: Mesh, passes: int) -> Mesh:
     """The mesh with each vertex ``passes`` times half of the way to the mean of its one-ring,
     within the tangent plane of its averaged normal.

@@ -50,7 +50,7 @@ from msal_cli.kernels.robust_laplacian import SCALINGS
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator
-from msal_cli.methods._sweeps import ScheduledParameters, normal_rings, reach_of_run, run
+from msal_cli.methods._sweeps import ScheduledParameters, run
 
 
 @dataclass(frozen=True)
@@ -72,11 +72,6 @@ class Parameters(ScheduledParameters, HeightParameters):
         unit="squared mean edge lengths",
         more="smoother, up to the limit of each vertex",
     )
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    return reach_of_run(parameters, parameters.build_schedule(), normal_rings(parameters))
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -48,7 +48,7 @@ from msal_cli.kernels.anisotropic_curvature import AnisotropicCurvature, curvatu
 from msal_cli.kernels.dihedral_flaps import flaps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import ScaleParameters, free_vertices, reach_of_run, run
+from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
 """Automatic lambda, in standard deviations above the median."""
@@ -119,7 +119,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
     threshold = parameters.threshold * edge
     if threshold == 0.0:
         deviations = DEVIATIONS[parameters.shape]
-        threshold = curvature_threshold(mesh.vertices, corners, deviations, mesh.whole)
+        threshold = curvature_threshold(mesh.vertices, corners, deviations)
     return AnisotropicCurvature(
         mesh.faces,
         mesh.topology,
@@ -130,13 +130,6 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
         parameters.time_step * edge**2,
         parameters.variant == "pmc",
     )
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    # The prescribed curvature is averaged over neighbours, along directions that are as well.
-    step = 3 if parameters.variant == "pmc" else 1
-    return reach_of_run(parameters, parameters.build_schedule(), normals=0, step=step)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -49,8 +49,6 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import (
     ScheduledParameters,
     free_vertices,
-    normal_rings,
-    reach_of_run,
     run,
 )
 
@@ -143,13 +141,6 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
         similarity,
         parameters.normals,
     )
-
-
-def reach(parameters: Parameters) -> int | None:
-    """Rings that it reaches, see ``Method.reach``; a radius has any number of rings."""
-    if parameters.variant == "fleishman":
-        return None
-    return reach_of_run(parameters, parameters.build_schedule(), normal_rings(parameters))
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -54,7 +54,7 @@ from msal_cli.kernels.normal_averages import bilateral_averages
 from msal_cli.kernels.normal_system import normal_system
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, reach_of_filter, run
+from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
 
 TOLERANCE = 1e-4
 """Residual of the global solution over lambda; normals are then right to 2e-5 on the mean."""
@@ -106,7 +106,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
     across_edges = face_rings(mesh.faces, mesh.topology, "edge")
-    unit = mean_centroid_distance(centroids, *across_edges, mesh.whole) or mesh.mean_edge_length
+    unit = mean_centroid_distance(centroids, *across_edges) or mesh.mean_edge_length
     del across_edges
     rows = face_rings(mesh.faces, mesh.topology, parameters.neighbours)
     faces = (normals, areas, centroids, *rows, parameters.closeness * unit, parameters.similarity)
@@ -126,11 +126,6 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     length = np.sqrt((solved * solved).sum(axis=1))[:, None]
     vanished = length <= VANISHED
     return np.where(vanished, normals, solved / np.where(vanished, 1.0, length))
-
-
-def reach(parameters: Parameters) -> int | None:
-    """Rings that it reaches, see ``Method.reach``; the solution for all normals is of the whole."""
-    return None if parameters.variant == "global" else reach_of_filter(parameters)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

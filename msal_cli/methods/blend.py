@@ -42,10 +42,9 @@ import numpy as np
 
 from msal_cli.analysis.noise_estimate.local import local_levels
 from msal_cli.errors import UsageError
-from msal_cli.kernels.whole import Pending
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
-from msal_cli.methods._triangles import even_out, reach_of_evening
+from msal_cli.methods._triangles import even_out
 
 BYTES_PER_FACE = 1180
 """Memory with ``learned``, the member that needs most; see ``Method``."""
@@ -232,16 +231,6 @@ class Parameters:
         return KEPT_PER_FACE + max(one.method.bytes_per_face for one in members)
 
 
-def reach(parameters: Parameters) -> int | None:
-    """Rings that it reaches, see ``Method.reach``; levels of the noise are those of the whole."""
-    if parameters.levels.strip():
-        return None
-    members = parse_members(parameters.members)
-    rings = [one.method.reach(one.parameters) for one in members]
-    known = [one for one in rings if one is not None]
-    return reach_of_evening(parameters.relax) + max(known) if len(known) == len(rings) else None
-
-
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The blend of what the members make of ``mesh``; see the module's description."""
     timer = Timer()
@@ -252,19 +241,13 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     mesh = even_out(mesh, parameters.relax)
     if [member.weights for member in members] == [(1.0,)] and parameters.share == 1.0:
         return members[0].method.denoise(mesh, members[0].parameters, on_sweep)
-    saved = {} if mesh.whole is None else mesh.whole.state()
-    move = saved["move"].copy() if saved else np.zeros_like(mesh.vertices)
-    for k in range(int(saved["member"][0]) if saved else 0, len(members)):
-        member = members[k]
+    move = np.zeros_like(mesh.vertices)
+    for k, member in enumerate(members):
 
         def on_step(done: int, total: int, k: int = k) -> None:
             on_sweep(STEPS * k + STEPS * done // max(total, 1), STEPS * len(members))
 
-        try:
-            step = member.method.denoise(_for_member(mesh, k), member.parameters, on_step).vertices
-        except Pending as pending:
-            assert mesh.whole is not None
-            raise pending.within(mesh.whole, {"member": np.array([k]), "move": move}) from None
+        step = member.method.denoise(mesh, member.parameters, on_step).vertices
         step = step - mesh.vertices
         if local is None:
             step *= member.weights[0]
@@ -280,10 +263,3 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         move *= parameters.share
         move += scanned
     return timer.finish(move)
-
-
-def _for_member(mesh: Mesh, number: int) -> Mesh:
-    """The mesh itself, or the part of one by which a member keeps its numbers apart."""
-    if mesh.whole is None:
-        return mesh
-    return mesh.with_whole(mesh.whole.under(f"member {number + 1}"))

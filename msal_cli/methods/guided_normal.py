@@ -47,23 +47,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from msal_cli.arrays import Floats, Ints, Longs
-from msal_cli.errors import TooLargeError
-from msal_cli.kernels.face_guides import Patches, patches
+from msal_cli.kernels.face_guides import patches
 from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.halos import spread_rings
 from msal_cli.kernels.normal_averages import joint_bilateral
 from msal_cli.kernels.vertex_update import update_vertices
-from msal_cli.kernels.whole import State, Whole
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._normal_filters import PAIR_RINGS
 from msal_cli.methods._sliding import (
-    measure_sliding,
-    reach_of_sliding,
     sliding_parameter,
     undo_sliding,
 )
@@ -71,13 +62,6 @@ from msal_cli.methods._sweeps import free_vertices
 
 MOST_NEAR = 64
 """Faces near one at most; ten are usual."""
-
-NEAR_RINGS = 12
-"""Rings within which all faces near one have to be, where a part of a mesh is filtered: three are
-usual, and single faces among slivers have had twelve."""
-
-GUIDE_RINGS = 2
-"""Rings that guides take: the faces around, and those of their patches."""
 
 BYTES_PER_FACE = 385
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -138,37 +122,24 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``.
-
-    Those of one iteration: each starts from a mean distance of the whole mesh, and with it parts
-    exchange their positions.
-    """
-    if not parameters.iterations:
-        return PAIR_RINGS
-    after = max(reach_of_sliding(parameters.sliding), PAIR_RINGS)
-    return after + parameters.vertex_iterations + NEAR_RINGS + GUIDE_RINGS
-
-
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Guided normal filtering of ``mesh``; see the module's description."""
     timer = Timer()
-    measure_sliding(mesh, parameters.sliding)
     faces, links = mesh.faces, mesh.topology
-    saved = {} if mesh.whole is None else mesh.whole.state()
     around = patches(faces, links)
     edges = around.edge_start, around.edge_ring
     # Without neighbours there is no unit, and nothing that it would measure.
     edge_length = mesh.mean_edge_length
-    near = _load_near(saved) or _find_near(mesh, around, parameters)
+    centroids = face_centroids(mesh.vertices, faces)
+    radius = parameters.radius * mean_centroid_distance(centroids, *edges)
+    near = faces_within(centroids, around.ring_start, around.ring, radius, MOST_NEAR)
     free = free_vertices(mesh, parameters.boundary)
     timer.start_sweeps()
 
-    positions = saved["positions"] if saved else mesh.vertices.copy()
-    for iteration in range(int(saved["iteration"][0]) if saved else 0, parameters.iterations):
+    positions = mesh.vertices.copy()
+    for iteration in range(parameters.iterations):
         centroids = face_centroids(positions, faces)
-        known = {"positions": positions, "near_start": near[0], "near": near[1]}
-        unit = _measure_distance(mesh, centroids, edges, iteration, known)
+        unit = mean_centroid_distance(centroids, *edges)
         normals, areas = face_normals_and_areas(positions, faces)
         wanted = joint_bilateral(
             normals,
@@ -186,56 +157,3 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     if parameters.iterations:
         positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     return timer.finish(positions)
-
-
-def _load_near(saved: State) -> tuple[Longs, Ints] | None:
-    return (saved["near_start"], saved["near"]) if saved else None
-
-
-def _find_near(mesh: Mesh, around: Patches, parameters: Parameters) -> tuple[Longs, Ints]:
-    """Rows of the faces near each face."""
-    centroids = face_centroids(mesh.vertices, mesh.faces)
-    unit = _measure_distance(mesh, centroids, (around.edge_start, around.edge_ring), 0, {})
-    radius = parameters.radius * unit
-    near = faces_within(centroids, around.ring_start, around.ring, radius, MOST_NEAR)
-    if mesh.whole is not None:
-        _check_near(mesh, mesh.whole, near, parameters)
-    return near
-
-
-def _measure_distance(
-    mesh: Mesh, centroids: Floats, edges: tuple[Ints, Ints], iteration: int, known: State
-) -> float:
-    """Mean distance of the centroids (m, 3) across edges, before an iteration.
-
-    A part of a mesh goes on from what is ``known`` then; before the first one that is nothing.
-    """
-
-    def state() -> State:
-        return {"iteration": np.array([iteration]), **known} if iteration else {}
-
-    return mean_centroid_distance(
-        centroids,
-        *edges,
-        mesh.whole,
-        f"mean distance of centroids before iteration {iteration + 1}",
-        state,
-        ["positions"] if iteration else [],
-    )
-
-
-def _check_near(mesh: Mesh, whole: Whole, near: tuple[Longs, Ints], parameters: Parameters) -> None:
-    """Refuse a part in which a face has others near it that are more rings away than its halo has.
-
-    Radii are lengths: where triangles are very uneven they may have any number of rings.
-    """
-    rings = reach(parameters)
-    farthest = spread_rings(mesh.faces, whole.own_vertices, rings)[mesh.faces].max(axis=1)
-    is_fitted = farthest <= rings - NEAR_RINGS - GUIDE_RINGS
-    starts, faces = near
-    if (farthest[faces[np.repeat(is_fitted, np.diff(starts))]] > rings - GUIDE_RINGS).any():
-        raise TooLargeError(
-            f"its triangles are so uneven that guided_normal reaches more than {NEAR_RINGS} rings "
-            "of some, too many for a mesh that is filtered in parts",
-            hint="choose bilateral_normal, or a smaller radius",
-        )

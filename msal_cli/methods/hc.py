@@ -29,7 +29,6 @@ from msal_cli.kernels.umbrellas import pushed_back
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
-from msal_cli.methods._sweeps import reach_of_sweeps
 
 BYTES_PER_FACE = 10
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -62,12 +61,6 @@ class Parameters:
         more="less is smoothed at each iteration",
     )
     boundary: str = boundary_rule()
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    # Every sweep averages the corrections of averages.
-    return reach_of_sweeps(parameters.iterations, normals=0, step=2)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

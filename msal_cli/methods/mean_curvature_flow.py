@@ -48,7 +48,7 @@ from msal_cli.kernels.mean_curvature import AREAS, ImplicitMeanCurvature, MeanCu
 from msal_cli.kernels.operators import Operator
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import ScaleParameters, free_vertices, reach_of_run, run
+from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 BYTES_PER_FACE = 180
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -109,13 +109,6 @@ def _operator(mesh: Mesh, parameters: Parameters, on_iteration: Callable[[], obj
     return ImplicitMeanCurvature(
         mesh.faces, mesh.topology, weights, free, time_step, edge, parameters.areas, on_iteration
     )
-
-
-def reach(parameters: Parameters) -> int | None:
-    """Rings that it reaches, see ``Method.reach``; implicit steps and volumes are of the whole."""
-    if parameters.variant == "implicit" or parameters.volume == "restore":
-        return None
-    return reach_of_run(parameters, parameters.build_schedule(), normals=0)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

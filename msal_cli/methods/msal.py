@@ -51,9 +51,7 @@ from msal_cli.methods._sweeps import (
     ScheduleTraits,
     caution_parameter,
     noise_parameter,
-    normal_rings,
     quantile_parameter,
-    reach_of_run,
     run,
 )
 
@@ -94,11 +92,6 @@ class Parameters(ScheduleTraits, HeightParameters):
         if self.schedule == "wiener":
             return Wiener(noise=self.noise or None, caution=self.caution)
         return Multiscale(self.K)
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    return reach_of_run(parameters, parameters.build_schedule(), normal_rings(parameters))
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -49,10 +49,7 @@ from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._normal_filters import PAIR_RINGS, rings_of_passes
 from msal_cli.methods._sliding import (
-    measure_sliding,
-    reach_of_sliding,
     sliding_parameter,
     undo_sliding,
 )
@@ -114,24 +111,14 @@ class Parameters:
     sliding: str = sliding_parameter()
 
 
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    if not parameters.iterations:
-        return PAIR_RINGS
-    steps = rings_of_passes(parameters.normal_iterations, "edge")
-    rings = parameters.iterations * (parameters.vertex_iterations + steps)
-    return max(rings + reach_of_sliding(parameters.sliding), PAIR_RINGS)
-
-
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Diffusion of the normals of ``mesh``; see the module's description."""
     timer = Timer()
-    measure_sliding(mesh, parameters.sliding)
     faces, links = mesh.faces, mesh.topology
     rings = face_rings(faces, links, "edge")
     similarity = parameters.similarity
     if similarity == 0.0:
-        similarity = difference_width(face_normals(mesh.vertices, faces), *rings, mesh.whole)
+        similarity = difference_width(face_normals(mesh.vertices, faces), *rings)
     free = free_vertices(mesh, parameters.boundary)
     timer.start_sweeps()
     positions = mesh.vertices.copy()

@@ -38,7 +38,7 @@ from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_averages import threshold_averages
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._normal_filters import NormalFilterParameters, reach_of_filter, run
+from msal_cli.methods._normal_filters import NormalFilterParameters, run
 
 BYTES_PER_FACE = 120
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -64,11 +64,6 @@ class Parameters(NormalFilterParameters):
         high=1000,
         more="faces closer to their normals, vertices farther from the scan",
     )
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    return reach_of_filter(parameters)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

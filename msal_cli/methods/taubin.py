@@ -34,7 +34,6 @@ from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
-from msal_cli.methods._sweeps import reach_of_sweeps
 
 LARGEST_PASS_BAND = 1.0
 """Noise has its middle frequency at 1: with a pass band beyond it most of it would grow."""
@@ -91,11 +90,6 @@ class Parameters:
     def outward_step(self) -> float:
         """mu, as given or from the pass band; at least -1 in the ranges allowed."""
         return self.inflate or 1.0 / (self.pass_band - 1.0 / self.shrink)
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    return reach_of_sweeps(2 * parameters.iterations, normals=0)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

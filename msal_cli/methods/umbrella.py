@@ -31,7 +31,7 @@ from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import ScheduledRingParameters, ring_of
-from msal_cli.methods._sweeps import reach_of_run, run
+from msal_cli.methods._sweeps import run
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,6 @@ class Parameters(ScheduledRingParameters):
         low_open=True,
         more="smoother",
     )
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    return reach_of_run(parameters, parameters.build_schedule(), normals=0)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

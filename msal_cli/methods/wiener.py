@@ -50,22 +50,18 @@ from msal_cli.arrays import Floats
 from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_averages import joint_bilateral
-from msal_cli.kernels.restoration import RESTORATION_RINGS, restoration
+from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.schedules import Plain
 from msal_cli.kernels.sweeps import run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._normal_filters import PAIR_RINGS, rings_of_passes
 from msal_cli.methods._sweeps import (
-    LEAST_RINGS,
     NormalParameters,
     anisotropic_laplacian,
     caution_parameter,
     free_vertices,
     noise_parameter,
-    normal_rings,
-    reach_of_sweeps,
     resolve_noise_level,
 )
 
@@ -135,27 +131,12 @@ class Parameters(NormalParameters):
     )
 
 
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    if not parameters.iterations:
-        return LEAST_RINGS
-    rings = RESTORATION_RINGS + reach_of_sweeps(parameters.iterations, normal_rings(parameters))
-    if not parameters.normal_iterations:
-        return rings
-    passes = rings_of_passes(parameters.normal_iterations, "vertex")
-    return rings + max(parameters.vertex_iterations + passes, PAIR_RINGS)
-
-
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The filter over ``mesh``; see the module's description."""
     if not parameters.iterations:
         return Result(mesh.vertices.copy(), seconds={"normals": 0.0, "sweeps": 0.0})
     timer = Timer()
     noise = resolve_noise_level(mesh, parameters.noise)
-    saved = {} if mesh.whole is None else mesh.whole.state()
-    if saved:
-        positions = _fit_to_normals(mesh, parameters, saved["positions"], saved["share"], noise)
-        return timer.finish(positions, {"fidelity": saved["share"]})
     laplacian = anisotropic_laplacian(mesh, parameters)
     timer.start_sweeps()
     smooth = run_sweeps(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
@@ -165,26 +146,20 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)
     positions = smooth - found.returned[:, None] * normals
     if noise > 0.0 and parameters.normal_iterations:
-        positions = _fit_to_normals(mesh, parameters, positions, found.share, noise)
+        positions = _fit_to_normals(mesh, parameters, positions, noise)
     return timer.finish(positions, {"fidelity": found.share})
 
 
-def _fit_to_normals(
-    mesh: Mesh, parameters: Parameters, guide: Floats, share: Floats, noise: float
-) -> Floats:
+def _fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
     """Positions (n, 3) from ``guide`` (n, 3), fitted to the scan's normals as the guide's faces
     group them; ``noise`` in file units.
-
-    A part of a mesh goes on from ``guide`` and ``share`` (n,) once the whole's distances are known.
     """
     faces = mesh.faces
     like, areas = face_normals_and_areas(guide, faces)
     scanned, _ = face_normals_and_areas(mesh.vertices, faces)
     centroids = face_centroids(guide, faces)
     across_edges = face_rings(faces, mesh.topology, "edge")
-    unit = mean_centroid_distance(
-        centroids, *across_edges, mesh.whole, state=lambda: {"positions": guide, "share": share}
-    )
+    unit = mean_centroid_distance(centroids, *across_edges)
     ring_start, ring = face_rings(faces, mesh.topology, "vertex")
     scan_share = parameters.scan_share
     normals = scan_share * scanned + (1.0 - scan_share) * like

@@ -30,7 +30,6 @@ from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sin
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
-from msal_cli.methods._sweeps import reach_of_sweeps
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,6 @@ class Parameters:
         more="more of the shape, and of the noise, is kept",
     )
     boundary: str = boundary_rule()
-
-
-def reach(parameters: Parameters) -> int:
-    """Rings that it reaches, see ``Method.reach``."""
-    return reach_of_sweeps(parameters.iterations, normals=0)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

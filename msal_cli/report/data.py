@@ -28,7 +28,6 @@ from msal_cli.job.plain_data import (
     as_data,
     from_data,
     known,
-    reported_fields,
     value_at,
 )
 from msal_cli.job.records import DONE, SCHEMA, MeshRecord
@@ -197,7 +196,7 @@ def known_values(records: Sequence[Any], path: str) -> list[Any]:
 def plain_record(record: Any) -> dict[str, Any]:
     """The reported fields of a record as strict JSON data."""
     data = as_data(record)
-    return {item.name: plain(data[item.name]) for item in reported_fields(type(record))}
+    return {item.name: plain(data[item.name]) for item in dataclasses.fields(type(record))}
 
 
 def plain(value: Any) -> Any:
@@ -368,7 +367,7 @@ def _all_columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
     hints = typing.get_type_hints(kind)
-    for item in reported_fields(kind):
+    for item in dataclasses.fields(kind):
         hint = hints[item.name]
         inner = [part for part in typing.get_args(hint) if dataclasses.is_dataclass(part)]
         if inner and typing.get_origin(hint) is not tuple:

@@ -23,9 +23,8 @@ from msal_cli.job.records import (
     NoiseEstimate,
     Reference,
     SelfIntersections,
+    TileSetPart,
 )
-from msal_cli.job.tile_records import Tiles, TileSetPart
-from msal_cli.machine import megabytes
 from msal_cli.report.data import Run, Totals, known_values
 
 Tone = Literal["plain", "good", "bad", "faint"]
@@ -101,8 +100,6 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
         named = ", ".join(given)
         level = SHORT if choice is None else DETAIL
         yield Fact("method", method.name + (f" ({named})" if named else ""), level=level)
-    if record.tiles is not None:
-        yield Fact("tiles", tiles_text(record.tiles))
     is_unchanged = record.status == "unchanged"
     level = DETAIL if is_unchanged else SHORT
     yield Fact("left as it is", record.left_alone or "", level=level)
@@ -553,26 +550,3 @@ def touches_text(part: TileSetPart) -> str:
         return "touches no other file"
     names = ", ".join(part.neighbours)
     return f"touches {names}: {format_count(part.shared_vertices, 'vertex', 'vertices')}"
-
-
-def tiles_text(tiles: Tiles) -> str:
-    """Such as ``128 tiles with 6 rings around each, 2 at a time, 21 GB of scratch space``."""
-    parts = [format_count(tiles.number, "tile")]
-    if tiles.rings is not None:
-        parts[0] += f" with {format_count(tiles.rings, 'ring')} around each"
-    # The rings are known once tiles are made; before, the rest is an estimate.
-    about = "about " * (tiles.rings is None)
-    space = f"{about}{megabytes(tiles.scratch_bytes)} of scratch space"
-    parts += [f"{tiles.jobs} at a time", space]
-    if tiles.choice_vertices is not None:
-        parts.append(
-            f"noise and choice of {format_count(tiles.choice_vertices, 'vertex', 'vertices')}"
-        )
-    if tiles.resumed_tasks:
-        parts.append(f"{format_count(tiles.resumed_tasks, 'task')} done by an earlier run")
-    is_done = tiles.rings is not None
-    if tiles.memory_bytes is not None and not is_done:
-        parts.append(f"{megabytes(tiles.memory_bytes)} of memory")
-    if tiles.expected_seconds is not None and not is_done:
-        parts.append(f"about {seconds_text(tiles.expected_seconds)}")
-    return ", ".join(parts)

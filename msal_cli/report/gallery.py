@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.codecs import header_check
-from msal_cli.errors import UnsupportedError
 from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
@@ -28,7 +27,6 @@ from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.picture_cache import PictureCache, picture_key
 from msal_cli.storage import gzip_streams
-from msal_cli.storage.digests import sha256_of_file
 from msal_cli.view import pictures, viewer
 from msal_cli.view.camera import Camera
 from msal_cli.view.illustrations import Gallery, Pictures, Scale
@@ -54,9 +52,7 @@ class Bounds:
 
     ``seconds`` in all, begun pictures are finished; ``file_bytes`` and ``faces`` of one mesh that
     is loaded; ``scenes`` are the worst files that can be turned, with at most ``scene_faces`` each;
-    ``picture_bytes`` in all.  Larger files are read in pieces, ``bytes_per_second`` of the two
-    together, if that takes no longer than what is left of the seconds, or than
-    ``share_of_run`` of the time in which the file was denoised.
+    ``picture_bytes`` in all.
     """
 
     seconds: float = 60.0
@@ -65,8 +61,6 @@ class Bounds:
     scenes: int = 5
     scene_faces: int = 100_000
     picture_bytes: int = 18_000_000
-    bytes_per_second: float = 20e6
-    share_of_run: float = 0.1
 
 
 def build_gallery(
@@ -89,7 +83,7 @@ def build_gallery(
     end = time.monotonic() + bounds.seconds
     images: dict[int, Pictures] = {}
     scenes: dict[int, str] = {}
-    n_late = n_large = n_bytes = n_decimated = n_reduced = 0
+    n_late = n_large = n_bytes = n_decimated = 0
     candidates = [record for record in worst_first(records) if _is_shown(record)]
     for done, record in enumerate(candidates):
         if on_file is not None:
@@ -102,18 +96,16 @@ def build_gallery(
             if scene_text:
                 scenes[at] = scene_text
                 n_decimated += (record.triangles or 0) > bounds.scene_faces
-            n_reduced += _is_too_large(record, bounds)
             n_bytes += _n_bytes(images[at])
             continue
         if time.monotonic() > end or n_bytes > bounds.picture_bytes:
             n_late += 1
             continue
-        is_large = _is_too_large(record, bounds)
-        if is_large and not _is_quick_enough(record, bounds, end - time.monotonic()):
+        if _is_too_large(record, bounds):
             n_large += 1
             continue
         try:
-            scene = (_large_scene if is_large else _scene)(record, backup, bounds)
+            scene = _scene(record, backup, bounds)
             if scene is None:
                 continue
             camera = pictures.camera_of(scene, pictures.View())
@@ -121,16 +113,12 @@ def build_gallery(
             if wants_scene:
                 scenes[at] = _embed(record, scene, camera, reach, bounds.scene_faces, f"scene{at}")
                 n_decimated += len(scene.before.faces) > bounds.scene_faces
-        except UnsupportedError:
-            n_large += is_large
-            continue
         except Exception:
             # A picture is an extra: whatever keeps it from being made keeps back no report.
             log.info("%s: no picture", record.input, exc_info=True)
             continue
         images[at] = shown
         cache.add(key, shown, scenes.get(at, ""))
-        n_reduced += is_large
         n_bytes += _n_bytes(shown)
     return Gallery(
         pictures=images,
@@ -138,7 +126,7 @@ def build_gallery(
         scale=_scale(reach),
         script=viewer.script() if scenes else "",
         style=viewer.style() if scenes else "",
-        remarks=tuple(_remarks(len(images), n_late, n_large, n_decimated, n_reduced, bounds)),
+        remarks=tuple(_remarks(len(images), n_late, n_large, n_decimated, bounds)),
     )
 
 
@@ -164,38 +152,11 @@ def _is_too_large(record: MeshRecord, bounds: Bounds) -> bool:
         return False
 
 
-def _is_quick_enough(record: MeshRecord, bounds: Bounds, seconds_left: float) -> bool:
-    """Whether a large file can be read in pieces and drawn in the time that there is for it."""
-    taken = record.seconds.total if record.seconds is not None else 0.0
-    try:
-        n_bytes = 2 * os.path.getsize(str(record.output))
-    except OSError:
-        return True  # that it is gone is found out later, and not counted
-    return n_bytes <= bounds.bytes_per_second * max(seconds_left, bounds.share_of_run * taken)
-
-
 def _paths(record: MeshRecord, backup: str) -> tuple[str, str]:
     """Where the mesh before and the mesh after are."""
     output = str(record.output)
     is_in_place = os.path.realpath(record.input) == os.path.realpath(output)
     return (record.input + backup if is_in_place else record.input), output
-
-
-def _large_scene(record: MeshRecord, backup: str, bounds: Bounds) -> Scene | None:
-    """As ``_scene``, read in pieces and decimated; UnsupportedError for other formats than binary
-    PLY and STL."""
-    from msal_cli.codecs.streamed import open_streamed
-    from msal_cli.view.streamed_scene import scene_of_streamed
-
-    paths = _paths(record, backup)
-    meshes = []
-    for path, known in zip(paths, (record.input_sha256, record.output_sha256), strict=True):
-        if not os.path.isfile(path):
-            return None
-        meshes.append(open_streamed(path))
-        if known is not None and sha256_of_file(path) != known:
-            return None
-    return scene_of_streamed(meshes, paths, None)
 
 
 def _scene(record: MeshRecord, backup: str, bounds: Bounds) -> Scene | None:
@@ -312,7 +273,7 @@ def _embed(
 
 
 def _remarks(
-    n_shown: int, n_late: int, n_large: int, n_decimated: int, n_reduced: int, bounds: Bounds
+    n_shown: int, n_late: int, n_large: int, n_decimated: int, bounds: Bounds
 ) -> list[str]:
     remarks = []
     if n_late:
@@ -325,12 +286,6 @@ def _remarks(
         remarks.append(
             f"{format_count(n_large, 'file')} of more than {bounds.faces:,} faces or "
             f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
-        )
-    if n_reduced:
-        remarks.append(
-            f"Pictures of {format_count(n_reduced, 'file')} of more than {bounds.faces:,} faces or "
-            f"{bounds.file_bytes / 1e6:.0f} MB show decimated meshes; the figures are those of the "
-            "full meshes."
         )
     if n_decimated:
         remarks.append(

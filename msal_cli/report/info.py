@@ -39,12 +39,11 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
     yield "format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size])
     beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
-    unknown = "not counted" if record.read_in_pieces else "-"
-    yield "vertices", _count(record.vertices, unknown) + beside
+    yield "vertices", _count(record.vertices) + beside
     sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
     parts = [f"{count:,} {_SHAPES.get(size, f'with {size} corners')}" for size, count in sizes]
     yield "faces", _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
-    yield "components", _count(record.components, unknown)
+    yield "components", _count(record.components)
     yield "surface", _surface_text(record)
     yield "winding", (record.winding or "-") + (", inside out" if record.inside_out else "")
     for word, count, unit in (
@@ -53,7 +52,7 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         ("unreferenced", record.unreferenced_vertices, "vertices"),
         ("welded", record.welded_vertices, "vertices"),
     ):
-        yield word, _count(count, unknown) + ("" if count is None else f" {unit}")
+        yield word, _count(count) + ("" if count is None else f" {unit}")
     if record.self_intersections is not None:
         yield "intersecting", f"{record.self_intersections:,} pairs of faces"
     if record.bounds is not None:
@@ -72,23 +71,19 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
         yield "noise estimate", level
         yield from (("", text) for text in details)
     yield "carried along", ", ".join(record.properties) or "nothing else"
-    if record.read_in_pieces:
-        yield "read in pieces", "the file is larger than memory; noise is that of a part"
     if record.references:
         yield "refers to", ", ".join(record.references)
 
 
 def _surface_text(record: InfoRecord) -> str:
-    if record.closed is None and record.read_in_pieces:
-        return "open, too many boundary edges to count them in pieces"
     kind = "closed" if record.closed else f"open, {_count(record.boundary_edges)} boundary edges"
     if record.non_manifold_edges:
         kind += f", {_count(record.non_manifold_edges)} non-manifold edges"
     return kind
 
 
-def _count(number: int | None, unknown: str = "-") -> str:
-    return figure(number, ",", unknown=unknown)
+def _count(number: int | None) -> str:
+    return figure(number, ",", unknown="-")
 
 
 class InfoTable:

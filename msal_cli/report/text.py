@@ -7,7 +7,6 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from msal_cli.job.border_marks import count_touching
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Planned
 from msal_cli.report.data import Run, known_values, totals
@@ -28,7 +27,6 @@ from msal_cli.report.facts import (
     seconds_text,
     speed_text,
     tile_set_text,
-    tiles_text,
     total_facts,
     touches_text,
     unsure_text,
@@ -77,9 +75,8 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            tiles = record.tiles if record.tile_set is None else None
-            ending = "" if tiles is None else f": {tiles_text(tiles)}"
-            if tiles is None and record.planned is not None:
+            ending = ""
+            if record.planned is not None:
                 ending = f": {_planned_text(record.planned)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
@@ -185,8 +182,6 @@ def _file_lines(
             yield Line(f"{name} was not finished", "bad")
         else:
             yield Line(f"{name} would be written to {_output_name(record)}")
-            if record.tiles is not None:
-                yield Line(f"  {'tiles':<13} {tiles_text(record.tiles)}")
         return
     if record.status == "up-to-date":
         yield Line(f"{_output_name(record)} is up to date", "good")
@@ -257,8 +252,6 @@ def _batch_lines(
         yield Line(f"{word}: {text}", tone)
     if tile_set := tile_set_text(done):
         yield Line(f"tile set: {tile_set}")
-    elif n_touching := count_touching(done):
-        yield Line(f"{n_touching:,} files share border vertices: --tile-set denoises them as one")
     states = ", ".join(f"{fact.text} {fact.word}" for fact in count_states(sums))
     total = f"{format_count(sums.files, 'file')}: {states or 'nothing done'}"
     is_bad = sums.failed or sums.gate_broken or run.interrupted

@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import threading
 from collections.abc import Callable
 
 from msal_cli.storage.buffers import Buffer
-from msal_cli.storage.regular import open_regular
 
 LARGE_BYTES = 1 << 20
 """Bytes from which on a thread is worth its start."""
 
 _PIECE = 4 << 20
-
-
-def sha256_of_file(
-    path: str | os.PathLike[str], look: Callable[[bytes], None] | None = None
-) -> str:
-    """The hex digits of a file of any size; ``look`` sees all its bytes, some at a time."""
-    state = hashlib.sha256()
-    with open_regular(path, buffering=0) as file:
-        while piece := file.read(_PIECE):
-            state.update(piece)
-            if look is not None:
-                look(piece)
-    return state.hexdigest()
 
 
 def sha256_meanwhile(data: Buffer) -> Callable[[], str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
@@ -23,9 +22,6 @@ ALWAYS_EXPANDED = 32 << 20
 LARGEST_RATIO = 200
 """Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
 text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
-
-OnBytes = Callable[[int, int], None]
-"""Called as ``on_bytes(done, total)``."""
 
 _FIRST_PIECE = 1 << 10
 _LARGEST_PIECE = 1 << 20
@@ -149,24 +145,6 @@ def refuse_content(size: int) -> InputError:
         where="byte 0",
         hint="rename the file, or compress it",
     )
-
-
-def expand_file(path: str | os.PathLike[str], on_bytes: OnBytes | None = None) -> Iterator[bytes]:
-    """The content of a file that is compressed with gzip, some of it at a time.
-
-    It may be larger than the memory; otherwise errors are those of ``expand``.  ``on_bytes`` is
-    called with the compressed bytes that are read, and all of them.
-    """
-    with open_regular(path, buffering=0) as file:
-        size = os.fstat(file.fileno()).st_size
-
-        def read(at: int, n_bytes: int) -> bytes:
-            if on_bytes is not None:
-                on_bytes(at, size)
-            file.seek(at)
-            return file.read(n_bytes)
-
-        yield from expand_pieces(read, size, sys.maxsize, True)
 
 
 def expand_pieces(

@@ -57,7 +57,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
     code = viewer.script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
     looks = viewer.style() + asset(__file__, "page.css")
     notes = [
-        *_decimation(drawn, scene),
+        *_decimation(drawn),
         *_precision(drawn),
         *_warnings(scene),
         *(f"{note}." for note in scene.notes if view.shows_file_colours),
@@ -95,12 +95,9 @@ def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
     """Tables of numbers for beside a scene: a heading, and rows of a name and a value."""
     record, mesh = scene.record, scene.before
     if record is None:
-        counts: tuple[int | None, int] = (pictures.count_of_vertices(mesh), len(mesh.faces))
-        if scene.full_sizes:
-            counts = scene.full_sizes[0].vertices, scene.full_sizes[0].triangles
         rows = [
-            ("Vertices", figure(counts[0], ",")),
-            ("Triangles", f"{counts[1]:,}"),
+            ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
+            ("Triangles", f"{len(mesh.faces):,}"),
             ("Mean edge length", _number(mesh.mean_edge_length)),
         ]
         return [("Mesh", [row for row in rows if row[1]])]
@@ -190,14 +187,8 @@ def _warnings(scene: Scene) -> list[str]:
     return said
 
 
-def _decimation(drawn: EncodedScene, scene: Scene) -> list[str]:
+def _decimation(drawn: EncodedScene) -> list[str]:
     """What the page holds of the files' faces, where that is not all."""
-    if scene.full_sizes:
-        counts = f"{drawn.drawn_faces:,} of {scene.full_sizes[0].triangles:,} triangles"
-        return [
-            f"Larger than memory, and decimated for the page: {counts}. One vertex, at its place, "
-            "stands for all in a cell of a grid. The numbers are those of the full meshes."
-        ]
     if not drawn.is_decimated:
         return []
     counts = f"{drawn.drawn_faces:,} of {drawn.faces:,} faces"

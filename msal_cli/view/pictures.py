@@ -36,15 +36,6 @@ _FLATTEST, _TALLEST = 0.6, 1.4
 _ROUNDING = 1e-13
 
 
-@dataclass(frozen=True)
-class FullSize:
-    """How many triangles and vertices a file has of which less is drawn; the vertices are None
-    where it stores corners of facets."""
-
-    triangles: int
-    vertices: int | None
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """One mesh, or two in one coordinate system, ready to be drawn.
@@ -58,8 +49,6 @@ class Scene:
         also where they point inwards because the surface is inside out; else it is the distance
         to the surface of ``before``.
     record : the numbers; None for one mesh.
-    full_sizes : one for each mesh, where the files are larger than memory and the meshes decimated;
-        their mean edge lengths are those of the files.
     colours : one for each mesh, (n, 3) of its vertices or None; empty where none were read.
     notes : what could not be shown of the files, by name.
     """
@@ -70,7 +59,6 @@ class Scene:
     deviation: Floats | None = None
     is_signed: bool = True
     record: ComparisonRecord | None = None
-    full_sizes: tuple[FullSize, ...] = ()
     colours: tuple[Image | None, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -197,10 +185,10 @@ def draw_picture(scene: Scene, view: View) -> Image:
 
     titles = titles_of(scene.names)
     record = scene.record
-    panels: list[Panel] = [(image(scene.before, 0), titles[0], _counts(scene, 0))]
+    panels: list[Panel] = [(image(scene.before, 0), titles[0], [_counts(scene, 0)])]
     if scene.after is None or record is None:
         return labelled_panels(panels, style=style)
-    lines = [*_counts(scene, 1), *_changes(record)]
+    lines = [_counts(scene, 1), *_changes(record)]
     if scene.deviation is None:
         lines.append("Other faces: no deviation without the package fcpw")
     panels.append((image(scene.after, 1), titles[1], lines))
@@ -306,15 +294,10 @@ def count_of_vertices(mesh: Mesh) -> int:
     return int(_used(mesh).sum())
 
 
-def _counts(scene: Scene, at: int) -> list[str]:
-    """How large a mesh is, the one before or the one after, and how much of it is drawn."""
+def _counts(scene: Scene, at: int) -> str:
+    """How large a mesh is, the one before or the one after."""
     mesh = scene.after if at and scene.after is not None else scene.before
-    n_drawn = f"{len(mesh.faces):,} triangles"
-    if not scene.full_sizes:
-        return [f"{n_drawn}, {count_of_vertices(mesh):,} vertices"]
-    full = scene.full_sizes[at]
-    vertices = "" if full.vertices is None else f", {full.vertices:,} vertices"
-    return [f"{full.triangles:,} triangles{vertices}", f"Decimated for the picture to {n_drawn}"]
+    return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"
 
 
 def _changes(record: ComparisonRecord) -> list[str]:

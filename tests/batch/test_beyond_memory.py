@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from msal_cli import machine
 from msal_cli.batch import memory_budget as weights
 from msal_cli.batch.memory_budget import LARGE_BYTES, estimate_memory
 from msal_cli.codecs import header_check
@@ -35,7 +36,7 @@ def beyond(path, available, monkeypatch, **limits):
     tasks = {7: Task(str(path), "out", "in")}
     return estimate_memory(
         tasks, Settings("msal"), Limits(**limits) if limits else NO_LIMITS
-    ).oversized()
+    ).find_oversized()
 
 
 @pytest.mark.parametrize("least", [10**9, 10_200_000_000])
@@ -77,7 +78,7 @@ def folder(tmp_path):
 def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
     monkeypatch.setattr(header_check, "read_whole", None)
-    made = msal("denoise", folder, "-o", tmp_path / "out", "-j1", "--despike")
+    made = msal("denoise", folder, "-o", tmp_path / "out", "-j1")
     assert made.exit_code == 3
     assert "this machine has 60 MB left (E_MEMORY)" in made.stderr
     assert (tmp_path / "out/small.ply").exists() and not (tmp_path / "out/large.ply").exists()
@@ -86,14 +87,23 @@ def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
 def test_one_file_alone_is_refused_and_a_limit_of_its_own_tries_it(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
     one = folder / "large.ply"
-    made = msal("denoise", one, "-o", tmp_path / "out.ply", "--despike")
+    made = msal("denoise", one, "-o", tmp_path / "out.ply")
     assert made.exit_code == 1
     assert "E_MEMORY" in made.stderr and "hint: use a machine" in made.stderr
-    assert "--despike needs the whole mesh in memory" in made.stderr
     # Nothing but zeros is no surface, which only reading tells.
     made = msal("denoise", one, "-o", tmp_path / "out.ply", "--memory-limit", "1G")
     assert "E_MEMORY" not in made.stderr and "E_NO_FACES" in made.stderr
     assert not (tmp_path / "out.ply").exists()
+
+
+@pytest.mark.parametrize(
+    "words", [("info", "{0}"), ("compare", "{0}", "{0}"), ("view", "{0}", "-o", "{0}.png")]
+)
+def test_other_commands_refuse_it_too(folder, monkeypatch, words):
+    monkeypatch.setattr(machine, "available_bytes", lambda: 35_000_000)
+    made = msal(*(word.format(folder / "large.ply") for word in words))
+    assert made.exit_code != 0 and "E_MEMORY" in made.stderr
+    assert "this machine has 35 MB left" in made.stderr
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux")
@@ -102,7 +112,6 @@ def test_the_command_refuses_two_billion_vertices_without_loading_them(tmp_path)
 
     sparse(tmp_path / "huge.ply", 2_000_000_000, 300_000_000)
     command = [sys.executable, "-m", "msal_cli", "denoise", "huge.ply", "-o", "out.ply"]
-    command += ["--despike"]
     made = subprocess.run(
         command,
         cwd=tmp_path,

@@ -261,7 +261,6 @@ class TestSettingsHash:
             {"checks": ("self-intersections",)},
             {"despike": True},
             {"tile_set": True},
-            {"weld": "0.1e"},
         ]
         hashes = [hash_settings(dataclasses.replace(SETTINGS, **change)) for change in changes]
         changed = {key for change in changes for key in change}

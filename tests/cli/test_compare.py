@@ -9,11 +9,7 @@ from jsonschema import Draft202012Validator
 
 from msal_cli import codecs
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
-from tests.job.large_files import in_pieces, write_ply
 from tests.report.schemas import compare_schema
-from tests.shapes import torus
-
-__all__ = ["in_pieces"]
 
 SCHEMA = compare_schema()
 ONE = Draft202012Validator({**SCHEMA["$defs"]["ComparisonRecord"], "$defs": SCHEMA["$defs"]})
@@ -170,24 +166,3 @@ def test_a_heat_map_in_a_folder_that_is_not_there(scans):
     assert made.exit_code == 1
     assert "the output folder does not exist" in made.stderr
     assert "normal angle" in made.stdout
-
-
-def test_files_larger_than_memory_are_compared_in_pieces(tmp_path, in_pieces):
-    vertices, faces = torus()
-    before = write_ply(tmp_path / "a.ply", vertices, faces)
-    after = write_ply(tmp_path / "b.ply", vertices + [0.0, 0.0, 0.25], faces)
-    made = msal("compare", before, after, "--json", "--fail-on", "max_displacement > 0.2")
-    assert made.exit_code == 4
-    record = json.loads(made.stdout)
-    assert record["read_in_pieces"]
-    assert record["displacement"]["max"] == pytest.approx(0.25)
-    assert made.stderr.count("larger than memory, so it is read in pieces") == 2
-    made = msal("compare", before, after, "--heatmap", tmp_path / "h.ply")
-    assert made.exit_code == 1
-    assert "displacement" in made.stdout
-    assert "no heat map is written" in made.stderr
-    assert not (tmp_path / "h.ply").exists()
-    other = write_ply(tmp_path / "c.ply", vertices, faces[1:])
-    made = msal("compare", before, other)
-    assert made.exit_code == 1
-    assert f"{other}: the faces are not those of the reference" in made.stderr

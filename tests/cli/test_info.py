@@ -8,11 +8,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, open_scan, record_of
-from tests.job.large_files import in_pieces, write_ply
 from tests.report.schemas import info_schema
-from tests.shapes import torus
-
-__all__ = ["in_pieces"]
 
 
 @pytest.fixture
@@ -109,26 +105,3 @@ def test_include_and_exclude(scans):
     made = msal("info", scans, "--exclude", "bad.ply", "--exclude", "below", "--json")
     assert made.exit_code == 0
     assert len(json.loads(made.stdout)["records"]) == 1
-
-
-def test_a_file_that_is_larger_than_memory_is_read_in_pieces(tmp_path, in_pieces):
-    path = write_ply(tmp_path / "a.ply", *torus())
-    made = msal("info", path)
-    assert made.exit_code == 0
-    counts = "288 vertices, 576 faces"
-    assert made.stderr.startswith(f"{path}: larger than memory, so it is read in pieces: {counts}")
-    told = {line[2:17].strip(): line[18:] for line in made.stdout.splitlines()[1:]}
-    assert told["vertices"] == "288"
-    assert told["surface"] == "closed"
-    assert told["components"] == told["welded"] == "not counted"
-    assert float(told["volume"]) == pytest.approx(59, rel=0.1)
-    Draft202012Validator(info_schema()).validate(json.loads(msal("info", "--json", path).stdout))
-
-
-def test_of_a_text_the_counts_come_once_it_is_read(tmp_path, in_pieces):
-    (path := tmp_path / "a.ply").write_bytes(closed_scan())
-    made = msal("info", path)
-    assert made.exit_code == 0
-    assert made.stderr.splitlines()[0] == f"{path}: larger than memory, so it is read in pieces"
-    assert "288 vertices, 576 faces" in made.stderr.splitlines()[1]
-    assert "surface         closed" in made.stdout

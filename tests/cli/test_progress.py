@@ -5,16 +5,12 @@ from __future__ import annotations
 import io
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
-from types import SimpleNamespace
 
 import pytest
 
 from msal_cli.batch.events import Finished, Progress, Started
-from msal_cli.batch.interrupts import Terminated
 from msal_cli.cli import console as talk
 from msal_cli.cli import progress
 from msal_cli.job.settings import Task
@@ -218,26 +214,3 @@ def test_a_real_terminal(tmp_path):
     assert "\x1b[2" not in seen
     _, seen, _ = seen_on_a_terminal(*made, "-q")
     assert "%|" not in seen
-
-
-@POSIX
-def test_a_signal_raises_while_numbers_are_kept_in_a_folder():
-    with pytest.raises(Terminated), progress.reading_bar(quiet=True) as bar:
-        bar.on_folder()
-        bar.on_folder()
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(5.0)
-
-
-def test_a_bar_while_meshes_are_read_in_pieces(monkeypatch):
-    stream = on_a_terminal(monkeypatch)
-    monkeypatch.setattr(progress, "_DELAY_S", 0.0)
-    monkeypatch.setattr(progress, "_BETWEEN_S", 0.0)
-    mesh = SimpleNamespace(n_vertices=1200, n_polygons=2400, size=10**9, are_corners=False)
-    with progress.reading_bar() as bar:
-        bar.on_begin(["dir/scan\x1b.ply"], [mesh])
-        bar.on_progress(900, 3600)
-        assert " 25 %" in frames(stream)[-1]
-    words = stream.getvalue()
-    assert "larger than memory, so it is read in pieces: 1,200 vertices, 2,400 faces" in words
-    assert "\x1b.ply" not in words

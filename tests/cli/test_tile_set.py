@@ -6,8 +6,8 @@ import json
 
 import pytest
 
+from tests.batch.tile_files import in_tiles, mixed, noisy_terrain, ply
 from tests.cli.scans import msal
-from tests.tiles.tile_files import in_tiles, mixed, noisy_terrain, ply
 
 
 @pytest.fixture
@@ -69,7 +69,6 @@ def test_a_set_is_up_to_date_as_a_whole(tiles):
     # A file less is another set.
     (folder / "3.ply").unlink()
     assert states(tiles) == ["written"] * 3
-    assert states(tiles, "--weld", "0.01e") == ["written"] * 3
 
 
 def test_a_file_that_fails_is_mended(tiles):
@@ -126,8 +125,6 @@ def test_a_dry_run_lists_neighbours_and_memory(tiles):
     done = denoise(tiles, "--dry-run")
     assert "touches 0.ply, 2.stl, 3.ply" in done.stdout
     assert "as one mesh they take up to" in done.stderr
-    done = denoise(tiles, "--dry-run", "--tiled")
-    assert "as one mesh they are denoised in 1 tile, 1 at a time" in done.stderr
     assert not tiles[1].exists()
 
 
@@ -139,19 +136,12 @@ def test_fields_and_checks_go_with_a_set(tiles):
     assert all(one["self_intersections"]["created"] == 0 for one in records)
 
 
-@pytest.mark.parametrize("options", [("--weld", "1.1e"), ("--weld", "9", "--dry-run")])
-def test_too_long_a_weld_is_refused(tiles, options):
-    done = denoise(tiles, *options)
-    assert done.exit_code == 2 and "is longer than the edges" in done.stderr
-    assert not list(tiles[1].glob("?.*"))
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (("--shard", "1/2"), "--shard deals out files"),
         (("--timeout", "5"), "--timeout is for one file"),
-        (("--weld", "0"), "--weld 0: this is no length above 0"),
+        (("--engine", "dask", "--scheduler", "tcp://x:1"), "--engine dask deals out files"),
     ],
 )
 def test_what_does_not_go_with_a_set(tiles, options, words):
@@ -159,11 +149,8 @@ def test_what_does_not_go_with_a_set(tiles, options, words):
     assert done.exit_code == 2 and words in done.stderr
 
 
-def test_a_weld_needs_a_set_and_a_set_needs_an_output(tiles):
-    folder, out = tiles
-    done = msal("denoise", folder, "-o", out, "--weld", "0.1e")
-    assert done.exit_code == 2 and "--weld needs --tile-set" in done.stderr
-    done = msal("denoise", folder, "--in-place", "--tile-set")
+def test_a_set_needs_an_output(tiles):
+    done = msal("denoise", tiles[0], "--in-place", "--tile-set")
     assert done.exit_code == 2 and "--in-place cannot be used with --tile-set" in done.stderr
 
 
@@ -172,47 +159,3 @@ def test_one_file_is_a_set_too(tiles):
     done = msal("denoise", folder / "0.ply", "-o", out / "a.ply", "--tile-set", "-n", "3", "--json")
     (record,) = json.loads(done.stdout)["records"]
     assert record["status"] == "written" and record["tile_set"]["neighbours"] == []
-
-
-def outputs_of(tiles):
-    return {one.name: one.read_bytes() for one in tiles[1].glob("?.*")}
-
-
-def test_by_tiles_the_outputs_are_the_same(tiles):
-    assert states(tiles, "--weld", "0.01e") == ["written"] * 4
-    in_memory = outputs_of(tiles)
-    records = records_of(tiles, "--weld", "0.01e", "--tiled", "--fresh", "-j", "2")
-    assert [one["status"] for one in records] == ["written"] * 4
-    assert all(one["tiles"]["number"] == 1 and one["tile_gap"] == 0.0 for one in records)
-    assert outputs_of(tiles) == in_memory
-    assert not list(tiles[1].glob(".msal-tiles-*"))
-    assert states(tiles, "--weld", "0.01e") == ["up-to-date"] * 4
-
-
-def test_a_set_by_tiles_goes_on_where_it_was_interrupted(tiles, monkeypatch):
-    from msal_cli.tiles import set_run
-
-    def interrupted(*arguments):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(set_run, "write_member", interrupted)
-        assert denoise(tiles, "--tiled").exit_code == 130
-    assert len(list(tiles[1].glob(".msal-tiles-*"))) == 1 and not outputs_of(tiles)
-    records = records_of(tiles, "--tiled")
-    assert [one["status"] for one in records] == ["written"] * 4
-    assert records[0]["tiles"]["resumed_tasks"] > 0
-    assert not list(tiles[1].glob(".msal-tiles-*"))
-
-
-def test_what_needs_the_whole_mesh_is_not_done_by_tiles(tiles):
-    done = denoise(tiles, "--tiled", "--fields", "lambda", "--json")
-    assert {one["error"]["code"] for one in json.loads(done.stdout)["records"]} == {"E_UNSUPPORTED"}
-    assert not outputs_of(tiles)
-
-
-def test_a_run_without_the_option_says_that_files_touch(tiles):
-    folder, out = tiles
-    done = msal("denoise", folder, "-o", out, "--method", "msal")
-    assert "4 files share border vertices: --tile-set denoises them as one" in done.stderr
-    assert "share border vertices" not in denoise(tiles, "--fresh").stderr

@@ -13,11 +13,7 @@ import pytest
 from PIL import Image
 
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
-from tests.job.large_files import in_pieces, write_ply
 from tests.report.made import HOSTILE_NAMES
-from tests.shapes import torus
-
-__all__ = ["in_pieces"]
 
 
 @pytest.fixture
@@ -187,21 +183,3 @@ def test_the_picture_is_not_what_denoise_pays_for():
     code = "import sys, msal_cli.cli.denoise, msal_cli.job.pipeline; print('PIL' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout == "False\n"
-
-
-def test_files_larger_than_memory_are_decimated(tmp_path, in_pieces):
-    vertices, faces = torus()
-    before = write_ply(tmp_path / "a.ply", vertices, faces)
-    after = write_ply(tmp_path / "b.ply", vertices + [0.0, 0.0, 0.1], faces)
-    made = msal("view", before, after, "-o", tmp_path / "p.png", "--size", 100)
-    assert (made.exit_code, made.stdout) == (0, "")
-    assert made.stderr.count("larger than memory, so it is read in pieces") == 2
-    assert seen(tmp_path / "p.png").shape[1] > 300
-    made = msal("view", before, "-o", tmp_path / "p.html", "--size", 100, "-q")
-    assert (made.exit_code, made.stdout, made.stderr) == (0, "", "")
-    vertices[7] = np.nan
-    made = msal("view", write_ply(tmp_path / "c.ply", vertices, faces), "-o", tmp_path / "c.png")
-    assert made.exit_code == 1
-    assert f"{tmp_path / 'c.ply'}: " in made.stderr
-    assert "vertex 7" in made.stderr
-    assert not (tmp_path / "c.png").exists()

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from msal_cli.kernels.corner_welding import measure_back, weld_corners
-from msal_cli.kernels.welding import first_alike
+from msal_cli.kernels.corner_welding import weld_corners
 
 
 def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[int]]:
@@ -68,21 +67,3 @@ def test_the_first_facet_that_is_not_finite_is_told(wrong, facet):
     corners[facet, 8] = wrong
     corners[999, 0] = wrong
     assert weld_corners(corners)[2] == facet
-
-
-@settings(deadline=None)
-@given(
-    arrays.arrays(
-        np.float64,
-        st.integers(1, 40).map(lambda n: (n, 3)),
-        elements=st.sampled_from([0.0, -0.0, 1.0]),
-    ),
-    st.sampled_from([np.float32, np.float64]),
-)
-def test_the_first_equal_position_is_as_welding_finds_it(positions, dtype):
-    positions = positions.astype(dtype)
-    used = np.ones(len(positions), dtype=bool)
-    first, n_alike = first_alike(positions.astype(np.float64), used)
-    back, n_back = measure_back(positions)
-    assert (np.arange(len(positions)) - back).tolist() == first.tolist()
-    assert n_back == n_alike

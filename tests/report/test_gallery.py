@@ -15,11 +15,8 @@ from msal_cli.report import gallery
 from msal_cli.report.data import read_json
 from msal_cli.report.gallery import Bounds
 from msal_cli.report.picture_cache import PictureCache
-from msal_cli.view import streamed_scene
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
-from tests.job.large_files import write_ply
 from tests.report.made import written
-from tests.shapes import torus
 
 
 def denoised(folder, *options):
@@ -111,28 +108,6 @@ def test_the_bounds_are_kept_and_said(records):
     assert at == worst
     found = gallery.build_gallery(records, bounds=Bounds(scene_faces=100))
     assert "decimated" in found.remarks[0]
-
-
-def test_large_files_are_read_in_pieces_and_decimated(tmp_path, monkeypatch):
-    vertices, faces = torus(40, 30)
-    (tmp_path / "in").mkdir()
-    write_ply(tmp_path / "in" / "a.ply", vertices, faces)
-    options = ("-o", tmp_path / "out", "--method", "msal", "-q", "-j", 1)
-    msal("denoise", tmp_path / "in", *options, "--report", tmp_path / "r.json")
-    records = read_json((tmp_path / "r.json").read_bytes(), "r.json")[1]
-    monkeypatch.setattr(streamed_scene, "MOST_CELLS", 500)
-    found = gallery.build_gallery(records, bounds=Bounds(faces=100))
-    assert shown(records, found) == ["a.ply"] and found.scenes
-    assert found.remarks == (
-        "Pictures of 1 file of more than 100 faces or 200 MB show decimated meshes; the figures "
-        "are those of the full meshes.",
-    )
-    slow = Bounds(faces=100, bytes_per_second=1.0)
-    found = gallery.build_gallery(records, bounds=slow)
-    assert found.pictures == {} and "`msal view` makes them" in found.remarks[0]
-    write_ply(tmp_path / "out" / "a.ply", vertices, faces)
-    found = gallery.build_gallery(records, bounds=Bounds(faces=100))
-    assert found.pictures == {} and found.remarks == ()
 
 
 def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):

@@ -174,30 +174,3 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch)
 def test_compressed_bytes_do_not_depend_on_pieces(pieces, last):
     data = b"".join([*pieces, last])
     assert b"".join(streams.compress_pieces([*pieces, memoryview(last)])) == compress(data)
-
-
-@pytest.mark.parametrize("name", [one for one in DAMAGED if one not in ("empty", "not compress")])
-def test_damaged_gzip_in_pieces(name, tmp_path):
-    data, _ = DAMAGED[name]
-    path = tmp_path / "a.gz"
-    path.write_bytes(data)
-
-    def failure(read):
-        with pytest.raises(InputError) as caught:
-            read()
-        return caught.value.code, caught.value.where, caught.value.message
-
-    if data[:2] == streams.GZIP_MAGIC:
-        expected = failure(lambda: expand(data, "a.gz"))
-        assert failure(lambda: list(streams.expand_file(path))) == expected
-
-
-def test_a_file_is_expanded_in_pieces(tmp_path):
-    data = random.Random(0).randbytes(3_000_000)
-    path = tmp_path / "a.gz"
-    path.write_bytes(compress(data) + compress(b"more") + bytes(600))
-    seen = []
-    pieces = list(streams.expand_file(path, lambda done, total: seen.append((done, total))))
-    assert b"".join(pieces) == data + b"more"
-    assert max(map(len, pieces)) < 2_000_000
-    assert seen[-1][1] == path.stat().st_size

@@ -1,28 +1,27 @@
+"""Which border points of different meshes are one."""
+
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.codecs import open_mesh
-from msal_cli.errors import UsageError
-from msal_cli.job.opened_mesh import prepare_mesh
-from msal_cli.tiles import set_borders as borders
-from msal_cli.tiles.set_borders import (
+from msal_cli.analysis.shared_borders import (
     Border,
     count_unmatched,
     find_border,
     near_pairs,
     share_borders,
 )
+from msal_cli.codecs import open_mesh
+from msal_cli.job.opened_mesh import prepare_mesh
+from tests.batch.tile_files import in_tiles, noisy_ball, ply
 from tests.shapes import grid
-from tests.tiles.tile_files import in_tiles, noisy_ball, ply
 
 
 def border_of(vertices, faces):
     mesh_file = open_mesh(ply(vertices, faces, "<f8"), "a.ply")
-    return find_border(prepare_mesh(mesh_file), mesh_file)
+    return find_border(prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces)
 
 
 def points(*rows):
@@ -38,8 +37,8 @@ def points(*rows):
     )
 
 
-def share(*several, weld=0.0, single=None):
-    return share_borders(several, single or [False] * len(several), weld)
+def share(*several, single=None):
+    return share_borders(several, single or [False] * len(several))
 
 
 def test_the_border_of_a_grid_is_its_rim():
@@ -79,42 +78,9 @@ def test_points_are_one_in_single_precision_where_a_file_has_only_that():
     # Two files in double precision are compared in it, and one file is never joined with itself.
     near = points((third, 0, 0), (third + 1e-12, 0, 0))
     assert share(near, points((9, 9, 9)), single=[False, True]).group.tolist() == [0, 1, 2]
-
-
-def test_points_of_different_files_within_a_length_are_one():
-    shared = share(points((0, 0, 0), (0.05, 0, 0)), points((0.06, 0, 0), (5, 0, 0)), weld=0.1)
-    # The nearest pair is joined, and the first file keeps its two points.
-    assert shared.group.tolist() == [0, 1, 1, 3]
-    assert shared.is_moved.tolist() == [False, False, True, False]
-    assert shared.distances(shared.positions).tolist() == pytest.approx([0, 0.01, 0.01, 0])
-
-
-def test_a_chain_never_joins_two_points_of_one_file():
-    shared = share(
-        points((0, 0, 0), (0.3, 0, 0)), points((0.1, 0, 0)), points((0.2, 0, 0)), weld=0.1001
-    )
-    assert shared.group[0] != shared.group[1]
-    for group in np.unique(shared.group):
-        files = shared.file_of[shared.group == group]
-        assert len(np.unique(files)) == len(files)
-
-
-@given(st.integers(0, 1000), st.floats(0.01, 0.5))
-def test_welding_keeps_points_of_a_file_apart(seed, weld):
-    random = np.random.default_rng(seed)
-    several = [points(*random.uniform(0, 2, (6, 3))) for _ in range(3)]
-    shared = share(*several, weld=weld)
-    assert (shared.group <= np.arange(18)).all()
-    assert (shared.group[shared.group] == shared.group).all()
-    for group in np.unique(shared.group):
-        files = shared.file_of[shared.group == group]
-        assert len(np.unique(files)) == len(files)
-    # No pair is left that could be joined.
-    one, other = near_pairs(shared.positions, shared.positions, weld)
-    for a, b in zip(one, other, strict=True):
-        if shared.group[a] != shared.group[b]:
-            ours = set(shared.file_of[shared.group == shared.group[a]])
-            assert ours & set(shared.file_of[shared.group == shared.group[b]])
+    # Of two points of a file that round to a third, the nearer one is that.
+    assert share(one, near, single=[True, False]).group.tolist() == [0, 1, 0]
+    assert share(near, one, near, single=[False, True, False]).group.tolist() == [0, 1, 1, 0, 1]
 
 
 @given(st.integers(0, 1000), st.floats(0.05, 3.0))
@@ -124,12 +90,6 @@ def test_near_pairs_are_all_pairs_within_reach(seed, reach):
     distances = np.linalg.norm(a[:, None] - b[None], axis=2)
     wanted = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances <= reach), strict=True)}
     assert set(zip(*(x.tolist() for x in near_pairs(a, b, reach)), strict=True)) == wanted
-
-
-def test_a_length_beyond_the_edges_is_refused(monkeypatch):
-    monkeypatch.setattr(borders, "_MOST_PAIRS", 10)
-    with pytest.raises(UsageError, match="--weld 5"):
-        share(points(*np.eye(3)), points(*np.eye(3)), weld=5.0)
 
 
 def test_borders_that_match_have_no_unmatched_points():

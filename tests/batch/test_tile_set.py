@@ -1,21 +1,20 @@
+"""Files that touch, denoised as one mesh."""
+
 from __future__ import annotations
 
 import gzip
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.errors import UnsupportedError
-from msal_cli.job.pipeline import denoise_file, start_record
-from msal_cli.job.settings import Limits, Settings, Task
-from msal_cli.tiles import set_run, stages
-from msal_cli.tiles.opening import open_run
-from msal_cli.tiles.scratch import Scratch
-from msal_cli.tiles.set_run import denoise_set, survey_set
-from tests.tiles.tile_files import (
+from msal_cli.batch import tile_set
+from msal_cli.batch.events import Progress
+from msal_cli.batch.plan import Plan
+from msal_cli.job.pipeline import denoise_file
+from msal_cli.job.settings import Limits, Settings
+from tests.batch.tile_files import (
     in_tiles,
     joined,
     mixed,
@@ -28,6 +27,13 @@ from tests.tiles.tile_files import (
 
 MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
 ADAPTIVE = Settings("adaptive", tile_set=True)
+
+
+def denoise_set(tasks, settings, **more):
+    """The records of all tasks that were dealt with, in order."""
+    plan = Plan(tuple(tasks), (None,) * len(tasks), is_set=True)
+    records = tile_set.denoise_set(plan, settings, **more)
+    return [records[index] for index in sorted(records)]
 
 
 def plies(parts, code="<f4"):
@@ -85,47 +91,6 @@ def test_alone_the_files_come_apart(tmp_path):
     before, after = joined(parts)[0], np.concatenate([read(one.output).vertices for one in records])
     _, first, place = np.unique(before, axis=0, return_index=True, return_inverse=True)
     assert np.abs(after - after[first[place.reshape(-1)]]).max() > 1e-3
-
-
-def shaken(parts, level):
-    """The parts with noise of their own at every vertex, so that borders no longer match."""
-    random = np.random.default_rng(8)
-    return [(v + random.uniform(-level, level, v.shape), f) for v, f in parts]
-
-
-def test_welding_closes_small_gaps(tmp_path):
-    parts = shaken(in_tiles(*noisy_terrain(), 2), 0.004)
-    tasks = tasks_of(tmp_path, plies(parts))
-    open_records = denoise_set(tasks, MSAL)
-    assert all(one.tile_set.shared_vertices == 0 for one in open_records)
-    assert all("--weld" in one.warnings[-1] for one in open_records)
-    records = denoise_set(tasks, replace(MSAL, weld="0.02"))
-    parts_of = [one.tile_set for one in records]
-    assert [one.tile_gap for one in records] == [0.0] * 4
-    assert [one.unmatched_vertices for one in parts_of] == [0] * 4
-    assert [len(one.neighbours) for one in parts_of] == [3, 3, 3, 3]
-    assert parts_of[0].welded_vertices == 0
-    assert parts_of[3].welded_vertices == parts_of[3].shared_vertices == 25
-    assert 0.0 < max(one.largest_weld for one in parts_of) < 0.02
-    # The same length in mean edge lengths of the set.
-    edge = records[0].mean_edge_length
-    again = denoise_set(tasks, replace(MSAL, weld=f"{0.02 / edge!r}e"))
-    assert [one.tile_set for one in again] == parts_of
-
-
-def test_welding_is_the_joined_mesh_with_positions_replaced(tmp_path):
-    vertices, faces = noisy_terrain()
-    parts = shaken(in_tiles(vertices, faces, 2), 0.004)
-    records = denoise_set(tasks_of(tmp_path, plies(parts, "<f8")), replace(MSAL, weld="0.02"))
-    ours = np.concatenate([read(one.output).vertices for one in records])
-    # By hand: a vertex of the terrain is where the first part has it.
-    ids = np.concatenate([part[0] for part in in_tiles(vertices, faces, 2)])
-    _, first, place = np.unique(ids, axis=0, return_index=True, return_inverse=True)
-    welded, all_faces = joined(parts)
-    welded = welded[first[place.reshape(-1)]]
-    (task,) = tasks_of(tmp_path / "joined", {"a.ply": ply(welded, all_faces, "<f8")})
-    whole = denoise_file(task, replace(MSAL, tile_set=False))
-    assert ours.tobytes() == read(whole.output).vertices.tobytes()
 
 
 def test_a_border_with_vertices_amid_edges_is_a_warning(tmp_path):
@@ -187,8 +152,8 @@ def test_a_set_that_cannot_be_read_at_all(tmp_path):
 def test_the_first_failure_may_stop_the_set(tmp_path):
     contents = plies(in_tiles(*noisy_terrain(), 2)) | {"1.ply": b"ply\n"}
     tasks = tasks_of(tmp_path, contents)
-    records = denoise_set(tasks, MSAL, most_failures=1)
-    assert [one.status for one in records] == ["planned", "failed", "planned", "planned"]
+    records = denoise_set(tasks, MSAL, max_failures=1)
+    assert [one.status for one in records] == ["failed"]
     assert not list((tmp_path / "out").iterdir())
 
 
@@ -202,11 +167,11 @@ def test_a_file_that_changes_meanwhile_fails(tmp_path):
     parts = in_tiles(*noisy_terrain(), 2)
     tasks = tasks_of(tmp_path, plies(parts))
 
-    def on_step(index, stage, done, total):
-        if stage == "sweeps":
+    def on_event(event):
+        if isinstance(event, Progress) and event.stage == "sweeps":
             (tmp_path / "in/2.ply").write_bytes(ply(*parts[1]))
 
-    records = denoise_set(tasks, MSAL, on_step)
+    records = denoise_set(tasks, MSAL, on_event=on_event)
     assert [one.status for one in records] == ["written", "written", "failed", "written"]
     assert records[2].error.code == "E_CHANGED"
     assert records[0].tile_gap == 0.0
@@ -215,17 +180,10 @@ def test_a_file_that_changes_meanwhile_fails(tmp_path):
 def test_files_without_borders_are_denoised_too(tmp_path):
     vertices, faces = noisy_ball()
     contents = {"a.ply": ply(vertices, faces), "b.ply": ply(vertices + (5.0, 0.0, 0.0), faces)}
-    for weld in (None, "0.1e"):
-        records = denoise_set(tasks_of(tmp_path, contents), replace(MSAL, weld=weld))
-        assert [one.status for one in records] == ["written"] * 2, records[0].error
-        assert [one.tile_set.neighbours for one in records] == [(), ()]
-        assert [one.tile_gap for one in records] == [0.0, 0.0]
-
-
-def test_a_weld_below_rounding_is_none(tmp_path):
-    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
-    records = denoise_set(tasks, replace(MSAL, weld="1e-300"))
-    assert [one.tile_set.welded_vertices for one in records] == [0] * 4, records[0].error
+    records = denoise_set(tasks_of(tmp_path, contents), MSAL)
+    assert [one.status for one in records] == ["written"] * 2, records[0].error
+    assert [one.tile_set.neighbours for one in records] == [(), ()]
+    assert [one.tile_gap for one in records] == [0.0, 0.0]
 
 
 def test_a_clean_set_stays_as_it_is(tmp_path):
@@ -256,77 +214,11 @@ def test_locks_and_trust_come_from_all_files(tmp_path):
 
 def test_a_survey_touches_nothing(tmp_path):
     tasks = tasks_of(tmp_path, mixed(in_tiles(*noisy_terrain(), 3)))
-    records = survey_set(tasks, MSAL)
-    assert [one.status for one in records] == ["planned"] * 9
+    plan = Plan(tuple(tasks), (None,) * len(tasks), is_set=True)
+    records = tile_set.survey_set(plan, MSAL)
+    assert [one.status for one in records.values()] == ["planned"] * 9
     assert records[0].tile_set.neighbours == ("1.obj", "3.ply", "4.off")
     assert not list((tmp_path / "out").iterdir())
-
-
-def by_tiles_in(folder):
-    """What runs the stages of the tiles in this process."""
-
-    class RunHere:
-        is_forced = False
-
-        def refuse(self, settings):
-            if settings.fields:
-                raise UnsupportedError("--fields needs the whole mesh")
-
-        @contextmanager
-        def __call__(self, source, settings):
-            scratch = Scratch(folder)
-            folder.mkdir()
-            source.write(folder)
-            task = Task("set", "", "set")
-            sizes = {"tile_vertices": 90, "chunk_vertices": 100}
-            open_run(task, settings, scratch, **sizes, source=source.describe(folder))
-            stages.run_here(scratch)
-            yield scratch, start_record("set", settings)
-            scratch.remove()
-
-    return RunHere()
-
-
-def test_what_needs_the_whole_mesh_is_refused_where_it_does_not_fit(tmp_path, tight):
-    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
-    settings = replace(MSAL, fields=("displacement",))
-    run_tiles = by_tiles_in(tmp_path / "scratch")
-    records = denoise_set(tasks, settings, run_tiles=run_tiles)
-    assert {one.error.code for one in records} == {"E_MEMORY"}
-    assert "--fields needs the whole mesh" in records[0].error.hint
-
-
-@pytest.fixture
-def tight(monkeypatch):
-    """Too little memory for any set, and enough for each of its files."""
-    monkeypatch.setattr(set_run, "memory_of_set", lambda tasks, settings: 1 << 60)
-
-
-@pytest.mark.parametrize("weld", [None, "0.02"])
-def test_a_set_beyond_memory_is_the_same_by_tiles(tmp_path, request, weld):
-    parts = shaken(in_tiles(*noisy_terrain(), 2), 0.004 if weld else 0.0)
-    settings = replace(MSAL, weld=weld)
-    tasks = tasks_of(tmp_path, mixed(parts))
-    whole = [read(one.output).vertices.tobytes() for one in denoise_set(tasks, settings)]
-    request.getfixturevalue("tight")
-    run_tiles = by_tiles_in(tmp_path / "scratch")
-    records = denoise_set(tasks, settings, run_tiles=run_tiles)
-    assert [one.status for one in records] == ["written"] * 4, records[0].error
-    assert [one.tile_gap for one in records] == [0.0] * 4
-    assert [read(one.output).vertices.tobytes() for one in records] == whole
-    assert not (tmp_path / "scratch").exists()
-
-
-def test_by_tiles_the_border_to_a_failed_file_is_held_too(tmp_path, request):
-    contents = plies(in_tiles(*noisy_terrain(), 2)) | {"1.ply": b"ply"}
-    tasks = tasks_of(tmp_path, contents)
-    whole = [read(one.output).vertices for one in denoise_set(tasks, MSAL) if one.output]
-    request.getfixturevalue("tight")
-    run_tiles = by_tiles_in(tmp_path / "scratch")
-    records = denoise_set(tasks, MSAL, run_tiles=run_tiles)
-    assert [one.status for one in records] == ["written", "failed", "written", "written"]
-    ours = [read(one.output).vertices for one in records if one.output]
-    assert all(np.array_equal(a, b) for a, b in zip(ours, whole, strict=True))
 
 
 def test_seconds_add_up(tmp_path):

@@ -1,0 +1,240 @@
+"""The borders of meshes that touch: which border points of different ones are one.
+
+A border point is a place at the end of an edge with one face.  Vertices of one mesh that coincide
+are one point already, as they are when the mesh is denoised by itself.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from msal_cli.kernels.connectivity import boundary_curves
+from msal_cli.kernels.welding import first_alike
+
+if TYPE_CHECKING:
+    from msal_cli.arrays import Flags, Floats, Ints, Longs
+    from msal_cli.mesh import PreparedMesh
+
+NEAR_EDGES = 0.25
+"""Distance in mean edge lengths below which a border point lies at the border of another file."""
+
+MAX_STEPS = 64
+"""Places along an edge at most by which points near it are found."""
+
+
+@dataclass(frozen=True, eq=False)
+class Border:
+    """The border points of one file.
+
+    Attributes
+    ----------
+    positions : (k, 3) float64, as the file stores them; no two are alike.
+    vertices : (v,) int64, the vertices of the file at these points, ascending.
+    points : (v,) int32, the point of each.
+    corners : (k,) int64, a corner of a face at each point: an index into the flattened faces.
+    edges : (e, 2) int32, edges with one face, between points.
+    """
+
+    positions: Floats
+    vertices: Longs
+    points: Ints
+    corners: Longs
+    edges: Ints
+
+
+def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) -> Border:
+    """The border of a file with these vertices (n, 3) and faces (m, 3), whose mesh is ``ready``."""
+    mesh = ready.mesh
+    boundary = mesh.topology.boundary
+    n_points = int(np.count_nonzero(boundary))
+    number = np.cumsum(boundary, dtype=np.int32) - np.int32(1)
+    point_of_vertex = np.where(boundary, number, np.int32(-1))
+    if ready.vertex_map is not None:
+        is_used = ready.vertex_map >= 0
+        point_of_vertex = np.where(is_used, point_of_vertex[ready.vertex_map], np.int32(-1))
+    vertices = np.flatnonzero(point_of_vertex >= 0)
+    points = point_of_vertex[vertices].astype(np.int32)
+    positions = np.empty((n_points, 3))
+    # Of those that coincide the first counts, which may have another sign of zero.
+    positions[points[::-1]] = file_vertices[vertices[::-1]]
+    corner_points = point_of_vertex[file_faces.reshape(-1)]
+    at = np.flatnonzero(corner_points >= 0)
+    corners = np.zeros(n_points, dtype=np.int64)
+    corners[corner_points[at[::-1]]] = at[::-1]
+    row_start, row = boundary_curves(mesh.faces, mesh.topology)
+    ends = np.repeat(np.arange(len(boundary), dtype=np.int32), np.diff(row_start))
+    edges = np.stack([ends, row[: len(ends)]], axis=1)
+    return Border(positions, vertices, points, corners, number[edges[ends < edges[:, 1]]])
+
+
+@dataclass(frozen=True, eq=False)
+class SharedBorders:
+    """Which border points of the files of a set are one.
+
+    The points of all files stand behind one another, in the order of the files.
+
+    Attributes
+    ----------
+    starts : (files + 1,) first point of each file.
+    positions : (n, 3) of all points, as the files store them.
+    file_of : (n,) int32, the file of each point.
+    group : (n,) int64, the first point that a point is one with: itself where it is alone.
+    """
+
+    starts: Longs
+    positions: Floats
+    file_of: Ints
+    group: Longs
+
+    @property
+    def is_shared(self) -> Flags:
+        """(n,) whether any other file has the point."""
+        shared: Flags = np.bincount(self.group, minlength=len(self.group))[self.group] > 1
+        return shared
+
+    @property
+    def joined_positions(self) -> Floats:
+        """(n, 3) where the points are in the joined mesh: at that of the first file that has it."""
+        first = self.positions[self.group]
+        # A zero of another sign is kept.
+        return np.where((first != self.positions).any(axis=1)[:, None], first, self.positions)
+
+    def pairs(self) -> Iterator[tuple[Longs, Longs]]:
+        """All pairs of points that are one, in a few arrays."""
+        order = np.argsort(self.group, kind="stable")
+        group = self.group[order]
+        for step in range(1, len(order)):
+            at = np.flatnonzero(group[step:] == group[:-step])
+            if not len(at):
+                return
+            yield order[at], order[at + step]
+
+    def distances(self, positions: Floats) -> Floats:
+        """(n,) for each point the largest distance to another that is one with it, if points lie
+        at ``positions`` (n, 3); NaN counts as no position."""
+        largest = np.zeros(len(self.group))
+        for a, b in self.pairs():
+            way = positions[a] - positions[b]
+            lengths = np.nan_to_num(np.sqrt((way * way).sum(axis=1)), nan=0.0)
+            np.maximum.at(largest, a, lengths)
+            np.maximum.at(largest, b, lengths)
+        return largest
+
+    def neighbours(self) -> list[list[int]]:
+        """For each file those that share a point with it, in order."""
+        rows: list[set[int]] = [set() for _ in range(len(self.starts) - 1)]
+        for a, b in self.pairs():
+            for one, other in np.unique(self.file_of[np.stack([a, b], axis=1)], axis=0).tolist():
+                rows[one].add(other)
+                rows[other].add(one)
+        return [sorted(row) for row in rows]
+
+    def of_file(self, index: int) -> slice:
+        """The points of a file."""
+        return slice(int(self.starts[index]), int(self.starts[index + 1]))
+
+
+def share_borders(borders: Sequence[Border], is_single: Sequence[bool]) -> SharedBorders:
+    """Which points of these files are one: those at one position, in single precision where one of
+    the files stores only that, as ``is_single`` says of each."""
+    counts = [len(border.positions) for border in borders]
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    positions = np.concatenate([np.empty((0, 3)), *(border.positions for border in borders)])
+    file_of = np.repeat(np.arange(len(borders), dtype=np.int32), counts)
+    group = _first_alike(positions)
+    if any(is_single) and not all(is_single):
+        with np.errstate(over="ignore"):
+            place = _first_alike(positions.astype(np.float32).astype(np.float64))
+        _join_rounded(group, place, np.array(is_single)[file_of], positions, file_of)
+    return SharedBorders(starts, positions, file_of, group)
+
+
+def _first_alike(positions: Floats) -> Longs:
+    """The first of the positions (n, 3) that each is equal to, (n,)."""
+    return first_alike(positions, np.ones(len(positions), dtype=np.bool_))[0].astype(np.int64)
+
+
+def _join_rounded(
+    group: Longs, place: Longs, is_single: Flags, positions: Floats, file_of: Ints
+) -> None:
+    """Join the points that are at one ``place`` (n,) with a point in single precision; those
+    nearest to it first, and never two points of one file."""
+    leader = np.full(len(place), -1, dtype=np.int64)
+    singles = np.flatnonzero(is_single)[::-1]
+    leader[place[singles]] = singles
+    at = np.flatnonzero(leader[place] >= 0)
+    at = at[np.lexsort((file_of[at], place[at]))]
+    is_repeated = (place[at[1:]] == place[at[:-1]]) & (file_of[at[1:]] == file_of[at[:-1]])
+    is_unclear = np.zeros(len(place), dtype=np.bool_)
+    is_unclear[place[at[1:][is_repeated]]] = True
+    clear, rest = at[~is_unclear[place[at]]], np.sort(at[is_unclear[place[at]]])
+    group[clear] = place[clear]
+    members: dict[int, list[int]] = {}
+    for point in rest.tolist():
+        members.setdefault(int(group[point]), []).append(point)
+    gap = positions[rest] - positions[leader[place[rest]]]
+    for point in rest[np.lexsort((rest, (gap * gap).sum(axis=1)))].tolist():
+        a, b = int(group[point]), int(group[leader[place[point]]])
+        if a != b and not {*file_of[members[a]].tolist()} & {*file_of[members[b]].tolist()}:
+            both = sorted(members[a] + members[b])
+            group[both] = both[0]
+            members[both[0]] = both
+
+
+def count_unmatched(borders: Sequence[Border], shared: SharedBorders, edge: float) -> list[int]:
+    """For each file its border points that lie at the border of another file, within
+    ``NEAR_EDGES`` times ``edge``, the mean edge length, but are no points of it."""
+    alone = np.flatnonzero(~shared.is_shared)
+    if not len(alone) or len(borders) < 2:
+        return [0] * len(borders)
+    radius = NEAR_EDGES * edge
+    ends = np.concatenate(
+        [border.edges + start for border, start in zip(borders, shared.starts, strict=False)]
+    )
+    a, b = shared.positions[ends[:, 0]], shared.positions[ends[:, 1]]
+    lengths = np.sqrt(((b - a) ** 2).sum(axis=1))
+    # Places along each edge that are at most a radius apart stand for it.
+    n_steps = np.clip(np.ceil(lengths / radius), 1, MAX_STEPS).astype(np.int64)
+    edge_of = np.repeat(np.arange(len(ends)), n_steps)
+    step = np.arange(len(edge_of)) - np.repeat(np.cumsum(n_steps) - n_steps, n_steps)
+    share = ((step + 0.5) / n_steps[edge_of])[:, None]
+    places = a[edge_of] + share * (b[edge_of] - a[edge_of])
+    point, along = near_pairs(shared.positions[alone], places, radius)
+    of_point, of_edge = shared.file_of[alone[point]], shared.file_of[ends[edge_of[along], 0]]
+    found = np.unique(alone[point[of_point != of_edge]])
+    return [int(n) for n in np.bincount(shared.file_of[found], minlength=len(borders))]
+
+
+def near_pairs(points: Floats, others: Floats, radius: float) -> tuple[Longs, Longs]:
+    """All pairs of ``points`` (n, 3) and ``others`` (m, 3) within ``radius``: their indices."""
+    low = np.minimum(points.min(axis=0), others.min(axis=0)) if len(points) * len(others) else 0.0
+    cells = np.floor((points - low) / radius).astype(np.int64)
+    keys = _keys(np.floor((others - low) / radius).astype(np.int64))
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    found = []
+    for way in itertools.product((-1, 0, 1), repeat=3):
+        wanted = _keys(cells + np.array(way))
+        first, last = np.searchsorted(keys, wanted), np.searchsorted(keys, wanted, "right")
+        counts = last - first
+        one = np.repeat(np.arange(len(points)), counts)
+        step = np.arange(len(one)) - np.repeat(np.cumsum(counts) - counts, counts)
+        other = order[np.repeat(first, counts) + step]
+        gap = points[one] - others[other]
+        near = (gap * gap).sum(axis=1) <= radius * radius
+        found.append(np.stack([one[near], other[near]], axis=1))
+    # Cells whose keys agree by chance are looked at more than once.
+    both = np.unique(np.concatenate(found), axis=0)
+    return both[:, 0], both[:, 1]
+
+
+def _keys(cells: Longs) -> Longs:
+    """A number for each cell; different ones may have the same."""
+    x, y, z = cells.T
+    key: Longs = (x * 73_856_093) ^ (y * 19_349_669_329) ^ (z * 83_492_791_007_113)
+    return key

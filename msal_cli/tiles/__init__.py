@@ -1,1 +1,0 @@
-"""Meshes larger than memory, and sets of meshes that touch: denoised tile by tile."""
