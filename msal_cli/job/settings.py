@@ -195,6 +195,8 @@ def _least_noise(value: Any, label: str, unit: str | None) -> str:
 
 
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
+    if not value:
+        return ()
     from msal_cli.job.constraints import BOUNDARY, parse_lock
 
     return tuple(str(parse_lock(text, label) or BOUNDARY) for text in to_texts(value))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 
 import pytest
 
@@ -13,7 +12,7 @@ from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import adaptive
 from msal_cli.mesh import prepare_mesh
-from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text, records_of
+from tests.cli.scans import closed_scan, folder_of, msal, ply_text, records_of
 from tests.shapes import torus
 
 
@@ -52,20 +51,6 @@ def test_the_record_has_the_choice(scans, tmp_path):
     assert json.loads(made.stdout)["settings"]["method"] == "adaptive"
 
 
-def test_the_options_repeat_the_bytes(scans, tmp_path):
-    records, made = run(scans / "loud.ply", "-o", tmp_path / "a.ply", "-v")
-    by_hand = records["loud.ply"]["choice"]["repeat"]
-    assert f"by hand       {shlex.join(by_hand)}" in made.stderr
-    run(scans / "loud.ply", "-o", tmp_path / "b.ply", *by_hand)
-    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
-
-
-def test_it_has_a_name(scans, tmp_path):
-    run(scans / "loud.ply", "-o", tmp_path / "a.ply")
-    run(scans / "loud.ply", "-o", tmp_path / "b.ply", "--method", "adaptive")
-    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -83,21 +68,6 @@ def test_any_parameter_is_the_filter_of_the_paper(scans, tmp_path, words):
     assert all(record["choice"] is None for record in records.values())
     for name in ("loud.ply", "clean.ply"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-
-
-def test_a_stream(scans):
-    clean = (scans / "clean.ply").read_bytes()
-    assert msal_on(clean, "denoise", "-").stdout_bytes == clean
-    loud = (scans / "loud.ply").read_bytes()
-    made = msal_on(loud, "denoise", "-")
-    assert made.exit_code == 0 and made.stdout_bytes != loud
-
-
-def test_reports_of_earlier_runs_know_it(scans, tmp_path):
-    run(scans, "-o", tmp_path / "out")
-    again = json.loads(msal("report", tmp_path / "out", "--json").stdout)
-    assert again["settings"]["method"] == "adaptive"
-    assert {one["choice"]["among"] for one in again["records"]} == {"family"}
 
 
 @pytest.mark.parametrize("word", [None, "--auto"])

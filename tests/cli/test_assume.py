@@ -62,13 +62,6 @@ def test_an_assumption_decides_what_is_done(scan, tmp_path, words):
     assert (tmp_path / "texture.ply").read_bytes() == scan.read_bytes()
 
 
-def test_an_assumption_goes_with_no_method_by_name(scan, tmp_path):
-    words = ("--assume", "noise", "--method", "msal")
-    made = msal("denoise", scan, "-o", tmp_path / "o.ply", *words)
-    assert made.exit_code == 2
-    assert "--assume is for the choice of a method" in made.stderr
-
-
 @pytest.mark.parametrize(("assume", "is_left"), [(None, True), ("noise", False), ("texture", True)])
 def test_the_least_noise_is_compared_with_what_is_assumed(monkeypatch, assume, is_left):
     quiet = prepare_mesh(noisy(torus(40, 20)[0], 0, 0.005), torus(40, 20)[1]).mesh

@@ -49,14 +49,6 @@ def test_options_come_from_the_current_folder(project):
     assert settings(*WORDS, "--no-config")["method"] == "adaptive"
 
 
-def test_it_makes_no_difference_where_a_value_comes_from(project):
-    write(project, '[denoise]\nmethod = "msal"\niterations = 2\nmax-move = "0.1e"\njobs = 1')
-    folder = ("denoise", "in", "-o", "out", "--json")
-    assert json.loads(msal(*folder).stdout)["records"][0]["status"] == "written"
-    by_hand = ("--method", "msal", "-n", "2", "--max-move", "0.1e", "-j", "1", "--no-config")
-    assert json.loads(msal(*folder, *by_hand).stdout)["records"][0]["status"] == "up-to-date"
-
-
 def test_the_command_line_wins(project):
     write(project, '[denoise]\nmethod = "msal"\niterations = 2\nfail-on = ["faces > 1"]')
     assert settings(*WORDS, "-n", "5", "--fail-on", "faces < 1")["parameters"]["iterations"] == 5
@@ -82,7 +74,7 @@ def test_options_for_files_are_left_out_for_a_stream(project):
     assert msal(*WORDS).exit_code == 0
     made = process("denoise", "-", input=(project / "in/a.ply").read_bytes())
     assert (made.returncode, made.stderr) == (0, b"")
-    assert b"in 0." in process("denoise", "in/a.ply", "-o", "b.ply", "-v").stderr
+    assert "time" in msal("denoise", "in/a.ply", "-o", "b.ply", "-v").stderr
 
 
 def test_paths_are_relative_to_the_file(project, monkeypatch):

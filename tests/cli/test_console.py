@@ -1,16 +1,25 @@
-"""Words go to standard error, data to standard output, colours only where they are wanted."""
+"""Words go to standard error, data to standard output, everything to the log; and exit statuses."""
 
 from __future__ import annotations
 
 import io
+import itertools
+import logging
+import subprocess
 import sys
 
 import pytest
 
+from msal_cli import errors
+from msal_cli.batch.inputs import NothingMatched
+from msal_cli.batch.interrupts import Terminated
+from msal_cli.cli import console, logs, report_files
 from msal_cli.cli import console as talk
 from msal_cli.errors import ContentError, OutputError, UsageError
 from msal_cli.job.records import Failure
 from msal_cli.report.facts import Line
+from tests.cli.scans import BAD_SCAN, msal
+from tests.report.made import HOSTILE_NAMES, failed, written
 
 
 class Terminal(io.StringIO):
@@ -120,3 +129,161 @@ def test_a_terminal_that_is_gone_is_no_error(monkeypatch):
 
     monkeypatch.setattr(sys, "stderr", Gone())
     talk.say("nobody hears")
+
+
+@pytest.mark.parametrize(
+    ("n_files", "n_failed", "gate", "status"),
+    [(1, 0, False, 0), (3, 0, True, 4), (1, 1, False, 1), (3, 3, True, 1), (3, 1, True, 3)]
+    + [(3, 2, False, 3), (0, 0, False, 0)],
+)
+def test_of_files(n_files, n_failed, gate, status):
+    assert console.status_of_files(n_files, n_failed, is_gate_failed=gate) == status
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (errors.UsageError("x"), 2),
+        (errors.UsageError("x", code="E_LOCKED"), 2),
+        (NothingMatched("x"), 5),
+        (errors.OutputError("x"), 1),
+        (errors.InputError("x"), 1),
+        (errors.InternalError("x"), 1),
+        (errors.ResourceError("x"), 1),
+    ],
+)
+def test_of_errors(error, status):
+    assert console.status_of_error(error) == status
+
+
+def test_of_signals():
+    assert console.status_of_interrupt(KeyboardInterrupt()) == 130
+    assert console.status_of_interrupt(Terminated(15)) == 143
+
+
+def test_the_worst_wins():
+    ranking = [130, 1, 3, 4, 0]
+    for first, second in itertools.combinations_with_replacement(ranking, 2):
+        assert console.worst_status(first, second) == first
+        assert console.worst_status(second, first) == first
+    assert console.worst_status(2, 1) == console.worst_status(1, 2) == 2
+    assert console.worst_status(143, 130) == 143
+
+
+LOG = logging.getLogger("msal.batch")
+
+
+def speak():
+    LOG.debug("detail")
+    LOG.info("step")
+    LOG.warning("careful")
+    LOG.error("Traceback (most recent call last): in a worker")
+
+
+@pytest.mark.parametrize(
+    ("verbosity", "heard"),
+    [(-1, []), (0, ["careful"]), (1, ["step", "careful", "Traceback"])]
+    + [(2, ["detail", "step", "careful", "Traceback"])],
+)
+def test_what_is_said(capsys, verbosity, heard):
+    with logs.log_to_console(verbosity):
+        speak()
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == len(heard)
+    assert all(word in line for word, line in zip(heard, said, strict=True))
+
+
+def test_everything_goes_to_the_file(tmp_path, capsys):
+    path = tmp_path / "msal.log"
+    for _ in range(2):
+        with logs.log_to_console(-1, str(path)):
+            speak()
+    lines = path.read_text().splitlines()
+    assert len(lines) == 8
+    assert "msal.batch: detail" in lines[0]
+    assert capsys.readouterr().err == ""
+
+
+def test_names_that_are_no_text_go_to_the_file(tmp_path):
+    # In a process of its own: what pytest captures may have to travel, which a surrogate cannot.
+    path = tmp_path / "msal.log"
+    code = (
+        "import logging, sys; from msal_cli.cli import logs\n"
+        "with logs.log_to_console(-1, sys.argv[1]):\n"
+        "    logging.getLogger('msal.batch').warning('name a\\udcff')"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+    assert "name a\\xff\n" in path.read_text()
+
+
+@pytest.mark.parametrize("name", HOSTILE_NAMES)
+def test_a_name_is_no_entry_and_no_escape(tmp_path, capsys, name):
+    path = tmp_path / "msal.log"
+    with logs.log_to_console(1, str(path)):
+        logging.getLogger("msal.denoise").info("%s: written", name)
+        try:
+            raise ValueError(name)
+        except ValueError:
+            logging.getLogger("msal.denoise").exception("defect at %r", name)
+    said = capsys.readouterr().err
+    assert said.count("msal: info: ") == said.count("msal: error: ") == 1
+    for text in (path.read_text(), said):
+        assert "\x1b" not in text and "\u202e" not in text and "\r" not in text
+        assert not any(line.lstrip().startswith(("::", "##")) for line in text.splitlines())
+
+
+def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
+    path = tmp_path / "msal.log"
+    with pytest.raises(ZeroDivisionError), logs.log_to_console(0, str(path)):
+        1 / 0  # noqa: B018
+    assert "ZeroDivisionError: division by zero" in path.read_text()
+    assert capsys.readouterr().err == ""
+
+
+def test_an_error_of_ours_is_not_traced(tmp_path):
+    path = tmp_path / "msal.log"
+    with pytest.raises(UsageError), logs.log_to_console(0, str(path)):
+        raise UsageError("x")
+    assert path.read_text() == ""
+
+
+def test_a_log_file_that_cannot_be_opened(tmp_path):
+    with pytest.raises(UsageError, match="log file"), logs.log_to_console(0, str(tmp_path)):
+        pytest.fail("the block must not run")
+
+
+@pytest.fixture
+def in_actions(tmp_path, monkeypatch):
+    (tmp_path / "scans").mkdir()
+    monkeypatch.chdir(tmp_path / "scans")
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path))
+
+
+def test_failures_are_marked_where_the_repository_knows_them(in_actions, capsys):
+    report_files.annotate([written(), failed("bad.ply")])
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("::error file=scans/bad.ply,title=msal%3A failed::bad.ply: ")
+    assert told.err.count("\n") == 1
+
+
+def test_a_run_marks_its_failures_once(in_actions, tmp_path):
+    (tmp_path / "scans" / "bad.ply").write_bytes(BAD_SCAN)
+    made = msal("denoise", "bad.ply", "-o", tmp_path / "out.ply", "-q")
+    assert made.stderr.count("\n::error file=scans/bad.ply,") == 1
+
+
+@pytest.mark.parametrize("value", ["", "false"])
+def test_elsewhere_nothing_is_said(in_actions, monkeypatch, capsys, value):
+    monkeypatch.setenv("GITHUB_ACTIONS", value)
+    report_files.annotate([failed()])
+    assert capsys.readouterr().err == ""
+
+
+def test_outside_of_the_repository_names_stay_as_they_are(
+    in_actions, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path / "elsewhere"))
+    report_files.annotate([failed("bad.ply")])
+    assert "::error file=bad.ply," in capsys.readouterr().err

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tests.cli.scans import closed_scan, folder_of, msal, open_scan, record_of
+from tests.cli.scans import folder_of, msal, open_scan
 
 
 @pytest.fixture
@@ -28,35 +28,6 @@ def test_the_report_tells_what_was_kept(scan, tmp_path):
     assert "vertices cut to the longest move; 18 vertices locked" in made.stderr
 
 
-def test_a_gate_at_the_limit_holds(scan, tmp_path):
-    words = ("-n", "4", "--max-move", "0.001e", "--fail-on", "max_displacement > 0.001e")
-    assert msal("denoise", scan, "-o", tmp_path / "a.ply", *words).exit_code == 0
-    words = ("-n", "4", "--max-move", "0.001e", "--fail-on", "clamped_vertices > 0")
-    assert msal("denoise", scan, "-o", tmp_path / "b.ply", *words).exit_code == 4
-
-
-def test_without_the_options_nothing_is_said(scan, tmp_path):
-    made = msal("denoise", scan, "-o", tmp_path / "a.ply", "--json")
-    record = record_of(made)
-    assert record["clamped_vertices"] is record["locked_vertices"] is None
-    assert "constraints" not in made.stderr
-
-
-def test_they_are_part_of_what_is_current(scan, tmp_path):
-    output = tmp_path / "out"
-
-    def is_current(*words):
-        return "is up to date" in msal("denoise", scan.parent, "-o", output, *words).stderr
-
-    assert not is_current()
-    assert not is_current("--max-move", "0.1e")
-    assert is_current("--max-move", "0.10e")
-    assert not is_current("--max-move", "0.1")
-    assert not is_current("--max-move", "0.1", "--lock", "boundary")
-    assert not is_current("--lock", "boundary")
-    assert is_current("--lock", " boundary")
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -74,15 +45,6 @@ def test_what_means_nothing_is_refused_before_any_work(scan, tmp_path, words, sa
     assert said in made.stderr
     assert "hint: " in made.stderr
     assert not output.exists()
-
-
-def test_a_property_that_is_not_there_fails_that_file(tmp_path):
-    scans = folder_of(tmp_path / "in", a=closed_scan())
-    made = msal("denoise", scans, "-o", tmp_path / "out", "--weights", "confidence")
-    assert made.exit_code == 1
-    assert "(E_PROPERTY)" in made.stderr
-    assert "they have: x, y, z" in made.stderr
-    assert not (tmp_path / "out" / "a.ply").exists()
 
 
 def test_lengths_have_units_where_that_of_the_files_is_said(scan, tmp_path):

@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 
 from msal_cli import codecs
 from msal_cli.job.fields import KINDS
-from tests.cli.scans import closed_scan, folder_of, msal, msal_on, ply_text
+from tests.cli.scans import closed_scan, folder_of, msal, ply_text
 from tests.report.schemas import report_schema
 from tests.shapes import ball
 
@@ -55,12 +55,6 @@ def test_the_fields_of_a_file(scan, tmp_path):
     assert np.array_equal(with_fields.faces, after.faces)
 
 
-def test_the_output_is_the_same_with_and_without(scan, tmp_path):
-    msal("denoise", scan, "-o", tmp_path / "a.ply")
-    msal("denoise", scan, "-o", tmp_path / "b.ply", "--fields", ALL)
-    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("field", "words"),
     [
@@ -73,14 +67,6 @@ def test_the_header_says_what_the_colours_mean(scan, tmp_path, field, words):
     head = (tmp_path / "a.fields.ply").read_bytes().partition(b"end_header")[0].decode()
     assert f"comment colours: {words}" in head
     assert f"comment {field}: {KINDS[field].meaning}; " in head
-
-
-def test_a_method_without_a_pull_has_a_lambda_of_eq_7(scan, tmp_path):
-    for name, method in (("a", "msal"), ("b", "taubin")):
-        output = tmp_path / f"{name}.ply"
-        msal("denoise", scan, "-o", output, "--fields", "lambda", "--method", method)
-    a, b = (table(tmp_path / f"{name}.fields.ply")["lambda"] for name in "ab")
-    assert a == pytest.approx(b, rel=1e-6)
 
 
 def test_a_folder_and_a_rerun(scan, tmp_path):
@@ -109,13 +95,6 @@ def test_a_file_of_somebody_else_is_not_replaced(scan, tmp_path):
     assert made.exit_code == 1
     assert theirs.read_bytes() == b"mine"
     assert not (tmp_path / "a.ply").exists()
-
-
-def test_wrong_use(scan, tmp_path):
-    assert msal("denoise", scan, "-o", tmp_path / "a.ply", "--fields", "mood").exit_code == 2
-    assert msal("denoise", scan, "--in-place", "--fields", "sigma").exit_code == 2
-    made = msal_on(scan.read_bytes(), "denoise", "-", "-o", "-", "--fields", "sigma")
-    assert made.exit_code == 2
 
 
 def test_outward_is_away_from_the_solid_where_the_surface_is_inside_out(tmp_path):

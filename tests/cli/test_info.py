@@ -31,15 +31,6 @@ def test_a_closed_file(scans):
     assert float(told["volume"]) == pytest.approx(59, rel=0.1)
 
 
-def test_folders_are_searched_and_failures_counted(scans):
-    made = msal("info", scans, "-v")
-    assert made.exit_code == 3
-    assert "closed.ply" in made.stdout
-    assert "open, 18 boundary edges" in made.stdout
-    assert "\n\n" in made.stdout
-    assert f"msal: error: {scans / 'bad.ply'}: " in made.stderr
-
-
 def test_a_folder_is_a_table(scans):
     made = msal("info", scans)
     assert made.exit_code == 3
@@ -62,12 +53,6 @@ def test_the_table_can_be_cut_off_and_leaves_no_row_for_failures(scans):
     made = msal("info", scans / "bad.ply", scans / "bad.ply")
     assert "(E_INDEX)" in made.stderr
     assert made.stdout == ""
-
-
-def test_the_only_file_that_fails_is_fatal(scans):
-    made = msal("info", scans / "bad.ply")
-    assert (made.exit_code, made.stdout) == (1, "")
-    assert "(E_INDEX)" in made.stderr
 
 
 @pytest.mark.parametrize(
@@ -99,9 +84,3 @@ def test_wrong_use(scans, arguments, status):
     made = msal("info", *(one.replace("FOLDER", str(scans)) for one in arguments))
     assert (made.exit_code, made.stdout) == (status, "")
     assert "msal: error: " in made.stderr
-
-
-def test_include_and_exclude(scans):
-    made = msal("info", scans, "--exclude", "bad.ply", "--exclude", "below", "--json")
-    assert made.exit_code == 0
-    assert len(json.loads(made.stdout)["records"]) == 1

@@ -11,7 +11,6 @@ import time
 
 import pytest
 
-import msal_cli
 from msal_cli import methods
 from msal_cli.cli import main as main_module
 from tests.cli.scans import (
@@ -64,16 +63,6 @@ def test_help_is_instant():
         )
 
     assert min(seconds() for _ in range(5)) < 0.1
-
-
-def test_version():
-    assert msal("--version").stdout == f"msal {msal_cli.__version__}\n"
-
-
-def test_help_names_all_commands_and_statuses():
-    said = msal("--help").stdout
-    for word in ("denoise", "info", "methods", "completion", "Exit status: 0 done", "143"):
-        assert word in said
 
 
 def test_without_a_command_help_is_said_and_the_status_is_that_of_wrong_use():
@@ -282,25 +271,6 @@ def test_a_stream_that_is_interrupted(tmp_path, signum, status):
 
     made = interrupted(["denoise", "-", "--log-file", log], signum, is_waiting, tmp_path)
     assert made == (status, "msal: interrupted\n")
-
-
-@POSIX
-def test_an_info_that_is_terminated(tmp_path):
-    begun = tmp_path / "begun"
-    code = (
-        "import sys, time; from msal_cli.job import inspection\n"
-        "from msal_cli.cli.main import program\n"
-        "def wait(*given, **named):\n"
-        f"    open({str(begun)!r}, 'w').close()\n"
-        "    time.sleep(60)\n"
-        "inspection.inspect_file = wait; program.main(['info', sys.argv[1]])"
-    )
-    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
-    running = subprocess.Popen([sys.executable, "-c", code, scan], stderr=subprocess.PIPE)
-    while not begun.exists() and running.poll() is None:
-        time.sleep(0.02)
-    running.terminate()
-    assert (running.communicate()[1], running.returncode) == (b"msal: interrupted\n", 143)
 
 
 @POSIX

@@ -46,31 +46,11 @@ def test_the_same_seed_gives_the_same_bytes(scan):
     assert a == b != c
 
 
-def test_no_noise_gives_the_very_file(scan):
-    target = scan.with_name("out.ply")
-    assert msal("noise", scan, "-o", target, "--level", "0").exit_code == 0
-    assert target.read_bytes() == scan.read_bytes()
-
-
 def test_the_level_is_what_compare_finds(scan):
     target = scan.with_name("out.ply")
     msal("noise", scan, "-o", target, "--level", "0.2e", "--kind", "gaussian-normal")
     data = json.loads(msal("compare", scan, target, "--json").stdout)
     assert data["displacement"]["rms_edges"] == pytest.approx(0.2, rel=0.15)
-
-
-def test_vertices_at_one_place_stay_together(tmp_path):
-    vertices, faces = torus()
-    corners = vertices[faces.reshape(-1)]
-    text = "".join("v {:.6f} {:.6f} {:.6f}\n".format(*corner) for corner in corners)
-    text += "".join(f"f {at + 1} {at + 2} {at + 3}\n" for at in range(0, len(corners), 3))
-    (tmp_path / "soup.obj").write_text(text)
-    assert msal("noise", tmp_path / "soup.obj", "-o", tmp_path / "out.obj").exit_code == 0
-    opened = codecs.open_mesh((tmp_path / "out.obj").read_bytes(), "out.obj")
-    for corner in range(len(vertices)):
-        places = opened.vertices[faces.reshape(-1) == corner]
-        assert (places == places[0]).all()
-    assert not np.allclose(opened.vertices, corners, atol=1e-3)
 
 
 def test_a_folder_becomes_a_mirrored_tree(tmp_path):
@@ -85,14 +65,6 @@ def test_a_folder_becomes_a_mirrored_tree(tmp_path):
     assert found == ["a.ply", "below/b.ply"]
     again = msal("noise", folder, "-o", tmp_path / "out", "--seed", 3)
     assert (again.exit_code, "--force" in again.stderr) == (2, True)
-
-
-def test_a_stream(scan):
-    target = scan.with_name("out.ply")
-    msal("noise", scan, "-o", target, "--seed", 2)
-    made = msal_on(scan.read_bytes(), "noise", "-", "-o", "-", "--seed", 2)
-    assert made.exit_code == 0
-    assert made.stdout_bytes == target.read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -136,12 +108,6 @@ def test_what_comes_in_by_a_stream_goes_out_by_one(scan, tmp_path):
     assert msal_on(scan.read_bytes(), "noise", "-", "--seed", 2).stdout_bytes == target.read_bytes()
 
 
-def test_a_file_needs_an_output(scan):
-    made = msal("noise", scan)
-    assert made.exit_code == 2
-    assert "there is no output" in made.stderr
-
-
 @pytest.mark.parametrize(
     ("kind", "setting", "users"),
     [
@@ -178,16 +144,6 @@ def files_vertices(path):
     return codecs.open_mesh(path.read_bytes(), path.name).vertices
 
 
-def test_quantised_depths_in_the_file_lie_on_levels(scan):
-    target = scan.with_name("out.ply")
-    words = ["--kind", "quantised", "--direction", "y", "--step", "0.7", "--level", "0.1"]
-    assert msal("noise", scan, "-o", target, *words).exit_code == 0
-    gaps = np.diff(np.unique(np.round(files_vertices(target)[:, 1], 4)))
-    step = gaps.min()
-    assert 0.1 < step < 1.0
-    assert gaps / step == pytest.approx(np.round(gaps / step), abs=0.01)
-
-
 def test_noise_by_a_property_leaves_alone_what_has_none(scan):
     vertices, faces = torus()
     lines = [f"{x:.6f} {y:.6f} {z:.6f} {max(x, 0.0):.6f}" for x, y, z in vertices]
@@ -220,21 +176,7 @@ def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
     assert "--precision" not in made.stderr
 
 
-def test_a_stream_may_make_the_folder_of_its_output(scan):
-    target = scan.parent / "new folder" / "out.ply"
-    assert msal_on(scan.read_bytes(), "noise", "-", "-o", target).exit_code == 0
-    assert len(files_vertices(target)) == 288
-
-
-def test_noise_by_a_property_needs_a_format_that_has_them(tmp_path):
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    words = ["--kind", "property", "--property", "quality"]
-    made = msal("noise", tmp_path / "a.obj", "-o", tmp_path / "b.obj", *words)
-    assert (made.exit_code, (tmp_path / "b.obj").exists()) == (1, False)
-    assert "are read from PLY, not from OBJ" in made.stderr
-
-
-@pytest.mark.parametrize("kind", ["correlated", "view", "quantised", "outliers", "property"])
+@pytest.mark.parametrize("kind", ["correlated", "outliers", "property"])
 def test_seams_stay_closed_whatever_the_kind(tmp_path, kind):
     vertices, faces = torus()
     corners = vertices[faces.reshape(-1)]

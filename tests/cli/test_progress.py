@@ -148,15 +148,6 @@ def test_a_bar_over_sweeps(monkeypatch):
     bar.close()
 
 
-def test_a_small_file_shows_no_bar(monkeypatch):
-    stream = on_a_terminal(monkeypatch)
-    monkeypatch.setattr(progress, "_DELAY_S", 60.0)
-    bar = progress.bar(tasks("scan.ply"), quiet=False)
-    bar.on_progress("read", 0, 1)
-    bar.on_progress("sweeps", 2, 4)
-    assert frames(stream) == []
-
-
 def test_a_large_file_shows_a_bar_at_once(monkeypatch, tmp_path):
     stream = on_a_terminal(monkeypatch)
     monkeypatch.setattr(progress, "_DELAY_S", 60.0)

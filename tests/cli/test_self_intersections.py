@@ -38,12 +38,6 @@ def test_they_are_counted_on_demand(scans, tmp_path):
     assert {one["status"] for one in records_of(msal(*given, *CHECK)).values()} == {"up-to-date"}
 
 
-def test_the_summary_tells_of_them(scans, tmp_path):
-    given = ("denoise", scans / "clean.ply", "-o", tmp_path / "out.ply", "-n", "0")
-    assert "0 -> 0 pairs of faces, 0 of them new" in msal(*given, *CHECK).stderr
-    assert "pairs of faces" not in msal(*given).stderr
-
-
 def test_a_gate_has_them_counted(scans, tmp_path):
     gate = ("--fail-on", "self_intersections > 0")
     good = msal("denoise", scans / "clean.ply", "-o", tmp_path / "a.ply", "--json", *gate)
@@ -76,24 +70,3 @@ def test_info(scans):
     assert count == counts[1]["self_intersections"]
     plain = json.loads(msal("info", scans / "pushed.ply", "--json").stdout)
     assert plain["records"][0]["self_intersections"] is None
-
-
-def test_compare(scans):
-    pair = ("compare", scans / "clean.ply", scans / "pushed.ply")
-    assert json.loads(msal(*pair, "--json").stdout)["self_intersections"] is None
-    counts = json.loads(msal(*pair, "--json", *CHECK).stdout)["self_intersections"]
-    assert counts["before"] == 0 < counts["after"] == counts["created"]
-    assert "of them new" in msal(*pair, *CHECK).stdout
-    gate = ("--fail-on", "self_intersections > 0")
-    assert msal(*pair, *gate).exit_code == 4
-    assert msal("compare", scans / "pushed.ply", scans / "clean.ply", *gate).exit_code == 0
-
-
-def test_other_faces_have_no_new_ones(scans, tmp_path):
-    data = scan(True)
-    head, _, _ = data.rstrip().rpartition(b"\n")
-    fewer = folder_of(tmp_path, fewer=head.replace(b"face 576", b"face 575") + b"\n") / "fewer.ply"
-    made = msal("compare", scans / "pushed.ply", fewer, "--json", *CHECK)
-    counts = json.loads(made.stdout)["self_intersections"]
-    assert counts["created"] is None
-    assert counts["before"] >= counts["after"] > 0

@@ -1,4 +1,4 @@
-"""Pipes, links and devices under the names of meshes, reports, manifests and materials."""
+"""Pipes, links, devices and private files; what logs, reports and pictures must not replace."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import os
 
 import pytest
 
-from tests.cli.scans import closed_scan, folder_of, msal
+from msal_cli.cli import report_files
+from msal_cli.errors import UsageError
+from tests.cli.scans import closed_scan, folder_of, msal, open_scan, process
 from tests.time_limit import time_limit
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
@@ -57,12 +59,6 @@ def test_a_pipe_is_refused_at_once(place, words):
     assert "internal" not in made.stderr
 
 
-def test_a_report_into_a_pipe_is_refused(place):
-    made = msal("denoise", "scan.ply", "-o", "a.ply", "--report", "pipe.csv")
-    assert made.exit_code == 2
-    assert "device or a pipe" in made.stderr
-
-
 @pytest.mark.parametrize("name", [".msal-manifest.jsonl", ".msal-lock"])
 def test_a_pipe_in_the_place_of_what_msal_keeps(place, name):
     folder_of(place / "in", a=closed_scan(), b=closed_scan(1))
@@ -110,16 +106,6 @@ def test_materials_that_are_no_files_of_the_folder(place, kind):
     assert [path.name for path in (place / "out").rglob("*") if path.is_file()] == ["a.obj"]
 
 
-def test_a_linked_material_of_the_folder_is_copied(place):
-    (place / "in/shared").mkdir(parents=True)
-    (place / "in/a.obj").write_bytes(OBJ)
-    (place / "in/shared/real.mtl").write_bytes(b"newmtl a\n")
-    (place / "in/m.mtl").symlink_to("shared/real.mtl")
-    assert msal("denoise", "in/a.obj", "-o", "out/a.obj").exit_code == 0
-    assert (place / "out/m.mtl").read_bytes() == b"newmtl a\n"
-    assert not (place / "out/m.mtl").is_symlink()
-
-
 def test_links_to_meshes(place):
     """A link to a file is the file; one to nothing, or to itself, is a failed row."""
     (place / "in").mkdir()
@@ -149,3 +135,171 @@ def test_a_backup_that_is_a_link_is_never_put_in_place(place):
     assert made.exit_code == 2
     assert "backup" in made.stderr
     assert (place / "in/scan.ply").read_bytes() == closed_scan()
+
+
+@pytest.fixture
+def scan(tmp_path):
+    path = folder_of(tmp_path, scan=closed_scan()) / "scan.ply"
+    path.chmod(0o600)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def umask():
+    before = os.umask(0o022)
+    yield
+    os.umask(before)
+
+
+def mode_of(path):
+    return path.stat().st_mode & 0o777
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("out.ply", ("denoise", "SCAN", "--method", "al", "-o", "OUT")),
+        ("out.ply", ("noise", "SCAN", "-o", "OUT")),
+        ("out.ply", ("compare", "SCAN", "SCAN", "--heatmap", "OUT")),
+        ("out.html", ("view", "SCAN", "-o", "OUT")),
+        ("out.png", ("view", "SCAN", "--size", "48", "-o", "OUT")),
+        ("out.png", ("sweep", "SCAN", "--columns", "K=1", "--size", "48", "-o", "OUT")),
+    ],
+)
+def test_outputs_are_as_private_as_the_mesh(scan, tmp_path, name, words):
+    out = tmp_path / name
+    made = msal(*({"SCAN": scan, "OUT": out}.get(word, word) for word in words))
+    assert made.exit_code == 0, made.stderr
+    assert mode_of(out) == 0o600
+
+
+def test_a_private_file_that_the_shell_redirects(scan, tmp_path):
+    out = tmp_path / "out.ply"
+    with scan.open("rb") as stream:
+        done = process("denoise", "-", "-o", out, "--method", "al", "-q", stdin=stream)
+    assert done.returncode == 0
+    assert mode_of(out) == 0o600
+
+
+def test_a_report_has_no_mesh_in_it(scan, tmp_path):
+    report = tmp_path / "run.json"
+    words = ("--method", "al", "--report", report)
+    assert msal("denoise", scan, "-o", tmp_path / "out.ply", *words).exit_code == 0
+    assert mode_of(report) == 0o644
+
+
+DENOISE = ("denoise", "in/a.ply", "-o", "out", "--method", "al", "-q")
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A folder with a scan, and files that must stay as they are."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in/a.ply").write_bytes(closed_scan())
+    (tmp_path / "b.ply").write_bytes(open_scan())
+    (tmp_path / "mesh.json").write_bytes(open_scan())
+    (tmp_path / "mesh.png").write_bytes(open_scan())
+    (tmp_path / "notes.txt").write_text("precious")
+    if os.name == "posix":
+        os.link("in/a.ply", "hard.log")
+        os.link("in/a.ply", "hard.csv")
+        os.symlink("in/a.ply", "soft.log")
+        os.symlink("in/a.ply", "soft.csv")
+        os.mkfifo("pipe.csv")
+    return tmp_path
+
+
+def contents(folder):
+    return {
+        path: path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "pipe.csv"
+    }
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *((*DENOISE, "--log-file", name) for name in ("b.ply", "new.ply", "hard.log", "soft.log")),
+        *((*DENOISE, "--log-file", name) for name in ("notes.txt", "mesh.json", ".msal-lock")),
+        *((*DENOISE, "--report", name) for name in ("hard.csv", "soft.csv", "pipe.csv")),
+        *((*DENOISE, "--report", name) for name in ("mesh.json", "out/.msal-manifest.jsonl")),
+        (*DENOISE, "--report", "OUT/.MSAL-manifest.jsonl"),
+        ("compare", "in/a.ply", "in/a.ply", "--heatmap", "b.ply"),
+        ("compare", "in/a.ply", "in/a.ply", "--heatmap", "in/a.ply"),
+        ("compare", "in/a.ply", "in/a.ply", "--heatmap", ".msal-x.ply"),
+        ("view", "in/a.ply", "-o", "mesh.png"),
+        ("sweep", "in/a.ply", "-o", "mesh.png"),
+        ("noise", "in/a.ply", "-o", "b.ply"),
+    ],
+)
+def test_what_would_be_replaced_is_refused_before_any_work(project, words):
+    before = contents(project)
+    made = msal(*words)
+    assert made.exit_code == 2, made.stderr
+    assert contents(project) == before
+
+
+def test_a_report_does_not_replace_the_log_of_its_run(project):
+    made = msal(*DENOISE, "--report", "a.csv", "--log-file", "a.csv")
+    assert (made.exit_code, "would replace 'a.csv'" in made.stderr) == (2, True)
+
+
+def test_what_msal_made_is_replaced(project):
+    reports = [f"r.{one}" for one in ("json", "jsonl", "csv", "md", "xml", "html")]
+    words = [word for name in reports for word in ("--report", name)]
+    for _ in range(2):
+        assert msal(*DENOISE, *words, "--log-file", "run.log").exit_code == 0
+        for pair in (("a.ply", "--heatmap", "h.ply"), ("a.ply",)):
+            assert msal("compare", "in/a.ply", f"in/{pair[0]}", *pair[1:]).exit_code == 0
+        assert msal("view", "in/a.ply", "-o", "p.png", "-q", "--size", "48").exit_code == 0
+    assert msal("noise", "in/a.ply", "-o", "b.ply", "--force").exit_code == 0
+    for name in reports:
+        # Also where a msal.toml that was found names it.
+        report_files.refuse_target(name, "the report", replaces=report_files.REPORT)
+    for name in ("notes.txt", "mesh.json", "h.ply"):
+        with pytest.raises(UsageError, match="none of its kind"):
+            report_files.refuse_target(name, "the report", replaces=report_files.REPORT)
+
+
+def test_a_log_goes_to_devices_and_waits_for_no_pipe(project):
+    with report_files.open_log("/dev/null") as stream:
+        stream.write("nothing")
+    with pytest.raises(OSError, match="No such device"):
+        report_files.open_log("pipe.csv")
+
+
+FOUND = [
+    ("output = 'b.ply'", ("in/a.ply",), "is there already"),
+    ("output = 'out'\nreport = 'r.csv'", ("in/a.ply",), "outside the output folder"),
+    ("report = 'r.csv'", ("in/a.ply", "-o", "out"), "outside the output folder"),
+    ("report = 'r.csv'", ("in/a.ply", "--in-place"), "outside the output folder"),
+    ("report = 'out/notes.md'", ("in/a.ply", "-o", "out"), "none of its kind"),
+    ("output = '.'\nreport = 'mesh.json'", ("in/a.ply",), "none of its kind"),
+]
+
+
+@pytest.mark.parametrize(("text", "words", "message"), FOUND)
+def test_a_found_file_writes_nothing_outside_nor_over_others(project, text, words, message):
+    (project / "out").mkdir()
+    (project / "out/notes.md").write_text("precious")
+    (project / "msal.toml").write_text(f"[denoise]\nmethod = 'al'\n{text}\n")
+    before = contents(project)
+    made = msal("denoise", *words)
+    assert (made.exit_code, message in made.stderr) == (2, True), made.stderr
+    assert contents(project) == before
+
+
+def test_a_found_file_may_name_a_report_in_the_output_folder(project):
+    (project / "msal.toml").write_text("[denoise]\nmethod = 'al'\nreport = 'out/r.html'\n")
+    for _ in range(2):
+        assert msal("denoise", "in/a.ply", "-o", "out/", "-q").exit_code == 0
+    assert (project / "out/r.html").exists()
+
+
+@pytest.mark.parametrize("words", [("view", "in/a.ply"), ("sweep", "in/a.ply")])
+def test_a_found_file_names_no_picture(project, words):
+    (project / "msal.toml").write_text(f"[{words[0]}]\noutput = 'new.png'\n")
+    made = msal(*words)
+    assert (made.exit_code, "--config" in made.stderr) == (2, True)

@@ -74,42 +74,10 @@ def test_what_msal_chooses_is_shown_and_the_nearest_is_named(scans):
     assert words.splitlines()[-1].endswith(data["nearest"])
 
 
-def test_no_risk_is_estimated_of_a_clean_mesh(scans):
-    # Finer than the others: the shape of a coarse one is taken for noise.
-    (scans / "clean.ply").write_bytes(ply_text(*torus(80, 40)))
-    made = msal(
-        "sweep", scans / "clean.ply", "-o", scans / "g.png", "--size", "64", "--columns", "K=1"
-    )
-    assert made.exit_code == 0, made.stderr
-    assert made.stdout.splitlines()[-1].startswith("no risk is estimated")
-
-
 def test_the_reference_gives_angles(scans):
     words, _ = swept(scans, "--reference", scans / "clean.ply", "--columns", "K=0.5,1", "--json")
     errors = [cell["mean_angular_error_deg"] for cell in json.loads(words)["cells"]]
     assert len(errors) == 2 and all(0.0 < error < 60.0 for error in errors)
-
-
-def test_an_open_mesh_has_no_volume(scans):
-    made = msal(
-        "sweep", scans / "open.ply", "-o", scans / "g.png", "--size", "64", "--columns", "K=1",
-        "--json", "-q",
-    )  # fmt: skip
-    assert json.loads(made.stdout)["cells"][0]["volume_change_percent"] is None
-    assert made.stderr == ""
-
-
-def test_the_same_command_gives_the_same_bytes(scans):
-    swept(scans, "--columns", "K=0.5,1")
-    first = (scans / "g.png").read_bytes()
-    swept(scans, "--columns", "K=0.5,1")
-    assert (scans / "g.png").read_bytes() == first
-
-
-def test_a_method_without_a_factor_varies_what_it_has(scans):
-    words, _ = swept(scans, "--method", "taubin", "--json")
-    cells = json.loads(words)["cells"]
-    assert [cell["parameters"] for cell in cells] == [{"iterations": n} for n in (1, 2, 4, 8)]
 
 
 @pytest.mark.parametrize(

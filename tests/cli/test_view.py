@@ -36,17 +36,6 @@ def test_a_pair_is_three_panels(scans):
     assert spread[0] < 60 and spread[1] < 60 < 100 < spread[2]
 
 
-def test_one_mesh_is_one_panel(scans):
-    msal("view", scans / "a.ply", "-o", scans / "one.png", "--size", "100", "-q")
-    assert 100 < seen(scans / "one.png").shape[1] < 140
-
-
-def test_the_same_command_gives_the_same_bytes(scans):
-    for name in ("x.png", "y.png"):
-        msal("view", scans / "a.ply", scans / "b.ply", "-o", scans / name, "--size", "80")
-    assert (scans / "x.png").read_bytes() == (scans / "y.png").read_bytes()
-
-
 def test_options_change_the_picture(scans):
     def picture(*options):
         made = msal("view", scans / "a.ply", "-o", scans / "o.png", "--size", "80", *options)
@@ -64,14 +53,6 @@ def test_options_change_the_picture(scans):
         ("--size", "81"),
     ]
     assert len({picture(*one) for one in options}) == len(options)
-
-
-def test_other_faces_are_drawn_with_the_distance_or_without(scans):
-    lines = (scans / "b.ply").read_text().splitlines()
-    (scans / "c.ply").write_text("\n".join([*lines[:-1], lines[-2]]) + "\n")
-    made = msal("view", scans / "a.ply", scans / "c.ply", "-o", scans / "p.png", "--size", "80")
-    assert made.exit_code == 0, made.stderr
-    assert seen(scans / "p.png").shape[1] > 160
 
 
 def test_a_page_holds_both_meshes_and_a_picture(scans):
@@ -177,9 +158,3 @@ def test_any_name_is_a_name(scans):
         assert "<script>alert" not in page and "<img src=x" not in page
         assert "\x1b" not in page and "\u202e" not in page
         (scans / name).rename(scans / "a.ply")
-
-
-def test_the_picture_is_not_what_denoise_pays_for():
-    code = "import sys, msal_cli.cli.denoise, msal_cli.job.pipeline; print('PIL' in sys.modules)"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout == "False\n"
