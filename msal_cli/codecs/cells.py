@@ -8,7 +8,7 @@ import numpy as np
 
 from msal_cli.arrays import Longs
 from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.slots import UnitSlots
+from msal_cli.codecs.slots import Slots
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 69, 70, 76, 77)
@@ -139,11 +139,11 @@ class Cells:
 
     def content(
         self,
-        positions: UnitSlots,
+        positions: Slots,
         precision: str,
         *,
         encoding: str,
-        normals: tuple[UnitSlots, ...],
+        normals: tuple[Slots, ...],
         properties: tuple[str, ...],
         warnings: tuple[str, ...],
     ) -> Layout:

@@ -139,43 +139,6 @@ class Tokens(TextSlots):
             self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
 
 
-@dataclass(eq=False)
-class BinaryNumbers(UnitSlots):
-    """Rows of binary numbers: ``at`` (n,) is the first byte of each, ``code`` numpy's type."""
-
-    data: Bytes = field(repr=False)
-    at: Longs = field(repr=False)
-    code: str = "<f4"
-    width: int = 3
-    starts: Longs = field(init=False, repr=False)
-    stops: Longs = field(init=False, repr=False)
-    values: Floats = field(init=False, repr=False)
-    codes: tuple[str, ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        self.codes = (self.code,) * 3
-        size = np.dtype(self.code).itemsize * self.width
-        self.starts, self.stops = self.at, self.at + size
-        rows = np.empty((len(self.at), size), dtype=np.uint8)
-        for k in range(size):
-            rows[:, k] = self.data[self.at + k]
-        # A signalling NaN is reported elsewhere, as what it is.
-        with np.errstate(invalid="ignore"):
-            self.values = rows.view(self.code).astype(np.float64)
-
-    def units(self, is_changed: Flags) -> Flags:
-        return np.asarray(is_changed.any(axis=1))
-
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        rows = to_type(values[units], self.code)
-        text = np.ascontiguousarray(rows).view(np.uint8).reshape(-1)
-        size = np.dtype(self.code).itemsize * self.width
-        return text, np.arange(1, len(rows) + 1, dtype=np.int64) * size
-
-    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
-        return to_type(values, self.code).astype(np.float64), 0.0
-
-
 def to_type(values: Floats, code: str) -> NDArray[np.generic]:
     """Values (n, k) as a file of that number type stores them: rounded to the nearest.
 

@@ -16,7 +16,8 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.cells import Cells
 from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, line_of
+from msal_cli.codecs.record_slots import Strided
+from msal_cli.codecs.slots import Slots, Tokens, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TruncatedError, UnsupportedError
 from msal_cli.storage.buffers import Buffer
@@ -98,7 +99,7 @@ class Stream:
             )
         return int(word)
 
-    def positions(self, n_points: int, kind: str) -> UnitSlots:
+    def positions(self, n_points: int, kind: str) -> Slots:
         """The points (n, 3) that follow."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -110,7 +111,7 @@ class Stream:
         self.precision = "float32" if code == ">f4" else "float64"
         return self._floats(n_points, code, is_normals=False)
 
-    def normals(self, count: int, kind: str) -> UnitSlots | None:
+    def normals(self, count: int, kind: str) -> Slots | None:
         """The normals (n, 3) that follow; None if they are stored as whole numbers."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -118,14 +119,15 @@ class Stream:
             return None
         return self._floats(count, code, is_normals=True)
 
-    def _floats(self, count: int, code: str, *, is_normals: bool) -> UnitSlots:
+    def _floats(self, count: int, code: str, *, is_normals: bool) -> Slots:
         if self._words is not None:
             chosen = self._next_words(3 * count)
             starts, stops = self._words.starts[chosen], self._words.stops[chosen]
             return Tokens(self._data, starts, stops, unit_length=is_normals)
-        size = 3 * np.dtype(code).itemsize
-        at = self._next_bytes(size * count)
-        return BinaryNumbers(self._data, at + np.arange(count, dtype=np.int64) * size, code)
+        size = np.dtype(code).itemsize
+        at = self._next_bytes(3 * size * count)
+        places = (0, size, 2 * size)
+        return Strided(self._data, at, count, 3 * size, places, (code,) * 3)
 
     def integers(self, count: int, kind: str) -> Longs:
         """The whole numbers that follow."""
@@ -256,10 +258,10 @@ _PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 class _Parsed:
     """What a file holds, ``cells`` being those whose types are not read yet."""
 
-    points: UnitSlots | None = None
+    points: Slots | None = None
     surface: Cells = field(default_factory=Cells)
     cells: tuple[Longs, Longs] | None = None
-    normals: UnitSlots | None = None
+    normals: Slots | None = None
     properties: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.cells import Cells
 from msal_cli.codecs.layout import Dependent, Layout, Shift
-from msal_cli.codecs.slots import BinaryNumbers, Tokens, UnitSlots, to_type
+from msal_cli.codecs.slots import Tokens, UnitSlots, to_type
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import (
@@ -127,9 +127,6 @@ def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = F
     content, start, stop = _decoded(array, coding)
     size = 3 * np.dtype(code).itemsize
     _require_count(len(content), size * count, array)
-    if coding.place(array)[2] and not coding.compressor:
-        first = stop - size * count
-        return BinaryNumbers(data, first + size * np.arange(count, dtype=np.int64), code)
     return EncodedNumbers(coding, array, code, start, stop, content)
 
 
@@ -145,7 +142,7 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
 
 @dataclass(eq=False)
 class EncodedNumbers(UnitSlots):
-    """An array that is one unit, since it is compressed or written in base64."""
+    """An array that is one unit, since it may be compressed or written in base64."""
 
     coding: Coding = field(repr=False)
     array: Element = field(repr=False)
@@ -158,6 +155,7 @@ class EncodedNumbers(UnitSlots):
     stops: Longs = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self.codes = (self.code,) * 3
         self.starts = np.array([self.start], dtype=np.int64)
         self.stops = np.array([self.stop], dtype=np.int64)
         rows = np.frombuffer(self.content, dtype=self.code).reshape(-1, 3)
@@ -240,6 +238,8 @@ def _encoded(content: bytes, like: EncodedNumbers) -> bytes:
     source: _Raw | _Base64 = _Raw(view, like.start) if is_raw else _Base64(view, like.start)
     head = source.take(width if not coding.compressor else 3 * width)
     if not coding.compressor:
+        if is_raw:
+            return head + content
         if source.is_split():
             return base64.b64encode(head) + base64.b64encode(content)
         return base64.b64encode(head + content)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs.slots import (
-    BinaryNumbers,
     as_float32,
     line_of,
     number_hint,
@@ -22,28 +21,6 @@ LARGEST = float(np.finfo(np.float32).max)
 
 def as_bytes(*parts):
     return np.frombuffer(b"".join(parts), dtype=np.uint8)
-
-
-def replaced(slots, values, is_changed):
-    units = slots.units(is_changed)
-    text, ends = slots.encode(values, units)
-    return bytes(splice(slots.data, [(slots.starts[units], slots.stops[units], text, ends)]))
-
-
-@pytest.mark.parametrize("code", ["<f4", ">f4", "<f8", "<i2"])
-def test_rows_of_binary_numbers(code):
-    new = VALUES.copy()
-    new[1, 2], new[3, 0] = 77.0, 88.0
-    rows = [b"head", *(row.astype(code).tobytes() + b"pad" for row in VALUES)]
-    step = len(rows[1])
-    slots = BinaryNumbers(as_bytes(*rows), 4 + step * np.arange(4), code)
-    assert (slots.values == VALUES).all()
-    assert slots.codes == (code,) * 3 and not slots.whole_rows
-    rounded, slack = slots.rounded(VALUES + 1.0)
-    assert (rounded == VALUES + 1.0).all() and slack == 0.0
-    assert (slots.units(new != VALUES) == [False, True, False, True]).all()
-    expected = b"".join([b"head", *(row.astype(code).tobytes() + b"pad" for row in new)])
-    assert replaced(slots, new, new != VALUES) == expected
 
 
 def test_positions_beyond_float32_are_refused():
