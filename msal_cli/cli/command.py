@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 Decorator = Callable[[Any], Any]
 
 _ATTRIBUTE = "option_groups"
-_WIDEST_NAME = 26
+_MAX_NAME_WIDTH = 26
 # Of what a command does, in the short help.
 _PARAGRAPHS = 2
 # Longer ones are left to --help-all.
-_LONGEST_DEFAULT = 20
+_MAX_DEFAULT_LENGTH = 20
 
 MESSAGES = "Messages and help"
 """The group that ``-h`` and ``--help-all`` belong to."""
@@ -58,7 +58,7 @@ def group(title: str, *options: Decorator) -> Decorator:
             function = option(function)
             if option is MORE:
                 n_more = len(_parameters(function))
-        names = [str(one.name) for one in _parameters(function)]
+        names = [str(parameter.name) for parameter in _parameters(function)]
         added = OptionGroup(
             title, tuple(reversed(names[n_more:])), tuple(reversed(names[n_before:n_more]))
         )
@@ -88,11 +88,11 @@ class Command(click.Command):
         if configurable:
             options = config.make_options()
             self.params += options
-            names = tuple(str(one.name) for one in options)
+            names = tuple(str(option.name) for option in options)
             groups.append(OptionGroup("Configuration", (), names))
         everything = _help_all()
         self.params.append(everything)
-        at = next((k for k, one in enumerate(groups) if one.title == MESSAGES), None)
+        at = next((k for k, group in enumerate(groups) if group.title == MESSAGES), None)
         own = OptionGroup(MESSAGES, (), ()) if at is None else groups.pop(at)
         self.groups = (*groups, own._replace(common=(*own.common, "help", "help_all")))
         everything.hidden = not self._has_more()
@@ -106,12 +106,12 @@ class Command(click.Command):
     def _has_more(self) -> bool:
         """Whether ``--help-all`` shows more than ``--help``."""
         n_paragraphs = str(self.help).count("\n\n") + 1
-        return any(one.more for one in self.groups) or n_paragraphs > _PARAGRAPHS
+        return any(group.more for group in self.groups) or n_paragraphs > _PARAGRAPHS
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters; ``--help-all`` comes last, after click's own ``--help``."""
         found = super().get_params(ctx)
-        return sorted(found, key=lambda one: one.name == "help_all")
+        return sorted(found, key=lambda parameter: parameter.name == "help_all")
 
     def grouped_options(
         self, ctx: click.Context, *, everything: bool = True
@@ -119,9 +119,9 @@ class Command(click.Command):
         """The title and the options of each group, or only those that most people need."""
         options = {
             # The name of click's own option depends on its version.
-            "help" if one is self.get_help_option(ctx) else one.name: one
-            for one in self.get_params(ctx)
-            if isinstance(one, click.Option) and not one.hidden
+            "help" if parameter is self.get_help_option(ctx) else parameter.name: parameter
+            for parameter in self.get_params(ctx)
+            if isinstance(parameter, click.Option) and not parameter.hidden
         }
         for title, common, more in self.groups:
             names = common + more if everything else common
@@ -142,18 +142,18 @@ class Command(click.Command):
         """The groups: of common options the first clause, with ``--help-all`` all there is."""
         everything = bool(ctx.meta.get(_META))
         sections = [
-            (title, [_record(one, ctx, everything=everything) for one in options])
+            (title, [_record(option, ctx, everything=everything) for option in options])
             for title, options in self.grouped_options(ctx, everything=everything)
         ]
         widths = [len(name) for _, rows in sections for name, _ in rows]
-        width = max(one for one in widths if one <= _WIDEST_NAME)
+        width = max(n for n in widths if n <= _MAX_NAME_WIDTH)
         for title, rows in sections:
             with formatter.section(title):
                 # As wide as in the other groups.
                 formatter.write_dl(
                     [(name.ljust(width), text) for name, text in rows], col_max=width
                 )
-        n_more = sum(len(one.more) for one in self.groups)
+        n_more = sum(len(group.more) for group in self.groups)
         if not everything and self._has_more():
             more = f"{n_more} more options" if n_more else "More"
             formatter.write_paragraph()
@@ -199,7 +199,7 @@ def first_clause(text: str) -> str:
     words, bracket, default = text.partition(" [default: ")
     end = re.search(r"(?<![.\s])(?:\.(?= [A-Z0-9`'-])|;(?= ))", words)
     words = words[: end.start()] + "." if end else words
-    is_short = bracket and len(default) <= _LONGEST_DEFAULT
+    is_short = bracket and len(default) <= _MAX_DEFAULT_LENGTH
     return f"{words}  [default: {default}" if is_short else words
 
 

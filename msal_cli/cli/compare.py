@@ -139,13 +139,13 @@ def command(
     refuse_conflicts(find_given(context))
     gates = build_checks(fail_on, baseline, tolerance, unit)
     format = options.resolve_format(format)
-    sides = [discover_inputs((one,), include, exclude) for one in (before, *others)]
+    sides = [discover_inputs((path,), include, exclude) for path in (before, *others)]
     is_checked = bool(checks) or names_field(gates.gates, "self_intersections")
 
     def compare(before: str, after: str) -> ComparisonRecord:
         return compare_files(before, after, format, with_intersections=is_checked)
 
-    are_folders = [any(one.root for one in side) for side in sides]
+    are_folders = [any(file.root for file in side) for side in sides]
     after = others[0]
     if ignore_missing and not any(are_folders):
         raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
@@ -161,9 +161,9 @@ def command(
     if heatmap is not None:
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
     if not any(are_folders):
-        table = {one: compare(before, one) for one in others}
+        table = {path: compare(before, path) for path in others}
         return _print_table(table, gates, as_json, is_all=True)
-    first, second = ({one.relative: one.path for one in side} for side in sides)
+    first, second = ({file.relative: file.path for file in side} for side in sides)
     if ignore_missing:
         first, second = _drop_missing({before: first, after: second})
     records = {}
@@ -222,7 +222,7 @@ def _compare_two(
     from msal_cli.report import comparison, data
     from msal_cli.report.gates import is_any_broken
 
-    record = checks.judge_pair(compare(before, after))
+    (record,) = checks.judge({after: compare(before, after)}, is_pair=True)
     failure: MsalError | None = None
     if heatmap is not None and record.error is None:
         # What was measured is printed, whatever becomes of the picture.
@@ -280,11 +280,11 @@ def _print_table(
     from msal_cli.report.facts import file_name
     from msal_cli.report.gates import is_any_broken
 
-    records = checks.judge_pairs(pairs)
-    present = [name for name, one in pairs.items() if not _is_without_partner(one)]
+    records = checks.judge(pairs)
+    present = [name for name, record in pairs.items() if not _is_without_partner(record)]
     vanished = comparison.list_missing(present, checks.earlier or {}) if is_all else []
     if as_json:
-        console.put_json(ComparisonRecord.schema, records=[as_data(one) for one in records])
+        console.put_json(ComparisonRecord.schema, records=[as_data(record) for record in records])
         for record in records:
             if record.error is not None:
                 _say_failure(record)
@@ -329,60 +329,36 @@ class Checks:
     earlier: Mapping[str, Any] | None
     tolerance: float
 
-    def judge_pair(self, record: ComparisonRecord) -> ComparisonRecord:
-        """The record of two files with what became of the gates."""
-        from msal_cli.report.comparison import find_partner
-
-        if self.earlier is None or record.error is not None:
-            return self._judge([record], [None])[0]
-        # A baseline of one pair is that of this pair, whatever the files are called.
-        before = next(iter(self.earlier.values())) if len(self.earlier) == 1 else None
-        before = before or find_partner(record.after, self.earlier)
-        if before is None:
-            raise UsageError(
-                f"the baseline has no figures of {record.after!r}",
-                hint="make it anew with msal compare --json",
-            )
-        return self._judge([record], [before])[0]
-
-    def judge_pairs(self, records: Mapping[str, ComparisonRecord]) -> list[ComparisonRecord]:
-        """The records by path with what became of the gates."""
-        from msal_cli.report.comparison import find_partner
-
-        earlier = [find_partner(name, self.earlier or {}) for name in records]
-        return self._judge(list(records.values()), earlier)
-
-    def _judge(
-        self, records: Sequence[ComparisonRecord], earlier: Sequence[Any]
+    def judge(
+        self, records: Mapping[str, ComparisonRecord], *, is_pair: bool = False
     ) -> list[ComparisonRecord]:
-        from msal_cli.report.comparison import compare_with_baseline
+        """The records by path, or that of two files, with what became of the gates."""
+        from msal_cli.report.comparison import compare_with_baseline, find_partner
         from msal_cli.report.gates import with_gates
 
-        return [
-            record
-            if record.error is not None or before is None
-            else replace(
-                record,
-                gates=record.gates + compare_with_baseline(record, before, self.tolerance),
-            )
-            for record, before in zip(with_gates(self.gates, records), earlier, strict=True)
-        ]
+        known = self.earlier or {}
+        judged = []
+        for name, record in zip(records, with_gates(self.gates, [*records.values()]), strict=True):
+            # A baseline of one pair is that of this pair, whatever the files are called.
+            is_of_pair = is_pair and len(known) == 1
+            before = next(iter(known.values())) if is_of_pair else find_partner(name, known)
+            is_unknown = before is None and record.error is None
+            if is_pair and self.earlier is not None and is_unknown:
+                raise UsageError(
+                    f"the baseline has no figures of {name!r}",
+                    hint="make it anew with msal compare --json",
+                )
+            if record.error is None and before is not None:
+                broken = compare_with_baseline(record, before, self.tolerance)
+                record = replace(record, gates=record.gates + broken)
+            judged.append(record)
+        return judged
 
 
 def build_checks(
     expressions: Sequence[str], baseline: str | None, tolerance: float | None, unit: str | None
 ) -> Checks:
-    """The checks: gates, and the report at the path ``baseline``.
-
-    ``unit`` is that of the files' lengths, where it is known.
-
-    Raises
-    ------
-    UsageError
-        for an expression that means nothing.
-    MsalError
-        if the baseline cannot be read, or is none.
-    """
+    """The checks: gates, with lengths in ``unit``, and the report at the path ``baseline``."""
     from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import parse_gates

@@ -33,7 +33,7 @@ _ONLY_NAMED = (
 # Pictures, which are replaced.
 _OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))
 
-_MOST_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def find_file() -> str | None:
             return None
         folder = above
         candidates.append(os.path.join(folder, FILE_NAME))
-    nearest = next((one for one in candidates if os.path.isfile(one)), None)
+    nearest = next((path for path in candidates if os.path.isfile(path)), None)
     return None if nearest is None else os.path.relpath(nearest)
 
 
@@ -92,7 +92,11 @@ def read_config(
                 f"{path}: {table} is not a table", hint=f"write [{table}] and options below it"
             )
     # Eager ones are --help and --help-all, whose names depend on the version of click.
-    keys = {key_of(one): one for one in options if not (one.name in _NEVER or one.is_eager)}
+    keys = {
+        key_of(option): option
+        for option in options
+        if not (option.name in _NEVER or option.is_eager)
+    }
     values: dict[str, Any] = {}
     for key, value in tables.get(command, {}).items():
         place = f"{path}: [{command}] {key}"
@@ -114,7 +118,7 @@ def read_config(
             several = words if isinstance(words, list) else [words]
             if not is_named:
                 _refuse_outside(below, several, place)
-            several = [_relative_to(below, one) for one in several]
+            several = [_relative_to(below, path) for path in several]
             words = several if option.multiple else several[0]
         values[option.name] = words
     return Config(path, values, is_named)
@@ -130,9 +134,9 @@ def _read_tables(path: str) -> dict[str, Any]:
 
     try:
         with open(path, "rb") as stream:
-            data = stream.read(_MOST_BYTES + 1)
-        if len(data) > _MOST_BYTES:
-            raise UsageError(f"{path}: a configuration has at most {_MOST_BYTES:,} bytes")
+            data = stream.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise UsageError(f"{path}: a configuration has at most {_MAX_BYTES:,} bytes")
         return tomllib.loads(data.decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise UsageError(f"--config {path}: the file cannot be read: {error.strerror}") from None
@@ -161,9 +165,9 @@ def _to_words(option: click.Option, value: Any, place: str) -> Any:
         return value
     if isinstance(value, dict) and option.multiple:
         # [denoise.set] iterations = 4
-        value = [f"{name}={_to_word(one, f'{place}.{name}')}" for name, one in value.items()]
+        value = [f"{name}={_to_word(word, f'{place}.{name}')}" for name, word in value.items()]
     several = value if isinstance(value, list) else [value]
-    words = [_to_word(one, place) for one in several]
+    words = [_to_word(word, place) for word in several]
     return words if option.multiple else ",".join(words)
 
 
@@ -297,7 +301,7 @@ def _load(command: click.Command, ctx: click.Context, given: dict[str, Any]) -> 
         return None
     root = ctx.find_root()
     commands = root.command.list_commands(root) if isinstance(root.command, click.Group) else ()
-    options = [one for one in command.get_params(ctx) if isinstance(one, click.Option)]
+    options = [option for option in command.get_params(ctx) if isinstance(option, click.Option)]
     name = str(command.name)
     return read_config(path, name, commands or (name,), options, is_named=is_named)
 

@@ -38,20 +38,20 @@ _AUTO_HINT = (
     "and parameters by hand"
 )
 _ASSUME_HINT = "--assume is for the choice of a method: leave it away, or the method"
-_ONE = "give one of them"
+_GIVE_ONE = "give one of them"
 
 # Two names of ``find_given`` that do not go together, a message in place of the usual one, a hint.
 _CONFLICTS = (
-    ("quiet", "verbose", "", _ONE),
-    ("in_place", "output", "", _ONE),
+    ("quiet", "verbose", "", _GIVE_ONE),
+    ("in_place", "output", "", _GIVE_ONE),
     (
         "in_place",
         "to",
         "--in-place cannot change the format",
         "name an output with -o to use --to",
     ),
-    ("backup", "no_backup", "", _ONE),
-    ("fail_fast", "max_failures", "", _ONE),
+    ("backup", "no_backup", "", _GIVE_ONE),
+    ("fail_fast", "max_failures", "", _GIVE_ONE),
     (
         "fields",
         "in_place",
@@ -96,8 +96,8 @@ _CONFLICTS = (
         "-j is for this machine; a Dask cluster has as many workers as it has",
         "leave -j away, or leave --engine dask away",
     ),
-    *((one, other, "", _AUTO_HINT) for one in AUTOMATIC for other in ("adaptive", *BY_HAND)),
-    *((one, other, "", _AUTO_HINT) for one in ("automatic", "adaptive") for other in BY_HAND),
+    *((first, other, "", _AUTO_HINT) for first in AUTOMATIC for other in ("adaptive", *BY_HAND)),
+    *((first, other, "", _AUTO_HINT) for first in ("automatic", "adaptive") for other in BY_HAND),
     *(("assume", other, "", _ASSUME_HINT) for other in BY_HAND),
     *(
         ("stream", other, "{other} is for files, not for standard input or output", "")
@@ -191,22 +191,22 @@ def find_overruled(context: click.Context) -> set[str]:
         by_hand |= {"stream"} | ({"stdout"} if output in (None, STREAM) else set())
     overruled = {
         loser
-        for one, other, _, _ in _CONFLICTS
-        for winner, loser in ((one, other), (other, one))
+        for first, other, _, _ in _CONFLICTS
+        for winner, loser in ((first, other), (other, first))
         if winner in by_hand and loser in from_file
     }
     left = given.keys() - overruled
-    overruled |= {one for one, other, _ in _NEEDS if one in from_file and other not in left}
+    overruled |= {first for first, other, _ in _NEEDS if first in from_file and other not in left}
     return {_PARAMETERS.get(name, name) for name in overruled}
 
 
 def refuse_conflicts(given: Mapping[str, str]) -> None:
     """Refuse the first two options of the tables that do not go together; UsageError."""
-    for one, other, message, hint in _CONFLICTS:
-        if one in given and other in given:
+    for first, other, message, hint in _CONFLICTS:
+        if first in given and other in given:
             message = message or "{one} and {other} contradict each other"
-            raise UsageError(message.format(one=given[one], other=given[other]), hint=hint)
-    for one, other, hint in _NEEDS:
-        if one in given and other not in given:
+            raise UsageError(message.format(one=given[first], other=given[other]), hint=hint)
+    for first, other, hint in _NEEDS:
+        if first in given and other not in given:
             need = "--engine dask" if other == "dask" else f"--{other.replace('_', '-')}"
-            raise UsageError(f"{given[one]} needs {need}", hint=hint)
+            raise UsageError(f"{given[first]} needs {need}", hint=hint)

@@ -82,7 +82,16 @@ class _Session:
             self._stream = find_stream(request.inputs, request.output)
         check_request(request, self._stream)
         options.check_threads_variable()
-        self._gates = parse_gates(request)
+        # What a report must not replace, beside the meshes.
+        self._side_files = [path for path in (request.log_file, request.reference) if path]
+        self._gates: tuple[Gate, ...] = ()
+        if request.fail_on:
+            from msal_cli.job.records import MeshRecord
+            from msal_cli.report import gates
+
+            self._gates = gates.parse_gates(request.fail_on, MeshRecord, request.unit)
+            if request.reference is None:
+                gates.refuse_without_reference(self._gates, "give --reference TRUTH")
         # For each record the path of its reference, where there are any.
         self._references: tuple[str, ...] = ()
 
@@ -91,7 +100,20 @@ class _Session:
         settings = build_settings(self._request, self._gates)
         if self._stream is not None:
             return self._run_stream(self._stream, settings)
-        return self._run_files(build_plan(self._request, settings), settings)
+        return self._run_files(self._build_plan(settings), settings)
+
+    def _build_plan(self, settings: Settings) -> Plan:
+        from msal_cli.batch import inputs, plan
+        from msal_cli.batch import shard as shards
+
+        request = self._request
+        shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
+        found = inputs.discover_inputs(
+            request.inputs, request.include, request.exclude, output=request.output
+        )
+        # Everything is checked first, so that each shard refuses what a whole run would.
+        everything = plan_files(request, settings, found)
+        return everything if shard is None else plan.select_shard(everything, shard)
 
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
         from dataclasses import replace
@@ -100,10 +122,10 @@ class _Session:
         from msal_cli.cli.streams import choose_format, denoise_stream
 
         request = self._request
-        self._references = find_references(request, ["-"])
-        refuse_found_targets(request, stream.target)
+        self._references = _find_references(request, ["-"])
+        _refuse_found_targets(request, stream.target)
         paths = [path for path in (stream.source, stream.target) if path != options.STREAM]
-        report_files.check(request.reports, [*paths, *other_files(request)], request.csv_columns)
+        report_files.check(request.reports, [*paths, *self._side_files], request.csv_columns)
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
         try:
@@ -120,15 +142,21 @@ class _Session:
         from msal_cli.cli import progress, report_files
 
         request = self._request
-        engine = build_engine(request)
+        engine: EngineFactory | None = None
+        if request.engine == "dask" and request.scheduler is not None:
+            from functools import partial
+
+            from msal_cli.batch.dask import DaskEngine
+
+            engine = partial(DaskEngine, scheduler=request.scheduler)
         whole = plan.whole or plan
         tasks, is_file = whole.tasks, whole.homes[:1] == (None,)
-        refuse_found_targets(request, tasks[0].output if is_file else None)
+        _refuse_found_targets(request, tasks[0].output if is_file else None)
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
-        report_files.check(request.reports, [*paths, *other_files(request)], request.csv_columns)
+        report_files.check(request.reports, [*paths, *self._side_files], request.csv_columns)
         names = [task.relative for task in plan.tasks]
-        self._references = find_references(request, names)
+        self._references = _find_references(request, names)
         finished: dict[int, MeshRecord] = {}
         _log.info("%s files, method %s %s", len(plan.tasks), settings.method, settings.parameters)
         if plan.shard is not None and plan.whole is not None and not request.quiet:
@@ -198,22 +226,42 @@ class _Session:
         self, settings: Settings, records: Sequence[MeshRecord], *, interrupted: bool = False
     ) -> int:
         """Measure, print, write the reports, and give the exit status."""
+        from dataclasses import asdict
+
         from msal_cli.cli import report_files
+        from msal_cli.report import data
+        from msal_cli.version import __version__
 
         request = self._request
         is_dry = request.dry_run
-        n_left = 0 if is_dry else sum(one.status == "planned" for one in records)
-        is_over = interrupted or n_left > 0
-        run = describe_run(request, settings, self._clock, self._command, interrupted=is_over)
+        n_left = 0 if is_dry else sum(record.status == "planned" for record in records)
+        run = data.Run(
+            version=__version__,
+            command=self._command,
+            settings=asdict(settings),
+            started=self._clock.started,
+            finished=self._clock.now(),
+            seconds=self._clock.seconds(),
+            interrupted=interrupted or n_left > 0,
+            machine=describe_machine() if request.reports or request.as_json else {},
+        )
         is_broken = False
-        if not is_dry:
-            references = () if interrupted else self._references
-            records, is_broken = judge(settings, records, references, self._gates)
+        if self._references and not is_dry and not interrupted:
+            from msal_cli.job.comparison import with_references
+
+            records = with_references(records, self._references, settings.format)
+        if self._gates and not is_dry:
+            from msal_cli.report.gates import is_any_broken, with_gates
+
+            records = with_gates(self._gates, records)
+            is_broken = is_any_broken(records)
+            for record in records:
+                for gate in record.gates:
+                    if gate.broken:
+                        _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
         self._print(run, records)
         try:
             if not is_dry:
-                from msal_cli.cli import report_files
-
                 report_files.annotate(records)
                 report_files.write(
                     request.reports,
@@ -228,8 +276,6 @@ class _Session:
                 console.say("dry run: no report is written")
         finally:
             if request.as_json:
-                from msal_cli.report import data
-
                 console.put_bytes(data.render_json(run, records))
         n_failed = sum(record.status == "failed" for record in records)
         if n_left and not interrupted:
@@ -306,12 +352,7 @@ def check_request(request: Request, stream: Stream | None) -> None:
             raise not_installed()
 
 
-def other_files(request: Request) -> list[str]:
-    """Files that a report must not replace, beside the meshes."""
-    return [path for path in (request.log_file, request.reference) if path is not None]
-
-
-def refuse_found_targets(request: Request, output_file: str | None) -> None:
+def _refuse_found_targets(request: Request, output_file: str | None) -> None:
     """Refuse what a msal.toml that was found, and may be another person's, must not write.
 
     ``output_file`` is the output where that is one file, ``-`` for a stream.
@@ -346,31 +387,7 @@ def refuse_found_targets(request: Request, output_file: str | None) -> None:
         refuse_target(name, "the report", replaces=REPORT)
 
 
-def build_engine(request: Request) -> EngineFactory | None:
-    """What makes the engine that hands out the files; None is that of worker processes."""
-    if request.engine == "workers" or request.scheduler is None:
-        return None
-    from functools import partial
-
-    from msal_cli.batch.dask import DaskEngine
-
-    return partial(DaskEngine, scheduler=request.scheduler)
-
-
-def parse_gates(request: Request) -> tuple[Gate, ...]:
-    """The gates of --fail-on; UsageError for an expression that means nothing."""
-    if not request.fail_on:
-        return ()
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.report import gates
-
-    found = gates.parse_gates(request.fail_on, MeshRecord, request.unit)
-    if request.reference is None:
-        gates.refuse_without_reference(found, "give --reference TRUTH")
-    return found
-
-
-def find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
+def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     """For each input, known by its relative path, the path of its reference; () if none is given
     for.
 
@@ -429,23 +446,6 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
     return parse(given, as_options=True)
 
 
-def build_plan(request: Request, settings: Settings) -> Plan:
-    """The files and what becomes of each; UsageError for inputs or outputs that cannot be."""
-    from msal_cli.batch import inputs, plan
-    from msal_cli.batch import shard as shards
-
-    shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
-    everything = plan_files(
-        request,
-        settings,
-        inputs.discover_inputs(
-            request.inputs, request.include, request.exclude, output=request.output
-        ),
-    )
-    # Everything is checked first, so that each shard refuses what a whole run would.
-    return everything if shard is None else plan.select_shard(everything, shard)
-
-
 def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:
     """What becomes of each of these files; UsageError for outputs that cannot be."""
     from msal_cli.batch import plan
@@ -467,54 +467,6 @@ def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredI
     return everything
 
 
-def judge(
-    settings: Settings,
-    records: Sequence[MeshRecord],
-    references: Sequence[str],
-    gates: Sequence[Gate],
-) -> tuple[Sequence[MeshRecord], bool]:
-    """The records, measured against their references and with what became of the gates; and
-    whether any gate is broken."""
-    if references:
-        from msal_cli.job.comparison import with_references
-
-        records = with_references(records, references, settings.format)
-    if not gates:
-        return records, False
-    from msal_cli.report.gates import is_any_broken, with_gates
-
-    records = with_gates(gates, records)
-    log_gates(records)
-    return records, is_any_broken(records)
-
-
-def describe_run(
-    request: Request,
-    settings: Settings,
-    clock: Clock,
-    command: tuple[str, ...],
-    *,
-    interrupted: bool,
-) -> Run:
-    """The run, for its reports."""
-    from dataclasses import asdict
-
-    from msal_cli.report.data import Run
-    from msal_cli.version import __version__
-
-    is_reported = request.reports or request.as_json
-    return Run(
-        version=__version__,
-        command=command,
-        settings=asdict(settings),
-        started=clock.started,
-        finished=clock.now(),
-        seconds=clock.seconds(),
-        interrupted=interrupted,
-        machine=describe_machine() if is_reported else {},
-    )
-
-
 def log_record(record: MeshRecord) -> None:
     """One line of the log per file; a failure is printed elsewhere, so it is no warning here."""
     if record.error is not None:
@@ -530,14 +482,6 @@ def log_record(record: MeshRecord) -> None:
         _log.info("%s: left as it is: %s", record.input, record.left_alone)
     for warning in record.warnings:
         _log.info("%s: %s", record.input, warning)
-
-
-def log_gates(records: Sequence[MeshRecord]) -> None:
-    """One line of the log per broken gate."""
-    for record in records:
-        for gate in record.gates:
-            if gate.broken:
-                _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
 
 
 class Clock:

@@ -79,7 +79,7 @@ def _find_paths(
     from msal_cli.batch.inputs import discover_inputs
 
     if STREAM not in inputs:
-        return tuple(one.path for one in discover_inputs(inputs, include, exclude))
+        return tuple(file.path for file in discover_inputs(inputs, include, exclude))
     if len(inputs) > 1 or include or exclude:
         raise UsageError(
             "- must be the only input: standard input is one mesh", hint="give - and no other"

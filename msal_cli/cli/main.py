@@ -135,7 +135,7 @@ def _is_observed() -> bool:
 
 def _waits_for_threads() -> bool:
     main_thread = threading.main_thread()
-    return any(not one.daemon for one in threading.enumerate() if one is not main_thread)
+    return any(not thread.daemon for thread in threading.enumerate() if thread is not main_thread)
 
 
 def _status(group: Msal, arguments: tuple[str, ...]) -> int:

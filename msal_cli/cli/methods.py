@@ -32,7 +32,7 @@ def command(name: str | None, as_json: bool) -> int:
     """List the methods, or explain the one called NAME."""
     from msal_cli import methods
 
-    chosen = [methods.find(one) for one in ((name,) if name else methods.names())]
+    chosen = [methods.find(word) for word in ((name,) if name else methods.names())]
     if as_json:
         _print_json(chosen)
     elif name:

@@ -19,8 +19,8 @@ from msal_cli.job.units import METRES
 STREAM = "-"
 """The name of standard input and standard output."""
 
-_MOST_JOBS = 4096
-_MOST_DIGITS = 15
+_MAX_JOBS = 4096
+_MAX_DIGITS = 15
 
 _NUMBER_AND_UNIT = r"(?ai)(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)"
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -61,9 +61,9 @@ def parse_jobs(text: str) -> int | None:
     """A number of files at the same time; None for ``auto``."""
     if text == "auto":
         return None
-    if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= _MOST_JOBS:
+    if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:9]) <= _MAX_JOBS:
         raise click.BadParameter(
-            f"{text!r} is neither auto nor a whole number from 1 to {_MOST_JOBS}"
+            f"{text!r} is neither auto nor a whole number from 1 to {_MAX_JOBS}"
         )
     return int(text[:9])
 
@@ -140,7 +140,7 @@ def parse_direction(text: str) -> tuple[float, float, float]:
     if axis is not None:
         sign = -1.0 if text.startswith("-") else 1.0
         # Not -0.0, which would be shown.
-        x, y, z = (sign * one + 0.0 for one in axis)
+        x, y, z = (sign * component + 0.0 for component in axis)
         return x, y, z
     x, y, z = _parse_three(text)
     if math.isnan(x + y + z):
@@ -178,7 +178,7 @@ def parse_assignment(text: str) -> tuple[str, str, str]:
 def check_threads_variable() -> None:
     """Refuse a value of ``MSAL_THREADS`` that means nothing; UsageError."""
     value = os.environ.get("MSAL_THREADS", "")
-    is_number = value.isascii() and value.isdigit() and len(value) <= _MOST_DIGITS
+    is_number = value.isascii() and value.isdigit() and len(value) <= _MAX_DIGITS
     if value and not (is_number and int(value) > 0):
         raise UsageError(
             f"MSAL_THREADS is {value!r}, which is not a whole number from 1 up",

@@ -100,7 +100,7 @@ def command(
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
     account = replace(account, records=tuple(with_gates(gates, account.records)))
-    meshes = [path for one in account.records for path in (one.input, one.output) if path]
+    meshes = [path for record in account.records for path in (record.input, record.output) if path]
     report_files.check(outputs, [*account.paths, *meshes])
     if not quiet:
         console.say_lines(
@@ -285,7 +285,7 @@ def _read_file(path: Path) -> RunHistory:
             hint=_WHAT_TO_NAME,
             path=name,
         )
-    rows = (run_history.FileRow(at, one.input, one.output or "", one) for one in records)
+    rows = (run_history.FileRow(at, made.input, made.output or "", made) for made in records)
     return run_history.RunHistory(runs, tuple(rows))
 
 

@@ -155,7 +155,7 @@ def _refuse_unwritable(name: str) -> None:
         return
     path = Path(name)
     # The folder itself may still have to be made, as that of the outputs often has.
-    folder = next((one for one in path.absolute().parents if one.exists()), None)
+    folder = next((parent for parent in path.absolute().parents if parent.exists()), None)
     if folder is None or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise UsageError(
             f"the report {name!r} cannot be written to the folder {str(folder)!r}",
@@ -303,7 +303,7 @@ def open_log(name: str) -> io.TextIOWrapper:
 
 _SUMMARY = "GITHUB_STEP_SUMMARY"
 # A summary of more than 1 MiB is refused as a whole.
-_MOST_SUMMARY_BYTES = 1_000_000
+_MAX_SUMMARY_BYTES = 1_000_000
 
 
 def annotate(records: Sequence[MeshRecord]) -> None:
@@ -326,9 +326,9 @@ def is_step_summary(name: str) -> bool:
 def room_in_summary(name: str) -> int:
     """Bytes that may be added to the summary of the step."""
     try:
-        return max(0, _MOST_SUMMARY_BYTES - Path(name).stat().st_size)
+        return max(0, _MAX_SUMMARY_BYTES - Path(name).stat().st_size)
     except OSError:
-        return _MOST_SUMMARY_BYTES
+        return _MAX_SUMMARY_BYTES
 
 
 def append_to_summary(name: str, data: bytes) -> None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _PIECE = 1 << 20
 
 # Pieces that wait between the thread that reads and the one that uses them.
-_MOST_WAITING = 4
+_MAX_WAITING = 4
 
 _LARGE_BYTES = 4 << 20
 
@@ -215,7 +215,7 @@ def _reader() -> Callable[[int], bytes]:
 
 def _timely_pieces(read: Callable[[int], bytes], timeout_s: float) -> Iterator[bytes]:
     # A thread, since only sockets can be waited for on every system.
-    came: queue.Queue[Any] = queue.Queue(_MOST_WAITING)
+    came: queue.Queue[Any] = queue.Queue(_MAX_WAITING)
 
     def pass_on() -> None:
         try:

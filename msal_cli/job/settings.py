@@ -304,7 +304,7 @@ def _choose_method(
         return ADAPTIVE, dict(wishes)
     from msal_cli.auto import Wishes
 
-    return AUTO, dataclasses.asdict(Wishes()) | wishes
+    return AUTO, {**dataclasses.asdict(Wishes()), **wishes}
 
 
 def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dict[str, Any]:
