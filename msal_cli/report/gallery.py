@@ -28,10 +28,8 @@ from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.picture_cache import PictureCache, picture_key
 from msal_cli.storage import gzip_streams
 from msal_cli.view import pictures, viewer
-from msal_cli.view.camera import Camera
 from msal_cli.view.illustrations import Gallery, Pictures, Scale
 from msal_cli.view.image_files import jpeg_bytes, png_bytes
-from msal_cli.view.pictures import Scene
 from msal_cli.view.scene import encode_scene
 from msal_cli.view.shading import Image, Style, shade
 from msal_cli.view.surface_colours import coloured_surface_of
@@ -50,13 +48,12 @@ _ROUNDING_EDGES = 1e-9
 class Bounds:
     """What pictures may cost.
 
-    ``seconds`` in all, begun pictures are finished; ``file_bytes`` and ``faces`` of one mesh that
-    is loaded; ``scenes`` are the worst files that can be turned, with at most ``scene_faces`` each;
-    ``picture_bytes`` in all.
+    ``seconds`` and ``picture_bytes`` in all, begun pictures are finished;
+    ``faces`` of one mesh; ``scenes`` are the worst files that can be turned, with at most
+    ``scene_faces`` each.
     """
 
     seconds: float = 60.0
-    file_bytes: int = 200_000_000
     faces: int = 1_000_000
     scenes: int = 5
     scene_faces: int = 100_000
@@ -83,58 +80,54 @@ def build_gallery(
     end = time.monotonic() + bounds.seconds
     images: dict[int, Pictures] = {}
     scenes: dict[int, str] = {}
-    n_late = n_large = n_bytes = n_decimated = 0
+    n_left = n_bytes = 0
+    is_decimated = False
     candidates = [record for record in worst_first(records) if _is_shown(record)]
     for done, record in enumerate(candidates):
         if on_file is not None:
             on_file(done, len(candidates))
         at = numbers[id(record)]
-        wants_scene = len(scenes) < bounds.scenes
-        key = picture_key(record, reach, f"scene{at}" if wants_scene else "")
-        if n_bytes <= bounds.picture_bytes and (known := cache.find(key)) is not None:
-            images[at], scene_text = known
-            if scene_text:
-                scenes[at] = scene_text
-                n_decimated += (record.triangles or 0) > bounds.scene_faces
-            n_bytes += _n_bytes(images[at])
-            continue
-        if time.monotonic() > end or n_bytes > bounds.picture_bytes:
-            n_late += 1
-            continue
-        if _is_too_large(record, bounds):
-            n_large += 1
-            continue
-        try:
-            scene = _scene(record, backup, bounds)
-            if scene is None:
+        scene_key = f"scene{at}" if len(scenes) < bounds.scenes else ""
+        key = picture_key(record, reach, scene_key)
+        drawn = cache.find(key) if n_bytes <= bounds.picture_bytes else None
+        if drawn is None:
+            is_over = time.monotonic() > end or n_bytes > bounds.picture_bytes
+            if is_over or (record.triangles or record.faces or 0) > bounds.faces:
+                n_left += 1
                 continue
-            camera = pictures.camera_of(scene, pictures.View())
-            shown = _pictures(scene, camera, reach)
-            if wants_scene:
-                scenes[at] = _embed(record, scene, camera, reach, bounds.scene_faces, f"scene{at}")
-                n_decimated += len(scene.before.faces) > bounds.scene_faces
-        except Exception:
-            # A picture is an extra: whatever keeps it from being made keeps back no report.
-            log.info("%s: no picture", record.input, exc_info=True)
-            continue
-        images[at] = shown
-        cache.add(key, shown, scenes.get(at, ""))
-        n_bytes += _n_bytes(shown)
+            try:
+                drawn = _draw(record, backup, bounds, reach, scene_key)
+            except Exception:
+                # A picture is an extra: whatever keeps it from being made keeps back no report.
+                log.info("%s: no picture", record.input, exc_info=True)
+            if drawn is None:
+                continue
+            cache.add(key, *drawn)
+        images[at], scene = drawn
+        if scene:
+            scenes[at] = scene
+            is_decimated |= (record.triangles or 0) > bounds.scene_faces
+        n_bytes += len(images[at].before) + len(images[at].after) + len(images[at].deviation or b"")
+    remarks = []
+    if n_left:
+        remarks.append(
+            f"{format_count(n_left, 'file')} without pictures, which are made of the worst files, "
+            f"of up to {bounds.faces:,} faces, in {bounds.seconds:.0f} seconds and "
+            f"{bounds.picture_bytes / 1e6:.0f} MB; `msal view` makes others."
+        )
+    if is_decimated:
+        remarks.append(
+            f"In 3D, meshes of more than {bounds.scene_faces:,} faces are decimated; the figures "
+            "are those of the full meshes."
+        )
     return Gallery(
         pictures=images,
         scenes=scenes,
         scale=_scale(reach),
         script=viewer.script() if scenes else "",
         style=viewer.style() if scenes else "",
-        remarks=tuple(_remarks(len(images), n_late, n_large, n_decimated, bounds)),
+        remarks=tuple(remarks),
     )
-
-
-def _n_bytes(shown: Pictures) -> int:
-    return len(shown.before) + len(shown.after) + len(shown.deviation or b"")
-
-
-# Which files, and what of them
 
 
 def _is_shown(record: MeshRecord) -> bool:
@@ -143,80 +136,65 @@ def _is_shown(record: MeshRecord) -> bool:
     return record.status in WITH_OUTPUT and not any(one == "-" or "://" in one for one in names)
 
 
-def _is_too_large(record: MeshRecord, bounds: Bounds) -> bool:
-    if (record.triangles or record.faces or 0) > bounds.faces:
-        return True
-    try:
-        return os.path.getsize(str(record.output)) > bounds.file_bytes
-    except OSError:
-        return False
-
-
-def _paths(record: MeshRecord, backup: str) -> tuple[str, str]:
-    """Where the mesh before and the mesh after are."""
+def _draw(
+    record: MeshRecord, backup: str, bounds: Bounds, reach: float, key: str
+) -> tuple[Pictures, str] | None:
+    """Three pictures from one place, and a scene if it has a ``key``; None where a file is not
+    what the record says.  Colours reach to ``reach`` mean edge lengths."""
     output = str(record.output)
     is_in_place = os.path.realpath(record.input) == os.path.realpath(output)
-    return (record.input + backup if is_in_place else record.input), output
-
-
-def _scene(record: MeshRecord, backup: str, bounds: Bounds) -> Scene | None:
-    """Both meshes, if they are still those of the record and can be drawn."""
-
-    source, output = _paths(record, backup)
-    before = _surface(source, record.input_sha256, record.format, bounds)
-    after = _surface(output, record.output_sha256, None, bounds)
+    source = record.input + backup if is_in_place else record.input
+    before = _surface(source, record.input_sha256, record.format)
+    after = _surface(output, record.output_sha256, None)
     if before is None or after is None:
         return None
-    return pictures.scene_of(before, after, (source, output), to_surface=False)
+    scene = pictures.scene_of(before, after, (source, output), to_surface=False)
+    assert scene.after is not None
+    camera = pictures.camera_of(scene, pictures.View())
+    style = Style(background=(236, 238, 241))
+
+    def image(mesh: Mesh, painted: Image | None, kind: str, size: tuple[int, int] = _SIZE) -> Image:
+        return shade(
+            mesh.vertices, mesh.faces, camera, *size, painted, style=style, colours_are=kind
+        )
+
+    deviation = None
+    if scene.deviation is not None and scene.is_signed:
+        moved = scene.deviation / scene.before.mean_edge_length
+        painted = colours.map_colours(moved, -reach, reach, "diverging")
+        deviation = jpeg_bytes(image(scene.after, painted, "map"))
+    shown = Pictures(
+        jpeg_bytes(image(scene.before, scene.painted(0), "paint")),
+        jpeg_bytes(image(scene.after, scene.painted(1), "paint")),
+        deviation,
+    )
+    if not key:
+        return shown, ""
+    end = reach * scene.before.mean_edge_length
+    data = encode_scene(
+        scene.before,
+        scene.after,
+        scene.deviation,
+        ends=(-end, end) if scene.is_signed else None,
+        view=camera.axes,
+        colours=scene.colours,
+        most_faces=bounds.scene_faces,
+    )
+    most_colours = None if scene.painted(1) is None else 256
+    poster = png_bytes(image(scene.after, scene.painted(1), "paint", _POSTER), most_colours)
+    name = f"{record.input}, after"
+    return shown, viewer.embedded_scene(key, data, picture=poster, description=name, starts="click")
 
 
-def _surface(path: str, sha256: str | None, format: str | None, bounds: Bounds) -> Surface | None:
+def _surface(path: str, sha256: str | None, format: str | None) -> Surface | None:
     """What the file at ``path`` holds; None if it is not there, or has another SHA-256."""
-
-    if not os.path.isfile(path) or os.path.getsize(path) > bounds.file_bytes:
+    if not os.path.isfile(path):
         return None
     data = header_check.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
     plain, _ = gzip_streams.expand(data, path)
-    mesh_file = codecs.open_mesh(plain, path, format)
-    if len(mesh_file.faces) > bounds.faces:
-        return None
-    return coloured_surface_of(mesh_file, path)
-
-
-# Pictures
-
-
-def _pictures(scene: Scene, camera: Camera, reach: float) -> Pictures:
-    """Three pictures from one place; colours reach to ``reach`` mean edge lengths."""
-    after = scene.after or scene.before
-    deviation = None
-    if scene.deviation is not None and scene.is_signed:
-        moved = scene.deviation / scene.before.mean_edge_length
-        painted = colours.map_colours(moved, -reach, reach, "diverging")
-        deviation = jpeg_bytes(_image(after, camera, _SIZE, painted))
-    before = jpeg_bytes(_painted(scene, 0, camera, _SIZE))
-    return Pictures(before, jpeg_bytes(_painted(scene, 1, camera, _SIZE)), deviation)
-
-
-def _painted(scene: Scene, at: int, camera: Camera, size: tuple[int, int]) -> Image:
-    """The mesh before (0) or after (1) in its file's colours, or of clay."""
-    mesh = scene.after if at and scene.after is not None else scene.before
-    return _image(mesh, camera, size, scene.painted(at), "paint")
-
-
-def _image(
-    mesh: Mesh,
-    camera: Camera,
-    size: tuple[int, int],
-    painted: Image | None = None,
-    colours_are: str = "map",
-) -> Image:
-    style = Style(background=(236, 238, 241))
-    return shade(
-        mesh.vertices, mesh.faces, camera, *size, painted, style=style, colours_are=colours_are
-    )
+    return coloured_surface_of(codecs.open_mesh(plain, path, format), path)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:
@@ -225,7 +203,6 @@ def _reach(records: Sequence[MeshRecord]) -> float:
     What 95 % of the vertices of a typical file stay below, doubled and rounded up, so that a bad
     file is visible.
     """
-
     done = [record for record in records if record.status in WITH_OUTPUT]
     moves = known_values(done, "displacement.p95_edges")
     sizes = [size for size in moves if math.isfinite(size) and size > _ROUNDING_EDGES]
@@ -237,7 +214,6 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 
 def _scale(reach: float) -> Scale:
-
     table = colours.colour_table("diverging")
     rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
     return Scale(
@@ -246,50 +222,3 @@ def _scale(reach: float) -> Scale:
         high=f"+{reach:g} mean edge lengths (outwards)",
         colours=tuple("#" + "".join(f"{int(part):02x}" for part in row) for row in rows),
     )
-
-
-# Scenes
-
-
-def _embed(
-    record: MeshRecord, scene: Scene, camera: Camera, reach: float, most_faces: int, key: str
-) -> str:
-
-    end = reach * scene.before.mean_edge_length
-    drawn = encode_scene(
-        scene.before,
-        scene.after,
-        scene.deviation,
-        ends=(-end, end) if scene.is_signed else None,
-        view=camera.axes,
-        colours=scene.colours,
-        most_faces=most_faces,
-    )
-    most_colours = None if scene.painted(1) is None else 256
-    poster = png_bytes(_painted(scene, 1, camera, _POSTER), most_colours)
-    return viewer.embedded_scene(
-        key, drawn, picture=poster, description=f"{record.input}, after", starts="click"
-    )
-
-
-def _remarks(
-    n_shown: int, n_late: int, n_large: int, n_decimated: int, bounds: Bounds
-) -> list[str]:
-    remarks = []
-    if n_late:
-        limits = f"{bounds.seconds:.0f} seconds or {bounds.picture_bytes / 1e6:.0f} MB"
-        remarks.append(
-            f"Pictures are of the worst {format_count(n_shown, 'file')}: the other {n_late:,} "
-            f"would have taken more than {limits}."
-        )
-    if n_large:
-        remarks.append(
-            f"{format_count(n_large, 'file')} of more than {bounds.faces:,} faces or "
-            f"{bounds.file_bytes / 1e6:.0f} MB without pictures here; `msal view` makes them."
-        )
-    if n_decimated:
-        remarks.append(
-            f"In 3D, meshes of more than {bounds.scene_faces:,} faces are decimated, before and "
-            "after alike; the figures are those of the full meshes."
-        )
-    return remarks
