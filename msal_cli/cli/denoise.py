@@ -118,14 +118,14 @@ class _Session:
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
         from dataclasses import replace
 
-        from msal_cli.cli import progress, report_files
+        from msal_cli.cli import progress
         from msal_cli.cli.streams import choose_format, denoise_stream
 
         request = self._request
         self._references = _find_references(request, ["-"])
         _refuse_found_targets(request, stream.target)
         paths = [path for path in (stream.source, stream.target) if path != options.STREAM]
-        report_files.check(request.reports, [*paths, *self._side_files], request.csv_columns)
+        self._check_reports(paths)
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
         try:
@@ -135,11 +135,18 @@ class _Session:
         log_record(record)
         return self._conclude(settings, [record])
 
+    def _check_reports(self, paths: list[str]) -> None:
+        if self._request.reports or self._request.csv_columns:
+            from msal_cli.cli import report_files
+
+            taken = [*paths, *self._side_files]
+            report_files.check(self._request.reports, taken, self._request.csv_columns)
+
     def _run_files(self, plan: Plan, settings: Settings) -> int:
         from msal_cli.batch import interrupts
         from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
-        from msal_cli.cli import progress, report_files
+        from msal_cli.cli import progress
 
         request = self._request
         engine: EngineFactory | None = None
@@ -154,7 +161,7 @@ class _Session:
         _refuse_found_targets(request, tasks[0].output if is_file else None)
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
-        report_files.check(request.reports, [*paths, *self._side_files], request.csv_columns)
+        self._check_reports(paths)
         names = [task.relative for task in plan.tasks]
         self._references = _find_references(request, names)
         finished: dict[int, MeshRecord] = {}
@@ -228,7 +235,6 @@ class _Session:
         """Measure, print, write the reports, and give the exit status."""
         from dataclasses import asdict
 
-        from msal_cli.cli import report_files
         from msal_cli.report import data
         from msal_cli.version import __version__
 
@@ -261,7 +267,9 @@ class _Session:
                         _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
         self._print(run, records)
         try:
-            if not is_dry:
+            if not is_dry and (request.reports or "GITHUB_ACTIONS" in os.environ):
+                from msal_cli.cli import report_files
+
                 report_files.annotate(records)
                 report_files.write(
                     request.reports,
@@ -272,7 +280,7 @@ class _Session:
                     without_pictures=interrupted,
                     quiet=request.quiet,
                 )
-            elif request.reports:
+            elif is_dry and request.reports:
                 console.say("dry run: no report is written")
         finally:
             if request.as_json:

@@ -73,17 +73,6 @@ def test_a_page_holds_both_meshes_and_a_picture(scans):
     assert len((scans / "one.HTML").read_bytes()) < len(page)
 
 
-def test_a_page_is_the_same_bytes_and_names_its_command(scans):
-    command = ("view", scans / "a.ply", scans / "b.ply", "-o", scans / "p.html", "--size", "64")
-    pages = []
-    for _ in range(2):
-        made = msal(*command)
-        assert (made.exit_code, made.stdout) == (0, ""), made.stderr
-        pages.append((scans / "p.html").read_bytes())
-    assert pages[0] == pages[1]
-    assert b"<!DOCTYPE html>" in pages[0] and b"a.ply" in pages[0]
-
-
 def test_without_a_name_the_page_is_in_the_current_folder(scans, tmp_path, monkeypatch):
     opened = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
