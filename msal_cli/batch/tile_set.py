@@ -507,9 +507,7 @@ def _add_seconds(record: MeshRecord, *others: tuple[Seconds | None, float]) -> M
         + sum(share * getattr(more, stage.name) for more, share in others if more is not None)
         for stage in fields(Seconds)
     }
-    total = sums["total"]
-    speed = (record.vertices or 0) / total if total > 0.0 and record.error is None else None
-    return replace(record, seconds=Seconds(**sums), vertices_per_second=speed)
+    return replace(record, seconds=Seconds(**sums))
 
 
 def _read_points(

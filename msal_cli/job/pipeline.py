@@ -186,12 +186,11 @@ class FileRun:
         """The record of a file that was written."""
         if self._output_digest is not None:
             self.know(output_sha256=self._output_digest())
-        total = self._close_record().total
+        self._close_record()
         self.know(
             status="written" if self._is_changed else "unchanged",
             output=output_path,
             sidecars=sidecars,
-            vertices_per_second=(self._record.vertices or 0) / total if total > 0.0 else None,
         )
         return self._record
 

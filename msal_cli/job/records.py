@@ -481,9 +481,6 @@ class MeshRecord(ScreenRepr):
     method: MethodUsed | None = known("method and parameters, given or chosen")
     choice: ChoiceMade | None = known("why that method was chosen; null where it was given")
     seconds: Seconds | None = known("wall-clock seconds by stage")
-    vertices_per_second: float | None = known(
-        "vertices (of an STL after welding) over total seconds"
-    )
     peak_memory_bytes: int | None = known("highest memory of the process so far")
     planned: Planned | None = known("of a dry run, what the file will take (below)")
     input_sha256: str | None = known("SHA-256 of the input's bytes, hexadecimal")

@@ -112,9 +112,7 @@ def test_files_and_records_are_those_of_one_process(folder, cluster):
 
     def timeless(record):
         output = record.output and Path(record.output).name
-        return replace(
-            record, output=output, seconds=None, vertices_per_second=None, peak_memory_bytes=None
-        )
+        return replace(record, output=output, seconds=None, peak_memory_bytes=None)
 
     assert list(map(timeless, there)) == list(map(timeless, here))
     assert sorted(one.index for one in events if isinstance(one, Started)) == list(range(8))

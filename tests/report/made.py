@@ -117,7 +117,6 @@ def written(name="scan.ply", **changes):
         "displacement": Displacement(0.1, 0.2, 0.3, 0.4, 0.11, 0.22, 0.33, 0.44, 35000),
         "method": MethodUsed("msal", {"iterations": 4, "K": 0.5}),
         "seconds": Seconds(0.1, 0.2, 0.0, 0.05, 0.3, 0.1, 0.2, 0.95),
-        "vertices_per_second": 37838.9,
     }
     return MeshRecord(**(values | changes))
 
