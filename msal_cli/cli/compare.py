@@ -180,13 +180,7 @@ def command(
 
 
 def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
-    """The files of both folders that have a partner; the number of the others is reported.
-
-    Raises
-    ------
-    NothingMatched
-        if there is none.
-    """
+    """The files of both folders that have a partner; the number of the others is reported."""
     from msal_cli.batch.inputs import NothingMatched
 
     (before, first), (after, second) = sides.items()

@@ -73,13 +73,7 @@ def read_config(
     *,
     is_named: bool,
 ) -> Config:
-    """The table of ``command`` in a file that the user ``is_named``, or that was found.
-
-    Raises
-    ------
-    UsageError
-        if the file cannot be read, or has a table, a key or a value that means nothing.
-    """
+    """The table of ``command`` in a file that the user ``is_named``, or that was found."""
     tables = _read_tables(path)
     for table, content in tables.items():
         if table not in commands:
@@ -252,13 +246,7 @@ def make_options() -> list[click.Option]:
 def parse_args(
     command: click.Command, ctx: click.Context, args: list[str], parse: Parse
 ) -> list[str]:
-    """Parse ``args`` with the values of the file that they name, or that is found.
-
-    Raises
-    ------
-    UsageError
-        if the file has what the command does not know, or cannot be read.
-    """
+    """Parse ``args`` with the values of the file that they name, or that is found."""
     given, _, _ = command.make_parser(ctx).parse_args(list(args))
     help_option = command.get_help_option(ctx)
     if "help_all" in given or (help_option is not None and help_option.name in given):

@@ -329,7 +329,7 @@ _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 class Request(SimpleNamespace):
     """The command line of ``msal denoise``: a field for each of ``denoise_options``, and ``given``,
     which is what ``conflicts.find_given`` found, and ``found``, of
-    ``configuration.options_of_found_file``."""
+    ``config.options_of_found_file``."""
 
 
 def check_request(request: Request, stream: Stream | None) -> None:
@@ -361,15 +361,9 @@ def check_request(request: Request, stream: Stream | None) -> None:
 
 
 def _refuse_found_targets(request: Request, output_file: str | None) -> None:
-    """Refuse what a msal.toml that was found, and may be another person's, must not write.
-
-    ``output_file`` is the output where that is one file, ``-`` for a stream.
-
-    Raises
-    ------
-    UsageError
-        for a file that is there already as the output, for a report outside the output folder or
-        in the place of what is no report of msal.
+    """Refuse what a msal.toml that was found, and may be another person's, must not write: an
+    output that is there already, a report outside the output folder or in the place of what is no
+    report of msal.  ``output_file`` is the output where that is one file, ``-`` for a stream.
     """
     from msal_cli.cli.report_files import REPORT, refuse_target
 
@@ -398,11 +392,6 @@ def _refuse_found_targets(request: Request, output_file: str | None) -> None:
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     """For each input, known by its relative path, the path of its reference; () if none is given
     for.
-
-    Raises
-    ------
-    UsageError
-        if what --reference names is neither file nor folder, or a folder for a stream.
     """
     from msal_cli.storage.urls import is_url
 

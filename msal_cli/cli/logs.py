@@ -23,11 +23,6 @@ def log_to_console(verbosity: int, log_file: str | None = None) -> Iterator[None
 
     ``verbosity`` is -1 for errors only, 0 for warnings, 1 for the steps, 2 for everything.
     ``log_file`` is appended to and gets everything.
-
-    Raises
-    ------
-    UsageError
-        if the log file cannot be opened.
     """
     handlers: list[logging.Handler] = [_ConsoleHandler(verbosity)]
     if log_file is not None:

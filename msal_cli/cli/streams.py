@@ -48,14 +48,7 @@ class Stream:
 
 
 def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
-    """The stream that these inputs and this output, one of which is ``-``, ask for.
-
-    Raises
-    ------
-    UsageError
-        if a stream is to be shared by several files, or would fill a terminal with a mesh; if the
-        output is called like a file of no known format.
-    """
+    """The stream that these inputs and this output, one of which is ``-``, ask for."""
     if len(inputs) > 1:
         raise UsageError(
             "standard input and standard output hold one mesh, not several",
@@ -90,13 +83,7 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
 
 
 def choose_format(stream: Stream, to: str | None) -> str | None:
-    """The format to convert to: that of ``--to``, else that of the output's suffix, if any.
-
-    Raises
-    ------
-    UsageError
-        if the two contradict each other.
-    """
+    """The format to convert to: that of ``--to``, else that of the output's suffix, if any."""
     from msal_cli.job.settings import is_mesh_name, output_name
 
     if stream.target == STREAM or not is_mesh_name(stream.target):

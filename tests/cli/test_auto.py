@@ -268,7 +268,6 @@ def test_the_wishes_are_part_of_what_is_current(scan, tmp_path, choose):
     assert not is_current("--auto")
 
 
-@pytest.mark.slow
 def test_with_trust_the_method_has_a_data_term(tmp_path, monkeypatch):
     # Methods with a data term shrink a small torus.
     monkeypatch.setattr("msal_cli.analysis.harm.excessive_change", lambda *a, **k: None)
@@ -331,7 +330,6 @@ def slow_to_choose(tmp_path):
     return {"PYTHONPATH": os.pathsep.join([str(patch), root])}, begun
 
 
-@pytest.mark.slow
 def test_the_time_limit_holds_while_choosing(tmp_path, slow_to_choose):
     env, begun = slow_to_choose
     scans = folder_of(tmp_path / "in", a=closed_scan(), b=closed_scan(1))
@@ -353,7 +351,6 @@ def test_a_chooser_that_fails_is_a_failed_record(scan, tmp_path, choose):
     assert not (tmp_path / "o.ply").exists()
 
 
-@pytest.mark.slow
 def test_the_same_bytes_with_any_jobs_and_threads(tmp_path):
     scans = folder_of(tmp_path / "in", a=closed_scan(), b=open_scan(), c=closed_scan(5))
     made = []
