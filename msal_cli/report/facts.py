@@ -275,7 +275,7 @@ def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
         ProblemTable("Failed", ("reason", "code", "what to do"), failed),
         ProblemTable("Broken gates", ("gate",), broken),
         ProblemTable("Warnings", ("warning",), warned),
-        ProblemTable("Noise or texture", ("readings",), unsure),
+        ProblemTable("Look at these", ("noise or texture",), unsure),
     )
     return [table for table in tables if table.rows]
 
