@@ -67,10 +67,6 @@ class DaskEngine:
         """See ``Engine.interrupt``."""
         self._is_interrupted = True
 
-    def add(self, tasks: dict[int, Any]) -> None:
-        """No run with Dask stays; see ``Work.stays``."""
-        raise NotImplementedError
-
     def batches(self) -> Generator[list[Message], None, None]:
         """See ``Engine.batches``."""
         probes = [

@@ -41,10 +41,6 @@ class Engine(Protocol):
         """Give up the current tasks and end; may be called from a signal handler."""
         ...
 
-    def add(self, tasks: dict[int, Any]) -> None:
-        """Add tasks to an engine that stays; may be called from another thread."""
-        ...
-
 
 @dataclass(frozen=True)
 class Work:
@@ -67,8 +63,6 @@ class Work:
     weights : bytes of memory that the large tasks are expected to need; they go first.
     light_bytes : ... any other task.
     budget_bytes : what all current tasks together may need on this machine; None is no bound.
-    stays : when all is done the engine waits for what ``add`` brings, until ``interrupt`` or until
-        its iterator is closed.
     reports_first : results are reported before the next tasks are handed out, so that ``stop`` is
         in time for these.
     """
@@ -87,7 +81,6 @@ class Work:
     light_bytes: int = 0
     budget_bytes: int | None = None
     reports_first: bool = False
-    stays: bool = False
 
 
 EngineFactory = Callable[[Work], Engine]

@@ -49,10 +49,6 @@ class TaskQueue:
         """Whether nothing waits, second tries included."""
         return not len(self) and not self._retries
 
-    def extend(self, tasks: Iterable[int]) -> None:
-        """Add tasks behind all others."""
-        self._light.extend(tasks)
-
     def drop(self) -> None:
         """Give up the tasks that wait for their first try."""
         for queue in (self._exclusive, self._heavy, self._light):

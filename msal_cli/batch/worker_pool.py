@@ -66,12 +66,10 @@ class WorkerPool:
         self._work = work
         self._tasks = work.tasks
         self._limits = work.limits
-        self._stays = work.stays
         self._assignment = Assignment(
             work.function, work.common, _log.getEffectiveLevel(), work.limits.memory_bytes
         )
-        # A pool that stays gets more tasks than those that it begins with.
-        self._jobs = max(1, work.jobs if work.stays else min(work.jobs, len(work.tasks)))
+        self._jobs = max(1, min(work.jobs, len(work.tasks)))
         self._files_per_worker = files_per_worker
         self._growth_bytes = growth_bytes
         self._queue = TaskQueue(
@@ -90,10 +88,6 @@ class WorkerPool:
         """See ``Engine.stop``."""
         self._queue.drop()
 
-    def add(self, tasks: dict[int, Any]) -> None:
-        """See ``Engine.add``."""
-        self._inbox.put((None, ("more", tasks)))
-
     def interrupt(self) -> None:
         """See ``Engine.interrupt``."""
         self._inbox.put((None, ()))
@@ -108,13 +102,11 @@ class WorkerPool:
             while True:
                 if messages:
                     yield messages
-                if not (self._stays or self._is_busy()) and self._queue.is_empty:
+                if not self._is_busy() and self._queue.is_empty:
                     return
                 messages, is_interrupted = [], False
                 for worker, message in self._receive():
-                    if worker is None and message:
-                        self._add_tasks(message[1])
-                    elif worker is None:
+                    if worker is None:
                         is_interrupted = True
                     else:
                         messages += self._handle_message(worker, message)
@@ -131,15 +123,6 @@ class WorkerPool:
             self._end()
 
     # Assigning tasks
-
-    def _add_tasks(self, tasks: dict[int, Any]) -> None:
-        if self._is_busy() or not self._queue.is_empty:
-            self._tasks = self._tasks | tasks
-        else:
-            # Finished tasks are forgotten, so that a pool can stay for ever.
-            self._tasks = tasks
-            self._losses = Losses(self._work.retries)
-        self._queue.extend(tasks)
 
     def _is_busy(self) -> bool:
         return any(worker.current_task is not None for worker in self._workers)

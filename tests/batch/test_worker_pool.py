@@ -196,28 +196,6 @@ def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
 
 
 @posix
-def test_a_crew_that_stays_keeps_its_worker_from_one_lot_of_tasks_to_the_next():
-    one = pool([("pid", 0)], jobs=1, stays=True)
-    lots = [{7: ("pid", 0), 8: ("double", 4)}, {7: ("kill", 0)}, {7: ("double", 5)}]
-    wanted, results_of_lots, messages = 1, [], []
-    with pytest.raises(Interrupt):
-        for batch in one.batches():
-            messages += batch
-            if len(results(messages)) + len(lost(messages)) == wanted:
-                results_of_lots.append((results(messages), set(lost(messages))))
-                messages = []
-                if lots:
-                    wanted = len(lots[0])
-                    one.add(lots.pop(0))
-                else:
-                    one.interrupt()
-    (first, _), (second, _), third, fourth = results_of_lots
-    assert first[0] == second[7] and second[8] == 8
-    assert third == ({}, {7}) and fourth == ({7: 10}, set())
-    assert children() == []
-
-
-@posix
 def test_a_worker_that_dies_before_it_starts_is_not_the_files_fault(monkeypatch):
     monkeypatch.setattr(
         worker_process, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)"
