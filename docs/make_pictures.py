@@ -21,9 +21,9 @@ from msal_cli.auto import adaptive
 from msal_cli.job.comparison import Surface
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
-from msal_cli.view import parameter_grid, pictures
-from msal_cli.view.camera import framing, rotate
-from msal_cli.view.image_files import png_bytes
+from msal_cli.view import pictures, sweep
+from msal_cli.view.camera import frame_vertices, rotate
+from msal_cli.view.panels import png_bytes
 from msal_cli.view.shading import shade
 
 Array = NDArray[Any]
@@ -119,7 +119,7 @@ def _read_png(path: Path) -> Array:
 def panel(name: str, mesh: tuple[Array, Array], size: tuple[int, int]) -> Array:
     """One mesh as a picture, framed as the clean one is."""
     axes = rotate(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *VIEWS[name])
-    camera = framing(axes, opened(sample(name, "clean"))[0])
+    camera = frame_vertices(axes, opened(sample(name, "clean"))[0])
     stored = vertex_colours(name)
     colours = None if stored is None else stored.astype(np.uint8)
     return shade(*mesh, camera, *size, colours)
@@ -138,11 +138,11 @@ def tried(name: str) -> Array:
     """What ``msal sweep`` shows of a noisy sample, with the clean one as its reference."""
     view = pictures.View(size=230)
     noisy, clean = (Surface(*opened(sample(name, kind))) for kind in ("noisy", "clean"))
-    on = parameter_grid.subject(noisy, f"{name}_noisy.ply", clean, f"{name}_clean.ply", view)
-    wanted = parameter_grid.grid(methods.find("msal"), "iterations=2,4", "K=0.25,0.5,1", {})
-    made = parameter_grid.cells(on, wanted)
-    done = [(cell, parameter_grid.draw_grid(on, mesh, view)) for cell, mesh in made]
-    return parameter_grid.sheet(on, wanted, done, view)
+    on = sweep.subject(noisy, f"{name}_noisy.ply", clean, f"{name}_clean.ply", view)
+    wanted = sweep.grid(methods.find("msal"), "iterations=2,4", "K=0.25,0.5,1", {})
+    made = sweep.cells(on, wanted)
+    done = [(cell, sweep.draw_grid(on, mesh, view)) for cell, mesh in made]
+    return sweep.sheet(on, wanted, done, view)
 
 
 def write_png(path: Path, image: Array, most_colours: int = 256) -> None:

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from paper_figures import FIGURES, Image, Made, Rows
 
-from msal_cli.view.image_files import png_bytes
+from msal_cli.view.panels import png_bytes
 
 DOCS = Path(__file__).resolve().parent
 PAGE = DOCS / "reproduction.md"

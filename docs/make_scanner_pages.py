@@ -26,8 +26,8 @@ from scanner_examples import EXAMPLES, Example, true_mesh
 from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_outcomes import NOISY, Outcomes
-from msal_cli.view.camera import framing, rotate
-from msal_cli.view.image_files import png_bytes
+from msal_cli.view.camera import frame_vertices, rotate
+from msal_cli.view.panels import png_bytes
 from msal_cli.view.shading import shade
 
 Image = NDArray[np.uint8]
@@ -58,7 +58,7 @@ def draw(example: Example) -> Shown:
     result = pair.noisy.with_vertices(vertices)
     turn = make_pictures.VIEWS[example.model]
     axes = rotate(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
-    camera = framing(axes, true.vertices)
+    camera = frame_vertices(axes, true.vertices)
     panels = [
         shade(mesh.vertices, mesh.faces, camera, *SIZE) for mesh in (pair.noisy, result, true)
     ]

@@ -32,8 +32,8 @@ from paper_models import (
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.measures import mean_curvature
 from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.view.camera import viewed
-from msal_cli.view.panels import Legend, labelled_panels
+from msal_cli.view.camera import choose_camera
+from msal_cli.view.panels import Legend, draw_panels
 
 ANGEL = "scans/angel.obj"
 FACE = "scans/face000.ply"
@@ -80,8 +80,8 @@ def figure_1(folder: Path) -> Made:
         ("(c) MSAL, 4 sweeps, K = 1/2", after(noisy, "msal", iterations=4, K=0.5)),
         ("original", clean),
     ]
-    camera = closer(viewed(clean.vertices, clean.faces), -0.55, 0.55, 0.4)
-    picture = labelled_panels(panels(shown, camera, (480, 360), clean), columns=2)
+    camera = closer(choose_camera(clean.vertices, clean.faces), -0.55, 0.55, 0.4)
+    picture = draw_panels(panels(shown, camera, (480, 360), clean), columns=2)
     wide = after(noisy, "bilateral_non_iterative", closeness=2.0)
     table = against(clean, [*shown[:3], ("bilateral, twice as wide, not in the picture", wide)])
     return Made(picture, table)
@@ -91,7 +91,7 @@ def figure_2(folder: Path) -> Made:
     """The scanned angel."""
     scan = opened(folder, ANGEL).mesh
     result = after(scan, "msal", iterations=3, K=0.5)
-    whole = viewed(scan.vertices, scan.faces, up="-y")
+    whole = choose_camera(scan.vertices, scan.faces, up="-y")
     near = closer(whole, 0.33, -0.08, 0.48)
     shown = [("(a) scan", scan), ("(b) MSAL, 3 sweeps, K = 1/2", result)]
     picture = [*panels(shown, whole, (620, 430)), *panels(shown, near, (620, 430))]
@@ -115,14 +115,14 @@ def figure_2(folder: Path) -> Made:
     cells = [f"{100.0 * level:.1f} %" for level in levels]
     change = f"{100.0 * (levels[1] / levels[0] - 1.0):+.0f} %"
     table.append(["noise that `msal info` estimates, in mean edge lengths", *cells, change])
-    return Made(labelled_panels(picture, columns=2), table)
+    return Made(draw_panels(picture, columns=2), table)
 
 
 def figure_3(folder: Path) -> Made:
     """A scanned face under AL."""
     scan = opened(folder, FACE).mesh
     result = after(scan, "al", iterations=3)
-    camera = closer(viewed(scan.vertices, scan.faces), 0.0, -0.12, 0.62)
+    camera = closer(choose_camera(scan.vertices, scan.faces), 0.0, -0.12, 0.62)
     shown = [("(a) scan", scan), ("(b) AL, 3 sweeps", result)]
     table = [["", "scan", "AL"]]
     turns = [f"{bends(mesh)[1].mean():.2f}°" for mesh in (scan, result)]
@@ -131,7 +131,7 @@ def figure_3(folder: Path) -> Made:
         100.0 * estimate_noise(mesh).file_units / scan.mean_edge_length for mesh in (scan, result)
     ]
     table.append(["estimated noise, in mean edge lengths", *(f"{one:.1f} %" for one in levels)])
-    return Made(labelled_panels(panels(shown, camera, (420, 540))), table)
+    return Made(draw_panels(panels(shown, camera, (420, 540))), table)
 
 
 def figure_4(folder: Path) -> Made:
@@ -146,8 +146,8 @@ def figure_4(folder: Path) -> Made:
         ("(d) AL, not mollified", after(noisy, "al", iterations=4, mollify=0)),
         ("(e) AL, mollified", after(noisy, "al", iterations=4, mollify=1)),
     ]
-    camera = viewed(clean.vertices, clean.faces)
-    picture = labelled_panels(panels(shown, camera, (290, 410), clean))
+    camera = choose_camera(clean.vertices, clean.faces)
+    picture = draw_panels(panels(shown, camera, (290, 410), clean))
     table = [["", "angle", "vertices", "edges bent by more than 90°"]]
     for title, mesh in shown[1:]:
         _, bent = bends(mesh)
@@ -165,7 +165,7 @@ def figure_5(folder: Path) -> Made:
     values = fidelity(scan)
     known = values[used]
     high = float(np.quantile(known, 0.99))
-    camera = closer(viewed(scan.vertices, scan.faces), 0.0, 0.0, 0.92)
+    camera = closer(choose_camera(scan.vertices, scan.faces), 0.0, 0.0, 0.92)
     plain = drawn(scan, camera, (430, 560))
     painted = colours.map_colours(values, 0.0, high)
     face = drawn(scan, camera, (430, 560), painted)
@@ -188,7 +188,7 @@ def figure_5(folder: Path) -> Made:
     for name, share in (("median", 0.5), ("90th percentile", 0.9), ("99th percentile", 0.99)):
         table.append([name, f"{np.quantile(known, share):.3f}"])
     table.append(["largest", f"{known.max():.3f}"])
-    return Made(labelled_panels(parts, legend), table)
+    return Made(draw_panels(parts, legend), table)
 
 
 def _scatter(values: Floats, width: int, height: int) -> Image:
@@ -214,8 +214,8 @@ def figure_6(folder: Path) -> Made:
     shown += [(f"({'bcd'[n]}) AL, {_swept(n + 1)}", mesh) for n, mesh in enumerate(al)]
     shown += [("(h) original", clean)]
     shown += [(f"({'efg'[n]}) MSAL, {_swept(n + 1)}", mesh) for n, mesh in enumerate(msal)]
-    camera = closer(viewed(clean.vertices, clean.faces), 0.05, -0.28, 0.74)
-    picture = labelled_panels(panels(shown, camera, (330, 330), clean), columns=4)
+    camera = closer(choose_camera(clean.vertices, clean.faces), 0.05, -0.28, 0.74)
+    picture = draw_panels(panels(shown, camera, (330, 330), clean), columns=4)
     table = [["", "noisy", "1 sweep", "2 sweeps", "3 sweeps"]]
     for name, meshes in (("AL", al), ("MSAL, K = 1/2", msal)):
         table.append([name, *(errors(clean, mesh) for mesh in (noisy, *meshes))])
@@ -242,8 +242,8 @@ def figure_7(folder: Path) -> Made:
         ("(e) bilateral, one ring", after(noisy, "bilateral", variant="one_ring", iterations=3)),
         ("(f) bilateral, radius 2.2 e", after(noisy, "bilateral", iterations=3, **wide)),
     ]
-    camera = closer(viewed(clean.vertices, clean.faces), -0.45, 0.25, 0.56)
-    picture = labelled_panels(panels(shown, camera, (430, 350), clean), columns=3)
+    camera = closer(choose_camera(clean.vertices, clean.faces), -0.45, 0.25, 0.56)
+    picture = draw_panels(panels(shown, camera, (430, 350), clean), columns=3)
     default = ("MSAL, K = 1/2, not in the picture", after(noisy, "msal", iterations=3, K=0.5))
     table = against(clean, [*shown[1:], default])
     chosen = (clean, noisy, shown[3][1], shown[2][1])
@@ -261,12 +261,10 @@ def figure_8(folder: Path) -> Made:
         ("(b) diffusion, 25 steps", after(noisy, "anisotropic_diffusion", **diffusion)),
         ("(c) MSAL, 4 sweeps", after(noisy, "msal", iterations=4, K=0.5)),
     ]
-    whole = viewed(clean.vertices, clean.faces)
+    whole = choose_camera(clean.vertices, clean.faces)
     above = panels(shown, whole, (250, 330))
     below = panels(shown, closer(whole, 0.12, 0.18, 0.4), (250, 330), clean)
-    picture = labelled_panels(
-        [*above, *((image, "", words) for image, _, words in below)], columns=4
-    )
+    picture = draw_panels([*above, *((image, "", words) for image, _, words in below)], columns=4)
     return Made(picture, against(clean, shown[1:]))
 
 
@@ -276,7 +274,7 @@ def figure_9(folder: Path) -> Made:
     shown = [("(a) scan", scan)]
     for letter, name, K in (("b", "1/4", 0.25), ("c", "1/2", 0.5), ("d", "1", 1.0)):
         shown.append((f"({letter}) K = {name}", after(scan, "msal", iterations=4, K=K)))
-    camera = closer(viewed(scan.vertices, scan.faces), 0.0, -0.12, 0.62)
+    camera = closer(choose_camera(scan.vertices, scan.faces), 0.0, -0.12, 0.62)
     size = (270, 350)
     edge = scan.mean_edge_length
     curvatures = [edge * mean_curvature(mesh) for _, mesh in shown]
@@ -305,8 +303,8 @@ def figure_9(folder: Path) -> Made:
         below.append((image, title, []))
     ticks = tuple((0.5 + 0.5 * one, f"{one * high:g}", "") for one in (-1.0, 0.0, 1.0))
     legend = Legend(("1/e: inverse mean edge lengths",), colours.colour_table("diverging"), ticks)
-    picture = labelled_panels(panels(shown, camera, size))
-    return Made(picture, table, second=labelled_panels(below, legend))
+    picture = draw_panels(panels(shown, camera, size))
+    return Made(picture, table, second=draw_panels(below, legend))
 
 
 def figure_10(folder: Path) -> Made:
@@ -324,8 +322,8 @@ def figure_10(folder: Path) -> Made:
         ("(e) AL, edge length", after(noisy, "al", scaling="edge", **scaled)),
         ("(f) MSAL, K = 1/3", after(noisy, "msal", iterations=3, K=1.0 / 3.0)),
     ]
-    camera = viewed(clean.vertices, clean.faces, "left", turn_deg=35.0, up="y")
-    picture = labelled_panels(panels(shown, camera, (330, 400), clean, 0.0), columns=3)
+    camera = choose_camera(clean.vertices, clean.faces, "left", turn_deg=35.0, up="y")
+    picture = draw_panels(panels(shown, camera, (330, 400), clean, 0.0), columns=3)
     table = [["", "angle", "vertices", "volume"]]
     whole = volume(clean, np.zeros(3))
     for title, mesh in shown[1:]:
@@ -345,8 +343,8 @@ def figure_11(folder: Path) -> Made:
         ("(b) AL, 3 sweeps", after(noisy, "al", iterations=3)),
         ("(c) MSAL, 3 sweeps, K = 1/2", after(noisy, "msal", iterations=3, K=0.5)),
     ]
-    camera = viewed(clean.vertices, clean.faces)
-    picture = labelled_panels(panels(shown, camera, (430, 330), clean, 0.0))
+    camera = choose_camera(clean.vertices, clean.faces)
+    picture = draw_panels(panels(shown, camera, (430, 330), clean, 0.0))
     pairs, bent = bends(clean)
     sharp = np.zeros(len(clean.faces), dtype=bool)
     sharp[pairs[bent > 30.0]] = True

@@ -125,11 +125,11 @@ def _render_page(
     from msal_cli.job.output import write_output
     from msal_cli.report import gallery, html
     from msal_cli.report.facts import format_count, seconds_text
-    from msal_cli.report.picture_cache import PictureCache, cache_path
+    from msal_cli.report.gallery import PictureCache, cache_path
+    from msal_cli.report.html import EMPTY_GALLERY
     from msal_cli.storage.urls import is_url
-    from msal_cli.view.illustrations import EMPTY
 
-    pictures = EMPTY
+    pictures = EMPTY_GALLERY
     if not without_pictures:
         with progress.picture_bar(quiet=quiet) as on_file:
             begun = time.monotonic()

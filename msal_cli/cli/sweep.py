@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from msal_cli.auto.estimated_errors import Filter
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Mesh
-    from msal_cli.view.parameter_grid import Cell, Grid, Subject
     from msal_cli.view.pictures import View
+    from msal_cli.view.sweep import Cell, Grid, Subject
 
 SCHEMA = "msal.sweep/1"
 
@@ -124,8 +124,8 @@ def command(
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import open_surface, opened, surface_of
     from msal_cli.storage import atomic
-    from msal_cli.view import parameter_grid
-    from msal_cli.view.image_files import png_bytes
+    from msal_cli.view import sweep
+    from msal_cli.view.panels import png_bytes
 
     if os.path.splitext(output)[1].lower() != ".png":
         raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
@@ -135,16 +135,16 @@ def command(
     format = options.resolve_format(format)
     options.check_threads_variable()
     fixed = _parse_fixed(assignments)
-    grid = parameter_grid.grid(methods.find(method), rows, columns, fixed)
+    grid = sweep.grid(methods.find(method), rows, columns, fixed)
     mesh_file = opened(source, format)
     truth = None if reference is None else open_surface(reference, format)
-    on = parameter_grid.subject(surface_of(mesh_file), source, truth, reference or "", view)
+    on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
     done = []
     filters: list[Filter] = []
     # The picture is the result, even if nothing reads the numbers.
     with console.finish_work():
         for cell, mesh, filter in _results(on, grid, mesh_file):
-            done.append((cell, parameter_grid.draw_grid(on, mesh, view)))
+            done.append((cell, sweep.draw_grid(on, mesh, view)))
             filters.append(filter)
             if not as_json and not quiet:
                 console.put(_describe_cell(cell))
@@ -154,7 +154,7 @@ def command(
             (replace(cell, risk_edges=error), image)
             for (cell, image), error in zip(done, errors, strict=False)
         ]
-        picture = parameter_grid.sheet(on, grid, done, view)
+        picture = sweep.sheet(on, grid, done, view)
         atomic.write_whole(output, png_bytes(picture), sources=[source])
         cells = [cell for cell, _ in done]
         if as_json:
@@ -172,14 +172,14 @@ def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cel
     from msal_cli.auto import NONE, Wishes
     from msal_cli.job.pipeline import FileRun
     from msal_cli.job.settings import ADAPTIVE, AUTO, NO_LIMITS, Settings
-    from msal_cli.view import parameter_grid
+    from msal_cli.view import sweep
 
-    for cell, mesh in parameter_grid.cells(on, grid):
+    for cell, mesh in sweep.cells(on, grid):
         yield cell, mesh, (grid.method, grid.method.validate({**grid.fixed, **cell.parameters}))
     chosen = {"plain": Settings(ADAPTIVE), "auto": Settings(AUTO, asdict(Wishes()))}
     for choice, settings in chosen.items():
         run = FileRun(on.name, settings, None, NO_LIMITS)
-        cell, mesh = parameter_grid.choice_cell(on, choice, run.move_vertices(mesh_file))
+        cell, mesh = sweep.choice_cell(on, choice, run.move_vertices(mesh_file))
         used = run.finish(None).method
         assert used is not None
         method = None if used.name == NONE else methods.find(used.name)
@@ -211,7 +211,7 @@ def _describe_cell(cell: Cell) -> str:
 
 def _describe_nearest(cells: list[Cell]) -> str:
     from msal_cli.job.display_names import escape_for_display
-    from msal_cli.view.parameter_grid import find_nearest
+    from msal_cli.view.sweep import find_nearest
 
     nearest = find_nearest(cells)
     if nearest is None:
@@ -225,7 +225,7 @@ def _describe_nearest(cells: list[Cell]) -> str:
 
 
 def _print_json(source: str, reference: str | None, grid: Grid, cells: list[Cell]) -> None:
-    from msal_cli.view.parameter_grid import find_nearest
+    from msal_cli.view.sweep import find_nearest
 
     nearest = find_nearest(cells)
     console.put_json(

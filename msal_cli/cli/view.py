@@ -160,7 +160,7 @@ def command(
     from msal_cli.job.display_names import escape_for_display
     from msal_cli.storage import atomic
     from msal_cli.view import pictures
-    from msal_cli.view.image_files import png_bytes
+    from msal_cli.view.panels import png_bytes
 
     kind = "html" if output is None else _find_kind(output)
     format = options.resolve_format(format)
@@ -196,7 +196,7 @@ def command(
 def _build_scene(names: tuple[str, ...], format: str | None) -> Scene:
     from msal_cli.job.opened_mesh import refuse_beyond_memory
     from msal_cli.view import pictures
-    from msal_cli.view.surface_colours import open_coloured_surface
+    from msal_cli.view.colours import open_coloured_surface
 
     refuse_beyond_memory(names, format)
     surfaces = [open_coloured_surface(name, format) for name in names]

@@ -8,11 +8,13 @@ the worst files come first, and what the bounds cost is said on the page.
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import math
 import os
 import statistics
 import time
+import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -25,14 +27,14 @@ from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
-from msal_cli.report.picture_cache import PictureCache, picture_key
+from msal_cli.report.html import Gallery, Pictures, Scale
 from msal_cli.storage import gzip_streams
+from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
-from msal_cli.view.illustrations import Gallery, Pictures, Scale
-from msal_cli.view.image_files import jpeg_bytes, png_bytes
+from msal_cli.view.colours import coloured_surface_of
+from msal_cli.view.panels import jpeg_bytes, png_bytes
 from msal_cli.view.scene import encode_scene
 from msal_cli.view.shading import Image, Style, shade
-from msal_cli.view.surface_colours import coloured_surface_of
 
 log = logging.getLogger("msal")
 
@@ -42,6 +44,74 @@ _SHADES = 24
 _STANDARD_RANGE = 0.5
 # Below this, in mean edge lengths, nothing moved but the last digits.
 _ROUNDING_EDGES = 1e-9
+
+_MAX_CACHE_BYTES = 64_000_000
+"""A larger file is no cache."""
+
+_CACHED_NAMES = ("before.jpg", "after.jpg", "deviation.jpg", "scene.html")
+
+
+def cache_path(report: str) -> str:
+    """The archive of a page's pictures; a hidden file beside it."""
+    folder, name = os.path.split(report)
+    return os.path.join(folder, f".{name}.pictures.zip")
+
+
+class PictureCache:
+    """Pictures of an earlier page, kept in an archive beside it: a rerun draws only new ones.
+
+    They are found by hashes of the input, of the output and of how they are drawn: a file that is
+    denoised again with another result gets other pictures.  What is not found or added is dropped.
+    """
+
+    def __init__(self, path: str = "") -> None:
+        self.n_drawn = 0
+        self._old: dict[str, bytes] = {}
+        self._new: dict[str, bytes] = {}
+        try:
+            if path and os.path.getsize(path) <= _MAX_CACHE_BYTES:
+                with zipfile.ZipFile(path) as archive:
+                    self._old = {name: archive.read(name) for name in archive.namelist()}
+        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError):
+            self._old = {}
+
+    def find(self, key: str) -> tuple[Pictures, str] | None:
+        """The pictures and the scene (empty if there is none) of a key."""
+        names = [f"{key}/{name}" for name in _CACHED_NAMES]
+        before, after, deviation, scene = parts = [self._old.get(name, b"") for name in names]
+        if not key or not before:
+            return None
+        self._new |= dict(zip(names, parts, strict=True))
+        return Pictures(before, after, deviation or None), scene.decode()
+
+    def add(self, key: str, drawn: Pictures, scene: str) -> None:
+        """Keep new pictures."""
+        self.n_drawn += 1
+        parts = (drawn.before, drawn.after, drawn.deviation or b"", scene.encode())
+        for name, part in zip(_CACHED_NAMES, parts, strict=True):
+            if key:
+                self._new[f"{key}/{name}"] = part
+
+    def to_bytes(self) -> bytes | None:
+        """The archive; None if it is as it was."""
+        if self._new == self._old:
+            return None
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            for name, data in self._new.items():
+                # Without the time, the same pictures are the same bytes.
+                archive.writestr(zipfile.ZipInfo(name), data)
+        return buffer.getvalue()
+
+
+def _picture_key(record: MeshRecord, reach: float, scene: str) -> str:
+    """The key of a file's pictures; empty where its bytes are not known.  ``scene`` is the name
+    of its scene on the page, or empty."""
+    if record.input_sha256 is None or record.output_sha256 is None:
+        return ""
+    drawn = (__version__, record.input_sha256, record.output_sha256, f"{reach:g}")
+    shown = (record.input, scene) if scene else ()
+    return hashlib.sha256("\0".join((*drawn, *shown)).encode("utf-8", "replace")).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -88,7 +158,7 @@ def build_gallery(
             on_file(done, len(candidates))
         at = numbers[id(record)]
         scene_key = f"scene{at}" if len(scenes) < bounds.scenes else ""
-        key = picture_key(record, reach, scene_key)
+        key = _picture_key(record, reach, scene_key)
         drawn = cache.find(key) if n_bytes <= bounds.picture_bytes else None
         if drawn is None:
             is_over = time.monotonic() > end or n_bytes > bounds.picture_bytes
@@ -133,7 +203,7 @@ def build_gallery(
 def _is_shown(record: MeshRecord) -> bool:
     """Whether both meshes may be found again on this machine's disks."""
     names = (record.input, record.output or "-")
-    return record.status in WITH_OUTPUT and not any(one == "-" or "://" in one for one in names)
+    return record.status in WITH_OUTPUT and not any(name == "-" or "://" in name for name in names)
 
 
 def _draw(
@@ -183,7 +253,7 @@ def _draw(
     most_colours = None if scene.painted(1) is None else 256
     poster = png_bytes(image(scene.after, scene.painted(1), "paint", _POSTER), most_colours)
     name = f"{record.input}, after"
-    return shown, viewer.embedded_scene(key, data, picture=poster, description=name, starts="click")
+    return shown, viewer.embed_scene(key, data, picture=poster, description=name, starts="click")
 
 
 def _surface(path: str, sha256: str | None, format: str | None) -> Surface | None:

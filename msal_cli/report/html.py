@@ -15,7 +15,7 @@ import html
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from string import Template
 from typing import Any
 
@@ -38,8 +38,7 @@ from msal_cli.report.facts import (
     total_facts,
     worst_first,
 )
-from msal_cli.view.html_parts import asset, content_policy, escape, to_base64
-from msal_cli.view.illustrations import EMPTY, Gallery, Pictures
+from msal_cli.view.viewer import asset, content_policy, escape, to_base64
 
 MAX_BYTES = 25_000_000
 """Bytes of the largest page, as far as the figures of the files alone leave room."""
@@ -50,6 +49,44 @@ STATIC_ROWS = 100
 _MAX_COMMAND = 20_000
 _MAX_PROBLEMS = 200
 
+
+@dataclass(frozen=True)
+class Pictures:
+    """JPEGs of one mesh from one place: before, after, and where it moved (None: not known)."""
+
+    before: bytes
+    after: bytes
+    deviation: bytes | None = None
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What the colours of all deviations mean: hex colours from ``low`` to ``high``."""
+
+    title: str
+    low: str
+    high: str
+    colours: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Pictures and scenes by the number of the record, as far as there are any.
+
+    ``scenes`` are elements of HTML, which ``script`` (behind them) and ``style`` bring to life.
+    ``remarks`` say in words what was left out, and why.
+    """
+
+    pictures: Mapping[int, Pictures] = field(default_factory=dict)
+    scenes: Mapping[int, str] = field(default_factory=dict)
+    scale: Scale | None = None
+    script: str = ""
+    style: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+EMPTY_GALLERY = Gallery()
+
 Column = dict[str, str]
 Row = dict[str, Any]
 
@@ -57,7 +94,7 @@ Row = dict[str, Any]
 def render(
     run: Run,
     records: Sequence[MeshRecord],
-    gallery: Gallery = EMPTY,
+    gallery: Gallery = EMPTY_GALLERY,
     *,
     most_bytes: int = MAX_BYTES,
 ) -> bytes:

@@ -47,7 +47,7 @@ class Camera:
         return self.half_width / self.half_height
 
 
-def framing(axes: Floats, vertices: Floats) -> Camera:
+def frame_vertices(axes: Floats, vertices: Floats) -> Camera:
     """The camera with these ``axes`` that shows all ``vertices`` (n, 3)."""
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     seen = (vertices - middle) @ axes.T
@@ -66,7 +66,7 @@ VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 
 
-def viewed(
+def choose_camera(
     vertices: Floats,
     faces: Ints,
     view: str = "auto",
@@ -102,7 +102,7 @@ def viewed(
     points = vertices[_used(len(vertices), faces)]
     if also is not None:
         points = np.concatenate([points, also])
-    return framing(rotate(stance.front, stance.up, turn, tilt), points)
+    return frame_vertices(rotate(stance.front, stance.up, turn, tilt), points)
 
 
 # Degrees round to the right and up from the front.

@@ -2,7 +2,7 @@
 
 The page is one file: a content security policy lets the browser run only the script and the style
 that were written here, and load nothing.  What comes from outside (names of files, mostly) is
-escaped by ``html_parts.escape``.
+escaped by ``viewer.escape``.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from msal_cli.job.display_names import figure
 from msal_cli.job.records import SurfaceDistance
 from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
-from msal_cli.view.html_parts import asset, content_policy, escape
-from msal_cli.view.image_files import png_bytes
+from msal_cli.view.panels import png_bytes
 from msal_cli.view.pictures import Scene, View
 from msal_cli.view.scene import MOST_FACES, EncodedScene, encode_scene
+from msal_cli.view.viewer import asset, content_policy, escape
 
 Rows = list[tuple[str, ...]]
 """A table of figures: a name and values in each row; a row without a name has the heads."""
@@ -68,7 +68,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
         version=escape(__version__),
         title=escape(" \N{RIGHTWARDS ARROW} ".join(titles)),
         style=looks,
-        scene=viewer.embedded_scene(
+        scene=viewer.embed_scene(
             "scene",
             drawn,
             picture=png_bytes(pictures.draw_picture(scene, still), 256),

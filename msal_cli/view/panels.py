@@ -1,7 +1,10 @@
-"""Images side by side with words, and a scale of colours, as one picture."""
+"""Images side by side with words and a scale of colours, as PNG or JPEG."""
 
 from __future__ import annotations
 
+import functools
+import io
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -9,9 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Longs
 from msal_cli.view.shading import LIGHT, Image, Style
 
 if TYPE_CHECKING:
+    from PIL import ImageFont
+    from PIL.Image import Image as Picture
     from PIL.ImageDraw import ImageDraw
 
 Panel = tuple[Image, str, Sequence[str]]
@@ -34,7 +40,7 @@ class Legend:
     ticks: tuple[tuple[float, str, str], ...]
 
 
-def labelled_panels(
+def draw_panels(
     panels: Sequence[Panel],
     legend: Legend | None = None,
     *,
@@ -135,7 +141,7 @@ class _Words:
         anchor: str = "la",
     ) -> None:
         """Draw a line of ``text`` at ``place``, shortened to ``width``."""
-        from msal_cli.view.labels import fit_text
+        from msal_cli.view.panels import fit_text
 
         plain, font = fit_text(text, size or self.text, width)
         draw.text(place, plain, fill=colour, font=font, anchor=anchor)
@@ -149,7 +155,7 @@ def _draw_legend(
     width: int,
     style: Style,
 ) -> None:
-    from msal_cli.view.labels import fit_text
+    from msal_cli.view.panels import fit_text
 
     left, y = place[0], place[1] + words.gap // 2
     for line in legend.lines:
@@ -177,3 +183,159 @@ def _draw_legend(
         if below:
             draw.line([(x, bottom + 1), (x, bottom + 4)], fill=style.faint)
             words.write(draw, (x, bottom + 7), below, style.text, each, anchor="ma")
+
+
+# Words: the font that comes with Pillow, and what it cannot draw
+
+
+# Tried in turn for what the built-in font lacks; it has little beyond ASCII.
+_OTHER_FONTS = ("DejaVuSans.ttf", "NotoSans-Regular.ttf", "NotoSansCJK-Regular.ttc", "Arial.ttf")
+
+_UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+
+_NO_CHARACTER = "\U0010fffd"
+
+
+def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeFont]:
+    """``text`` as it can be drawn in ``width`` pixels, and the font of ``size`` pixels for it.
+
+    What a font cannot draw, and what has no shape of its own (line ends, marks that turn the
+    writing direction), becomes an escape such as ``\\x0a``.  Of what is too long the end stays,
+    because the end of a path says more than its beginning.
+    """
+    # No shape is narrower than a third of a pixel.
+    most = 3 * max(width, 1)
+    plain = "".join(_visible(one) for one in text[-most:])
+    font = _font("", size)
+    for name in ("", *_OTHER_FONTS):
+        other = _font_or_none(name, size)
+        if other is not None and all(_has(name, size, one) for one in set(plain)):
+            font = other
+            break
+    else:
+        plain = "".join(one if _has("", size, one) else _escape(one) for one in plain)
+    if len(text) <= most and font.getlength(plain) <= width:
+        return plain, font
+    tail = plain[-most:]
+    while tail and font.getlength("..." + tail) > width:
+        tail = tail[1:]
+    return "..." + tail, font
+
+
+def _visible(one: str) -> str:
+    return _escape(one) if unicodedata.category(one) in _UNSAFE_CATEGORIES else one
+
+
+def _escape(one: str) -> str:
+    code = ord(one)
+    if 0xDC80 <= code <= 0xDCFF:
+        code -= 0xDC00  # a byte that is not UTF-8
+    if code < 0x100:
+        return f"\\x{code:02x}"
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+@functools.cache
+def _font_or_none(name: str, size: int) -> ImageFont.FreeTypeFont | None:
+    """A font by its file name, the built-in one for no name; None where it is not there."""
+    from PIL import ImageFont
+
+    # The plain layout is the same whether or not a library for complex scripts is there.
+    plain = ImageFont.Layout.BASIC
+    if name:
+        try:
+            return ImageFont.truetype(name, size, layout_engine=plain)
+        except OSError:
+            return None
+    font = ImageFont.load_default(size)
+    if not isinstance(font, ImageFont.FreeTypeFont):
+        raise ImportError("this Pillow is built without FreeType, which draws text")
+    return font.font_variant(layout_engine=plain)
+
+
+def _font(name: str, size: int) -> ImageFont.FreeTypeFont:
+    font = _font_or_none(name, size)
+    assert font is not None
+    return font
+
+
+@functools.cache
+def _has(name: str, size: int, one: str) -> bool:
+    """Whether a font has a shape for a character."""
+    if one == " ":
+        return True
+    font = _font(name, size)
+    return bytes(font.getmask(one)) != bytes(font.getmask(_NO_CHARACTER))
+
+
+# Image files; JPEG takes a tenth of the bytes, for pages with very many images
+
+
+_AT_ONCE = 1 << 14
+
+
+def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
+    """(h, w, 3) as JPEG; ``quality`` up to 95, more is larger and closer to the image."""
+    from PIL import Image
+
+    data = io.BytesIO()
+    Image.fromarray(image).save(data, "JPEG", quality=quality, optimize=True)
+    return data.getvalue()
+
+
+def png_bytes(image: NDArray[np.uint8], most_colours: int | None = None) -> bytes:
+    """(h, w, 3) uint8 as the bytes of a PNG file; the same image always gives the same bytes.
+
+    ``most_colours`` up to 256 makes a file of about a third of the size, with that many colours.
+    """
+    from PIL import Image
+
+    if most_colours is None:
+        picture = Image.fromarray(np.ascontiguousarray(image))
+    else:
+        picture = _with_palette(image, most_colours)
+    data = io.BytesIO()
+    picture.save(data, format="PNG", optimize=True)
+    return data.getvalue()
+
+
+def _with_palette(image: NDArray[np.uint8], most_colours: int) -> Picture:
+    """(h, w, 3) ``image`` as a picture with a palette of ``most_colours``, at most 256.
+
+    Half of the palette are shades that cover many pixels each, for the clay, and half are spread
+    over all colours there are, for heat maps and their scale.  The most frequent colour, which is
+    the background, stays as it is.
+    """
+    from PIL import Image as Pictures
+
+    packed = image.astype(np.uint32) @ np.array([65536, 256, 1], dtype=np.uint32)
+    codes, which, count = np.unique(packed.reshape(-1), return_inverse=True, return_counts=True)
+    colours = np.stack([codes >> 16, (codes >> 8) & 255, codes & 255], axis=1).astype(np.float64)
+    if len(codes) <= most_colours:
+        palette, nearest = colours, np.arange(len(codes))
+    else:
+        picture = Pictures.fromarray(np.ascontiguousarray(image))
+        spread = max(1, most_colours // 2)
+        parts = [colours[[np.argmax(count)]]]
+        for n, method in (
+            (spread, Pictures.Quantize.MAXCOVERAGE),
+            (most_colours - 1 - spread, Pictures.Quantize.MEDIANCUT),
+        ):
+            if n > 0:
+                listed = picture.quantize(n, method=method).getpalette() or []
+                parts.append(np.array(listed[: 3 * n], dtype=np.float64).reshape(-1, 3))
+        palette = np.unique(np.concatenate(parts), axis=0)
+        nearest = _nearest(colours, palette)
+    result = Pictures.fromarray(nearest[which].reshape(image.shape[:2]).astype(np.uint8))
+    result.putpalette(palette.astype(np.uint8).tobytes())
+    return result
+
+
+def _nearest(colours: Floats, palette: Floats) -> Longs:
+    """The number of the nearest of ``palette`` (k, 3) for each of ``colours`` (n, 3)."""
+    lengths = 0.5 * (palette**2).sum(axis=1)
+    parts = [
+        np.argmin(lengths - colours[start : start + _AT_ONCE] @ palette.T, axis=1)
+        for start in range(0, len(colours), _AT_ONCE)
+    ]
+    return np.concatenate(parts)

@@ -17,9 +17,9 @@ from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import figure
 from msal_cli.mesh import Mesh, PreparedMesh
-from msal_cli.view.camera import Camera, viewed
-from msal_cli.view.deviation import Scale, scale_of
-from msal_cli.view.panels import Panel, labelled_panels
+from msal_cli.view.camera import Camera, choose_camera
+from msal_cli.view.colours import Scale, scale_of
+from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
 
 COLOURS = ("auto", "file", "deviation", "none")
@@ -69,7 +69,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class View:
-    """Where a picture is taken from and how large it is; see ``view.camera.viewed``.
+    """Where a picture is taken from and how large it is; see ``view.camera.choose_camera``.
 
     ``size`` is the width of each panel in pixels.  ``colours`` is one of ``COLOURS``.
     """
@@ -163,7 +163,7 @@ def camera_of(scene: Scene, view: View) -> Camera:
 
     # Noise must not tilt the view: the smoother of two meshes shows which way is up.
     chosen = scene.after or scene.before
-    return viewed(
+    return choose_camera(
         chosen.vertices,
         chosen.faces,
         view.view,
@@ -187,14 +187,14 @@ def draw_picture(scene: Scene, view: View) -> Image:
     record = scene.record
     panels: list[Panel] = [(image(scene.before, 0), titles[0], [_counts(scene, 0)])]
     if scene.after is None or record is None:
-        return labelled_panels(panels, style=style)
+        return draw_panels(panels, style=style)
     lines = [_counts(scene, 1), *_changes(record)]
     if scene.deviation is None:
         lines.append("Other faces: no deviation without the package fcpw")
     panels.append((image(scene.after, 1), titles[1], lines))
     scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:
-        return labelled_panels(panels, style=style)
+        return draw_panels(panels, style=style)
     edge = scene.before.mean_edge_length
     beyond = float((abs(scene.deviation) > scale.high).mean())
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
@@ -207,7 +207,7 @@ def draw_picture(scene: Scene, view: View) -> Image:
     picture = panel(scene.after, camera, view, scale.paint(scene.deviation))
     lines = [_move(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, deviation_name(scene), lines))
-    return labelled_panels(panels, legend, style=style)
+    return draw_panels(panels, legend, style=style)
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:

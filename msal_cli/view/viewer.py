@@ -1,4 +1,5 @@
-"""The elements of a page that show meshes in the browser, with plain WebGL2.
+"""Parts of pages: escaped text, scripts, styles and their policy, and the elements that show meshes
+in the browser with plain WebGL2.
 
 The viewer, its style, the meshes and a picture, for where there is no WebGL and for print, all
 are in the page, which loads nothing.
@@ -6,10 +7,16 @@ are in the page, which loads nothing.
 
 from __future__ import annotations
 
+import base64
+import functools
+import hashlib
+import html
 import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from msal_cli.errors import InternalError
-from msal_cli.view.html_parts import asset, escape, to_base64
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.view.scene import EncodedScene
 
 _SCRIPTS = ("decoding.js", "camera.js", "drawing.js", "viewer.js")
@@ -27,7 +34,7 @@ def style() -> str:
     return asset(__file__, "viewer.css")
 
 
-def embedded_scene(
+def embed_scene(
     key: str,
     drawn: EncodedScene,
     *,
@@ -67,3 +74,41 @@ def embedded_scene(
         f'src="{image}"></figure></div>\n'
         f'<script type="application/octet-stream" id="{key}">{drawn.text}</script>\n'
     )
+
+
+def escape(text: str) -> str:
+    """``text`` as it may be between tags and within quotes."""
+    return html.escape(escape_for_display(text), quote=True)
+
+
+@functools.cache
+def asset(module: str, name: str) -> str:
+    """The text of a file in the folder ``assets`` beside a module's file."""
+    return (Path(module).parent / "assets" / name).read_text(encoding="utf-8")
+
+
+def to_base64(data: bytes) -> str:
+    """``data`` in letters that mean nothing in HTML or JSON."""
+    return base64.b64encode(data).decode("ascii")
+
+
+def content_policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
+    """A content security policy, escaped: it allows these inline scripts and styles, pictures in
+    the page, and no other.
+
+    Each is the whole text between the tags.
+    """
+    policy = (
+        "default-src 'none'",
+        f"script-src {_hashes(scripts)}",
+        f"style-src {_hashes(styles)}",
+        "img-src data:",
+        "base-uri 'none'",
+        "form-action 'none'",
+    )
+    return html.escape("; ".join(policy))
+
+
+def _hashes(texts: Iterable[str]) -> str:
+    hashes = (to_base64(hashlib.sha256(text.encode()).digest()) for text in texts)
+    return " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"

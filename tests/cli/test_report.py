@@ -15,7 +15,7 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.shard import Shard
 from msal_cli.cli import report_files as reports
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.view.illustrations import EMPTY
+from msal_cli.report.html import EMPTY_GALLERY
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 from tests.report.made import RUN, written
 
@@ -334,7 +334,7 @@ def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatc
     from msal_cli.report import gallery
 
     asked = []
-    build = lambda *_, **options: asked.append(options) or EMPTY  # noqa: E731
+    build = lambda *_, **options: asked.append(options) or EMPTY_GALLERY  # noqa: E731
     monkeypatch.setattr(gallery, "build_gallery", build)
     reports.write([str(tmp_path / "a.html")], RUN, [written()], without_pictures=True)
     assert asked == []

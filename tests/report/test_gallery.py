@@ -13,8 +13,7 @@ from PIL import Image
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import gallery
 from msal_cli.report.data import read_json
-from msal_cli.report.gallery import Bounds
-from msal_cli.report.picture_cache import PictureCache
+from msal_cli.report.gallery import Bounds, PictureCache
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
 from tests.report.made import written
 

@@ -17,7 +17,7 @@ from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import html as as_html
 from msal_cli.report.facts import worst_first
-from msal_cli.view.illustrations import Gallery, Pictures, Scale
+from msal_cli.report.html import Gallery, Pictures, Scale
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
 
 VOID = {"meta", "link", "input", "br", "img"}

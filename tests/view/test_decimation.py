@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.view.decimation import coarsen
+from msal_cli.view.scene import coarsen
 from tests.shapes import cube, grid, noisy, torus
 
 

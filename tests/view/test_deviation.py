@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.view.deviation import scale_of
+from msal_cli.view.colours import scale_of
 
 
 def test_a_signed_scale_is_symmetric_about_a_pale_middle():

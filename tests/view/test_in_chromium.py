@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.mesh import Mesh
-from msal_cli.view import html_parts, pages, pictures, scene, viewer
+from msal_cli.view import pages, pictures, scene, viewer
 from tests.report.made import HOSTILE_NAMES
 from tests.shapes import cube, noisy, torus
 from tests.view.decoded import decoded
@@ -264,8 +264,8 @@ def test_the_script_reads_what_was_written(pair, folder):
 def test_several_scenes_wait_for_a_click(browser, tmp_path):
     drawn = scene.encode_scene(*scene_of_two(16, 8))
     code, looks = viewer.script(), viewer.style()
-    policy = html_parts.content_policy([code], [looks])
-    boxes = [viewer.embedded_scene(f"s{k}", drawn, picture=picture()) for k in range(2)]
+    policy = viewer.content_policy([code], [looks])
+    boxes = [viewer.embed_scene(f"s{k}", drawn, picture=picture()) for k in range(2)]
     (tmp_path / "two.html").write_text(
         '<!DOCTYPE html><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'

@@ -157,7 +157,7 @@ def test_nothing_points_elsewhere():
 
 def test_a_fragment_for_other_pages():
     drawn = encode_scene(MESH, MESH)
-    parts = Parts(viewer.embedded_scene("worst-1", drawn, picture=b"PNG", deviation='"<'))
+    parts = Parts(viewer.embed_scene("worst-1", drawn, picture=b"PNG", deviation='"<'))
     (box,) = parts.attributes("div")
     assert (box["data-scene"], box["data-start"]) == ("worst-1", "click")
     assert box["data-deviation"] == '"<'
@@ -165,7 +165,7 @@ def test_a_fragment_for_other_pages():
     assert data == {"type": "application/octet-stream", "id": "worst-1"}
     assert parts.texts["script"] == [drawn.text]
     with pytest.raises(InternalError):
-        viewer.embedded_scene('x"><script>', drawn, picture=b"PNG")
+        viewer.embed_scene('x"><script>', drawn, picture=b"PNG")
 
 
 def test_what_the_page_holds_is_said():

@@ -7,9 +7,7 @@ import pytest
 from PIL import Image
 
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.view.image_files import png_bytes
-from msal_cli.view.labels import fit_text
-from msal_cli.view.panels import Legend, labelled_panels
+from msal_cli.view.panels import Legend, draw_panels, fit_text, png_bytes
 
 
 def plain(colour, width=120, height=80):
@@ -17,7 +15,7 @@ def plain(colour, width=120, height=80):
 
 
 def test_images_appear_side_by_side_unchanged():
-    sheet = labelled_panels([(plain(10), "one", ["a"]), (plain(200), "two", ["b", "c"])])
+    sheet = draw_panels([(plain(10), "one", ["a"]), (plain(200), "two", ["b", "c"])])
     for tone in (10, 200):
         rows, columns = np.nonzero((sheet == tone).all(axis=2))
         assert rows.max() - rows.min() + 1 >= 80
@@ -27,15 +25,15 @@ def test_images_appear_side_by_side_unchanged():
 
 def test_columns_make_rows():
     panels = [(plain(20 * k + 20), str(k), []) for k in range(5)]
-    wide = labelled_panels(panels)
-    folded = labelled_panels(panels, columns=2)
+    wide = draw_panels(panels)
+    folded = draw_panels(panels, columns=2)
     assert folded.shape[1] < wide.shape[1] and folded.shape[0] > 2.5 * wide.shape[0]
 
 
 def test_the_legend_shows_its_colours_in_order():
     ramp = np.stack([np.arange(256), np.zeros(256), 255 - np.arange(256)], axis=1)
     legend = Legend(("how far",), ramp.astype(np.uint8), ((0.0, "0", "0"), (1.0, "3", "0.2")))
-    image = labelled_panels([(plain(255, 400), "", [])], legend).astype(int)
+    image = draw_panels([(plain(255, 400), "", [])], legend).astype(int)
     on_scale = (image[:, :, 1] == 0) & (image[:, :, 0] + image[:, :, 2] == 255)
     row = np.argmax(on_scale.sum(axis=1))
     reds = image[row, on_scale[row], 0]
@@ -58,7 +56,7 @@ def test_names_are_drawn_as_data(name, part):
     words, _ = fit_text(name, 14, 10_000)
     assert part in words
     assert words.isprintable()
-    labelled_panels([(plain(1), name, [name])], footer=[name])
+    draw_panels([(plain(1), name, [name])], footer=[name])
 
 
 def test_a_long_name_keeps_its_end():

@@ -9,8 +9,8 @@ import pytest
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.mesh import Mesh
 from msal_cli.report import html as as_html
+from msal_cli.report.html import Gallery, Pictures, Scale
 from msal_cli.view import scene, viewer
-from msal_cli.view.illustrations import Gallery, Pictures, Scale
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 from tests.shapes import noisy, torus
 
@@ -42,9 +42,7 @@ def path(tmp_path_factory):
     views = Pictures(jpeg("red"), jpeg("green"), jpeg("blue"))
     gallery = Gallery(
         pictures=dict.fromkeys(range(at, len(every)), views),
-        scenes={
-            at: viewer.embedded_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])
-        },
+        scenes={at: viewer.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])},
         scale=Scale("Deviation", "-1", "1", ("#ff0000", "#ffffff")),
         script=viewer.script(),
         style=viewer.style(),

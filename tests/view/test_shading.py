@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msal_cli.view.camera import framing, rotate, viewed
+from msal_cli.view.camera import choose_camera, frame_vertices, rotate
 from msal_cli.view.shading import shade
 from tests.shapes import ball
 
@@ -16,7 +16,7 @@ def square(z=0.0):
 
 
 def seen(vertices, faces, colours=None, **options):
-    return shade(vertices, faces, framing(FACING, vertices), 60, 50, colours, **options)
+    return shade(vertices, faces, frame_vertices(FACING, vertices), 60, 50, colours, **options)
 
 
 def test_the_mesh_is_where_the_camera_puts_it():
@@ -44,7 +44,7 @@ def test_a_face_from_behind_has_another_tone():
 
 def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
     vertices, faces = ball()
-    camera = viewed(vertices, faces)
+    camera = choose_camera(vertices, faces)
     images = [shade(vertices, one, camera, 60, 60).astype(int) for one in (faces, faces[:, ::-1])]
     assert np.abs(images[0] - images[1]).max() <= 1
 
@@ -75,7 +75,7 @@ def test_hollows_are_darker():
     vertices = np.array([(x, y, z) for x, z in zip(step, deep, strict=True) for y in (-2, 2)])
     faces = [f for k in range(0, 10, 2) for f in ((k, k + 2, k + 3), (k, k + 3, k + 1))]
     faces = np.array(faces, dtype=np.int32)
-    camera = framing(FACING, vertices)
+    camera = frame_vertices(FACING, vertices)
     trench = shade(vertices, faces, camera, 200, 150).astype(int)
     plane = shade(vertices * (1, 1, 0), faces, camera, 200, 150).astype(int)
     assert trench[75, 100].sum() < plane[75, 100].sum() - 60

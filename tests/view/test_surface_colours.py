@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from msal_cli.view.surface_colours import open_coloured_surface
+from msal_cli.view.colours import open_coloured_surface
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
 RED_GREEN_BLUE = [[255, 0, 0], [0, 128, 0], [0, 0, 255]]

@@ -1,15 +1,24 @@
-"""Numbers on a surface as colours, and the scale that says what they mean."""
+"""Colours of vertices in pictures: the file's own, or numbers by a scale.
+
+What cannot be read of a file's colours is a note, never an error: a picture of clay is better than
+none.
+"""
 
 from __future__ import annotations
 
+import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis import colour_maps as colours
+from msal_cli.analysis.colour_maps import colour_table, map_colours
 from msal_cli.arrays import Floats
+from msal_cli.codecs.colours import SurfaceColours, surface_colours
+from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.job import comparison
+from msal_cli.job.comparison import Surface
 from msal_cli.view.panels import Legend
 
 SHARE_WITHIN = 0.99
@@ -33,12 +42,12 @@ class Scale:
 
     @property
     def map_name(self) -> str:
-        """The map of ``colours``."""
+        """The map of ``analysis.colour_maps``."""
         return "diverging" if self.is_signed else "sequential"
 
     def paint(self, values: Floats) -> NDArray[np.uint8]:
         """(n, 3) colours of ``values`` (n,)."""
-        return colours.map_colours(values, self.low, self.high, self.map_name)
+        return map_colours(values, self.low, self.high, self.map_name)
 
     def legend(self, lines: tuple[str, ...], edge: float) -> Legend:
         """The scale with five places in file units above, and in ``edge`` lengths below."""
@@ -46,7 +55,7 @@ class Scale:
         for share in (0.0, 0.25, 0.5, 0.75, 1.0):
             value = self.low + share * (self.high - self.low)
             ticks.append((share, _said(value), _said(value / edge)))
-        return Legend(lines, colours.colour_table(self.map_name), tuple(ticks))
+        return Legend(lines, colour_table(self.map_name), tuple(ticks))
 
 
 def scale_of(
@@ -77,3 +86,38 @@ def _rounded_up(value: float) -> float:
 
 def _said(value: float) -> str:
     return f"{value:.3g}" if value else "0"
+
+
+# Colours of the file
+
+
+log = logging.getLogger("msal")
+
+_DARKEST = 16
+"""One colour of all vertices that is darker hides the shape; programs write it where none is
+meant."""
+
+
+def open_coloured_surface(path: str, format: str | None = None) -> Surface:
+    """The surface in the file at ``path`` with its colours."""
+    return coloured_surface_of(comparison.opened(path, format), path)
+
+
+def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
+    """The surface in an open file, which is at ``path``, with its colours."""
+    return replace(comparison.surface_of(mesh_file), colours=_read(mesh_file, path))
+
+
+def _read(mesh_file: MeshFile, path: str) -> SurfaceColours:
+    try:
+        found = surface_colours(mesh_file)
+    except Exception as failure:  # colours are an extra, and files come from strangers
+        log.info("%s: no colours", path, exc_info=True)
+        return SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
+    if found is None:
+        return SurfaceColours()
+    if len(found) != len(mesh_file.vertices):
+        return SurfaceColours(None, ("its colours do not fit its vertices",))
+    if int(found.max(initial=0)) < _DARKEST:
+        return SurfaceColours(None, ("all of its colours are black, and are not shown",))
+    return SurfaceColours(found)

@@ -24,7 +24,7 @@ from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method
 from msal_cli.view import pictures
 from msal_cli.view.camera import Camera
-from msal_cli.view.panels import Panel, labelled_panels
+from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.pictures import View
 from msal_cli.view.shading import Image
 
@@ -296,7 +296,7 @@ def sheet(
         footer.append("Risk: estimated distance from the true surface.")
     if least is not None:
         footer.append("Normals: mean angle between face normals and those of the reference.")
-    return labelled_panels(panels, style=style, columns=width + 1, footer=footer)
+    return draw_panels(panels, style=style, columns=width + 1, footer=footer)
 
 
 def _plain(value: object) -> str:
