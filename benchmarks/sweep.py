@@ -22,8 +22,7 @@ import numpy as np
 from benchmarks import machine, scans
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral, RingOperator
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.schedules import Multiscale, Plain, Schedule
-from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.sweeps import Multiscale, Plain, Schedule, run_sweeps
 from msal_cli.machine import usable_cores
 from msal_cli.mesh import Mesh
 

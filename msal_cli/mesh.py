@@ -248,8 +248,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     TooLargeError
         for more than ``MOST_FACES`` triangles.
     """
-    from msal_cli.kernels.components import count_components, faces_to_flip
-    from msal_cli.kernels.connectivity import connectivity
+    from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip
     from msal_cli.kernels.parallel import at_once, is_worth_it
     from msal_cli.kernels.welding import (
         duplicate_faces,

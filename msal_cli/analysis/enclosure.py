@@ -99,7 +99,7 @@ def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> En
 
 
 def _enclosure_by_part(mesh: Mesh) -> Enclosure:
-    from msal_cli.kernels.components import component_labels
+    from msal_cli.kernels.connectivity import component_labels
 
     labels = component_labels(len(mesh.vertices), mesh.faces)
     numbers = np.unique(labels[mesh.faces[:, 0]])

@@ -89,14 +89,14 @@ class SurfaceChange:
 
 def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
-    from msal_cli.kernels import surface_change as core
+    from msal_cli.kernels import geometry as core
 
     return surface_change_of(core.surface_figures(before.vertices, after.vertices, before.faces))
 
 
 def surface_change_of(figures: Floats) -> SurfaceChange:
-    """The change that ``kernels.surface_change.surface_figures`` (N_FIGURES,) tell."""
-    from msal_cli.kernels import surface_change as core
+    """The change that ``kernels.geometry.surface_figures`` (N_FIGURES,) tell."""
+    from msal_cli.kernels import geometry as core
 
     compared = figures[core.COMPARED]
     return SurfaceChange(
@@ -124,7 +124,7 @@ def mean_curvature(mesh: Mesh) -> Floats:
     positive where it points against the vertex normal: on what bulges outward.  At open edges, and
     at vertices without area, it is 0, for it means nothing there.
     """
-    from msal_cli.kernels.cotangent import cotangent_weights, mixed_areas
+    from msal_cli.kernels.curvature import cotangent_weights, mixed_areas
 
     x, links = mesh.vertices, mesh.topology
     weights = cotangent_weights(x, mesh.faces, links)

@@ -51,7 +51,7 @@ def surface_kind(mesh: Mesh) -> str:
 
 def _angles_deg(mesh: Mesh) -> Floats:
     """Angles between the normals of faces that share an edge, degrees, each pair once."""
-    from msal_cli.kernels.face_rings import face_rings
+    from msal_cli.kernels.faces import face_rings
     from msal_cli.kernels.geometry import face_normals_and_areas
 
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)

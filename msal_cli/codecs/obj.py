@@ -176,7 +176,7 @@ class _Positions(Statements):
 def position_decimals(usual: int, values: Floats) -> int:
     """Decimals of new positions where ``usual`` ones are known; of ``values`` (n, 3) only the
     extremes count."""
-    from msal_cli.kernels.digit_writing import FIXED_BELOW, MOST_DECIMALS
+    from msal_cli.kernels.numbers import FIXED_BELOW, MOST_DECIMALS
 
     needed = extent_decimals(values) or 0
     largest = max(float(values.max()), -float(values.min()))

@@ -104,7 +104,7 @@ def is_text(head: bytes, size: int) -> bool:
 
 
 def _read_binary(data: Buffer, count: int) -> StlFile:
-    from msal_cli.kernels.corner_welding import weld_corners
+    from msal_cli.kernels.welding import weld_corners
 
     trailing = len(memoryview(data).cast("B")) - _FIRST_FACET - FACET.itemsize * count
     check_not_empty(count, trailing)
@@ -187,8 +187,8 @@ class StlFile(FacetFile):
         require_shape(vertices, self.vertices)
         if np.array_equal(self.vertices, vertices):
             return self.data
-        from msal_cli.kernels.facet_normals import replace_facets
         from msal_cli.kernels.parallel import over_ranges
+        from msal_cli.kernels.stl_facets import replace_facets
 
         require_range(vertices, np.broadcast_to(True, vertices.shape), ("<f4",) * 3)
         before = np.frombuffer(self.data, dtype=np.uint8)
@@ -237,7 +237,7 @@ class StlFile(FacetFile):
         if encoding in ("same", "binary", self.encoding):
             refuse_float64(precision)
             return self.replaced(vertices)
-        from msal_cli.kernels.facet_normals import renew_facet_normals
+        from msal_cli.kernels.stl_facets import renew_facet_normals
 
         require_shape(vertices, self.vertices)
         normals, _ = renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
@@ -260,7 +260,7 @@ def check_replaced(
     old, new (n, 3) : vertices, whose numbers are in ``faces`` (m, 3).
     first : number of the first facet in the file.
     """
-    from msal_cli.kernels import stl_check as facets
+    from msal_cli.kernels import stl_facets as facets
     from msal_cli.kernels.parallel import over_ranges
 
     found: list[tuple[int, int]] = []

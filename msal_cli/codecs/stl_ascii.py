@@ -40,7 +40,7 @@ def read(data: Buffer, name: str) -> StlTextFile:
     ContentError
         ``E_NO_FACES`` or ``E_NONFINITE``.
     """
-    from msal_cli.kernels.corner_welding import weld_corners
+    from msal_cli.kernels.welding import weld_corners
 
     scan, numbers = read_numbers(data)
     vertices, faces, _ = weld_corners(numbers[:, 3:])
@@ -89,10 +89,10 @@ def choose_decimals(decimals: Longs, low: Floats, high: Floats) -> tuple[int, in
     """Digits behind the point for normals and for corners: never fewer than the file has.
 
     Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
-    mean something beside the size of the mesh.  ``decimals`` (4,) as of ``stl_scan.scan``,
+    mean something beside the size of the mesh.  ``decimals`` (4,) as of ``stl_facets.scan``,
     ``low`` and ``high`` (3,) are the corners of the box of all vertices.
     """
-    from msal_cli.kernels.digit_writing import MOST_DECIMALS
+    from msal_cli.kernels.numbers import MOST_DECIMALS
 
     plain_normal, plain, exponent_normal, exponent = (int(d) for d in decimals)
     span = high - low
@@ -127,7 +127,7 @@ class StlTextFile(FacetFile):
 
     def _is_beyond_fixed(self, largest: float) -> bool:
         """Whether a new number has no fixed-point text, ``largest`` being the largest of all."""
-        from msal_cli.kernels.digit_writing import FIXED_BELOW
+        from msal_cli.kernels.numbers import FIXED_BELOW
 
         return largest >= FIXED_BELOW
 
@@ -136,7 +136,7 @@ class StlTextFile(FacetFile):
 
     def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """The new numbers (m, 12) and which of them are to be written."""
-        from msal_cli.kernels.facet_normals import renew_facet_normals
+        from msal_cli.kernels.stl_facets import renew_facet_normals
 
         require_shape(vertices, self.vertices)
         require_finite_result(vertices)
@@ -154,7 +154,7 @@ class StlTextFile(FacetFile):
         """The file with other vertices (n, 3) and the normals of moved facets recomputed."""
         if np.array_equal(vertices, self.vertices):
             return self.data
-        from msal_cli.kernels import stl_scan, text
+        from msal_cli.kernels import stl_facets, text
 
         numbers, replace = self._changes(vertices)
         buf = text.as_bytes(self.data)
@@ -169,7 +169,7 @@ class StlTextFile(FacetFile):
             return self._write_shortest(starts, numbers[replace])
         width = text.fixed_width(largest, int(decimals.max()))
         out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
-        length = stl_scan.write_tokens(
+        length = stl_facets.write_tokens(
             buf, scan.facet_at, scan.offsets, replace, numbers, decimals, out
         )
         return out[:length].data
@@ -186,7 +186,7 @@ class StlTextFile(FacetFile):
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
-        from msal_cli.kernels import stl_scan
+        from msal_cli.kernels import stl_facets
         from msal_cli.kernels.text import as_bytes
 
         try:
@@ -199,7 +199,7 @@ class StlTextFile(FacetFile):
             raise InternalError("the number of facets changed")
         _, replace = self._changes(vertices)
         scan = self._scan
-        if not stl_scan.is_same_outside(
+        if not stl_facets.is_same_outside(
             as_bytes(self.data),
             scan.facet_at,
             scan.offsets,

@@ -25,7 +25,7 @@ _USUAL_FACET = 200
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """Facets of a text: see ``kernels.stl_scan`` for what the arrays are.
+    """Facets of a text: see ``kernels.stl_facets`` for what the arrays are.
 
     ``n_bare`` counts facets without a normal.
     """
@@ -88,21 +88,21 @@ def _read_number(view: memoryview, start: int) -> float:
 
 def _scan_text(data: Buffer, is_part: bool) -> tuple[Scan, Floats]:
     """All facets of a text and their numbers (m, 12), infinite where they are in doubt."""
-    from msal_cli.kernels import stl_scan
+    from msal_cli.kernels import stl_facets
     from msal_cli.kernels.text import as_bytes
 
     buf = without_end_mark(as_bytes(data))
-    state = np.zeros(stl_scan.N_STATE, dtype=np.int64)
+    state = np.zeros(stl_facets.N_STATE, dtype=np.int64)
     if bytes(buf[:3]) == BYTE_ORDER_MARK:
-        state[stl_scan.AT] = len(BYTE_ORDER_MARK)
+        state[stl_facets.AT] = len(BYTE_ORDER_MARK)
     elif is_part:
-        state[stl_scan.INSIDE] = _SOLID.match(buf.data) is None
+        state[stl_facets.INSIDE] = _SOLID.match(buf.data) is None
     facets = scan_facets(buf, state, np.zeros(4, dtype=np.int64))
     status, at, word = facets.status
-    is_open = is_part and status == stl_scan.CUT and state[stl_scan.AT] == len(buf)
-    if status != stl_scan.WHOLE and not is_open:
+    is_open = is_part and status == stl_facets.CUT and state[stl_facets.AT] == len(buf)
+    if status != stl_facets.WHOLE and not is_open:
         raise scan_error(buf, status, at, word, len(facets.facet_at))
-    n_solids, n_bare = int(state[stl_scan.SOLIDS]), int(state[stl_scan.WITHOUT_NORMAL])
+    n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
     return Scan(
         facets.facet_at,
         facets.offsets,
@@ -122,7 +122,7 @@ def without_end_mark(buf: Bytes) -> Bytes:
 
 
 class Facets(NamedTuple):
-    """What ``kernels.stl_scan.scan`` finds, and its last answer: status, byte, expected word."""
+    """What ``kernels.stl_facets.scan`` finds, and its last answer: status, byte, expected word."""
 
     facet_at: Longs
     offsets: Ints
@@ -137,19 +137,19 @@ def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
 
     The arrays grow with what is scanned, never with what is claimed.
     """
-    from msal_cli.kernels import stl_scan
+    from msal_cli.kernels import stl_facets
 
     room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
     facet_at = np.empty(room, dtype=np.int64)
     offsets = np.empty((room, 12), dtype=np.int32)
     numbers = np.empty((room, 12))
-    solid_at = np.zeros(stl_scan.MOST_SOLIDS, dtype=np.int64)
+    solid_at = np.zeros(stl_facets.MOST_SOLIDS, dtype=np.int64)
     while True:
-        status, stop, word = stl_scan.scan(
+        status, stop, word = stl_facets.scan(
             buf, state, facet_at, offsets, numbers, solid_at, decimals
         )
-        n = int(state[stl_scan.FACETS])
-        if status != stl_scan.FULL:
+        n = int(state[stl_facets.FACETS])
+        if status != stl_facets.FULL:
             break
         room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
         for array in (facet_at, offsets, numbers):
@@ -160,7 +160,7 @@ def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
         bytes(buf[at : at + 256]).splitlines()[0].decode("utf-8", "replace").strip()
         if at < len(buf)
         else ""
-        for at in (int(one) for one in solid_at[: state[stl_scan.SOLIDS]])
+        for at in (int(one) for one in solid_at[: state[stl_facets.SOLIDS]])
     )
     answer = int(status), int(stop), int(word)
     return Facets(facet_at, offsets, numbers, decimals, names, answer)
@@ -169,22 +169,21 @@ def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
 def scan_error(
     buf: Bytes, status: int, at: int, word: int, facet: int, n_lines: int = 0
 ) -> InputError:
-    """The error for a text that ``stl_scan.scan`` does not accept; the file has ``n_lines`` before
-    it."""
-    from msal_cli.kernels import stl_scan
+    """The error for a text that ``stl_facets.scan`` does not accept; ``n_lines`` are before it."""
+    from msal_cli.kernels import stl_facets
 
     token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
     touches_end = at + len(token) == len(buf)
     where = f"facet {facet}, line {n_lines + line_of(buf, at)}"
-    wanted = stl_scan.WORDS[word]
-    others = {stl_scan.FACET: ("endsolid",), stl_scan.NORMAL: ("outer",)}
+    wanted = stl_facets.WORDS[word]
+    others = {stl_facets.FACET: ("endsolid",), stl_facets.NORMAL: ("outer",)}
     known = (wanted, *others.get(word, ()))
-    cut = status == stl_scan.CUT or (
+    cut = status == stl_facets.CUT or (
         touches_end
         and (
-            status == stl_scan.BAD_NUMBER
+            status == stl_facets.BAD_NUMBER
             or (
-                status == stl_scan.WRONG
+                status == stl_facets.WRONG
                 and any(w.encode().startswith(token.lower()) for w in known)
             )
         )
@@ -196,21 +195,21 @@ def scan_error(
             hint="the file was cut short; copy or export it again",
         )
     text = token.decode("ascii", "backslashreplace")
-    if status == stl_scan.OUTSIDE:
+    if status == stl_facets.OUTSIDE:
         return FormatError(
             f"expected 'solid', found {text!r}",
             where=where,
             hint="ascii STL is a list of solids; is this another format?",
         )
-    if status == stl_scan.BAD_NUMBER:
+    if status == stl_facets.BAD_NUMBER:
         return FormatError(
             f"{text!r} is not a number",
             where=where,
             hint=number_hint(token),
         )
-    if status == stl_scan.TOO_LONG:
+    if status == stl_facets.TOO_LONG:
         return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
     hint = EXPORT_AGAIN
-    if word == stl_scan.ENDLOOP and token.lower() == b"vertex":
+    if word == stl_facets.ENDLOOP and token.lower() == b"vertex":
         hint = "a facet of STL has three corners; triangulate the mesh first"
     return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)

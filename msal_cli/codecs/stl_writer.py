@@ -29,8 +29,7 @@ def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> B
 
     ``single`` writes what float32 holds.
     """
-    from msal_cli.kernels.text import printed_shortest
-    from msal_cli.kernels.text_rows import fill_rows
+    from msal_cli.kernels.text import fill_rows, printed_shortest
 
     numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
     numbers[:, :3] = numbers[:, :3].astype(np.float32)

@@ -242,7 +242,7 @@ class _Coordinates(Tokens):
 
     def _decimals(self, values: Floats) -> Bytes:
         """Decimals (3 n,) of new ``values`` (n, 3), those that changed, or ``SHORTEST``."""
-        from msal_cli.kernels.digit_writing import MOST_DECIMALS
+        from msal_cli.kernels.numbers import MOST_DECIMALS
 
         needed = extent_decimals(self.values) or 0
         largest = float(np.abs(values[values != self.values]).max(initial=0.0))
@@ -446,7 +446,7 @@ def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
     Each number is the shortest text that is read back as the same float64, or float32.
     """
     from msal_cli.kernels import text
-    from msal_cli.kernels.text_rows import fill_rows
+    from msal_cli.kernels.text import fill_rows
 
     digits, stops = text.printed_shortest(vertices.reshape(-1), single)
     rows = fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)

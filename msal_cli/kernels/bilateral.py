@@ -1,4 +1,9 @@
-"""The bilateral operator over balls: heights weighted by closeness and by similarity."""
+"""Means over balls: heights by closeness and similarity, projections on planes around a vertex.
+
+What lies within a distance of a vertex is found along the surface, by a flood through the
+connectivity, not in a ball in space: the other side of a thin wall is not found, and no search tree
+is needed.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +15,119 @@ from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import exponentials
-from msal_cli.kernels.geometry import vertex_normals
+from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vertex_normals
 from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
-from msal_cli.kernels.vertex_neighbourhoods import room, vertices_around
+from msal_cli.kernels.vectors import longest_row
+
+MOST_FOUND = 2048
+"""Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
+
+MOST_LOOKS = 4 * MOST_FOUND
+"""Neighbours that a flood looks at beyond the first row: those of a hub would be too many."""
+
+
+@compiled
+def room(start, stop, row_start):
+    """Items that a flood from any of these vertices can find: first rows are taken whole."""
+    return np.int64(max(MOST_FOUND, longest_row(start, stop, row_start)) + 1)
+
+
+@compiled
+def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares):
+    """Vertices that edges join to i through vertices no farther from it than the radius.
+
+    x positions.  ``mark`` (n,) must not hold i; ``found`` and ``squares`` have room for all.
+    Returns their number: ``found`` begins with i itself, ``squares`` are squared distances.
+    """
+    mark[i] = i
+    found[0] = i
+    squares[0] = 0.0
+    count = 1
+    at = 0
+    looks = MOST_LOOKS
+    while at < count:
+        j = found[at]
+        row = ring_start[j]
+        end = ring_start[j + 1]
+        if at > 0:
+            end = min(end, row + looks)
+            looks -= end - row
+        at += 1
+        for entry in range(row, end):
+            k = ring[entry]
+            if mark[k] == i:
+                continue
+            mark[k] = i
+            dx, dy, dz = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
+            square = dx * dx + dy * dy + dz * dz
+            if square <= square_radius:
+                if at > 1 and count >= MOST_FOUND:
+                    return count
+                found[count] = k
+                squares[count] = square
+                count += 1
+    return count
+
+
+@compiled
+def faces_around(
+    i,
+    x,
+    centroids,
+    faces,
+    face_start,
+    incident,
+    square_radius,
+    vertex_mark,
+    face_mark,
+    corners,
+    found,
+    squares,
+):
+    """Faces whose centroids are within the radius of i, and that such faces join to it.
+
+    x positions.  Faces are joined where they share a vertex.  The marks (n,) and (m,) must not
+    hold i; ``corners`` has room for three vertices a face.  Returns the number of faces
+    ``found``, with the squared distances of their centroids in ``squares``.
+    """
+    vertex_mark[i] = i
+    corners[0] = i
+    waiting = 1
+    count = 0
+    at = 0
+    looks = MOST_LOOKS
+    while at < waiting:
+        j = corners[at]
+        row = face_start[j]
+        end = face_start[j + 1]
+        if at > 0:
+            end = min(end, row + looks)
+            looks -= end - row
+        at += 1
+        for entry in range(row, end):
+            f = incident[entry]
+            if face_mark[f] == i:
+                continue
+            face_mark[f] = i
+            dx = centroids[f, 0] - x[i, 0]
+            dy = centroids[f, 1] - x[i, 1]
+            dz = centroids[f, 2] - x[i, 2]
+            square = dx * dx + dy * dy + dz * dz
+            if square > square_radius:
+                continue
+            if at > 1 and count >= MOST_FOUND:
+                return count
+            found[count] = f
+            squares[count] = square
+            count += 1
+            for corner in range(3):
+                k = faces[f, corner]
+                if vertex_mark[k] != i:
+                    vertex_mark[k] = i
+                    corners[waiting] = k
+                    waiting += 1
+    return count
 
 
 @compiled
@@ -123,3 +237,207 @@ class BallBilateral:
             SMALLEST_SIGMA * self.mean_edge_length,
         )
         return Step(fill_array(_ball_bilateral, positions.shape, *around, *widths))
+
+
+_CENTROIDS, _PROJECTIONS = range(2)
+
+SMALLEST_AREA = 1e-12
+"""Area of a mollified face, in squared mean edge lengths, up to which its normal is rounding: a
+triangle that no other touches shrinks to a point."""
+
+
+@compiled
+def _project(
+    start,
+    stop,
+    x,
+    centroids,
+    areas,
+    normals,
+    faces,
+    face_start,
+    incident,
+    free,
+    radius,
+    closeness,
+    similarity,
+    floor,
+    averaged,
+    moves,
+):
+    """x positions, c centroids, n normals, s = (x - c) . n heights over the planes, g weights."""
+    capacity = room(start, stop, face_start)
+    vertex_mark = np.full(len(face_start) - 1, -1, dtype=np.int32)
+    face_mark = np.full(len(faces), -1, dtype=np.int32)
+    corners = np.empty(3 * capacity + 1, dtype=np.int32)
+    found = np.empty(capacity, dtype=np.int32)
+    squares = np.empty(capacity)
+    s = np.empty(capacity)
+    g = np.empty(capacity)
+    scratch = np.empty(capacity)
+    scratch_bits = scratch.view(np.int64)
+    near = 0.5 / max(closeness, floor) ** 2
+    alike = 0.5 / max(similarity, floor) ** 2 if averaged == _PROJECTIONS else 0.0
+    for i in range(start, stop):
+        moves[i, 0] = moves[i, 1] = moves[i, 2] = 0.0
+        if not free[i]:
+            continue
+        count = faces_around(
+            i,
+            x,
+            centroids,
+            faces,
+            face_start,
+            incident,
+            radius * radius,
+            vertex_mark,
+            face_mark,
+            corners,
+            found,
+            squares,
+        )
+        xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
+        least = np.inf
+        for at in range(count):
+            f = found[at]
+            s[at] = (
+                (xi - centroids[f, 0]) * normals[f, 0]
+                + (yi - centroids[f, 1]) * normals[f, 1]
+                + (zi - centroids[f, 2]) * normals[f, 2]
+            )
+            g[at] = squares[at] * near + s[at] * s[at] * alike
+            least = min(least, g[at])
+        # The largest Gaussian is made 1: the quotient stays the same, and cannot become 0/0.
+        for at in range(count):
+            g[at] = least - g[at]
+        exponentials(g, scratch, scratch_bits, count)
+        weights = mx = my = mz = 0.0
+        for at in range(count):
+            f = found[at]
+            weight = g[at] * areas[f]
+            weights += weight
+            if averaged == _PROJECTIONS:
+                mx -= weight * s[at] * normals[f, 0]
+                my -= weight * s[at] * normals[f, 1]
+                mz -= weight * s[at] * normals[f, 2]
+            else:
+                mx += weight * (centroids[f, 0] - xi)
+                my += weight * (centroids[f, 1] - yi)
+                mz += weight * (centroids[f, 2] - zi)
+        if weights > 0.0:
+            moves[i, 0], moves[i, 1], moves[i, 2] = mx / weights, my / weights, mz / weights
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectionAverage:
+    """dx = sum(w (P(x) - x)) / sum(w) over the faces around x, w = A f(|c - x|) g(|P(x) - x|).
+
+    P(x) is the projection of x on the plane through a face's centroid c along its mollified
+    normal, A the face's area, f and g Gaussians of widths ``closeness`` and ``similarity`` (Jones,
+    Durand and Desbrun 2003).  Mollified normals are those of the faces after every vertex went to
+    the average of the centroids, with weights A f, f half as wide; where that leaves nothing of a
+    face its own normal is taken.  The faces are those with a centroid within 2 closeness
+    that such faces join to the vertex; one without any does not move.
+
+    Attributes
+    ----------
+    faces, links : (m, 3) and its neighbourhoods.
+    free : (n,) bool, False for vertices that must stay.
+    mean_edge_length : file units; areas are taken in squares of it, and it sets the floor of the
+        widths.
+    closeness, similarity : sigma_f and sigma_g, file units.
+    """
+
+    faces: Ints
+    links: Connectivity
+    free: Flags
+    mean_edge_length: float
+    closeness: float
+    similarity: float
+    normals: None = None
+
+    def __call__(self, positions: Floats) -> Step:
+        """The moves (n, 3) at ``positions``, all from the same positions."""
+        own, areas = face_normals_and_areas(positions, self.faces)
+        areas /= self.mean_edge_length**2
+        corners = positions[self.faces]
+        centroids = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+        everywhere = np.ones_like(self.free)
+        smooth = positions + self._average(
+            positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS
+        )
+        normals, smooth_areas = face_normals_and_areas(smooth, self.faces)
+        has_normal = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
+        has_normal &= (normals != 0.0).any(axis=1)
+        normals = np.where(has_normal[:, None], normals, own)
+        return Step(
+            self._average(
+                positions, centroids, areas, normals, self.free, self.closeness, _PROJECTIONS
+            )
+        )
+
+    def _average(
+        self,
+        positions: Floats,
+        centroids: Floats,
+        areas: Floats,
+        normals: Floats,
+        free: Flags,
+        closeness: float,
+        averaged: int,
+    ) -> Floats:
+        """Moves (n, 3) of the vertices to the average of the centroids or the projections."""
+        widths = 2.0 * self.closeness, closeness, self.similarity
+        floor = SMALLEST_SIGMA * self.mean_edge_length
+        planes = centroids, areas, normals, self.faces, *self.links.incidence
+        known = positions, *planes, free, *widths, floor, averaged
+        return fill_array(_project, positions.shape, *known)
+
+
+@compiled
+def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spread):
+    for i in range(start, stop):
+        total = count = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = incident[at]
+            nx, ny, nz = unit_normals[f, 0], unit_normals[f, 1], unit_normals[f, 2]
+            if nx != 0.0 or ny != 0.0 or nz != 0.0:
+                total += 1.0 - (nx * normals[i, 0] + ny * normals[i, 1] + nz * normals[i, 2])
+                count += 1.0
+        spread[i] = max(0.0, total / count) if count > 0.0 else 0.0
+
+
+def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: Floats) -> Floats:
+    """Mean of 1 - n_f . n over the faces around each vertex (n,), n its unit normal (n, 3).
+
+    On an edge between two planes that is 1 - cos of half the angle between their normals.  Faces
+    without area do not count; a vertex without others has 0.
+    """
+    units = face_normals(positions, faces)
+    return fill_array(_normal_spread, len(positions), units, normals, *links.incidence)
+
+
+@compiled
+def _towards_planes(start, stop, x, normals, ring_start, ring, moves):
+    for i in range(start, stop):
+        mx = my = mz = 0.0
+        m = ring_start[i + 1] - ring_start[i]
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+            height = (x[k, 0] - x[i, 0]) * nx + (x[k, 1] - x[i, 1]) * ny + (x[k, 2] - x[i, 2]) * nz
+            mx += height * nx
+            my += height * ny
+            mz += height * nz
+        share = 1.0 / m if m else 0.0
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * mx, share * my, share * mz
+
+
+def towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
+    """Mean of the steps (n, 3) that take each vertex to the tangent planes of its one-ring.
+
+    A gradient step on the sum of squared distances from these planes, the quadric of the
+    neighbourhood: between two flat sides its least place is the edge, between three the corner.
+    Neighbours with a zero normal count as planes on which the vertex lies already.
+    """
+    return fill_array(_towards_planes, positions.shape, positions, normals, ring_start, ring)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
+from msal_cli.kernels.vectors import ONE, THREE, TWO
 
 LANES = np.uint64(32)
 """Faces that are worked on at a time."""

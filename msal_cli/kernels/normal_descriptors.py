@@ -53,7 +53,7 @@ from msal_cli.kernels.near_blocks import (
     normalise,
     weigh_block,
 )
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO, most_neighbours
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, most_neighbours
 
 NARROW_RANGES = (0.35, 0.7, 1.1)
 WIDE_RANGES = (0.2, 0.4, 0.7, 1.2)

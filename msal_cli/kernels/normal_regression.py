@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.face_rings import faces_within
+from msal_cli.kernels.faces import faces_within
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
@@ -32,7 +32,7 @@ from msal_cli.kernels.normal_descriptors import (
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
+from msal_cli.kernels.vectors import ONE, THREE, TWO
 
 MOST_NEAR = 63
 """Faces near one at most, beside itself."""

@@ -10,9 +10,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.byte_words import count_digits, load_eight, parse_digits
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digits import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
+from msal_cli.kernels.numbers import (
+    EXACT,
+    NOT_A_NUMBER,
+    UNDECIDED,
+    count_digits,
+    load_eight,
+    parse_digits,
+    read_number,
+)
 
 WHOLE = 0
 """All of the text is read."""

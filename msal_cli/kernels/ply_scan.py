@@ -11,9 +11,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.byte_words import count_digits, load_eight, parse_digits
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digits import EXACT, read_number, read_plain
+from msal_cli.kernels.numbers import (
+    EXACT,
+    count_digits,
+    load_eight,
+    parse_digits,
+    read_number,
+    read_plain,
+)
 from msal_cli.kernels.text import parse_integer, skip_blanks, skip_token
 
 WHOLE = 0

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats
 from msal_cli.kernels.compiled import compiled
 
+PER_MEDIAN = 1.4826
+"""Standard deviation of a normal distribution per median absolute deviation."""
+
 MANY = 1 << 16
 """Numbers below which partitioning them all is as fast."""
 

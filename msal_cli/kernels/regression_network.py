@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO, ZERO
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
 LANES = np.uint64(64)
 """Faces that are worked on at a time: with fewer the loops are too short."""

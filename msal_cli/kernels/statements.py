@@ -8,10 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.kernels.byte_words import count_before, load_eight, store_eight
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digit_writing import write_number
-from msal_cli.kernels.digits import NOT_A_NUMBER, UNDECIDED, read_number
+from msal_cli.kernels.numbers import (
+    NOT_A_NUMBER,
+    UNDECIDED,
+    count_before,
+    load_eight,
+    read_number,
+    store_eight,
+    write_number,
+)
 
 DONE = 0
 """All statements are dealt with."""

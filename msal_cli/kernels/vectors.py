@@ -1,11 +1,30 @@
-"""Vectors and triangles, for kernels to call."""
+"""Vectors, triangles and rows, for kernels to call."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
+
+ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
+
+
+@compiled
+def most_neighbours(start, stop, ring_start):
+    """The largest number of neighbours in a range of vertices; ``ring_start`` as uint32."""
+    widest = ZERO
+    for i in range(np.uint64(start), np.uint64(stop)):
+        widest = max(widest, ring_start[i + ONE] - ring_start[i])
+    return widest
+
+
+@compiled
+def longest_row(start, stop, row_start):
+    """The same for rows whose starts are signed."""
+    longest = 0
+    for i in range(start, stop):
+        longest = max(longest, row_start[i + 1] - row_start[i])
+    return longest
 
 
 @compiled

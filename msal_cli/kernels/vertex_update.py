@@ -26,7 +26,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.ring_blocks import ONE, THREE, TWO
+from msal_cli.kernels.vectors import ONE, THREE, TWO
 
 FOUR = np.uint64(4)
 

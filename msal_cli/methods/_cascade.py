@@ -18,7 +18,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
-from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_descriptors import NUMBERS, VECTORS
 from msal_cli.kernels.normal_regression import (

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.operators import Operator
-from msal_cli.kernels.robust_laplacian import DEVIATIONS, WEIGHTS, RobustLaplacian
+from msal_cli.kernels.operators import DEVIATIONS, WEIGHTS, Operator, RobustLaplacian
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices

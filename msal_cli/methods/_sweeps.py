@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
-from msal_cli.kernels.schedules import Constant, Multiscale, Plain, Schedule, Wiener
-from msal_cli.kernels.sweeps import Swept, run_sweeps
+from msal_cli.kernels.sweeps import Constant, Multiscale, Plain, Schedule, Swept, Wiener, run_sweeps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 

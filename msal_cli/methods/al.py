@@ -46,7 +46,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.robust_laplacian import SCALINGS
+from msal_cli.kernels.operators import SCALINGS
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator

@@ -44,8 +44,8 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from msal_cli.kernels.anisotropic_curvature import AnisotropicCurvature, curvature_threshold
-from msal_cli.kernels.dihedral_flaps import flaps
+from msal_cli.kernels.curvature import AnisotropicCurvature, curvature_threshold
+from msal_cli.kernels.faces import flaps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run

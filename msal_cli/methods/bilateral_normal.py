@@ -48,10 +48,9 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.conjugate_gradient import conjugate_gradients
-from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
+from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas
-from msal_cli.kernels.normal_averages import bilateral_averages
-from msal_cli.kernels.normal_system import normal_system
+from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run

@@ -47,10 +47,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.face_guides import patches
-from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
+from msal_cli.kernels.faces import face_centroids, faces_within, mean_centroid_distance, patches
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.normal_averages import joint_bilateral
+from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter

@@ -49,12 +49,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
+from msal_cli.kernels.bilateral import normal_spread, towards_planes
 from msal_cli.kernels.geometry import ring_means, vertex_normals
 from msal_cli.kernels.operators import Operator
-from msal_cli.kernels.projections import normal_spread, towards_planes
 from msal_cli.kernels.quantiles import clusters
-from msal_cli.kernels.schedules import Multiscale, Plain
-from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.sweeps import Multiscale, Plain, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter

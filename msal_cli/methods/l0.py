@@ -39,8 +39,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from msal_cli.kernels.conjugate_gradient import conjugate_gradients
-from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
 from msal_cli.kernels.edge_sparsity import edge_sparsity
+from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding

@@ -42,9 +42,13 @@ import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from msal_cli.kernels.cotangent import cotangent_weights
+from msal_cli.kernels.curvature import (
+    AREAS,
+    ImplicitMeanCurvature,
+    MeanCurvature,
+    cotangent_weights,
+)
 from msal_cli.kernels.geometry import with_volume_of
-from msal_cli.kernels.mean_curvature import AREAS, ImplicitMeanCurvature, MeanCurvature
 from msal_cli.kernels.operators import Operator
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter

@@ -43,7 +43,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.schedules import Multiscale, Schedule, Wiener
+from msal_cli.kernels.sweeps import Multiscale, Schedule, Wiener
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._heights import HeightParameters, height_operator

@@ -43,9 +43,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.normal_diffusion import difference_width, diffused_normals
+from msal_cli.kernels.normal_filters import difference_width, diffused_normals
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter

@@ -33,9 +33,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.normal_averages import threshold_averages
+from msal_cli.kernels.normal_filters import threshold_averages
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, run

@@ -50,10 +50,15 @@ from dataclasses import dataclass
 from functools import partial
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.face_guides import Patches, patches
-from msal_cli.kernels.face_rings import face_centroids, faces_within, mean_centroid_distance
+from msal_cli.kernels.faces import (
+    Patches,
+    face_centroids,
+    faces_within,
+    mean_centroid_distance,
+    patches,
+)
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.static_dynamic import minimising_normals, pair_weights
+from msal_cli.kernels.normal_filters import minimising_normals, pair_weights
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter

@@ -28,8 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-from msal_cli.kernels.schedules import Alternating
-from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.sweeps import Alternating, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter

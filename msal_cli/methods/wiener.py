@@ -47,12 +47,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.face_rings import face_centroids, face_rings, mean_centroid_distance
+from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.normal_averages import joint_bilateral
+from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.kernels.restoration import restoration
-from msal_cli.kernels.schedules import Plain
-from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.sweeps import Plain, run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter

@@ -37,16 +37,12 @@ MOST_MEMORY = 3 << 30
 
 _TOLD_EVERY = 100_000
 _SCANNERS = (
-    "digits",
-    "plain_numbers",
+    "numbers",
     "text",
-    "obj_plain",
     "obj_scan",
-    "plain_patch",
     "statements",
-    "ply_plain",
     "ply_scan",
-    "stl_scan",
+    "stl_facets",
 )
 
 
@@ -64,16 +60,9 @@ def main(arguments: list[str]) -> None:
     seen = ["msal_cli.codecs"] + [f"msal_cli.kernels.{name}" for name in _SCANNERS * is_interpreted]
     # What numba compiles must not be instrumented: it does not know the calls that are put in.
     with atheris.instrument_imports(include=seen):
-        import msal_cli.codecs.gltf
-        import msal_cli.codecs.obj
-        import msal_cli.codecs.ply
-        import msal_cli.codecs.stl
-        import msal_cli.codecs.threemf
-
         if is_interpreted:
-            import msal_cli.kernels.obj_scan
-            import msal_cli.kernels.ply_scan
-            import msal_cli.kernels.stl_scan  # noqa: F401
+            pass
+
     import numpy as np
 
     from tests.fuzz import mutants

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels import byte_words, digit_writing
+from msal_cli.kernels import numbers
 from msal_cli.kernels.text import as_bytes
 
 
@@ -15,15 +15,15 @@ from msal_cli.kernels.text import as_bytes
 @settings(deadline=None)
 def test_eight_bytes_are_one_word_and_beyond_the_end_are_zeros(data: bytes, at: int) -> None:
     wanted = int.from_bytes(data[at : at + 8], "little")
-    assert int(byte_words.load_eight(as_bytes(data), at)) == wanted
+    assert int(numbers.load_eight(as_bytes(data), at)) == wanted
 
 
 @given(st.integers(0, 2**64 - 1))
 @settings(deadline=None)
 def test_a_word_is_put_and_found_again(word: int) -> None:
     out = np.full(10, 7, dtype=np.uint8)
-    byte_words.store_eight(out, 1, np.uint64(word))
-    assert int(byte_words.load_eight(as_bytes(out), 1)) == word
+    numbers.store_eight(out, 1, np.uint64(word))
+    assert int(numbers.load_eight(as_bytes(out), 1)) == word
     assert (out[0], out[9]) == (7, 7)
 
 
@@ -32,7 +32,7 @@ def test_a_word_is_put_and_found_again(word: int) -> None:
 def test_digits_are_counted_up_to_the_first_other_byte(letters: list[int]) -> None:
     word = np.uint64(int.from_bytes(bytes(letters), "little"))
     wanted = next((k for k, c in enumerate(letters) if not 48 <= c <= 57), 8)
-    assert byte_words.count_digits(word) == wanted
+    assert numbers.count_digits(word) == wanted
 
 
 @given(st.integers(0, 10**8 - 1), st.integers(1, 8))
@@ -40,12 +40,12 @@ def test_digits_are_counted_up_to_the_first_other_byte(letters: list[int]) -> No
 def test_whole_numbers(number: int, count: int) -> None:
     text = b"%08d" % number
     word = np.uint64(int.from_bytes(text[8 - count :] + b"/x: 9.-\xff"[: 8 - count], "little"))
-    assert byte_words.parse_digits(word, count) == number % 10**count
+    assert numbers.parse_digits(word, count) == number % 10**count
 
 
 def printed(value: float, decimals: int) -> bytes:
     out = np.full(60, 42, dtype=np.uint8)
-    end = digit_writing.write_fixed(value, decimals, out, 1)
+    end = numbers.write_fixed(value, decimals, out, 1)
     assert out[0] == 42
     assert (out[end + 8 :] == 42).all()
     return out[1:end].tobytes()
@@ -56,7 +56,7 @@ def exact(value: float, decimals: int) -> bytes:
     return text.lstrip(b"-") if float(text) == 0.0 else text
 
 
-@given(st.floats(-9e18, 9e18), st.integers(-12, 0), st.integers(0, digit_writing.MOST_DECIMALS))
+@given(st.floats(-9e18, 9e18), st.integers(-12, 0), st.integers(0, numbers.MOST_DECIMALS))
 @settings(deadline=None)
 def test_what_is_printed_is_correctly_rounded(value: float, power: int, decimals: int) -> None:
     value *= 10.0**power

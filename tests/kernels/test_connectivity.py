@@ -9,8 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.kernels.components import count_components, faces_to_flip
-from msal_cli.kernels.connectivity import averaged_ring, boundary_curves, connectivity
+from msal_cli.kernels.connectivity import (
+    averaged_ring,
+    boundary_curves,
+    connectivity,
+    count_components,
+    faces_to_flip,
+)
 from msal_cli.kernels.welding import duplicate_faces, first_alike, number_groups, weld
 from tests.methods.plain_rings import rows
 from tests.paper import one_rings

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from msal_cli.kernels.corner_welding import weld_corners
+from msal_cli.kernels.welding import weld_corners
 
 
 def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[int]]:

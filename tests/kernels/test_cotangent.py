@@ -10,14 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.cotangent import (
-    FLATTEST,
-    corner_cotangents,
-    cotangent_weights,
-    mixed_areas,
-    ring_areas,
-)
-from msal_cli.kernels.geometry import area_and_volume
+from msal_cli.kernels.curvature import FLATTEST, corner_cotangents, cotangent_weights, mixed_areas
+from msal_cli.kernels.geometry import area_and_volume, ring_areas
 from tests.shapes import cube, fan, grid, noisy, torus
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
+from msal_cli.kernels.faces import dihedral_angles, flaps
 from tests.shapes import cube, fan, grid, noisy, torus
 
 

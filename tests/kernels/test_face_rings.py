@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from msal_cli.errors import TooLargeError
-from msal_cli.kernels import face_rings as module
+from msal_cli.kernels import faces as module
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.face_rings import (
+from msal_cli.kernels.faces import (
     MOST_AROUND,
     face_centroids,
     face_rings,
@@ -75,7 +75,7 @@ def test_the_order_is_side_by_side_then_corner_by_corner():
 def test_threads_do_not_change_the_rows(monkeypatch):
     _, faces = torus(40, 20)
     monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
-    monkeypatch.setattr("msal_cli.kernels.face_rings.SMALLEST_PART", 1)
+    monkeypatch.setattr("msal_cli.kernels.faces.SMALLEST_PART", 1)
     results = []
     for count in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", count)

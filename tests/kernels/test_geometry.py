@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels.geometry import (
+    ANGLES,
+    COMPARED,
     area_and_volume,
     face_normals,
     face_normals_and_areas,
@@ -13,9 +15,9 @@ from msal_cli.kernels.geometry import (
     normals_and_flat_faces,
     regrouped_normals,
     ring_means,
+    surface_figures,
     vertex_normals,
 )
-from msal_cli.kernels.surface_change import ANGLES, COMPARED, surface_figures
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.kernels import box_pairs, intersections
+from msal_cli.kernels import intersections
 from msal_cli.kernels.intersections import intersecting_pairs, plane_signs, space_signs
 from tests.kernels import plain_intersections as plain
 from tests.shapes import grid, torus
@@ -107,7 +107,7 @@ def test_neither_the_order_nor_the_size_of_chunks_matters(monkeypatch):
     faces = [random.choice(60, 3, replace=False) for _ in range(60)]
     pairs = found(vertices, faces)
     assert len(pairs) > 50
-    monkeypatch.setattr(box_pairs, "AT_ONCE", 30)
+    monkeypatch.setattr(intersections, "NODE_PAIRS_AT_ONCE", 30)
     monkeypatch.setattr(intersections, "AT_ONCE", 23)
     assert found(vertices, faces) == pairs
     order = random.permutation(len(faces))
@@ -120,9 +120,11 @@ def test_every_pair_of_boxes_is_found_once():
     # From large to small, and some without an extent.
     sizes = 10.0 ** random.uniform(-6, 1, (300, 1, 1)) * (random.random((300, 1, 1)) > 0.1)
     triangles = random.random((300, 1, 3)) + sizes * random.normal(size=(300, 3, 3))
-    given = [pair for some in box_pairs.near_pairs(triangles) for pair in zip(*some, strict=True)]
+    given = [
+        pair for some in intersections.near_pairs(triangles) for pair in zip(*some, strict=True)
+    ]
     assert len({frozenset(pair) for pair in given}) == len(given)
-    low, high = box_pairs._bounds(triangles)
+    low, high = intersections._bounds(triangles)
     expected = {
         frozenset((i, j))
         for i in range(300)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels import parallel
-from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_regression import (
     GLOBALS,

@@ -7,8 +7,7 @@ import pytest
 
 from msal_cli.kernels import parallel
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral
-from msal_cli.kernels.schedules import Constant, Multiscale, Plain
-from msal_cli.kernels.sweeps import run_sweeps
+from msal_cli.kernels.sweeps import Constant, Multiscale, Plain, run_sweeps
 
 HUB = 3000
 

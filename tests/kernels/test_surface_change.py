@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.kernels import surface_change as core
+from msal_cli.kernels import geometry as core
 from msal_cli.kernels.geometry import area_and_volume
 from tests.shapes import cube, noisy, torus
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.kernels import vertex_neighbourhoods as reach
+from msal_cli.kernels import bilateral as reach
 from msal_cli.kernels.connectivity import connectivity
 from tests.shapes import fan, grid, noisy, torus
 

@@ -9,8 +9,13 @@ import pytest
 
 from msal_cli import codecs, methods
 from msal_cli.analysis.measures import normal_statistics
-from msal_cli.kernels.operators import AnisotropicLaplacian
-from msal_cli.kernels.robust_laplacian import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
+from msal_cli.kernels.operators import (
+    DEVIATIONS,
+    SCALINGS,
+    WEIGHTS,
+    AnisotropicLaplacian,
+    RobustLaplacian,
+)
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 from tests import paper

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.kernels.anisotropic_curvature import edge_curvatures
-from msal_cli.kernels.dihedral_flaps import flaps
+from msal_cli.kernels.curvature import edge_curvatures
+from msal_cli.kernels.faces import flaps
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepare_mesh
 from tests.methods.pairs import errors, opened

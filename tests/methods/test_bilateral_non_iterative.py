@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.kernels.projections import ProjectionAverage
+from msal_cli.kernels.bilateral import ProjectionAverage
 from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.test_bilateral import mean_edge

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 from msal_cli import methods
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.face_rings import face_centroids, face_rings
+from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
-from msal_cli.kernels.normal_averages import bilateral_averages
-from msal_cli.kernels.normal_system import normal_system
+from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
 from msal_cli.mesh import prepare_mesh
 from tests.kernels.plain_faces import neighbours
 from tests.methods.plain_normals import global_filter, global_matrix, local_filter

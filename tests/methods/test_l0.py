@@ -8,7 +8,7 @@ import pytest
 from msal_cli import methods
 from msal_cli.analysis.measures import normal_statistics
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.dihedral_flaps import dihedral_angles, flaps
+from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import l0
 from tests.shapes import grid, noisy, torus

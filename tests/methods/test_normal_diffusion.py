@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.kernels.face_rings import face_rings
+from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.normal_diffusion import difference_width
+from msal_cli.kernels.normal_filters import difference_width
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from msal_cli import methods
 from msal_cli.errors import UsageError
-from msal_cli.kernels.normal_averages import threshold_averages
+from msal_cli.kernels.normal_filters import threshold_averages
 from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_normals import threshold_filter
 from tests.shapes import grid, noisy, torus

@@ -8,7 +8,7 @@ import pytest
 from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume
 from msal_cli.errors import UsageError
-from msal_cli.kernels.schedules import Alternating
+from msal_cli.kernels.sweeps import Alternating
 from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_rings import rows, umbrella
 from tests.shapes import grid, noisy, torus

@@ -1,10 +1,10 @@
-"""Walks over ascii STL: facets out of text, new numbers into it, text out of facets.
+"""Walks over STL: facets out of text, new numbers into text and records, the check of the result.
 
-The *tokens* of a facet are its twelve numbers in file order: the normal's three, then three for
-each corner.  Their places are kept as the facet's first byte, ``facet_at`` (n,) int64, and the
-distance of each token from it, ``offsets`` (n, 12) int32, a fifth of what two int64 per token take.
-A facet may be without a normal, and a normal's words need not be numbers: their values are NaN, and
-nothing is ever written there.
+The *tokens* of a facet of ascii STL are its twelve numbers in file order: the normal's three, then
+three for each corner.  Their places are kept as the facet's first byte, ``facet_at`` (n,) int64,
+and the distance of each token from it, ``offsets`` (n, 12) int32, a fifth of what two int64 per
+token take.  A facet may be without a normal, and a normal's words need not be numbers: their values
+are NaN, and nothing is ever written there.
 The bytes come from strangers: compiled code does not check bounds, so every walk here compares
 with the end of the data before it reads.
 """
@@ -12,10 +12,13 @@ with the end of the data before it reads.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.digit_writing import write_fixed
-from msal_cli.kernels.digits import EXACT, UNDECIDED, read_number
+from msal_cli.kernels.geometry import DEGENERATE
+from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number, write_fixed
+from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.text import is_same, skip_token
 
 WHOLE = 0
@@ -285,3 +288,205 @@ def is_same_outside(  # type: ignore[no-untyped-def]
             a = skip_token(buf, a_stop)
             b = skip_token(other, b_stop)
     return True
+
+
+RIGHT, WRONG_CORNER, WRONG_NORMAL, WRONG_ATTRIBUTE = range(4)
+"""What ``check_facets`` found wrong with a facet."""
+
+_CORNERS, _ATTRIBUTE = 6, 24
+_LENGTH_ERROR = 1e-5
+"""By how much the square of a unit normal's length may differ from 1 in float32."""
+
+
+@compiled
+def check_facets(  # type: ignore[no-untyped-def]
+    start, stop, old, new, faces, words_before, words, corners_before, normals, corners
+):
+    """The first facet that is not as ``facet_normals.replace_facets`` must leave it, and its fault.
+
+    old, new (n, 3) float64 : vertices; ``faces`` (m, 3) are the facets' corners among them.
+    normals (m, 3), corners (m, 9) float32 : views into the file, after and before.
+    words (m, 25) uint16 : all of a facet, before and after: six of the normal, eighteen of the
+        corners, and the attribute.
+    """
+    for f in range(start, stop):
+        if words[f, _ATTRIBUTE] != words_before[f, _ATTRIBUTE]:
+            return f, WRONG_ATTRIBUTE
+        moved = False
+        for corner in range(3):
+            i = faces[f, corner]
+            for k in range(3):
+                at = 3 * corner + k
+                if old[i, k] != corners_before[f, at]:
+                    return f, WRONG_CORNER
+                word = _CORNERS + 2 * at
+                if new[i, k] != old[i, k]:
+                    moved = True
+                    if corners[f, at] != np.float32(new[i, k]):
+                        return f, WRONG_CORNER
+                elif (
+                    words[f, word] != words_before[f, word]
+                    or words[f, word + 1] != words_before[f, word + 1]
+                ):
+                    return f, WRONG_CORNER
+        changed = False
+        for word in range(_CORNERS):
+            changed = changed or words[f, word] != words_before[f, word]
+        if changed:
+            x = np.float64(normals[f, 0])
+            y = np.float64(normals[f, 1])
+            z = np.float64(normals[f, 2])
+            if not moved or not abs(x * x + y * y + z * z - 1.0) < _LENGTH_ERROR:
+                return f, WRONG_NORMAL
+    return stop, RIGHT
+
+
+# Facets of binary STL, and stored normals after vertices moved.
+
+_BLOCK_FACETS = 64
+_NEW, _OLD, _STORED = range(3)
+
+
+@compiled
+def _cross(vertices, a, b, c):  # type: ignore[no-untyped-def]
+    """Cross product of two edges of a triangle, and its longest edge squared."""
+    ux = vertices[b, 0] - vertices[a, 0]
+    uy = vertices[b, 1] - vertices[a, 1]
+    uz = vertices[b, 2] - vertices[a, 2]
+    wx = vertices[c, 0] - vertices[a, 0]
+    wy = vertices[c, 1] - vertices[a, 1]
+    wz = vertices[c, 2] - vertices[a, 2]
+    vx, vy, vz = wx - ux, wy - uy, wz - uz
+    longest = max(
+        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
+    )
+    return uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx, longest
+
+
+@compiled
+def _normalise(vectors, lengths):  # type: ignore[no-untyped-def]
+    """Take the roots of the first two rows of lengths, and divide the vectors by their lengths."""
+    for row in range(2):
+        for at in range(_BLOCK_FACETS):
+            lengths[row, at] = np.sqrt(lengths[row, at])
+    for row in range(3):
+        for axis in range(3):
+            for at in range(_BLOCK_FACETS):
+                vectors[row, axis, at] /= lengths[row, at]
+
+
+@compiled
+def replace_facets(start, stop, old, new, faces, normals, corners, changed):  # type: ignore[no-untyped-def]
+    """Write the normals and corners that are others into facets.
+
+    normals (m, 3) : as stored; those that ``renew_facet_normals`` says are replaced.
+    corners (m, 9) : every coordinate that moved is replaced.  Without rows: none.
+    changed (m,) bool : set for normals that are replaced.  Without rows: not filled.
+
+    Roots and divisions are done for a block of facets at once, as vector code, which halves the
+    time.  (As one body: called for every facet, its parts would not become one piece of code.)
+    """
+    # Three rows: the normal after and before the corners moved, and the stored one.
+    vectors = np.empty((3, 3, _BLOCK_FACETS))
+    lengths = np.empty((3, _BLOCK_FACETS))
+    longest = np.empty((2, _BLOCK_FACETS))
+    sums = np.empty(_BLOCK_FACETS)
+    # What a block leaves over is divided too.
+    for row in range(3):
+        for at in range(_BLOCK_FACETS):
+            lengths[row, at] = 1.0
+            for axis in range(3):
+                vectors[row, axis, at] = 1.0
+    which = np.empty(_BLOCK_FACETS, dtype=np.int64)
+    f = start
+    while f < stop:
+        count = 0
+        while f < stop and count < _BLOCK_FACETS:
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            moved = False
+            for k in range(3):
+                moved = moved or (
+                    old[a, k] != new[a, k] or old[b, k] != new[b, k] or old[c, k] != new[c, k]
+                )
+            if moved:
+                x, y, z, longest[_NEW, count] = _cross(new, a, b, c)
+                vectors[_NEW, 0, count] = x
+                vectors[_NEW, 1, count] = y
+                vectors[_NEW, 2, count] = z
+                lengths[_NEW, count] = x * x + y * y + z * z
+                x, y, z, longest[_OLD, count] = _cross(old, a, b, c)
+                vectors[_OLD, 0, count] = x
+                vectors[_OLD, 1, count] = y
+                vectors[_OLD, 2, count] = z
+                lengths[_OLD, count] = x * x + y * y + z * z
+                x = np.float64(normals[f, 0])
+                y = np.float64(normals[f, 1])
+                z = np.float64(normals[f, 2])
+                # Scaled by this, neither tiny nor huge stored normals spoil the sign.
+                lengths[_STORED, count] = max(abs(x), abs(y), abs(z))
+                vectors[_STORED, 0, count] = x
+                vectors[_STORED, 1, count] = y
+                vectors[_STORED, 2, count] = z
+                # A sum, because NaN disappears in a maximum.
+                sums[count] = abs(x) + abs(y) + abs(z)
+                which[count] = f
+                count += 1
+                if len(corners):
+                    for corner in range(3):
+                        i = faces[f, corner]
+                        for k in range(3):
+                            if old[i, k] != new[i, k]:
+                                corners[f, 3 * corner + k] = new[i, k]
+            f += 1
+        _normalise(vectors, lengths)
+        for at in range(count):
+            length = lengths[_NEW, at]
+            if not (
+                lengths[_STORED, at] > 0.0
+                and sums[at] < np.inf
+                and length > DEGENERATE * longest[_NEW, at]
+                and length < np.inf
+            ):
+                continue
+            sense = 1.0
+            length = lengths[_OLD, at]
+            if length > DEGENERATE * longest[_OLD, at] and length < np.inf:
+                along = (
+                    vectors[_STORED, 0, at] * vectors[_OLD, 0, at]
+                    + vectors[_STORED, 1, at] * vectors[_OLD, 1, at]
+                    + vectors[_STORED, 2, at] * vectors[_OLD, 2, at]
+                )
+                if along < 0.0:
+                    sense = -1.0
+            g = which[at]
+            # The sum makes a plain zero of a negative one.
+            normals[g, 0] = sense * vectors[_NEW, 0, at] + 0.0
+            normals[g, 1] = sense * vectors[_NEW, 1, at] + 0.0
+            normals[g, 2] = sense * vectors[_NEW, 2, at] + 0.0
+            if len(changed):
+                changed[g] = True
+
+
+def renew_facet_normals(
+    old: Floats, new: Floats, faces: Ints, normals: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Stored facet normals after vertices moved.
+
+    Parameters
+    ----------
+    old, new : (n, 3), the vertices before and after, file units.
+    faces : (m, 3), the corners of each facet.
+    normals : (m, 3) as stored, of any length, not finite where the file has no number.
+
+    Returns
+    -------
+    normals : (m, 3).  A facet with a corner that moved gets the unit normal of its new corners by
+        the right-hand rule, reversed if the stored one opposed the old corners.  A facet whose
+        stored normal is zero (exporters leave the choice to the reader) or not finite, and one
+        that has no area any more, keeps what it has.
+    changed : (m,) bool, which normals are new.
+    """
+    result = np.array(normals, dtype=np.float64)
+    changed = np.zeros(len(result), dtype=np.bool_)
+    over_ranges(replace_facets, len(result), old, new, faces, result, np.empty((0, 9)), changed)
+    return result, changed

@@ -1,0 +1,527 @@
+"""Cotangent weights, areas of vertices, and mean curvature flow, isotropic and anisotropic.
+
+Sums run over the corners of faces, so that open and non-manifold edges need no rule of their own:
+an edge has the cotangents of as many corners as look at it.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
+from msal_cli.kernels.connectivity import Connectivity, index_rows
+from msal_cli.kernels.geometry import DEGENERATE, ring_areas
+from msal_cli.kernels.operators import Step
+from msal_cli.kernels.parallel import fill_array, over_ranges
+from msal_cli.kernels.quantiles import PER_MEDIAN, median
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
+
+FLATTEST = 0.05
+"""Height over longest edge below which a face's cotangents are those of a face that is less flat.
+
+About three degrees in the smallest angle of an isosceles face; no cotangent exceeds 20.
+"""
+
+
+@compiled
+def _corner_dots(vertices, a, b, c):
+    """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
+    vx, vy, vz = wx - ux, wy - uy, wz - uz
+    doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
+    longest = longest_square(ux, uy, uz, wx, wy, wz)
+    at_a = ux * wx + uy * wy + uz * wz
+    at_b = -(ux * vx + uy * vy + uz * vz)
+    at_c = wx * vx + wy * vy + wz * vz
+    return at_a, at_b, at_c, doubled, longest
+
+
+@compiled
+def _corner_cotangents(start, stop, vertices, faces, cotangents):
+    for f in range(start, stop):
+        at_a, at_b, at_c, doubled, longest = _corner_dots(
+            vertices, faces[f, 0], faces[f, 1], faces[f, 2]
+        )
+        # One divisor for all three: then the face's part of the stiffness matrix is that of the
+        # true face times a number below one, and never loses its positive sign.
+        divisor = max(doubled, FLATTEST * longest)
+        inverse = 1.0 / divisor if divisor > 0.0 else 0.0
+        cotangents[f, 0] = at_a * inverse
+        cotangents[f, 1] = at_b * inverse
+        cotangents[f, 2] = at_c * inverse
+
+
+def corner_cotangents(vertices: Floats, faces: Ints) -> Floats:
+    """Cotangent of every face's angle at each corner, (m, 3), from -20 to 20.
+
+    The three of a face whose height is less than 1/20 of its longest edge are smaller than the
+    true ones by one common factor; those of a face without area are finite.
+    """
+    return fill_array(_corner_cotangents, (len(faces), 3), vertices, faces)
+
+
+@compiled
+def _cotangent_weights(
+    start, stop, cotangents, faces, face_start, incident, ring_start, ring, weights
+):
+    # Slots in ``ring`` only grow, so one at or above a row's start belongs to that row.
+    slot = np.full(len(ring_start) - 1, -1, dtype=np.int32)
+    for i in range(start, stop):
+        row = ring_start[i]
+        for at in range(row, ring_start[i + 1]):
+            slot[ring[at]] = at
+            weights[at] = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = incident[at]
+            own = 0
+            while faces[f, own] != i:
+                own += 1
+            after, before = (own + 1) % 3, (own + 2) % 3
+            weights[slot[faces[f, after]]] += cotangents[f, before]
+            weights[slot[faces[f, before]]] += cotangents[f, after]
+
+
+def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
+    """cot alpha + cot beta of every edge, (e,), one for each entry of ``links.ring``.
+
+    alpha and beta are the angles that face the edge; an open edge has one, a non-manifold edge as
+    many as it has faces.  The gradient of the surface's area with respect to vertex i is
+    sum(w_ik (x_i - x_k)) / 2, but for faces too flat for their true cotangents (see
+    ``corner_cotangents``).  The matrix with -w off its diagonal and sum(w) on it is positive
+    semidefinite for any vertices.
+
+    Parameters
+    ----------
+    vertices : (n, 3).
+    faces : (m, 3), the faces that ``links`` were made from, each wound either way.
+    """
+    weights = np.empty(len(links.ring))
+    cotangents = corner_cotangents(vertices, faces)
+    rows = *links.incidence, *links.one_ring
+    over_ranges(_cotangent_weights, len(vertices), cotangents, faces, *rows, weights)
+    return weights
+
+
+@compiled
+def _corner_areas(start, stop, vertices, faces, areas):
+    for f in range(start, stop):
+        at_a, at_b, at_c, doubled, _ = _corner_dots(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+        lowest = min(at_a, at_b, at_c)
+        if doubled == 0.0:
+            areas[f, 0] = areas[f, 1] = areas[f, 2] = 0.0
+        elif lowest < 0.0:
+            areas[f, 0] = doubled / (4.0 if at_a == lowest else 8.0)
+            areas[f, 1] = doubled / (4.0 if at_b == lowest else 8.0)
+            areas[f, 2] = doubled / (4.0 if at_c == lowest else 8.0)
+        else:
+            # Squared length of an edge times the cotangent of the corner that faces it.
+            scale = 1.0 / (8.0 * doubled)
+            of_bc = (at_b + at_c) * (at_a * scale)
+            of_ca = (at_c + at_a) * (at_b * scale)
+            of_ab = (at_a + at_b) * (at_c * scale)
+            areas[f, 0], areas[f, 1], areas[f, 2] = of_ca + of_ab, of_ab + of_bc, of_bc + of_ca
+
+
+@compiled
+def _mixed_areas(start, stop, corner_areas, faces, face_start, incident, areas):
+    for i in range(start, stop):
+        total = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = incident[at]
+            for corner in range(3):
+                if faces[f, corner] == i:
+                    total += corner_areas[f, corner]
+        areas[i] = total
+
+
+def mixed_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
+    """Mixed Voronoi area of every vertex, (n,), in squared units; Meyer et al. 2002.
+
+    Of a face without obtuse angle each corner has the part that is nearer to it than to the other
+    two; of an obtuse face the obtuse corner has a half, the others a quarter each.  The sum over
+    all vertices is the area of the surface.
+    """
+    corner_areas = np.empty((len(faces), 3))
+    over_ranges(_corner_areas, len(faces), vertices, faces, corner_areas)
+    return fill_array(_mixed_areas, len(vertices), corner_areas, faces, *links.incidence)
+
+
+# Mean curvature flow, x' = -grad(area) / area of the vertex, by explicit and implicit steps.
+
+AREAS = ("mixed", "ring")
+
+TOLERANCE = 1e-8
+"""Of the implicit step's solution, in mean edge lengths: far below the rounding of any scan."""
+
+MOST_ITERATIONS = 10_000
+"""Of the conjugate gradients, for steps so long that they are hopeless to solve well."""
+
+
+def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str) -> Floats:
+    """Area of every vertex, (n,), in squared units.
+
+    ``areas`` is ``"mixed"``: the mixed Voronoi area; or ``"ring"``: a third of the one-ring's.
+    """
+    if areas == "mixed":
+        return mixed_areas(vertices, faces, links)
+    return ring_areas(vertices, faces, links) / 3.0
+
+
+@compiled
+def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):
+    for i in range(start, stop):
+        sx = sy = sz = 0.0
+        total = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            weight = weights[at]
+            sx += weight * (x[k, 0] - x[i, 0])
+            sy += weight * (x[k, 1] - x[i, 1])
+            sz += weight * (x[k, 2] - x[i, 2])
+            total += abs(weight)
+        share = 0.0
+        if free[i] and total > 0.0:
+            share = 1.0 / total
+            if time_step * total < 2.0 * areas[i]:
+                share = time_step / (2.0 * areas[i])
+        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
+
+
+@dataclass(frozen=True, eq=False)
+class MeanCurvature:
+    """min(tau, limit_i) / (2 A_i) sum(w (x_k - x_i)), w = cot alpha + cot beta, A vertex areas.
+
+    limit_i = 2 A_i / sum|w| is the time step at which a vertex with positive weights reaches the
+    weighted mean of its neighbours; beyond it the explicit iteration would overshoot.
+
+    Attributes
+    ----------
+    faces : (m, 3), the faces that ``links`` were made from.
+    free : (n,) bool, False for vertices that must stay.
+    time_step : tau, in squared file units.
+    areas : ``"mixed"`` or ``"ring"``.
+    """
+
+    faces: Ints
+    links: Connectivity
+    free: Flags
+    time_step: float
+    areas: str = "mixed"
+    normals: None = None
+
+    def __call__(self, positions: Floats) -> Step:
+        """The moves (n, 3) at ``positions``, all from the same positions."""
+        faces, links = self.faces, self.links
+        weights = cotangent_weights(positions, faces, links)
+        areas = vertex_areas(positions, faces, links, self.areas)
+        rows = positions, weights, areas, *links.one_ring
+        return Step(fill_array(_curvature_step, positions.shape, *rows, self.free, self.time_step))
+
+
+@dataclass(frozen=True, eq=False)
+class ImplicitMeanCurvature:
+    """X' - X of one implicit step, (M + tau L) X' = M X, with L the cotangent stiffness matrix.
+
+    L = grad(area) has the weights w / 2 of the input for good: the flow that keeps them has no
+    singularities, where the one that measures them anew pinches thin parts off (Kazhdan, Solomon
+    and Ben-Chen 2012).  M has the vertex areas, measured anew at every call.
+
+    Attributes
+    ----------
+    faces : (m, 3), the faces that ``links`` were made from.
+    weights : (e,), one for each entry of ``links.ring``.
+    free : (n,) bool, False for vertices that must stay.
+    time_step : tau, in squared file units.
+    mean_edge_length : file units; sets the accuracy of the solution.
+    areas : ``"mixed"`` or ``"ring"``.
+    on_iteration : called after every iteration of the solver; what it raises ends the run.
+    """
+
+    faces: Ints
+    links: Connectivity
+    weights: Floats
+    free: Flags
+    time_step: float
+    mean_edge_length: float
+    areas: str = "mixed"
+    on_iteration: Callable[[], object] | None = None
+    normals: None = None
+
+    def __call__(self, positions: Floats) -> Step:
+        """The moves (n, 3) at ``positions``."""
+        links = self.links
+        areas = vertex_areas(positions, self.faces, links, self.areas)
+        values = -0.5 * self.weights
+        sums = np.zeros(len(positions))
+        filled = np.diff(links.ring_start) > 0
+        sums[filled] = np.add.reduceat(values, links.ring_start[:-1][filled])
+        # (M / tau + L) (X' - X) = -L X: the moves have less rounding than positions would have,
+        # and the matrix has no unit, so that tiny meshes cannot underflow.
+        matrix = RowMatrix(areas / self.time_step - sums, *links.one_ring, values)
+        right = np.empty_like(positions)
+        RowMatrix(sums, *links.one_ring, -values).times(positions, right)
+        on_iteration = self.on_iteration
+        solution = conjugate_gradients(
+            matrix,
+            right,
+            np.zeros_like(positions),
+            tolerance=TOLERANCE,
+            unit=self.mean_edge_length,
+            most_iterations=MOST_ITERATIONS,
+            held=~self.free,
+            on_iteration=None if on_iteration is None else lambda *_: on_iteration(),
+        )
+        return Step(solution.values)
+
+
+# Mean curvature made of edges, in which an edge that is bent more than a threshold counts less.
+#
+# The curvature vector of an edge e between faces with unit normals m and n is H(e) = e x (n - m),
+# of length 2 |e| sin(phi / 2) for the angle phi between m and n.  Half the sum of H(e) around a
+# vertex is the gradient of the surface's area.  Symbols as in Hildebrandt and Polthier 2004.
+
+LONGEST = 0.5
+"""Share of the way to where H_A would vanish that a vertex may go in one step."""
+
+LEAST = 0.25
+"""Least slope: beyond a right angle a bent flap pulls, though a flat one would not begin to."""
+
+
+@compiled
+def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, slopes, bent):
+    """w H(e), how fast its length grows as either end rises, and whether |H| > lambda.
+
+    H of a flat flap grows with p1 by the cotangents of the two angles at p3, and the other way
+    round.  Zeros beside a degenerate face.
+    """
+    for e in range(start, stop):
+        # Unsigned, so that no index is looked at for being negative.
+        p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
+        p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
+        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
+        m = np.sqrt(mx * mx + my * my + mz * mz)
+        n = np.sqrt(nx * nx + ny * ny + nz * nz)
+        ee = ex * ex + ey * ey + ez * ez
+        bb, be = bx * bx + by * by + bz * bz, bx * ex + by * ey + bz * ez
+        dd, de = dx * dx + dy * dy + dz * dz, dx * ex + dy * ey + dz * ez
+        hx = hy = hz = slope_1 = slope_3 = 0.0
+        if m > DEGENERATE * max(ee, bb) and n > DEGENERATE * max(ee, dd):
+            # Not by reciprocals: equal normals are to cancel without a rest.
+            qx, qy, qz = nx / n - mx / m, ny / n - my / m, nz / n - mz / m
+            hx, hy, hz = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
+            m, n = 1.0 / m, 1.0 / n
+            slope_1 = max(abs(ee - be) * m, LEAST) + max(abs(ee - de) * n, LEAST)
+            slope_3 = max(abs(be) * m, LEAST) + max(abs(de) * n, LEAST)
+        size = np.sqrt(hx * hx + hy * hy + hz * hz)
+        bent[e] = size > threshold
+        if bent[e]:
+            # w = lambda^2 / (r (lambda - |H|)^2 + lambda^2), without squares of lengths.
+            ratio = threshold / size
+            weight = ratio * ratio / (falloff * (1.0 - ratio) ** 2 + ratio * ratio)
+            hx, hy, hz = weight * hx, weight * hy, weight * hz
+            slope_1, slope_3 = weight * slope_1, weight * slope_3
+        curvatures[e, 0], curvatures[e, 1], curvatures[e, 2] = hx, hy, hz
+        slopes[e, 0] = slope_1
+        slopes[e, 1] = slope_3
+
+
+def edge_curvatures(vertices: Floats, corners: Ints) -> Floats:
+    """Curvature vectors H(e) (e, 3) of ``flaps`` (e, 4), in file units; they point out of a ridge.
+
+    Zero beside a face without area.
+    """
+    return _weighted_curvatures(vertices, corners, np.inf, 1.0)[0]
+
+
+def _weighted_curvatures(
+    vertices: Floats, corners: Ints, threshold: float, falloff: float
+) -> tuple[Floats, Floats, Flags]:
+    count = len(corners)
+    results = np.empty((count, 3)), np.empty((count, 2)), np.empty(count, dtype=bool)
+    over_ranges(_edge_curvatures, count, vertices, corners, threshold, falloff, *results)
+    return results
+
+
+def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> float:
+    """Median length of H(e) plus so many standard deviations of it, in file units.
+
+    The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
+    ``flaps`` (e, 4).
+    """
+    lengths: Floats = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
+    if not len(lengths):
+        return 0.0
+    middle = median(lengths)
+    if not deviations:
+        return middle
+    return float(middle + deviations * PER_MEDIAN * median(np.abs(lengths - middle)))
+
+
+@compiled
+def _area_vectors(start, stop, x, faces, vectors):
+    """Normal of every face with its area for length, and the area, both times two."""
+    for f in range(start, stop):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, a, b, c)
+        vectors[f, 0], vectors[f, 1], vectors[f, 2] = nx, ny, nz
+        vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
+
+
+@compiled
+def _gather(
+    start,
+    stop,
+    curvatures,
+    slopes,
+    bent,
+    edge_start,
+    ends,
+    vectors,
+    face_start,
+    incident,
+    free,
+    time_step,
+    total,
+    outward,
+    rate,
+    feature,
+):
+    """H_A, the gradient of the volume, time step over mass, and whether an edge is bent."""
+    for i in range(start, stop):
+        hx = hy = hz = stiffness = 0.0
+        feature[i] = False
+        for at in range(edge_start[i], edge_start[i + 1]):
+            e, end = np.uint64(ends[at] >> 1), np.uint64(ends[at] & 1)
+            hx += curvatures[e, 0]
+            hy += curvatures[e, 1]
+            hz += curvatures[e, 2]
+            stiffness += slopes[e, end]
+            feature[i] |= bent[e]
+        total[i, 0], total[i, 1], total[i, 2] = 0.5 * hx, 0.5 * hy, 0.5 * hz
+        ax = ay = az = area = 0.0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = np.uint64(incident[at])
+            ax += vectors[f, 0]
+            ay += vectors[f, 1]
+            az += vectors[f, 2]
+            area += vectors[f, 3]
+        outward[i, 0], outward[i, 1], outward[i, 2] = ax / 6.0, ay / 6.0, az / 6.0
+        # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
+        rate[i] = 0.0
+        if free[i] and stiffness > 0.0:
+            rate[i] = 2.0 * LONGEST / stiffness
+            if 6.0 * time_step < rate[i] * area:
+                rate[i] = 6.0 * time_step / area
+
+
+@compiled
+def _directions(start, stop, edge_start, beside, total, outward, feature, along, products):
+    """V_A of length |grad volume|, the product H_A . V_A / |V_A|, and |V_A|."""
+    for i in range(start, stop):
+        vx, vy, vz = outward[i, 0], outward[i, 1], outward[i, 2]
+        length = np.sqrt(vx * vx + vy * vy + vz * vz)
+        if feature[i]:
+            sx = sy = sz = 0.0
+            for at in range(edge_start[i], edge_start[i + 1]):
+                k = np.uint64(beside[at])
+                sx += total[k, 0]
+                sy += total[k, 1]
+                sz += total[k, 2]
+            m = edge_start[i + 1] - edge_start[i]
+            sx = total[i, 0] + sx / m
+            sy = total[i, 1] + sy / m
+            sz = total[i, 2] + sz / m
+            size = np.sqrt(sx * sx + sy * sy + sz * sz)
+            if size > 0.0:
+                scale = length / size
+                if sx * vx + sy * vy + sz * vz < 0.0:
+                    scale = -scale
+                vx, vy, vz = scale * sx, scale * sy, scale * sz
+        along[i, 0], along[i, 1], along[i, 2] = vx, vy, vz
+        product = total[i, 0] * vx + total[i, 1] * vy + total[i, 2] * vz
+        products[i, 0] = product / length if length > 0.0 else 0.0
+        products[i, 1] = length
+
+
+@compiled
+def _prescribe(start, stop, edge_start, beside, along, products, feature, total):
+    """Take f V_A from H_A."""
+    for i in range(start, stop):
+        product = length = 0.0
+        for at in range(edge_start[i], edge_start[i + 1]):
+            k = np.uint64(beside[at])
+            if feature[k] or not feature[i]:
+                product += products[k, 0]
+                length += products[k, 1]
+        f = product / length if length > 0.0 else 0.0
+        for axis in range(3):
+            total[i, axis] -= f * along[i, axis]
+
+
+@dataclass(frozen=True, eq=False)
+class AnisotropicCurvature:
+    """One step of anisotropic, or of prescribed, mean curvature flow: -tau / M (H_A - f V_A).
+
+    H_A is half the sum of w H(e) over the edges around a vertex, w = 1 where |H(e)| <= lambda and
+    lambda^2 / (r (lambda - |H|)^2 + lambda^2) beyond; M is a third of the area around it.
+
+    Without ``prescribed`` f is zero.  With it V_A is the gradient of the volume; at a feature, a
+    vertex with an edge beyond lambda, its length is kept and its direction is that of H_A plus the
+    mean H_A of the neighbours.  f = sum(H_A . V_A / |V_A|) / sum |V_A| over the neighbours, of a
+    feature over those that are features.
+
+    A vertex where tau / M is so long that it would overshoot takes a shorter step.
+
+    Attributes
+    ----------
+    faces : (m, 3), the faces that ``links`` were made from.
+    corners : (e, 4), their ``flaps``; other edges count not.
+    free : (n,) bool, False for vertices that must stay.
+    threshold : lambda, in file units.
+    falloff : r, above zero.
+    time_step : tau, in squared file units.
+    """
+
+    faces: Ints
+    links: Connectivity
+    corners: Ints
+    free: Flags
+    threshold: float
+    falloff: float
+    time_step: float
+    prescribed: bool
+    normals: None = None
+
+    @functools.cached_property
+    def _rows(self) -> tuple[Ints, Ints, Ints]:
+        """Rows of the flaps e whose edge ends at each vertex, 2 e where it is p1 and 2 e + 1 for
+        p3; and the vertices at the other ends."""
+        edges = self.corners[:, ::2]
+        edge_start, ends = index_rows(len(self.free), edges, 2, 1)
+        beside = edges.reshape(-1)[ends ^ 1]
+        return edge_start, ends, beside
+
+    def __call__(self, positions: Floats) -> Step:
+        """The moves (n, 3) at ``positions``, all from the same positions."""
+        n = len(positions)
+        edge_start, ends, beside = self._rows
+        vectors = fill_array(_area_vectors, (len(self.faces), 4), positions, self.faces)
+        bends = _weighted_curvatures(positions, self.corners, self.threshold, self.falloff)
+        around = edge_start, ends, vectors, *self.links.incidence
+        total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+        feature = np.empty(n, dtype=bool)
+        results = total, outward, rate, feature
+        over_ranges(_gather, n, *bends, *around, self.free, self.time_step, *results)
+        if self.prescribed:
+            along, products = np.empty((n, 3)), np.empty((n, 2))
+            rows = edge_start, beside
+            over_ranges(_directions, n, *rows, total, outward, feature, along, products)
+            over_ranges(_prescribe, n, *rows, along, products, feature, total)
+        return Step(-rate[:, None] * total)

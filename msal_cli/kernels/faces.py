@@ -1,0 +1,591 @@
+"""Which faces neighbour a face, which are near it, and groups of them: flaps and patches.
+
+Neighbourhoods are kept in compressed rows: the neighbours of face f are
+``ring[ring_start[f]:ring_start[f + 1]]``, each once and never f itself, first those across its
+three edges in turn, then those at its three corners in turn, in ascending order each.
+
+All faces around an edge are neighbours of one another, also where there are more than two.  So
+that hubs cost no more than other parts, an edge or a vertex with more than ``MOST_AROUND`` faces
+makes no neighbours: the faces of a wide fan still neighbour the next ones across their edges.
+
+The faces near a face are found by a flood through the connectivity, not in a ball in space: the
+other side of a thin wall is not found, and no search tree is needed.  It goes on through faces
+whose centroids are within the distance.
+
+To find rows twice, once for their lengths, would cost twice the time.  So a kernel writes them into
+room for the longest rows, a part of the items after the other, and they are put together then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.errors import TooLargeError
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.connectivity import Connectivity, side_circles
+from msal_cli.kernels.geometry import VANISHED, mean_edge_length, usable_areas
+from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
+from msal_cli.kernels.vectors import ONE, THREE, TWO, edges_and_normal, longest_row, most_neighbours
+
+MOST_AROUND = 64
+"""Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
+
+_MOST = np.uint64(MOST_AROUND)
+
+MOST_PAIRS = 2**31 - 1
+"""Entries that 32-bit rows can number."""
+
+PARTS = 8
+"""Parts of the items, at most: the rows of one are in memory twice."""
+
+SMALLEST_PART = 1 << 17
+"""Items in a part, at least, unless their rows may be very long."""
+
+MOST_ROOM = 1 << 26
+"""Indices that there is room for in a part: a limit on memory counts it, even if unused."""
+
+
+def find_rows(
+    kernel: Callable[..., Any], count: int, most: int, *known: object
+) -> tuple[Ints, Ints]:
+    """Sizes (count,) of the rows of all items, and the rows one behind the other.
+
+    ``kernel(start, stop, first, *known, sizes, found)`` finds the rows of the items from
+    ``first + start`` to ``first + stop``, ``most`` indices at most in each.  It writes their
+    ``sizes``, and the rows, one behind the other, into ``found`` (uint32) from start * most on, and
+    returns the places where they begin and end.
+    """
+    sizes = np.empty(count, dtype=np.int32)
+    part = max(SMALLEST_PART, -(-count // PARTS))
+    part = max(1, min(part, MOST_ROOM // max(most, 1)))
+    pieces = []
+    for first in range(0, count, part):
+        items = min(part, count - first)
+        # What is not written to takes no memory.
+        found = np.empty(items * most, dtype=np.uint32)
+        ends = over_ranges(kernel, items, first, *known, sizes, found, most=MARKING_THREADS)
+        pieces += [found[start:end] for start, end in ends]
+        del found
+    if len(pieces) == 1:
+        return sizes, pieces[0].view(np.int32).copy()
+    filled = sum(map(len, pieces))
+    rows = np.empty(filled, dtype=np.int32)
+    while pieces:
+        # Each part is let go of as soon as it is copied.
+        last = pieces.pop().view(np.int32)
+        rows[filled - len(last) : filled] = last
+        filled -= len(last)
+        del last
+    return sizes, rows
+
+
+@compiled
+def _neighbours(
+    start, stop, first, faces, face_start, incident, following, at_corners, most, sizes, ring
+):
+    """Find rows as ``find_rows`` wants them.
+
+    Whether a face was met before cannot be predicted: without a branch each is written down, and
+    kept by being counted.
+    """
+    seen = np.empty(len(faces) // 3, dtype=np.uint32)
+    for face in range(np.uint64(len(seen))):
+        seen[face] = len(seen)
+    filled = np.uint64(start * most)
+    for f in range(np.uint64(first + start), np.uint64(first + stop)):
+        name = np.uint32(f)
+        seen[f] = name
+        row = filled
+        for side in range(THREE * f, THREE * f + THREE):
+            around = ONE
+            at = np.uint64(following[side])
+            while at != side and around <= _MOST:
+                around += ONE
+                at = np.uint64(following[at])
+            if around > _MOST:
+                continue
+            for _ in range(around - ONE):
+                at = np.uint64(following[at])
+                g = at // THREE
+                ring[filled] = g
+                filled += np.uint64(seen[g] != name)
+                seen[g] = name
+        if at_corners:
+            for corner in range(THREE * f, THREE * f + THREE):
+                i = np.uint64(faces[corner])
+                entry, end = np.uint64(face_start[i]), np.uint64(face_start[i + ONE])
+                if end - entry > _MOST:
+                    continue
+                while entry < end:
+                    g = np.uint64(incident[entry])
+                    ring[filled] = g
+                    filled += np.uint64(seen[g] != name)
+                    seen[g] = name
+                    entry += ONE
+        sizes[f] = filled - row
+    return start * most, np.int64(filled)
+
+
+def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
+    """Rows of the faces that neighbour each face, ``ring_start`` (m + 1,) and ``ring``.
+
+    Parameters
+    ----------
+    faces : (m, 3), those that ``links`` were made from.
+    sharing : ``"edge"``: faces that share an edge; ``"vertex"``: those that share a vertex too.
+
+    Raises
+    ------
+    TooLargeError
+        where the faces have more than ``MOST_PAIRS`` neighbours in all.
+    """
+    return links.kept(f"face rings, {sharing}", lambda: _find_face_rings(faces, links, sharing))
+
+
+def _find_face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
+    m = len(faces)
+    face_start = links.face_start.view(np.uint32)
+    around = faces.reshape(-1).view(np.uint32), face_start, links.incident_faces.view(np.uint32)
+    following = side_circles(faces, links)
+    # A row has fewer than MOST_AROUND faces for each corner: around it, or around the edges
+    # between corners where there are too many.
+    widest = int(np.diff(face_start).max())
+    most = 3 * min(widest, MOST_AROUND) + 1
+    sizes, ring = find_rows(_neighbours, m, most, *around, following, sharing == "vertex", most)
+    if len(ring) > MOST_PAIRS:
+        raise TooLargeError(
+            f"the {m} faces have {len(ring)} neighbours, too many to number",
+            hint="cut the mesh into parts",
+        )
+    ring_start = np.zeros(m + 1, dtype=np.int32)
+    np.cumsum(sizes, out=ring_start[1:])
+    return ring_start, ring
+
+
+@compiled
+def _centroids(start, stop, vertices, faces, centroids):
+    for f in range(start, stop):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        for axis in range(3):
+            centroids[f, axis] = (vertices[a, axis] + vertices[b, axis] + vertices[c, axis]) / 3.0
+
+
+def face_centroids(vertices: Floats, faces: Ints) -> Floats:
+    """Means (m, 3) of the three corners of each face, file units."""
+    return fill_array(_centroids, (len(faces), 3), vertices, faces)
+
+
+def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> float:
+    """Mean distance of the centroids (m, 3) of neighbours, file units; zero without neighbours.
+
+    Over the pairs of the rows; those of edges are usual.
+    """
+    return mean_edge_length(centroids, ring_start, ring)
+
+
+@compiled
+def _reached(start, stop, first, c, ring_start, ring, radii, most, sizes, near):
+    """Find rows as ``find_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
+    has_own = len(radii) > 1
+    seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
+    none = np.uint32(len(seen))
+    for face in range(np.uint64(len(seen))):
+        seen[face] = none
+    most = np.uint64(most)
+    found = np.empty(np.int64(most + most_neighbours(np.uint64(0), none, ring_start)), np.uint32)
+    filled = np.uint64(start) * most
+    for own in range(np.uint64(first + start), np.uint64(first + stop)):
+        p = THREE * own
+        x, y, z = c[p], c[p + ONE], c[p + TWO]
+        radius = radii[own] if has_own else radii[0]
+        square_radius = radius * radius
+        name = np.uint32(own)
+        seen[own] = name
+        g = np.uint64(own)
+        count = at = np.uint64(0)
+        while True:
+            for entry in range(np.uint64(ring_start[g]), np.uint64(ring_start[g + ONE])):
+                # Whether a face is new and near cannot be predicted: without a branch each is
+                # written down, and kept by being counted.
+                k = np.uint64(ring[entry])
+                p = THREE * k
+                dx, dy, dz = c[p] - x, c[p + ONE] - y, c[p + TWO] - z
+                is_near = dx * dx + dy * dy + dz * dz <= square_radius
+                found[count] = ring[entry]
+                count += np.uint64(is_near & (seen[k] != name))
+                seen[k] = name
+            if at >= count or count >= most:
+                break
+            g = np.uint64(found[at])
+            at += ONE
+        count = min(count, most)
+        for place in range(count):
+            near[filled + place] = found[place]
+        sizes[own] = count
+        filled += count
+    return start * np.int64(most), np.int64(filled)
+
+
+def faces_within(
+    centroids: Floats, ring_start: Ints, ring: Ints, radius: float | Floats, most: int
+) -> tuple[Longs, Ints]:
+    """Rows of the faces near each face: ``near_start`` (m + 1,) int64 and ``near``.
+
+    Parameters
+    ----------
+    centroids : (m, 3), file units.
+    ring_start, ring : rows of the neighbours that the flood goes through, (m + 1,) and (k,).
+    radius : distance between centroids up to which a face is near, file units; or (m,), one for
+        each face, from which the distance is measured.
+    most : faces at which the flood from a face stops; the first that it meets are kept.
+
+    A face is not in its own row.  Rows begin with the nearest neighbours, in steps along ``ring``.
+    """
+    sizes, near = find_rows(
+        _reached,
+        len(centroids),
+        most,
+        centroids.reshape(-1),
+        ring_start.view(np.uint32),
+        ring.view(np.uint32),
+        np.atleast_1d(np.float64(radius)),
+        most,
+    )
+    near_start = np.zeros(len(centroids) + 1, dtype=np.int64)
+    np.cumsum(sizes, dtype=np.int64, out=near_start[1:])
+    return near_start, near
+
+
+# Flaps: an edge with exactly two faces, and the two vertices that face it.
+
+
+@compiled
+def _flaps(faces, face_start, incident, ring_start, ring, result):
+    n = len(ring_start) - 1
+    # Positions in ``ring`` only grow, so a slot at or above a row's start belongs to that row.
+    slot = np.full(n, -1, dtype=np.int32)
+    widest = longest_row(0, n, ring_start)
+    count = np.zeros(widest, dtype=np.int32)
+    facing = np.empty((widest, 2), dtype=np.int32)
+    found = 0
+    for i in range(n):
+        row = ring_start[i]
+        for at in range(row, ring_start[i + 1]):
+            slot[ring[at]] = at - row
+            count[at - row] = 0
+        for at in range(face_start[i], face_start[i + 1]):
+            f = incident[at]
+            own = 0
+            while faces[f, own] != i:
+                own += 1
+            after, before = faces[f, (own + 1) % 3], faces[f, (own + 2) % 3]
+            for k, opposite in ((after, before), (before, after)):
+                s = slot[k]
+                if count[s] < 2:
+                    facing[s, count[s]] = opposite
+                count[s] += 1
+        for at in range(row, ring_start[i + 1]):
+            if ring[at] > i and count[at - row] == 2:
+                result[found, 0], result[found, 1] = i, facing[at - row, 0]
+                result[found, 2], result[found, 3] = ring[at], facing[at - row, 1]
+                found += 1
+    return found
+
+
+def flaps(faces: Ints, links: Connectivity) -> Ints:
+    """Every edge (p1, p3) with exactly two faces (p1, p2, p3) and (p1, p3, p4): (e, 4) int32.
+
+    p1 < p3, and the rows are in ascending order of p1.  Open edges and edges with more than two
+    faces are left out.  The two faces may be wound either way; seen as written here they are
+    wound alike.  ``faces`` (m, 3) are those that ``links`` were made from.
+    """
+    # Every such edge is in the rings of both its ends.
+    result = np.empty((len(links.ring) // 2, 4), dtype=np.int32)
+    return result[: _flaps(faces, *links.incidence, *links.one_ring, result)].copy()
+
+
+@compiled
+def _dihedral_angles(start, stop, x, corners, angles):
+    for e in range(start, stop):
+        p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
+        _, _, _, _, _, _, mx, my, mz = edges_and_normal(x, p1, p2, p3)
+        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
+        sx, sy, sz = my * nz - mz * ny, mz * nx - mx * nz, mx * ny - my * nx
+        angles[e] = np.arctan2(np.sqrt(sx * sx + sy * sy + sz * sz), mx * nx + my * ny + mz * nz)
+
+
+def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
+    """Angle (e,) between the normals of the two faces of every flap (e, 4), 0 to pi radians.
+
+    Zero where it is flat, and where a face has no area.
+    """
+    return fill_array(_dihedral_angles, len(corners), vertices, corners)
+
+
+# Guides (Zhang, Deng, Zhang, Bouaziz and Liu 2015): the mean normal of the most consistent patch.
+#
+# The patch of a face is the face and those that share a vertex with it.  Its score is the greater
+# the less its normals agree,
+#
+#     H = max |n_a - n_b|  max |n_e - n_e'| / (epsilon + sum |n_e - n_e'|),
+#
+# the first maximum over all pairs of its faces, the others and the sum over the pairs that share an
+# edge.  The second factor is near one where one edge has all the bend: a patch across a sharp edge.
+
+EPSILON = 1e-9
+
+BLOCK_PATCHES = np.uint64(32)
+"""Patches that are worked on at a time: what belongs to them fits a first-level cache."""
+
+FOUR = np.uint64(4)
+
+
+@compiled
+def _pairs(edge_start, edge_ring, first_pair, pairs):
+    """Number the pairs f < g of neighbours in the order of the rows."""
+    found = 0
+    for f in range(len(edge_start) - 1):
+        first_pair[f] = found
+        for at in range(edge_start[f], edge_start[f + 1]):
+            if edge_ring[at] > f:
+                pairs[found, 0] = f
+                pairs[found, 1] = edge_ring[at]
+                found += 1
+    first_pair[len(edge_start) - 1] = found
+    return found
+
+
+@compiled
+def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner):
+    """Find rows as ``find_rows`` wants them: of each pair as many as both faces are in a patch.
+
+    ``pairs`` flat.  Which are cannot be predicted: without a branch each is written down, and kept
+    by being counted.
+    """
+    member = np.empty(len(ring_start) - 1, dtype=np.uint32)
+    for face in range(np.uint64(len(member))):
+        member[face] = len(member)
+    filled = np.uint64(start * most)
+    for f in range(np.uint64(first + start), np.uint64(first + stop)):
+        name = np.uint32(f)
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        member[f] = name
+        for at in range(row, end):
+            member[ring[at]] = name
+        before = filled
+        for at in range(row, end + ONE):
+            a = np.uint64(ring[at]) if at < end else f
+            for pair in range(np.uint64(first_pair[a]), np.uint64(first_pair[a + ONE])):
+                inner[filled] = pair
+                filled += np.uint64(member[pairs[TWO * pair + ONE]] == name)
+        sizes[f] = filled - before
+    return start * most, np.int64(filled)
+
+
+@compiled
+def _jumps(start, stop, n, pairs, jumps):
+    """|n_a - n_b| of every pair; zero where either has no normal.  n normals, flat as the pairs."""
+    for pair in range(np.uint64(start), np.uint64(stop)):
+        a, b = THREE * pairs[TWO * pair], THREE * pairs[TWO * pair + ONE]
+        ax, ay, az = n[a], n[a + ONE], n[a + TWO]
+        bx, by, bz = n[b], n[b + ONE], n[b + TWO]
+        dx, dy, dz = ax - bx, ay - by, az - bz
+        jump = np.sqrt(dx * dx + dy * dy + dz * dz)
+        has_first = (ax != 0.0) | (ay != 0.0) | (az != 0.0)
+        has_second = (bx != 0.0) | (by != 0.0) | (bz != 0.0)
+        jumps[pair] = jump if has_first & has_second else 0.0
+
+
+@compiled
+def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):
+    """Put the normals of the patches of a block side by side, and add up areas and normals.
+
+    Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
+    the k-th after each is another of its patch.  Faces without an area are left out.  Returns how
+    many places are filled.
+    """
+    filled = np.uint64(0)
+    for f in range(first, last):
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        sx = sy = sz = weight = 0.0
+        own = filled
+        k = np.uint64(f)
+        at = row
+        while True:
+            p = THREE * k
+            nx, ny, nz = n[p], n[p + ONE], n[p + TWO]
+            x[filled] = nx
+            y[filled] = ny
+            z[filled] = nz
+            area = areas[k]
+            filled += np.uint64(area > 0.0)
+            sx += area * nx
+            sy += area * ny
+            sz += area * nz
+            weight += area
+            if at == end:
+                break
+            k = np.uint64(ring[at])
+            at += ONE
+        place = FOUR * (f - first)
+        sums[place], sums[place + ONE], sums[place + TWO] = sx, sy, sz
+        sums[place + THREE] = weight
+        counts[f - first] = filled - own
+        if filled > own:
+            for one in range(own, own + half):
+                x[filled] = x[one]
+                y[filled] = y[one]
+                z[filled] = z[one]
+                filled += ONE
+    return filled
+
+
+@compiled
+def _widest(half, filled, x, y, z, squares):
+    """The greatest square of a difference between each vector and the next ``half``, an even
+    number of them; vector code, for which the places of a block are many enough."""
+    for at in range(filled):
+        squares[at] = 0.0
+    places = max(filled, half) - half
+    for k in range(ONE, half, TWO):
+        for at in range(places):
+            ax, ay, az = x[at], y[at], z[at]
+            bx, by, bz = x[at + k] - ax, y[at + k] - ay, z[at + k] - az
+            cx, cy, cz = x[at + k + ONE] - ax, y[at + k + ONE] - ay, z[at + k + ONE] - az
+            square = max(bx * bx + by * by + bz * bz, cx * cx + cy * cy + cz * cz)
+            squares[at] = max(squares[at], square)
+
+
+@compiled
+def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, scores, means):
+    """Score and area-weighted mean normal of every patch; infinity where the mean vanishes.
+
+    n normals, flat as the means.  All indices are unsigned, so that none is looked at for its sign.
+    """
+    start, stop = np.uint64(start), np.uint64(stop)
+    # A patch has one face more than its ring, and as many places again at most.
+    room = np.int64(BLOCK_PATCHES * TWO * (most_neighbours(start, stop, ring_start) + THREE))
+    x, y, z, squares = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    counts = np.empty(np.int64(BLOCK_PATCHES), dtype=np.uint64)
+    sums = np.empty(np.int64(FOUR * BLOCK_PATCHES))
+    for first in range(start, stop, BLOCK_PATCHES):
+        last = min(first + BLOCK_PATCHES, stop)
+        # All pairs of k normals are each with those up to k / 2 places on; here an even number.
+        half = (most_neighbours(first, last, ring_start) + THREE) // FOUR * TWO
+        filled = _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums)
+        _widest(half, filled, x, y, z, squares)
+        place = np.uint64(0)
+        for f in range(first, last):
+            count = counts[f - first]
+            square = 0.0
+            for at in range(place, place + count):
+                square = max(square, squares[at])
+            place += count + half if count else count
+            greatest = total = 0.0
+            for at in range(np.uint64(inner_start[f]), np.uint64(inner_start[f + ONE])):
+                jump = jumps[inner[at]]
+                greatest = max(greatest, jump)
+                total += jump
+            of = FOUR * (f - first)
+            sx, sy, sz = sums[of], sums[of + ONE], sums[of + TWO]
+            length = np.sqrt(sx * sx + sy * sy + sz * sz)
+            if length <= VANISHED * sums[of + THREE]:
+                scores[f] = np.inf
+                continue
+            scores[f] = np.sqrt(square) * greatest / (EPSILON + total)
+            p = THREE * f
+            means[p], means[p + ONE], means[p + TWO] = sx / length, sy / length, sz / length
+
+
+@compiled
+def _choose(start, stop, n, ring_start, ring, scores, means, guides):
+    """n normals, flat as the means and guides."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        best = np.uint64(f)
+        least = scores[f]
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            k = np.uint64(ring[at])
+            score = scores[k]
+            # Two choices without a branch: which patch is best cannot be predicted.
+            best = k if score < least else best
+            least = min(least, score)
+        p, q = THREE * f, THREE * best
+        known = least < np.inf
+        guides[p] = means[q] if known else n[p]
+        guides[p + ONE] = means[q + ONE] if known else n[p + ONE]
+        guides[p + TWO] = means[q + TWO] if known else n[p + TWO]
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """The patches of a mesh.
+
+    Attributes
+    ----------
+    ring_start, ring : rows of the faces of each patch but for its own, (m + 1,) and (k,).
+    edge_start, edge_ring : rows of the faces that share an edge with each face.
+    pairs : (e, 2), the faces that share an edge, each pair once, the lower number first.
+    inner_start, inner : rows of the pairs both of whose faces are in the patch, (m + 1,).
+    """
+
+    ring_start: Ints
+    ring: Ints
+    edge_start: Ints
+    edge_ring: Ints
+    pairs: Ints
+    inner_start: Longs
+    inner: Ints
+
+    def guides(self, normals: Floats, areas: Floats) -> Floats:
+        """Guide normals (m, 3) for face ``normals`` (m, 3) and ``areas`` (m,).
+
+        Of the patches centred at a face or at one that shares a vertex with it, the guide is the
+        area-weighted mean normal of the one with the lowest score; of equal ones that of the face
+        itself, then the first of its row.  Faces whose normal is zero do not count.  A face all of
+        whose patches have no mean normal is guided by its own.
+        """
+        m = len(normals)
+        jumps = np.empty(len(self.pairs))
+        flat = normals.reshape(-1)
+        pairs = self.pairs.reshape(-1).view(np.uint32)
+        over_ranges(_jumps, len(self.pairs), flat, pairs, jumps)
+        rows = self.ring_start.view(np.uint32), self.ring.view(np.uint32)
+        inner = self.inner_start.view(np.uint64), self.inner.view(np.uint32)
+        scores = np.empty(m)
+        means = np.empty(3 * m)
+        areas = usable_areas(normals, areas)
+        over_ranges(_score, m, flat, areas, *rows, jumps, *inner, scores, means)
+        guides = np.empty((m, 3))
+        over_ranges(_choose, m, flat, *rows, scores, means, guides.reshape(-1))
+        return guides
+
+
+def patches(faces: Ints, links: Connectivity) -> Patches:
+    """The patches of ``faces`` (m, 3), those that ``links`` were made from.
+
+    Raises TooLargeError as ``face_rings`` does.
+    """
+    return links.kept("patches", lambda: _find_patches(faces, links))
+
+
+def _find_patches(faces: Ints, links: Connectivity) -> Patches:
+    m = len(faces)
+    ring_start, ring = face_rings(faces, links, "vertex")
+    edge_start, edge_ring = face_rings(faces, links, "edge")
+    first_pair = np.empty(m + 1, dtype=np.int32)
+    pairs = np.empty((len(edge_ring) // 2, 2), dtype=np.int32)
+    _pairs(edge_start, edge_ring, first_pair, pairs)
+    # Every pair of a patch is an edge of two of its faces.
+    widest, across = int(np.diff(ring_start).max()), int(np.diff(edge_start).max())
+    most = (widest + 1) * across // 2 + 1
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    numbered = first_pair.view(np.uint32), pairs.reshape(-1).view(np.uint32)
+    sizes, inner = find_rows(_inner, m, most, *rows, *numbered, most)
+    inner_start = np.zeros(m + 1, dtype=np.int64)
+    np.cumsum(sizes, dtype=np.int64, out=inner_start[1:])
+    return Patches(ring_start, ring, edge_start, edge_ring, pairs, inner_start, inner)

@@ -1,0 +1,762 @@
+"""Face normals averaged with those of faces around, by weights that favour similar ones.
+
+Bilateral (Zheng, Fu, Au and Tai 2011): with centroids c, areas A and unit normals n of the faces
+
+    w_ij = A_j exp(-|c_i - c_j|^2 / (2 sigma_c^2)) exp(-|n_i - n_j|^2 / (2 sigma_s^2));
+
+joint bilateral: by differences of guides that are less noisy than the normals; and with a
+threshold (Sun et al. 2007): by how far the cosine between normals is above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels.compiled import Kernel, compiled
+from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
+from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
+from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.quantiles import PER_MEDIAN, median
+from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row, most_neighbours, write_unit
+
+BLOCK_PAIRS = np.uint64(1024)
+"""Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
+
+OUT_OF_REACH = 1e300
+"""Exponent of a neighbour that must not count; finite, so that differences are numbers."""
+
+
+@compiled
+def _distances(start, stop, c, falloff, handicaps, ring_start, ring, exponents):
+    """c centroids, flat; rows and numbers are unsigned, so that none is looked at for its sign."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        x, y, z = c[own], c[own + ONE], c[own + TWO]
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            g = np.uint64(ring[at])
+            other = THREE * g
+            dx, dy, dz = c[other] - x, c[other + ONE] - y, c[other + TWO] - z
+            exponents[at] = (dx * dx + dy * dy + dz * dz) * falloff + handicaps[g]
+
+
+def distance_exponents(
+    centroids: Floats, ring_start: Ints, ring: Ints, closeness: float, handicaps: Floats
+) -> Floats:
+    """|c_i - c_j|^2 / (2 sigma_c^2 ln 2) + handicap_j of all pairs in the rows, (pairs,).
+
+    2 to minus them are the Gaussians, if all handicaps are zero.  ``closeness`` is sigma_c > 0,
+    in the unit of the centroids (m, 3); ``handicaps`` are (m,).
+    """
+    exponents = np.empty(len(ring))
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    falloff = 0.5 * LOG2_E / closeness**2
+    flat = centroids.reshape(-1), falloff, handicaps
+    over_ranges(_distances, len(centroids), *flat, *rows, exponents)
+    return exponents
+
+
+@compiled
+def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, result):
+    """n normals, flat as the result; exponents and ``falloff`` are those of powers of two.
+
+    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    """
+    stop = np.uint64(stop)
+    weight = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, ring_start))))
+    capacity = np.uint64(len(weight))
+    f = np.uint64(start)
+    while f < stop:
+        first = f
+        origin = np.uint64(ring_start[f])
+        while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
+            own = THREE * f
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+            least = np.inf
+            for at in range(row, end):
+                g = THREE * ring[at]
+                # |n_f - n_g|^2 = 2 - 2 n_f . n_g of unit vectors.
+                alike = nx * n[g] + ny * n[g + ONE] + nz * n[g + TWO]
+                exponent = exponents[at] + (1.0 - alike) * falloff
+                weight[at - origin] = exponent
+                least = min(least, exponent)
+            # The largest Gaussian is made 1: the direction of the sum stays the same, and the
+            # sum cannot vanish by underflow.
+            for at in range(row, end):
+                weight[at - origin] = least - weight[at - origin]
+            f += ONE
+        for at in range(np.uint64(ring_start[f]) - origin):
+            weight[at] = power_of_two(weight[at])
+        for i in range(first, f):
+            sx = sy = sz = weights = 0.0
+            for at in range(np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])):
+                g = THREE * ring[at]
+                w = weight[at - origin]
+                weights += w
+                sx += w * n[g]
+                sy += w * n[g + ONE]
+                sz += w * n[g + TWO]
+            own = THREE * i
+            has_normal = n[own] != 0.0 or n[own + ONE] != 0.0 or n[own + TWO] != 0.0
+            least = VANISHED * weights if has_normal else np.inf
+            write_unit(sx, sy, sz, least, n, i, result)
+
+
+def bilateral_averages(
+    normals: Floats,
+    areas: Floats,
+    centroids: Floats,
+    ring_start: Ints,
+    ring: Ints,
+    closeness: float,
+    similarity: float,
+    passes: int,
+    on_pass: Callable[[], object],
+) -> Floats:
+    """Unit normals (m, 3) after ``passes`` passes, each from the normals that the one before left.
+
+    n'_i is the normalised sum of w_ij n_j over the neighbours, n_i itself left out; areas and
+    distances stay those of the input.  Where a face has no neighbours, or the sum vanishes, it
+    keeps its normal.  Zero normals stay zero and do not count.
+
+    Parameters
+    ----------
+    normals, areas : (m, 3) unit normals, zeros for faces without, and (m,), any unit.
+    centroids : (m, 3), file units.
+    ring_start, ring : rows of neighbouring faces.
+    closeness : sigma_c > 0, file units.
+    similarity : sigma_s > 0, a length of differences of unit normals.
+    on_pass : called after every pass; what it raises ends the run.
+    """
+    with np.errstate(divide="ignore"):
+        handicaps = -np.log2(usable_areas(normals, areas))
+    np.minimum(handicaps, OUT_OF_REACH, out=handicaps)
+    exponents = distance_exponents(centroids, ring_start, ring, closeness, handicaps)
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    known = exponents, LOG2_E / similarity**2, *rows
+    return _repeat(_average_bilaterally, normals, known, passes, on_pass)
+
+
+def _repeat(
+    kernel: Kernel,
+    normals: Floats,
+    known: tuple[object, ...],
+    passes: int,
+    on_pass: Callable[[], object],
+) -> Floats:
+    given = spare = normals
+    for _ in range(passes):
+        # The input must stay as it is; from the third pass on, two arrays take turns.
+        result = np.empty_like(normals) if spare is given else spare
+        over_ranges(kernel, len(normals), normals.reshape(-1), *known, result.reshape(-1))
+        normals, spare = result, normals
+        on_pass()
+    return normals
+
+
+@compiled
+def _average_jointly(
+    start, stop, n, g, c, areas, near_start, near, per_distance, per_guide, result
+):
+    """n normals, g guides, c centroids, flat; squares are multiplied with -1 / (2 sigma^2 ln 2).
+
+    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    All indices are unsigned, so that none is looked at for its sign.
+    """
+    stop = np.uint64(stop)
+    weight = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, near_start))))
+    area = np.empty_like(weight)
+    capacity = np.uint64(len(weight))
+    i = np.uint64(start)
+    while i < stop:
+        first = i
+        origin = np.uint64(near_start[i])
+        while i < stop and near_start[i + ONE] - origin <= capacity:
+            own = THREE * i
+            cx, cy, cz = c[own], c[own + ONE], c[own + TWO]
+            gx, gy, gz = g[own], g[own + ONE], g[own + TWO]
+            for at in range(near_start[i], near_start[i + ONE]):
+                k = np.uint64(near[at])
+                j = THREE * k
+                dx, dy, dz = c[j] - cx, c[j + ONE] - cy, c[j + TWO] - cz
+                ex, ey, ez = g[j] - gx, g[j + ONE] - gy, g[j + TWO] - gz
+                weight[at - origin] = per_distance * (dx * dx + dy * dy + dz * dz) + per_guide * (
+                    ex * ex + ey * ey + ez * ez
+                )
+                area[at - origin] = areas[k]
+            i += ONE
+        for at in range(near_start[i] - origin):
+            weight[at] = area[at] * power_of_two(weight[at])
+        for f in range(first, i):
+            own = THREE * f
+            total = areas[f]
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            sx, sy, sz = total * nx, total * ny, total * nz
+            for at in range(near_start[f], near_start[f + ONE]):
+                j = THREE * near[at]
+                w = weight[at - origin]
+                sx += w * n[j]
+                sy += w * n[j + ONE]
+                sz += w * n[j + TWO]
+                total += w
+            write_unit(sx, sy, sz, VANISHED * total, n, f, result)
+
+
+def joint_bilateral(
+    normals: Floats,
+    guides: Floats,
+    centroids: Floats,
+    areas: Floats,
+    near_start: Longs,
+    near: Ints,
+    sigma_s: float,
+    sigma_r: float,
+) -> Floats:
+    """Filtered unit face normals (m, 3): the normalised sums over j near i, and i itself, of
+
+        A_j exp(-|c_i - c_j|^2 / (2 sigma_s^2)) exp(-|g_i - g_j|^2 / (2 sigma_r^2)) n_j.
+
+    Parameters
+    ----------
+    normals, guides : (m, 3), n and g; zeros where there is none.
+    centroids, areas : (m, 3) and (m,), c and A.
+    near_start, near : rows of the faces near each face, itself left out.
+    sigma_s : in the unit of the centroids, above zero.
+    sigma_r : of guide differences, a pure number above zero.
+
+    Where the sum vanishes the normal is kept.
+    """
+    result = np.empty_like(normals)
+    flat = normals.reshape(-1), guides.reshape(-1), centroids.reshape(-1)
+    rows = near_start.view(np.uint64), near.view(np.uint32)
+    factors = -0.5 * LOG2_E / sigma_s**2, -0.5 * LOG2_E / sigma_r**2
+    known = *flat, areas, *rows, *factors
+    over_ranges(_average_jointly, len(normals), *known, result.reshape(-1))
+    return result
+
+
+@compiled
+def _average_similar(start, stop, n, threshold, ring_start, ring, result):
+    """n normals, flat as the result; indices are unsigned, and not looked at for their sign."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+        weights = (1.0 - threshold) * (1.0 - threshold)
+        sx, sy, sz = weights * nx, weights * ny, weights * nz
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            g = THREE * ring[at]
+            mx, my, mz = n[g], n[g + ONE], n[g + TWO]
+            above = nx * mx + ny * my + nz * mz - threshold
+            above = above if above > 0.0 else 0.0
+            weight = above * above
+            weights += weight
+            sx += weight * mx
+            sy += weight * my
+            sz += weight * mz
+        # A face without a normal finds none: a product of zero is below any threshold.
+        write_unit(sx, sy, sz, VANISHED * weights, n, f, result)
+
+
+def threshold_averages(
+    normals: Floats,
+    ring_start: Ints,
+    ring: Ints,
+    threshold: float,
+    passes: int,
+    on_pass: Callable[[], object],
+) -> Floats:
+    """Unit normals (m, 3) after ``passes`` passes, each from the normals that the one before left.
+
+    n'_i is the normalised sum of max(0, n_i . n_j - threshold)^2 n_j over face i itself and its
+    neighbours.  Zero normals stay zero and do not count.
+
+    Parameters
+    ----------
+    normals : (m, 3) unit normals, zeros for faces without; not changed.
+    ring_start, ring : rows of neighbouring faces.
+    threshold : 0 <= threshold < 1, a cosine.
+    on_pass : called after every pass; what it raises ends the run.
+    """
+    known = threshold, ring_start.view(np.uint32), ring.view(np.uint32)
+    return _repeat(_average_similar, normals, known, passes, on_pass)
+
+
+# Face normals diffused across edges, the less the more an edge is bent.
+#
+# A step of the heat equation on the surface, in finite volumes: each face is a cell, and what
+# passes between two of them is proportional to the length of their edge and to the difference of
+# their normals, and to one over the way between their centroids.
+
+LONGEST = 0.75
+"""Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""
+
+LEAST_SIMILARITY = 1e-6
+"""Floor of the width mu: differences of normals below it are rounding."""
+
+
+@compiled
+def _square(x, i, j):
+    """Of the distance between two vertices; x flat."""
+    p, q = THREE * i, THREE * j
+    dx, dy, dz = x[p] - x[q], x[p + ONE] - x[q + ONE], x[p + TWO] - x[q + TWO]
+    return dx * dx + dy * dy + dz * dz
+
+
+@compiled
+def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
+    """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none.
+
+    All arrays are flat; x positions.  Of two faces with a common edge the centroids are a third
+    as far apart as the corners that are off it.
+    """
+    for f in range(np.uint64(start), np.uint64(stop)):
+        p = THREE * f
+        a, b, c = np.uint64(faces[p]), np.uint64(faces[p + ONE]), np.uint64(faces[p + TWO])
+        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        total = 0.0
+        for at in range(row, end):
+            g = np.uint64(ring[at])
+            q = THREE * g
+            i, j, k = np.uint64(faces[q]), np.uint64(faces[q + ONE]), np.uint64(faces[q + TWO])
+            # Without branches: where in the faces their edge is cannot be predicted.
+            has_b = (b == i) | (b == j) | (b == k)
+            has_c = (c == i) | (c == j) | (c == k)
+            left = c if has_c else b
+            right = b if has_b & has_c else a
+            apex = a if has_b & has_c else (b if has_c else c)
+            edge = _square(x, left, right)
+            way = _square(x, apex, i + j + k - left - right) / 9.0
+            share = np.sqrt(edge / way)
+            counts = (areas[f] > 0.0) & (areas[g] > 0.0) & (way > 0.0)
+            share = share if counts else 0.0
+            shares[at] = share
+            total += share
+        step = 0.0
+        if total > 0.0:
+            step = LONGEST / total
+            if time_step < step * areas[f]:
+                step = time_step / areas[f]
+        for at in range(row, end):
+            shares[at] *= step
+
+
+@compiled
+def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
+    """n normals, flat as the result; ``inverse`` is 1 / (2 mu^2 ln 2).
+
+    Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
+    All indices are unsigned, so that none is looked at for its sign.
+    """
+    stop = np.uint64(stop)
+    weights = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, ring_start))))
+    capacity = np.uint64(len(weights))
+    f = np.uint64(start)
+    while f < stop:
+        first = f
+        origin = np.uint64(ring_start[f])
+        while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
+            own = THREE * f
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+                g = THREE * ring[at]
+                dx, dy, dz = n[g] - nx, n[g + ONE] - ny, n[g + TWO] - nz
+                weights[at - origin] = -(dx * dx + dy * dy + dz * dz) * inverse
+            f += ONE
+        count = np.uint64(ring_start[f]) - origin
+        for at in range(count):
+            weights[at] = shares[origin + at] * power_of_two(weights[at])
+        for i in range(first, f):
+            own = THREE * i
+            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+            sx = sy = sz = 0.0
+            for at in range(np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])):
+                g = THREE * ring[at]
+                weight = weights[at - origin]
+                sx += weight * (n[g] - nx)
+                sy += weight * (n[g + ONE] - ny)
+                sz += weight * (n[g + TWO] - nz)
+            sx, sy, sz = nx + sx, ny + sy, nz + sz
+            write_unit(sx, sy, sz, VANISHED, n, i, result)
+
+
+@compiled
+def _edge_differences(start, stop, n, ring_start, ring, lengths):
+    """|n - m| over the neighbours of greater number, -1 for all that do not count; n flat."""
+    for f in range(np.uint64(start), np.uint64(stop)):
+        own = THREE * f
+        nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+        is_usable = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
+        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+            g = THREE * ring[at]
+            mx, my, mz = n[g], n[g + ONE], n[g + TWO]
+            dx, dy, dz = mx - nx, my - ny, mz - nz
+            length = np.sqrt(dx * dx + dy * dy + dz * dz)
+            counts = is_usable & ((mx != 0.0) | (my != 0.0) | (mz != 0.0)) & (g > own)
+            lengths[at] = length if counts else -1.0
+
+
+def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
+    """1.4826 times the median absolute deviation of |n - m| over neighbours n, m.
+
+    ``normals`` (m, 3), zero for faces that have none, which are left out; the rows are those of
+    ``face_rings``.  Zero where there are no neighbours.
+    """
+    lengths = np.empty(len(ring))
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    over_ranges(_edge_differences, len(normals), normals.reshape(-1), *rows, lengths)
+    lengths = lengths[lengths >= 0.0]
+    if not len(lengths):
+        return 0.0
+    return float(PER_MEDIAN * median(np.abs(lengths - median(lengths))))
+
+
+def diffused_normals(
+    vertices: Floats,
+    faces: Ints,
+    ring_start: Ints,
+    ring: Ints,
+    similarity: float,
+    time_step: float,
+    steps: int,
+    on_step: Callable[[], object] | None = None,
+) -> Floats:
+    """Unit face normals (m, 3) after ``steps`` steps from those of the mesh.
+
+    n_i <- n_i + sum(s_ij g_ij (n_j - n_i)), normalised, with g = exp(-|n_j - n_i|^2 / (2 mu^2))
+    and s_ij = tau l_ij / (d_ij A_i).  A face for which the s would add up to more than 3/4 takes a
+    shorter step.  Faces without area keep a zero normal and count not.
+
+    Parameters
+    ----------
+    vertices, faces : (n, 3) and (m, 3).
+    ring_start, ring : rows of the faces that share an edge with each, from ``face_rings``.
+    similarity : mu, a pure number.
+    time_step : tau, in squared file units.
+    on_step : called after every step; what it raises ends the run.
+    """
+    count = len(faces)
+    normals, areas = face_normals_and_areas(vertices, faces)
+    areas = usable_areas(normals, areas)
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    corners = faces.reshape(-1).view(np.uint32)
+    shares = np.empty(len(ring))
+    over_ranges(_shares, count, vertices.reshape(-1), corners, areas, *rows, time_step, shares)
+    inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
+    spare = np.empty_like(normals)
+    for _ in range(steps):
+        flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
+        over_ranges(_diffuse, count, *flat)
+        normals, spare = spare, normals
+        if on_step is not None:
+            on_step()
+    return normals
+
+
+# The global bilateral filter of face normals: one sparse linear system (Zheng et al. 2011).
+#
+# With the bilateral weights w_ij between a face and its neighbours, and M = I - W the difference
+# between a normal and the weighted mean around it, W = w_ij / sum_j w_ij, the normals that minimise
+#
+#     (1 - lambda) |M n'|^2 + lambda |n' - n|^2
+#
+# solve ((1 - lambda) M^T M + lambda I) n' = lambda n.
+
+ALONE = 1e-200
+"""A face whose neighbours weigh less, in mean face areas, is taken as one without neighbours."""
+
+
+@compiled
+def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, totals):
+    """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
+    for f in range(start, stop):
+        for at in range(ring_start[f], ring_start[f + 1]):
+            g = ring[at]
+            alike = (
+                normals[f, 0] * normals[g, 0]
+                + normals[f, 1] * normals[g, 1]
+                + normals[f, 2] * normals[g, 2]
+            )
+            values[at] = min(0.0, (alike - 1.0) * falloff - values[at])
+    for at in range(np.uint64(ring_start[start]), np.uint64(ring_start[stop])):
+        values[at] = power_of_two(values[at])
+    for f in range(start, stop):
+        total = 0.0
+        for at in range(ring_start[f], ring_start[f + 1]):
+            total += values[at] * areas[ring[at]]
+        totals[f] = total
+
+
+@compiled
+def _diagonal(start, stop, areas, inverse, ring_start, ring, values, squares):
+    for f in range(start, stop):
+        total = 0.0
+        for at in range(ring_start[f], ring_start[f + 1]):
+            share = values[at] * inverse[ring[at]] * areas[f]
+            total += share * share
+        squares[f] = total
+
+
+@compiled
+def _differences(
+    start, stop, values, ring_start, ring, inner, outer, own, x, weight, base, base_weight, result
+):
+    """weight (own_i x_i - outer_i sum_j values_ij inner_j x_j) + base_weight base_i."""
+    for i in range(start, stop):
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            value = values[at] * inner[k]
+            sx += value * x[k, 0]
+            sy += value * x[k, 1]
+            sz += value * x[k, 2]
+        factor = outer[i]
+        result[i, 0] = weight * (own[i] * x[i, 0] - factor * sx) + base_weight * base[i, 0]
+        result[i, 1] = weight * (own[i] * x[i, 1] - factor * sy) + base_weight * base[i, 1]
+        result[i, 2] = weight * (own[i] * x[i, 2] - factor * sz) + base_weight * base[i, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class NormalSystem:
+    """The matrix (1 - lambda) M^T M + lambda I, symmetric and positive definite.
+
+    Attributes
+    ----------
+    ring_start, ring : rows of neighbouring faces, j among those of i where i is among those of j.
+    values : (pairs,), w_ij / A_j.
+    areas, inverse : (m,), A_j and 1 / sum_j w_ij, both zero for a face without a normal; the second
+        is zero for a face without neighbours as well, for which M n' is zero.
+    own : (m,), 1 where ``inverse`` is not zero, else 0: the diagonal of M.
+    fidelity : lambda, 0 < lambda <= 1.
+    diagonal : (m,).
+    """
+
+    ring_start: Ints
+    ring: Ints
+    values: Floats
+    areas: Floats
+    inverse: Floats
+    own: Floats
+    fidelity: float
+    diagonal: Floats
+
+    def times(self, x: Floats, product: Floats) -> None:
+        """Write A x into ``product``; both (m, 3), not the same array."""
+        rows = (self.values, self.ring_start, self.ring)
+        difference = np.empty_like(x)
+        m = len(x)
+        over_ranges(
+            _differences, m, *rows, self.areas, self.inverse, self.own, x, 1.0, x, 0.0, difference
+        )
+        # The transpose has the two factors of the symmetric part in the other order.
+        over_ranges(
+            _differences,
+            m,
+            *rows,
+            self.inverse,
+            self.areas,
+            self.own,
+            difference,
+            1.0 - self.fidelity,
+            x,
+            self.fidelity,
+            product,
+        )
+
+
+def normal_system(
+    normals: Floats,
+    areas: Floats,
+    centroids: Floats,
+    ring_start: Ints,
+    ring: Ints,
+    closeness: float,
+    similarity: float,
+    fidelity: float,
+) -> NormalSystem:
+    """The system for unit face normals (m, 3), zeros for faces without, and areas (m,).
+
+    Parameters
+    ----------
+    centroids : (m, 3), file units.
+    ring_start, ring : rows of neighbouring faces.
+    closeness : sigma_c > 0, file units.
+    similarity : sigma_s > 0, a length of differences of unit normals.
+    fidelity : lambda, 0 < lambda <= 1.
+    """
+    m = len(normals)
+    usable = (normals != 0.0).any(axis=1)
+    relative = np.where(usable, areas, 0.0)
+    mean = float(relative.mean())
+    relative /= mean if mean > 0.0 else 1.0
+    values = distance_exponents(centroids, ring_start, ring, closeness, np.zeros(m))
+    totals = np.empty(m)
+    rows = ring_start, ring, values
+    falloff = LOG2_E / similarity**2
+    over_ranges(_gaussians, m, normals, relative, falloff, *rows, totals)
+    linked = usable & (totals > ALONE)
+    inverse = np.where(linked, 1.0 / np.where(linked, totals, 1.0), 0.0)
+    own = linked.astype(np.float64)
+    squares = np.empty(m)
+    over_ranges(_diagonal, m, relative, inverse, ring_start, ring, values, squares)
+    diagonal = (1.0 - fidelity) * (own + squares) + fidelity
+    return NormalSystem(ring_start, ring, values, relative, inverse, own, fidelity, diagonal)
+
+
+# Face normals that minimise the energy of the static/dynamic filter, by fixed-point iteration.
+#
+# Zhang, Deng, Hong, Peng, Qin and Liu 2018.  With n the normals to find, n0 the given ones, g
+# guides, c centroids and A areas,
+#
+#     E = sum_i A_i |n_i - n0_i|^2 + lambda' sum_ij w_ij (1 - exp(-|n_i - n_j|^2 / (2 nu^2))),
+#     w_ij = (A_i + A_j) exp(-|c_i - c_j|^2 / (2 eta^2)) exp(-|g_i - g_j|^2 / (2 mu^2)),
+#
+# the second sum over pairs of near faces, and lambda' = lambda sum_i A_i / sum_ij (w_ij without its
+# last factor).
+
+
+@compiled
+def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, weights, sums):
+    """w of every row; ``sums``, by face, of w without its last factor."""
+    widest = longest_row(start, stop, near_start)
+    distant = np.empty(widest)
+    unlike = np.empty(widest)
+    scratch = np.empty(widest)
+    bits = scratch.view(np.int64)
+    for i in range(start, stop):
+        row = near_start[i]
+        count = near_start[i + 1] - row
+        for at in range(count):
+            j = near[row + at]
+            dx, dy, dz = c[j, 0] - c[i, 0], c[j, 1] - c[i, 1], c[j, 2] - c[i, 2]
+            ex, ey, ez = g[j, 0] - g[i, 0], g[j, 1] - g[i, 1], g[j, 2] - g[i, 2]
+            distant[at] = per_distance * (dx * dx + dy * dy + dz * dz)
+            unlike[at] = per_guide * (ex * ex + ey * ey + ez * ez)
+        exponentials(distant, scratch, bits, count)
+        exponentials(unlike, scratch, bits, count)
+        total = 0.0
+        for at in range(count):
+            weight = (areas[i] + areas[near[row + at]]) * distant[at]
+            total += weight
+            weights[row + at] = weight * unlike[at]
+        sums[i] = total
+
+
+def pair_weights(
+    guides: Floats,
+    centroids: Floats,
+    areas: Floats,
+    near_start: Longs,
+    near: Ints,
+    eta: float,
+    mu: float,
+) -> tuple[Floats, float]:
+    """w (k,) for the rows ``near`` (k,), and lambda' / lambda.
+
+    Parameters
+    ----------
+    guides, centroids, areas : (m, 3), (m, 3) and (m,).
+    near_start, near : rows of the faces near each face, itself left out.
+    eta : in the unit of the centroids, above zero.
+    mu : a pure number, above zero.
+
+    lambda' / lambda is zero where no faces are near one another.
+    """
+    weights = np.empty(len(near))
+    sums = np.empty(len(areas))
+    rows = near_start, near, -0.5 / eta**2, -0.5 / mu**2
+    over_ranges(_weigh, len(areas), guides, centroids, areas, *rows, weights, sums)
+    # Every pair is in two rows.
+    total = float(sums.sum()) / 2.0
+    return weights, float(areas.sum()) / total if total > 0.0 else 0.0
+
+
+@compiled
+def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas, result, changes):
+    """pull (m, 3) is 2 nu^2 / lambda' A n0; ``changes`` are A |step|^2."""
+    widest = longest_row(start, stop, near_start)
+    kernel = np.empty(widest)
+    others = np.empty((widest, 3))
+    scratch = np.empty(widest)
+    bits = scratch.view(np.int64)
+    for i in range(start, stop):
+        row = near_start[i]
+        count = near_start[i + 1] - row
+        nx, ny, nz = n[i, 0], n[i, 1], n[i, 2]
+        for at in range(count):
+            # Unsigned, so that no index is looked at for being negative.
+            j = np.uint64(near[row + at])
+            ox, oy, oz = n[j, 0], n[j, 1], n[j, 2]
+            others[at, 0], others[at, 1], others[at, 2] = ox, oy, oz
+            dx, dy, dz = ox - nx, oy - ny, oz - nz
+            kernel[at] = per_difference * (dx * dx + dy * dy + dz * dz)
+        exponentials(kernel, scratch, bits, count)
+        sx, sy, sz = pull[i, 0], pull[i, 1], pull[i, 2]
+        total = abs(sx) + abs(sy) + abs(sz)
+        for at in range(count):
+            weight = weights[row + at] * kernel[at]
+            sx += weight * others[at, 0]
+            sy += weight * others[at, 1]
+            sz += weight * others[at, 2]
+            total += weight
+        length = np.sqrt(sx * sx + sy * sy + sz * sz)
+        if length <= VANISHED * total:
+            result[i, 0], result[i, 1], result[i, 2] = nx, ny, nz
+            changes[i] = 0.0
+        else:
+            sx, sy, sz = sx / length, sy / length, sz / length
+            result[i, 0], result[i, 1], result[i, 2] = sx, sy, sz
+            dx, dy, dz = sx - nx, sy - ny, sz - nz
+            changes[i] = areas[i] * (dx * dx + dy * dy + dz * dz)
+
+
+def minimising_normals(
+    normals: Floats,
+    areas: Floats,
+    near_start: Longs,
+    near: Ints,
+    weights: Floats,
+    strength: float,
+    nu: float,
+    tolerance: float,
+    most_steps: int,
+    on_step: Callable[[], object] | None = None,
+) -> Floats:
+    """Unit normals (m, 3) near a minimum of E, from ``normals`` (m, 3), which are n0.
+
+    Each step replaces all normals at once by the normalised sums
+
+        2 nu^2 / lambda' A_i n0_i + sum_j w_ij exp(-|n_i - n_j|^2 / (2 nu^2)) n_j.
+
+    Parameters
+    ----------
+    areas : (m,).
+    near_start, near, weights : rows of the faces near each face, and w, (m + 1,), (k,) and (k,).
+    strength : lambda'; zero for none, which returns the normals.
+    nu : a pure number, above zero.
+    tolerance : the steps end when the root of the area-weighted mean square of the changes of
+        normals is at most this.
+    most_steps : the steps end here at the latest.
+    on_step : called after every step; what it raises ends the run.
+
+    Where a sum vanishes the normal is kept.
+    """
+    if strength == 0.0:
+        return normals.copy()
+    pull = (2.0 * nu**2 / strength * areas)[:, None] * normals
+    changes = np.empty(len(normals))
+    goal = float(areas.sum()) * tolerance**2
+    result, following = normals.copy(), np.empty_like(normals)
+    for _ in range(most_steps):
+        rows = near_start, near, weights, -0.5 / nu**2, areas
+        over_ranges(_step, len(normals), result, pull, *rows, following, changes)
+        result, following = following, result
+        if on_step is not None:
+            on_step()
+        # In one thread and over one array, numpy's sum has a fixed order.
+        if float(changes.sum()) <= goal:
+            break
+    return result
