@@ -286,9 +286,9 @@ def check_replaced(
         if wrong != facets.RIGHT:
             raise InternalError(
                 {
-                    facets.CORNER: "a corner was not written right",
-                    facets.NORMAL: "a normal was not written right",
-                    facets.ATTRIBUTE: "the attribute words of an STL file changed",
+                    facets.WRONG_CORNER: "a corner was not written right",
+                    facets.WRONG_NORMAL: "a normal was not written right",
+                    facets.WRONG_ATTRIBUTE: "the attribute words of an STL file changed",
                 }[wrong],
                 where=f"facet {first + facet}",
             )
