@@ -14,6 +14,7 @@ from pathlib import Path
 from kernel_build.targets import Target
 
 RUNTIME = Path(__file__).with_name("runtime.c")
+_ARRAY_FILES = Path(__file__).with_name("array_files.c")
 
 ZIG = (sys.executable, "-m", "ziglang", "cc")
 
@@ -71,5 +72,6 @@ def _command(target: Target, compiler: Sequence[str]) -> list[str]:
 
 
 def _digest(command: Sequence[str], objects: Sequence[Path]) -> str:
-    parts = repr(([*command], [one.name for one in objects], RUNTIME.read_bytes()))
+    sources = RUNTIME.read_bytes() + _ARRAY_FILES.read_bytes()
+    parts = repr(([*command], [one.name for one in objects], sources))
     return hashlib.sha256(parts.encode()).hexdigest()

@@ -1,4 +1,7 @@
 /* What the code that numba makes calls beside libc and libm, and the level of the processor. */
+#if defined(__linux__)
+#define _GNU_SOURCE
+#endif
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -10,6 +13,8 @@
 #define EXPORTED __attribute__((visibility("default")))
 #define INTERNAL __attribute__((visibility("hidden")))
 #endif
+
+#include "array_files.c"
 
 /* The memory of an array that is made inside a kernel; the layout is numba's. */
 typedef struct {
@@ -24,7 +29,7 @@ typedef struct {
 INTERNAL MemInfo *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
 {
     const size_t extra = sizeof(MemInfo) + alignment;
-    MemInfo *info = size <= SIZE_MAX - extra ? malloc(size + extra) : NULL;
+    MemInfo *info = size <= SIZE_MAX - extra ? array_malloc(size + extra) : NULL;
     if (!info)
         return NULL;
     uintptr_t data = (uintptr_t)(info + 1);
@@ -33,7 +38,7 @@ INTERNAL MemInfo *NRT_MemInfo_alloc_aligned(size_t size, unsigned alignment)
     return info;
 }
 
-INTERNAL void NRT_MemInfo_call_dtor(MemInfo *info) { free(info); }
+INTERNAL void NRT_MemInfo_call_dtor(MemInfo *info) { array_free(info); }
 
 INTERNAL double numba_ldexp(double value, int power) { return ldexp(value, power); }
 

@@ -88,7 +88,7 @@ def load(kernel: Compiled, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]
             return compiled
     if entry is None:
         raise _not_listed(text) if TABLE.exists() else _missing("is not installed")
-    return bind(_library(), entry, arg_types)
+    return bind(open_library(), entry, arg_types)
 
 
 def signature(name: str, arg_types: tuple[ArgType, ...]) -> str:
@@ -126,7 +126,8 @@ def _entries() -> dict[str, Entry]:
 
 
 @functools.cache
-def _library() -> ctypes.CDLL:
+def open_library() -> ctypes.CDLL:
+    """The library of kernels; InternalError where it cannot be loaded."""
     try:
         return ctypes.CDLL(str(LIBRARY))
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextvars
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -93,7 +94,11 @@ def _run(calls: Sequence[tuple[Any, ...]]) -> list[Any]:
         except BaseException as failure:
             failures[at] = failure
 
-    others = [threading.Thread(target=run, args=(at,), daemon=True) for at in range(1, len(calls))]
+    # Where numpy keeps arrays is a matter of the context, which threads do not inherit.
+    others = [
+        threading.Thread(target=contextvars.copy_context().run, args=(run, at), daemon=True)
+        for at in range(1, len(calls))
+    ]
     for other in others:
         other.start()
     run(0)

@@ -106,7 +106,7 @@ def test_a_wheel_does_not_look_at_sources(kernel, entries, is_wheel, caplog):
 @pytest.mark.parametrize("name", ["TABLE", "LIBRARY"])
 def test_a_library_that_is_not_there_is_an_error(kernel, is_wheel, monkeypatch, tmp_path, name):
     monkeypatch.setattr(library, name, tmp_path / "none")
-    for function in (library._entries, library._library):
+    for function in (library._entries, library.open_library):
         monkeypatch.setattr(library, function.__name__, function.__wrapped__)
     with pytest.raises(InternalError, match="the library of compiled kernels") as error:
         count(kernel)
