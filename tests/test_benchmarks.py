@@ -23,10 +23,7 @@ from benchmarks import (
 
 PEER = ["--peers", "meshio_mean", "--peers-python", sys.executable]
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform != "linux", reason="measures by fork and /proc"),
-    pytest.mark.ci,
-]
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="measures by fork and /proc")
 
 
 @pytest.mark.parametrize("surface", scans.SURFACES)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.errors import UnsupportedError
+from msal_cli.errors import ResourceError, UnsupportedError
+from msal_cli.kernels import array_files
 from msal_cli.mesh import Mesh
 
 ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
@@ -24,11 +25,15 @@ AT_ONCE = 1 << 17
 """Points that are looked up at a time: the library answers with an object for each."""
 
 
-def is_available() -> bool:
-    """Whether the library that finds the nearest triangle is installed."""
+def find_obstacle() -> str:
+    """Why no nearest triangle can be found: the library is not installed, or its search tree would
+    not fit into memory; empty where it can."""
     import importlib.util
 
-    return importlib.util.find_spec("fcpw") is not None
+    if array_files.are_used():
+        return "they need a search tree, which does not fit into memory"
+    is_installed = importlib.util.find_spec("fcpw") is not None
+    return "" if is_installed else "they need the package fcpw (pip install fcpw)"
 
 
 def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
@@ -75,7 +80,14 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
 
 
 def require_library() -> None:
-    """Raise UnsupportedError, ``E_NO_LIBRARY``, where FCPW is not installed."""
+    """Raise UnsupportedError, ``E_NO_LIBRARY``, where FCPW is not installed, and ResourceError
+    where its tree would not fit into memory."""
+    if array_files.are_used():
+        raise ResourceError(
+            "distances to a surface and rays need a search tree, which does not fit into memory",
+            code="E_MEMORY",
+            hint="use a machine with more memory",
+        )
     try:
         import fcpw  # noqa: F401
     except ImportError:

@@ -249,12 +249,6 @@ class _BatchRun:
     # The work
 
     def _run_files(self, todo: list[int], budget: MemoryBudget) -> None:
-        # The machines of another engine have their own memory.
-        oversized = {} if self.engine is not None else budget.find_oversized()
-        for index, failure in oversized.items():
-            self.on_event(Started(index))
-            self._finish({index: self._failed_record(index, failure)})
-        todo = [index for index in todo if index not in oversized]
         if self._is_single() or self.plan.is_in_process:
             self._run_in_process(todo)
         elif todo and self._failure is None and not self._has_too_many_failures():

@@ -26,13 +26,13 @@ from msal_cli.analysis.shared_borders import (
 from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.events import Progress
 from msal_cli.batch.manifest_dirs import output_folders
-from msal_cli.errors import InputError, MsalError, ResourceError, TooLargeError, UsageError
+from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
 from msal_cli.job.opened_mesh import open_mesh, to_known_error
 from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
+from msal_cli.job.room import find_scratch, taken
 from msal_cli.job.settings import (
-    FORECAST,
     NO_LIMITS,
     Limits,
     Settings,
@@ -41,7 +41,6 @@ from msal_cli.job.settings import (
     is_mesh_name,
     least_memory_bytes,
 )
-from msal_cli.machine import available_bytes, megabytes
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
@@ -54,7 +53,6 @@ if TYPE_CHECKING:
 OnStep = Callable[[int, str, int, int], None]
 """Called as ``on_step(index, stage, done, total)`` with the index of a task."""
 
-_SHARE_OF_MEMORY = 0.8
 _SHARED_FIELDS = (
     "method",
     "choice",
@@ -207,12 +205,14 @@ class _SetRun:
     def denoise(self, max_failures: int | None) -> dict[int, MeshRecord]:
         """See ``denoise_set``."""
         try:
-            self._refuse_oversized()
-            for index in range(len(self._tasks)):
-                self._scan(index)
-            has_given_up = max_failures is not None and len(self._records) >= max_failures
-            if self._members and not has_given_up:
-                self._denoise_members()
+            work = f"denoising these {len(self._tasks)} files as one"
+            needed = memory_of_set(self._tasks, self._settings)
+            with taken(find_scratch(work, needed, self._limits, self._tasks[0].output)):
+                for index in range(len(self._tasks)):
+                    self._scan(index)
+                has_given_up = max_failures is not None and len(self._records) >= max_failures
+                if self._members and not has_given_up:
+                    self._denoise_members()
         except UsageError:
             raise
         except Exception as error:
@@ -224,23 +224,6 @@ class _SetRun:
                     start = start_record(task.input, self._settings)
                     self._records[index] = replace(start, error=failure)
         return self._records
-
-    def _refuse_oversized(self) -> None:
-        """Refuse a joined mesh that does not fit into memory, by forecast; ResourceError."""
-        limit, left = self._limits.memory_bytes, available_bytes()
-        if limit is None and left is not None:
-            limit = int(_SHARE_OF_MEMORY * left)
-        needed = memory_of_set(self._tasks, self._settings)
-        if limit is not None and needed > limit:
-            raise ResourceError(
-                f"denoising these {len(self._tasks)} files as one takes up to "
-                f"{megabytes(needed)}, and there are {megabytes(limit, rounded_up=False)}",
-                code="E_MEMORY",
-                where=FORECAST,
-                hint="use a machine with more memory, or denoise fewer files as one",
-            )
-        # A file that does not fit by itself fails before it is loaded.
-        self._limits = replace(self._limits, memory_bytes=limit)
 
     def _progress_of(self, index: int) -> OnProgress:
         return lambda stage, done, total: self._on_step(index, stage, done, total)

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from msal_cli.batch.process_status import memory_bytes
-from msal_cli.machine import peak_bytes
+from msal_cli.job.room import are_arrays_in_files
+from msal_cli.machine import peak_bytes, usable_cores
 
 _LENGTH = struct.Struct("<Q")
 
@@ -32,6 +33,8 @@ _LENGTH = struct.Struct("<Q")
 _BETWEEN_PROGRESS_S = 0.05
 
 _BETWEEN_CHECKS_S = 0.05
+
+_STACK_BYTES = 8 << 20
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,8 @@ def _limit_memory(limit: int) -> None:
     import resource
 
     own = memory_bytes("self", "VmData") - memory_bytes("self", "VmRSS")
+    # Kernels will start threads, and a limit may leave less than their stacks.
+    own += (usable_cores() + 1) * _STACK_BYTES
     hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
     wanted = max(0, limit + own)
     if hard != resource.RLIM_INFINITY:
@@ -179,10 +184,11 @@ def _limit_memory(limit: int) -> None:
 
 def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
     """End this process once it has used too much: where the system cannot refuse memory, and for
-    pages of files, which Linux does not count."""
+    pages of files, which Linux does not count.  Those of arrays ``room`` lets go of."""
     while True:
         time.sleep(_BETWEEN_CHECKS_S)
-        if (peak_bytes() or 0) > limit:
+        used = memory_bytes("self", "VmRSS") or peak_bytes() or 0
+        if used > limit and not are_arrays_in_files():
             outgoing.send("exhausted")
             os._exit(1)
 

@@ -251,13 +251,15 @@ def _refuse_target(before: str, after: str, target: str) -> None:
 def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
     from msal_cli.batch import interrupts
     from msal_cli.job import comparison
+    from msal_cli.job.room import room_for_files
     from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 
-    reference = comparison.opened(before, format)
-    made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
-    with interrupts.noticed(interrupts.raise_for):
-        atomic.write_whole(target, [made.data], sources=(before, after))
+    with room_for_files((before, after), format):
+        reference = comparison.opened(before, format)
+        made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
+        with interrupts.noticed(interrupts.raise_for):
+            atomic.write_whole(target, [made.data], sources=(before, after))
     console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 

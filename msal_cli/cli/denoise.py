@@ -74,7 +74,9 @@ class _Session:
         # For reports and manifests, without passwords.
         self._command = ("msal", *map(urls.redact, arguments))
         self._clock = Clock()
-        self._limits = Limits(request.timeout, request.memory_limit, request.max_faces)
+        self._limits = Limits(
+            request.timeout, request.memory_limit, request.max_faces, request.scratch
+        )
         self._stream: Stream | None = None
         if options.STREAM in (*request.inputs, request.output):
             from msal_cli.cli.streams import find_stream

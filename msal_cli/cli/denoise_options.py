@@ -227,7 +227,7 @@ SCRATCH = click.option(
     "--scratch",
     metavar="FOLDER",
     type=options.PATH,
-    help="Where temporary files go.  [default: beside the output]",
+    help="Folder for the arrays of meshes that exceed the memory.  [default: that of the output]",
 )
 
 MAX_FACES = click.option(

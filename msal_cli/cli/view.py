@@ -158,6 +158,7 @@ def command(
     """
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
+    from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
     from msal_cli.view import pictures
     from msal_cli.view.panels import png_bytes
@@ -170,14 +171,15 @@ def command(
     if output is not None and output != STREAM:
         refuse_target(output, "the picture", names)
     view = dataclasses.replace(view, colours=colours)
-    scene = _build_scene(names, format)
-    if view.shows_file_colours and not quiet:
-        for note in scene.notes:
-            console.say(f"msal: {escape_for_display(note)}", "warn")
-    if kind == "html":
-        data = _build_page(output, scene, view)
-    else:
-        data = png_bytes(pictures.draw_picture(scene, view))
+    with room_for_files(names, format):
+        scene = _build_scene(names, format)
+        if view.shows_file_colours and not quiet:
+            for note in scene.notes:
+                console.say(f"msal: {escape_for_display(note)}", "warn")
+        if kind == "html":
+            data = _build_page(output, scene, view)
+        else:
+            data = png_bytes(pictures.draw_picture(scene, view))
     if output is None:
         page = _write_own_page(names, data)
         if not quiet:
@@ -194,11 +196,9 @@ def command(
 
 
 def _build_scene(names: tuple[str, ...], format: str | None) -> Scene:
-    from msal_cli.job.opened_mesh import refuse_beyond_memory
     from msal_cli.view import pictures
     from msal_cli.view.colours import open_coloured_surface
 
-    refuse_beyond_memory(names, format)
     surfaces = [open_coloured_surface(name, format) for name in names]
     return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 

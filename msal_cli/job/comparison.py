@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
 from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.opened_mesh import open_mesh, refuse_beyond_memory, to_known_error
+from msal_cli.job.opened_mesh import open_mesh, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
     Area,
@@ -20,6 +20,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     Volume,
 )
+from msal_cli.job.room import room_for_files
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -117,14 +118,14 @@ def measure_files(
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
-    refuse_beyond_memory((before, after), format)
-    return compare_meshes(
-        open_surface(before, format),
-        open_surface(after, format),
-        before,
-        after,
-        with_intersections=with_intersections,
-    )
+    with room_for_files((before, after), format):
+        return compare_meshes(
+            open_surface(before, format),
+            open_surface(after, format),
+            before,
+            after,
+            with_intersections=with_intersections,
+        )
 
 
 def with_references(
@@ -364,12 +365,9 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
     from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis import surface_distance
 
-    if not surface_distance.is_available():
-        return _warned(
-            record,
-            "no Hausdorff distance and no distances to the surfaces: they need the package fcpw "
-            "(pip install fcpw)",
-        )
+    if obstacle := surface_distance.find_obstacle():
+        words = "no Hausdorff distance and no distances to the surfaces"
+        return _warned(record, f"{words}: {obstacle}")
     to_before, to_after, hausdorff = metrics.surface_distances(reference, moved)
     edge = reference.mean_edge_length
     record = replace(

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from msal_cli.job.changes import defect_fields, noise_field
 from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, refuse_beyond_memory, to_known_error
+from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure
+from msal_cli.job.room import room_for_files
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile
@@ -32,10 +33,11 @@ def inspect_file(
     from msal_cli.codecs import header_check
 
     try:
-        if data is None:
-            refuse_beyond_memory((path,), format)
+        if data is not None:
+            return _inspect(data, path, format, with_intersections)
+        with room_for_files((path,), format):
             data = header_check.read_input(path, format)
-        return _inspect(data, path, format, with_intersections)
+            return _inspect(data, path, format, with_intersections)
     except Exception as error:
         known = to_known_error(error, path)
         failure = Failure(known.code, known.message, known.hint, known.where)

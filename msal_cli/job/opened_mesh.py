@@ -9,8 +9,6 @@ from msal_cli import machine
 from msal_cli.errors import InternalError, MsalError, ResourceError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.buffers import Buffer
@@ -25,23 +23,6 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
 
     plain, is_compressed = gzip_streams.expand(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
-
-
-def refuse_beyond_memory(paths: Sequence[str], format: str | None = None) -> None:
-    """Refuse files that do not fit into memory together, by their sizes and headers;
-    ResourceError."""
-    from msal_cli.codecs.forecast import forecast
-
-    needed = sum(forecast(path, format=format).memory_bytes or 0 for path in paths)
-    available = machine.available_bytes()
-    if available is not None and needed > available:
-        raise ResourceError(
-            f"opening {'this file' if len(paths) == 1 else 'these files'} takes up to "
-            f"{machine.megabytes(needed)}, and this machine has "
-            f"{machine.megabytes(available, rounded_up=False)} left",
-            code="E_MEMORY",
-            hint="use a machine with more memory",
-        )
 
 
 def prepare_mesh(mesh_file: Surface) -> PreparedMesh:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from msal_cli.errors import MsalError
 from msal_cli.job.records import Failure, MeshRecord, Planned
+from msal_cli.job.room import scratch_of_task
 from msal_cli.job.settings import ADAPTIVE, AUTO, Limits, Settings, Task, forecast, refuse_faces
 from msal_cli.storage.limits import LOOKED_AT
 from msal_cli.storage.urls import is_url
@@ -24,6 +25,9 @@ _AUTO_S, _AUTO_S_PER_MILLION = 2.2, 28.0
 # The filter of ``msal`` alone, by which costs of methods are counted, and a cost for the others.
 _FILTER_S_PER_MILLION = 0.13
 _USUAL_COST = 20.0
+
+_IN_FILES_S_PER_MILLION = 2.0
+"""What the disk adds where arrays are in files: about 2 kB are read for each vertex."""
 
 _BYTES_PER_VERTEX = 75
 """Of a text with twice as many triangles as vertices, and no more than positions."""
@@ -48,11 +52,16 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
             counted = _check(task.input, settings.format)
             n = n if counted is None else counted
         refuse_faces(expected.faces, limits)
+        scratch = scratch_of_task(task, expected, limits)
     except MsalError as error:
         failure = Failure(error.code, error.message, error.hint, error.where)
         return replace(record, status="failed", output=None, error=failure)
-    seconds = None if n is None else round(_seconds(n, settings), 2)
-    planned = Planned(size, n, seconds)
+    seconds = None if n is None else _seconds(n, settings)
+    memory, in_files = expected.memory_bytes, None
+    if scratch is not None:
+        memory, in_files = scratch.room, scratch.n_bytes
+        seconds = None if n is None else seconds + _IN_FILES_S_PER_MILLION * n / 1e6
+    planned = Planned(size, n, None if seconds is None else round(seconds, 2), memory, in_files)
     return replace(record, format=expected.format or None, planned=planned)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from msal_cli.job import changes, output
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
 from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
+from msal_cli.job.room import room_for_task
 from msal_cli.job.settings import (
     CHOOSING,
     NO_LIMITS,
@@ -25,9 +26,7 @@ from msal_cli.job.settings import (
     Limits,
     Settings,
     Task,
-    forecast,
     refuse_faces,
-    refuse_oversized,
 )
 from msal_cli.version import __version__
 
@@ -63,9 +62,10 @@ def denoise_file(
     """
     run = FileRun(task.input, settings, on_progress, limits)
     try:
-        data = run.read(task)
-        made = run.denoise(data, task.output)
-        return run.write(task, data, made)
+        with run.room(task):
+            data = run.read(task)
+            made = run.denoise(data, task.output)
+            return run.write(task, data, made)
     except Exception as error:
         return run.fail(error)
 
@@ -104,12 +104,12 @@ def denoise_copy(
         from msal_cli.codecs import header_check
         from msal_cli.storage import atomic
 
-        with run.stage("read"):
-            refuse_oversized(forecast(task, settings), limits)
-            data = header_check.read_input(task.input, settings.format)
-        made = run.denoise(data, None)
-        with run.stage("write"):
-            atomic.write_whole(task.output, [made.data])
+        with run.room(task):
+            with run.stage("read"):
+                data = header_check.read_input(task.input, settings.format)
+            made = run.denoise(data, None)
+            with run.stage("write"):
+                atomic.write_whole(task.output, [made.data])
         return run.finish(None)
     except Exception as error:
         return run.fail(error)
@@ -204,15 +204,18 @@ class FileRun:
 
     # The way of a file
 
-    def read(self, task: Task) -> Buffer:
-        """The bytes of the input, unless its header shows that it is beyond the limits."""
-        from msal_cli.codecs import header_check
-
+    def room(self, task: Task) -> AbstractContextManager[None]:
+        """Memory, or files for what does not fit, unless a file is beyond the limits."""
         with self.stage("read"):
             # The mark is older than the bytes: an object that changes in between is done again.
             self.know(input_object=task.input_mark)
-            if self._limits.memory_bytes is not None or self._limits.max_faces is not None:
-                refuse_oversized(forecast(task, self._settings), self._limits)
+            return room_for_task(task, self._settings, self._limits)
+
+    def read(self, task: Task) -> Buffer:
+        """The bytes of the input, unless its header shows that it is no mesh."""
+        from msal_cli.codecs import header_check
+
+        with self.stage("read"):
             size = task.input_mark.size if task.input_mark is not None else None
             return header_check.read_input(task.input, self._settings.format, size)
 

@@ -356,6 +356,11 @@ class Planned:
     bytes: int | None = known("bytes of the input")
     vertices: int | None = known("vertices, of a text about")
     seconds: float | None = known("seconds of one core of an idle machine, about")
+    memory_bytes: int | None = known("memory at the most, bytes")
+    scratch_bytes: int | None = known(
+        "bytes in files of the scratch folder at the most, where the mesh exceeds the memory; null "
+        "where it fits"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,11 +105,13 @@ class Limits:
     timeout_s : seconds of wall time, enforced by the supervisor of the worker.
     memory_bytes : resident memory of the process that denoises it.
     max_faces : faces as the file counts them.
+    scratch : folder for the arrays of a mesh that exceeds the memory; None is the output's.
     """
 
     timeout_s: float | None = None
     memory_bytes: int | None = None
     max_faces: int | None = None
+    scratch: str | None = None
 
 
 NO_LIMITS = Limits()
@@ -437,23 +439,6 @@ def refuse_unknown_format(output: str) -> None:
         f"those that can be written are {', '.join(writable_formats())}",
         hint=f"give the file one of these suffixes, or write {output + '/'!r} for a folder",
     )
-
-
-def refuse_oversized(forecast: Forecast, limits: Limits) -> None:
-    """Refuse a file that is expected to exceed the limits: ResourceError or TooLargeError."""
-    from msal_cli.errors import ResourceError
-    from msal_cli.machine import megabytes
-
-    refuse_faces(forecast.faces, limits)
-    limit = limits.memory_bytes
-    if limit is not None and forecast.memory_bytes is not None and forecast.memory_bytes > limit:
-        raise ResourceError(
-            f"denoising this file takes up to {megabytes(forecast.memory_bytes)}, "
-            f"and the limit is {megabytes(limit)}",
-            code="E_MEMORY",
-            where=FORECAST,
-            hint="raise --memory-limit if the machine has more, or cut the mesh into parts",
-        )
 
 
 def refuse_faces(n_faces: int | None, limits: Limits) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
 from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Planned
+from msal_cli.machine import megabytes
 from msal_cli.report.data import Run, known_values, totals
 from msal_cli.report.facts import (
     SHORT,
@@ -109,11 +110,19 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
     return Line(", ".join(parts), "bad" if n_failed else "plain")
 
 
+def _scratch_text(planned: Planned) -> str:
+    if planned.scratch_bytes is None or planned.memory_bytes is None:
+        return ""
+    memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
+    return f"with {memory} of memory and {scratch} of scratch space"
+
+
 def _planned_text(planned: Planned) -> str:
     parts = (
         "" if planned.bytes is None else f"{planned.bytes / 1e3:,.1f} kB",
         format_count(planned.vertices, "vertex", "vertices"),
         "" if planned.seconds is None else f"about {seconds_text(planned.seconds)}",
+        _scratch_text(planned),
     )
     return ", ".join(filter(None, parts))
 

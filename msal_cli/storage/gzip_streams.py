@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
-from msal_cli.storage.limits import largest_bytes, too_large
+from msal_cli.storage.limits import LARGE_BYTES, largest_bytes, too_large
 from msal_cli.storage.regular import NotRegularError, open_regular
 from msal_cli.storage.urls import is_url
 
@@ -132,7 +132,21 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
         raise refuse_content(len(view))
     largest = largest_bytes() if limit is None else limit
     pieces = expand_pieces(lambda at, n: view[at : at + n], len(view), largest, limit is None)
-    return b"".join(pieces), True
+    # A library would copy what is no ``bytes``.
+    return (_gather(pieces) if isinstance(data, memoryview) else b"".join(pieces)), True
+
+
+def _gather(pieces: Iterable[bytes]) -> memoryview:
+    """All pieces in one array, to be read only: large arrays may live in files."""
+    import numpy as np
+
+    room, size = np.empty(LARGE_BYTES, dtype=np.uint8), 0
+    for piece in pieces:
+        if size + len(piece) > len(room):
+            room.resize(size + len(piece) + size // 2, refcheck=False)
+        room[size : size + len(piece)] = np.frombuffer(piece, dtype=np.uint8)
+        size += len(piece)
+    return room[:size].data.toreadonly()
 
 
 def refuse_content(size: int) -> InputError:
@@ -216,9 +230,10 @@ def _is_zero(read: Callable[[int, int], Buffer], at: int, size: int) -> bool:
     return not any(bytes(piece).strip(b"\0") for piece in pieces)
 
 
-def compress(data: Buffer) -> bytes:
+def compress(data: Buffer) -> Buffer:
     """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
-    return b"".join(compress_pieces([data]))
+    pieces = compress_pieces([data])
+    return b"".join(pieces) if memoryview(data).nbytes < LARGE_BYTES else _gather(pieces)
 
 
 def compress_pieces(pieces: Iterable[Buffer]) -> Iterator[bytes]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from msal_cli.errors import TooLargeError
 
@@ -21,9 +24,23 @@ def memory_bytes() -> int:
         return 1 << 62
 
 
+_is_large_allowed = False
+
+
+@contextmanager
+def large_files_allowed() -> Iterator[None]:
+    """Have files of any size be read, because large arrays are not kept in memory."""
+    global _is_large_allowed
+    before, _is_large_allowed = _is_large_allowed, True
+    try:
+        yield
+    finally:
+        _is_large_allowed = before
+
+
 def largest_bytes() -> int:
     """The most bytes that a file may have to be kept in memory: half of the machine's."""
-    return memory_bytes() // 2
+    return sys.maxsize if _is_large_allowed else memory_bytes() // 2
 
 
 def too_large(size: int) -> TooLargeError:

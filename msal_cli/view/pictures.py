@@ -119,7 +119,7 @@ def scene_of(
         along *= measure_enclosure(first).outward_signs(first.mesh)
         scene = Scene(names, first.mesh, moved, along, True, record)
         return _with_colours(scene, (before, after), (first, first))
-    to_surface = to_surface and surface_distance.is_available()
+    to_surface = to_surface and not surface_distance.find_obstacle()
     record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
     second = prepare_surface(after, names[1])
     there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))

@@ -127,7 +127,7 @@ def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
 def test_the_library_is_looked_for(monkeypatch):
     for found in (None, "a module"):
         monkeypatch.setattr("importlib.util.find_spec", lambda name, found=found: found)
-        assert surface_distance.is_available() is (found is not None)
+        assert (not surface_distance.find_obstacle()) is (found is not None)
 
 
 @needs_library

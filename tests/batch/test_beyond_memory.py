@@ -1,19 +1,38 @@
-"""Meshes beyond this machine's memory are refused before anything of them is loaded."""
+"""Meshes beyond the memory: arrays in files give the same bytes, and what fits nowhere is refused
+before anything of it is loaded."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from msal_cli import machine
-from msal_cli.batch import memory_budget as weights
-from msal_cli.batch.memory_budget import LARGE_BYTES, estimate_memory
-from msal_cli.codecs import header_check
-from msal_cli.job.settings import FORECAST, NO_LIMITS, Limits, Settings, Task
+from msal_cli import codecs, machine
+from msal_cli.job import room
+from msal_cli.job.comparison import compare_files
+from msal_cli.job.inspection import inspect_file
+from msal_cli.job.outlook import foresee
+from msal_cli.job.pipeline import denoise_file, start_record
+from msal_cli.job.settings import (
+    ADAPTIVE,
+    AUTO,
+    FORECAST,
+    NO_LIMITS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    least_memory_bytes,
+)
+from msal_cli.kernels import array_files
+from msal_cli.kernels.parallel import over_ranges
 from tests.cli.scans import closed_scan, folder_of, msal
+
+linux = pytest.mark.skipif(not array_files.can_use_files(), reason="needs Linux")
 
 PLY = (
     "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\n"
@@ -31,77 +50,235 @@ def sparse(path: Path, n_vertices: int, n_faces: int) -> Path:
     return path
 
 
-def beyond(path, available, monkeypatch, **limits):
-    monkeypatch.setattr(weights, "available_bytes", lambda: available)
-    tasks = {7: Task(str(path), "out", "in")}
-    return estimate_memory(
-        tasks, Settings("msal"), Limits(**limits) if limits else NO_LIMITS
-    ).find_oversized()
+def grid(path: Path, n: int) -> Path:
+    """A noisy surface of n by n vertices, as a binary PLY."""
+    rng = np.random.default_rng(3)
+    row, column = np.divmod(np.arange(n * n), n)
+    height = n / 20 * np.sin(row / n * 6) + 0.2 * rng.standard_normal(n * n)
+    vertices = np.stack((row, column, height), axis=1).astype("<f4")
+    first = np.flatnonzero((row < n - 1) & (column < n - 1))
+    corners = np.concatenate(
+        [
+            np.stack((first, first + n, first + 1), 1),
+            np.stack((first + n, first + n + 1, first + 1), 1),
+        ]
+    )
+    faces = np.empty(len(corners), dtype=[("size", "u1"), ("corners", "<i4", 3)])
+    faces["size"], faces["corners"] = 3, corners
+    head = PLY.format(len(vertices), len(faces)).encode()
+    path.write_bytes(head + vertices.tobytes() + faces.tobytes())
+    return path
 
 
-@pytest.mark.parametrize("least", [10**9, 10_200_000_000])
-def test_a_mesh_is_refused_for_what_is_foreseen(tmp_path, monkeypatch, least):
-    path = sparse(tmp_path / "a.ply", 50_000_000, 100_000_000)
-    failure = beyond(path, least, monkeypatch)[7]
-    assert (failure.code, failure.where) == ("E_MEMORY", FORECAST)
-    assert f"{least / 1e9:.2f} GB left" in failure.message
-    assert "--memory-limit" in failure.hint and "cut the mesh" in failure.hint
-    # Fifty million vertices are to fit into 24 GiB, and do so with room to spare.
-    assert not beyond(path, 16 * 2**30, monkeypatch)
-    assert not beyond(path, None, monkeypatch)
+# Files
 
 
-def test_a_small_file_is_never_looked_into(tmp_path, monkeypatch):
-    path = sparse(tmp_path / "a.ply", LARGE_BYTES // 50, LARGE_BYTES // 50)
-    assert not beyond(path, 1, monkeypatch)
-    assert not beyond(tmp_path / "gone.ply", 1, monkeypatch)
-
-
-def test_what_is_only_guessed_is_halved_and_a_lie_is_left_to_the_reader(tmp_path, monkeypatch):
-    text = tmp_path / "a.obj"
-    text.write_bytes(b"v 0 0 0\n" * 1_000_000)
-    assert not beyond(text, 60_000_000, monkeypatch)
-    assert beyond(text, 35_000_000, monkeypatch)
-    lie = sparse(tmp_path / "a.ply", 10**6, 10**6)
-    with lie.open("r+b") as file:
-        file.truncate(12_500_000)
-    assert not beyond(lie, 1, monkeypatch)
+def handler_of(array) -> str:
+    try:
+        from numpy._core.multiarray import get_handler_name
+    except ImportError:
+        from numpy.core.multiarray import get_handler_name
+    return get_handler_name(array)
 
 
 @pytest.fixture
-def folder(tmp_path):
+def small(monkeypatch):
+    """Files of any size are looked into."""
+    monkeypatch.setattr(room, "LARGE_BYTES", 0)
+
+
+@linux
+def test_arrays_of_all_threads_live_in_files_without_a_name(tmp_path):
+    def work(start, stop, out):
+        out[start // 1000] = np.ones(4000)
+
+    made = [None] * 2
+    with array_files.arrays_in_files(str(tmp_path), 10_000):
+        over_ranges(work, 2000, made, smallest=1000)
+        changed = np.zeros(5000)
+        changed.resize(9000)
+        tiny = np.ones(10)
+        counted = array_files.count_scratch()
+        assert not list(tmp_path.iterdir())
+    assert {handler_of(one) for one in (*made, changed)} == {"msal_array_files"}
+    assert counted.current_bytes == 2 * 32_000 + 72_000
+    assert (changed == 0).all() and (made[0] == made[1]).all()
+    array_files.let_go_of_pages()
+    assert made[1].sum() == 4000 and tiny.sum() == 10
+    del made, changed
+    assert array_files.count_scratch().current_bytes == 0
+    assert handler_of(np.ones(5000)) == "default_allocator"
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {one.name: one.read_bytes() for one in folder.iterdir() if one.name[0] != "."}
+
+
+def limits_for(task, settings) -> Limits:
+    """A limit in the middle between what arrays in files take and what those in memory do."""
+    return Limits(memory_bytes=(forecast(task, settings).memory_bytes + least_memory_bytes()) // 2)
+
+
+SETTINGS = {
+    **{name: Settings(name) for name in ("msal", "bilateral_normal", "l0", "learned")},
+    "plain": Settings(ADAPTIVE),
+    "auto": Settings(AUTO),
+    "held": Settings("msal", max_move="0.1", despike=True),
+}
+
+
+def same_bytes(source: Path, settings: Settings, tmp_path: Path) -> None:
+    """Fail unless an output is the same with arrays in files, of which none is left."""
+    usual, beyond = tmp_path / "usual", tmp_path / "beyond"
+    done = denoise_file(Task(str(source), str(usual / source.name), source.name), settings)
+    assert (done.error, done.status) == (None, "written")
+    task = Task(str(source), str(beyond / source.name), source.name)
+    before = array_files.count_scratch().current_bytes
+    done = denoise_file(task, settings, limits=limits_for(task, settings))
+    assert (done.error, done.status) == (None, "written")
+    assert files_of(beyond) == files_of(usual)
+    scratch = array_files.count_scratch()
+    assert scratch.peak_bytes > source.stat().st_size
+    # Tables that are read once may stay.
+    assert scratch.current_bytes - before < 1_000_000
+
+
+@linux
+@pytest.mark.parametrize("name", SETTINGS)
+def test_every_way_of_denoising_gives_the_same_bytes(name, tmp_path, small):
+    same_bytes(grid(tmp_path / "a.ply", 30 if name == "auto" else 60), SETTINGS[name], tmp_path)
+
+
+@linux
+@pytest.mark.parametrize("name", ["a.obj", "a.stl", "a.off", "a.vtk", "a.ply.gz"])
+def test_every_format_gives_the_same_bytes(name, tmp_path, small):
+    source = grid(tmp_path / "a.ply", 60)
+    whole = Task(str(source), str(tmp_path / "in" / name), name)
+    assert denoise_file(whole, Settings("taubin")).error is None
+    same_bytes(tmp_path / "in" / name, Settings("msal"), tmp_path)
+
+
+@linux
+def test_a_tile_set_gives_the_same_bytes(tmp_path, small):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    mesh = codecs.open_mesh(grid(tmp_path / "a.ply", 60).read_bytes(), "a.ply")
+    for number, is_part in enumerate((mesh.faces[:, 0] < 1800, mesh.faces[:, 0] >= 1800)):
+        used, corners = np.unique(mesh.faces[is_part], return_inverse=True)
+        text = [f"v {x} {y} {z}" for x, y, z in mesh.vertices[used].tolist()]
+        text += [f"f {a} {b} {c}" for a, b, c in (corners.reshape(-1, 3) + 1).tolist()]
+        (folder / f"{number}.obj").write_text("\n".join(text))
+    for name, limit in (("usual", ()), ("beyond", ("--memory-limit", "51M"))):
+        options = ("-o", tmp_path / name, "--tile-set", "--method", "msal", *limit)
+        assert msal("denoise", folder, *options).exit_code == 0
+    assert files_of(tmp_path / "beyond") == files_of(tmp_path / "usual")
+    assert array_files.count_scratch().peak_bytes
+
+
+@linux
+def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
+    source = grid(tmp_path / "a.ply", 60)
+    usual = inspect_file(str(source))
+    other = compare_files(str(source), str(source))
+    monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
+    assert inspect_file(str(source)) == usual
+    there = compare_files(str(source), str(source))
+    assert there.displacement == other.displacement and there.volume == other.volume
+    assert there.hausdorff is None and "does not fit into memory" in there.warnings[-1]
+
+
+@linux
+def test_what_fits_is_in_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(array_files, "arrays_in_files", None)
+    source = grid(tmp_path / "a.ply", 60)
+    for limits in (Limits(), Limits(memory_bytes=10**9)):
+        task = Task(str(source), str(tmp_path / "out.ply"), "a.ply")
+        assert denoise_file(task, Settings("msal"), limits=limits).status == "written"
+
+
+@linux
+def test_a_disk_that_is_full_is_an_error_and_leaves_nothing(tmp_path):
+    import resource
+
+    source = grid(tmp_path / "a.ply", 330)
+    command = [sys.executable, "-m", "msal_cli", "denoise", str(source), "-o", "out/a.ply"]
+    made = subprocess.run(
+        [*command, "--memory-limit", "62M", "--method", "msal", "--scratch", str(tmp_path)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20)),
+    )
+    assert made.returncode == 1
+    assert f"cannot be kept in '{tmp_path}': File too large (E_WRITE)" in made.stderr
+    assert [one.name for one in tmp_path.iterdir()] == ["a.ply"]
+
+
+# Refusals
+
+
+def beyond(path, available, monkeypatch, limits=NO_LIMITS, output="out/a.ply"):
+    monkeypatch.setattr(machine, "available_bytes", lambda: available)
+    task = Task(str(path), output, "in")
+    record = foresee(start_record("in", Settings("msal")), task, Settings("msal"), limits)
+    return record.error, record.planned
+
+
+@linux
+def test_what_is_foreseen_says_where_a_mesh_will_be(tmp_path, monkeypatch):
+    path = sparse(tmp_path / "a.ply", 50_000_000, 100_000_000)
+    monkeypatch.setattr(os, "statvfs", lambda _: os.statvfs_result((4096, 4096, *[10**8] * 8)))
+    # Fifty million vertices are to fit into 24 GiB, and do so with room to spare.
+    error, planned = beyond(path, 16 * 2**30, monkeypatch)
+    assert (error, planned.scratch_bytes) == (None, None)
+    usual_s = planned.seconds
+    error, planned = beyond(path, 10**9, monkeypatch)
+    assert error is None and planned.memory_bytes == 10**9
+    assert planned.seconds > usual_s and 8e9 < planned.scratch_bytes < 12e9
+    error, _ = beyond(path, 3 * 10**8, monkeypatch)
+    assert (error.code, error.where) == ("E_MEMORY", FORECAST)
+    assert "this machine has 300 MB left" in error.message
+    monkeypatch.setattr(os, "statvfs", lambda _: os.statvfs_result((4096, 4096, *[10**6] * 8)))
+    error, _ = beyond(path, 10**9, monkeypatch)
+    assert error.code == "E_WRITE" and "where 4.09 GB are free" in error.message
+    assert beyond(path, None, monkeypatch)[0] is None
+
+
+@linux
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="needs files in memory")
+def test_files_in_memory_are_no_scratch(tmp_path, monkeypatch):
+    path = sparse(tmp_path / "a.ply", 500_000, 1_000_000)
+    error, _ = beyond(path, 10**8, monkeypatch, Limits(scratch="/dev/shm"))
+    assert error.code == "E_MEMORY" and "name a folder on a disk by --scratch" in error.hint
+
+
+def test_where_there_are_no_such_files_what_is_guessed_is_halved(tmp_path, monkeypatch):
+    monkeypatch.setattr(array_files, "can_use_files", lambda: False)
+    text = tmp_path / "a.obj"
+    text.write_bytes(b"v 0 0 0\n" * 1_000_000)
+    assert beyond(text, 110_000_000, monkeypatch)[0] is None
+    assert beyond(text, 35_000_000, monkeypatch)[0].code == "E_MEMORY"
+    assert beyond(text, 10**9, monkeypatch, Limits(memory_bytes=60_000_000))[0].code == "E_MEMORY"
+
+
+def test_the_others_of_a_folder_are_done(tmp_path, monkeypatch):
+    monkeypatch.setattr(array_files, "can_use_files", lambda: False)
     folder = folder_of(tmp_path / "scans", small=closed_scan())
     sparse(folder / "large.ply", 200_000, 400_000)
-    return folder
-
-
-def test_the_others_of_a_folder_are_done(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
-    monkeypatch.setattr(header_check, "read_whole", None)
-    made = msal("denoise", folder, "-o", tmp_path / "out", "-j1")
+    made = msal("denoise", folder, "-o", tmp_path / "out", "-j1", "--memory-limit", "60M")
     assert made.exit_code == 3
-    assert "this machine has 60 MB left (E_MEMORY)" in made.stderr
+    assert "denoising this file takes up to" in made.stderr and "(E_MEMORY)" in made.stderr
     assert (tmp_path / "out/small.ply").exists() and not (tmp_path / "out/large.ply").exists()
-
-
-def test_one_file_alone_is_refused_and_a_limit_of_its_own_tries_it(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(weights, "available_bytes", lambda: 60_000_000)
-    one = folder / "large.ply"
-    made = msal("denoise", one, "-o", tmp_path / "out.ply")
-    assert made.exit_code == 1
-    assert "E_MEMORY" in made.stderr and "hint: use a machine" in made.stderr
-    # Nothing but zeros is no surface, which only reading tells.
-    made = msal("denoise", one, "-o", tmp_path / "out.ply", "--memory-limit", "1G")
-    assert "E_MEMORY" not in made.stderr and "E_NO_FACES" in made.stderr
-    assert not (tmp_path / "out.ply").exists()
 
 
 @pytest.mark.parametrize(
     "words", [("info", "{0}"), ("compare", "{0}", "{0}"), ("view", "{0}", "-o", "{0}.png")]
 )
-def test_other_commands_refuse_it_too(folder, monkeypatch, words):
+def test_other_commands_refuse_it_too(tmp_path, monkeypatch, words):
+    sparse(tmp_path / "large.ply", 200_000, 400_000)
     monkeypatch.setattr(machine, "available_bytes", lambda: 35_000_000)
-    made = msal(*(word.format(folder / "large.ply") for word in words))
+    made = msal(*(word.format(tmp_path / "large.ply") for word in words))
     assert made.exit_code != 0 and "E_MEMORY" in made.stderr
     assert "this machine has 35 MB left" in made.stderr
 
@@ -122,6 +299,6 @@ def test_the_command_refuses_two_billion_vertices_without_loading_them(tmp_path)
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30)),
     )
     assert made.returncode == 1
-    assert "denoising this file takes" in made.stderr and "E_MEMORY" in made.stderr
+    assert "up to 183.72 GB" in made.stderr
     assert "Traceback" not in made.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["huge.ply"]

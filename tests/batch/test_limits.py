@@ -242,10 +242,10 @@ def msal(folder, *options, **more):
 @linux
 def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans):
     (scans / "in/big.obj").write_text(obj(9, 800, 400))
-    made = msal(scans, "--memory-limit", "120M")
+    made = msal(scans, "--memory-limit", "65M")
     assert made.returncode == 3
     assert "forecast: denoising this file takes up to" in made.stderr
-    assert "the limit is 120 MB (E_MEMORY)" in made.stderr
+    assert "the limit is 65 MB (E_MEMORY)" in made.stderr
 
 
 @linux

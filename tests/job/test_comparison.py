@@ -89,7 +89,7 @@ def test_a_seam_that_opened_is_told():
     assert made.displacement.max == 0.0
 
 
-@pytest.mark.skipif(not surface_distance.is_available(), reason="fcpw is not installed")
+@pytest.mark.skipif(bool(surface_distance.find_obstacle()), reason="fcpw is not installed")
 class TestOtherFaces:
     def test_surfaces_are_compared(self):
         vertices, faces = cube()
@@ -128,7 +128,7 @@ def test_the_deviation_of_corresponding_vertices():
 
 
 def test_without_the_library_all_else_is_told(monkeypatch):
-    monkeypatch.setattr(surface_distance, "is_available", lambda: False)
+    monkeypatch.setattr(surface_distance, "find_obstacle", lambda: "pip install fcpw")
     made = between(cube(), cube())
     assert made.hausdorff is made.distance_to_before is None
     assert made.vertex_error_percent == 0.0

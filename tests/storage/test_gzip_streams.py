@@ -107,7 +107,7 @@ def test_expansion_stops_at_the_limit():
 
 def test_a_bomb_is_refused_without_being_expanded():
     resource = pytest.importorskip("resource")
-    bomb = compress(bytes(16 << 20)) * 100
+    bomb = bytes(compress(bytes(16 << 20))) * 100
     limit = 24 << 20
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(TooLargeError):

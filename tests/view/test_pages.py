@@ -113,7 +113,7 @@ def test_one_mesh(grown):
 
 
 def test_other_faces(monkeypatch):
-    monkeypatch.setattr(surface_distance, "is_available", lambda: False)
+    monkeypatch.setattr(surface_distance, "find_obstacle", lambda: "it needs the package fcpw")
     parts, _, (_, meshes, deviation) = page(scene_of(ball(), cube()))
     assert deviation is None and len(meshes[1][1]) == 12
     assert any("fcpw" in text for text in parts.texts["p"])

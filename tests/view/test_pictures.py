@@ -75,7 +75,7 @@ def test_split_vertices_are_drawn_as_one():
 def test_other_faces_are_measured_from_the_surface(monkeypatch):
     vertices, faces = ball()
     other = Surface(*cube())
-    monkeypatch.setattr(surface_distance, "is_available", lambda: False)
+    monkeypatch.setattr(surface_distance, "find_obstacle", lambda: "it needs the package fcpw")
     scene = pictures.scene_of(Surface(vertices, faces), other, NAMES)
     assert scene.deviation is None
     assert pictures.draw_picture(scene, pictures.View(size=64)).shape[1] > 2 * 64

@@ -1,0 +1,254 @@
+"""Room for a mesh: memory where it fits, else files of a scratch folder, or a refusal.
+
+Whatever loads a mesh asks here first.  In files, large arrays are the same arrays, and the system
+moves their pages in and out of memory (``kernels.array_files``).
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msal_cli import machine
+from msal_cli.errors import MsalError, OutputError, ResourceError
+from msal_cli.job.settings import (
+    FORECAST,
+    NO_LIMITS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    least_memory_bytes,
+    refuse_faces,
+)
+from msal_cli.kernels import array_files
+from msal_cli.machine import megabytes
+from msal_cli.storage.limits import large_files_allowed
+
+if TYPE_CHECKING:
+    from msal_cli.codecs.forecast import Forecast
+
+LARGE_BYTES = 4 << 20
+"""Files from this size on are looked into; smaller ones fit."""
+
+_KEPT_SHARE = 0.04
+"""Of what a mesh takes in memory, the most that stays there when its arrays are in files."""
+
+# Arrays stay in memory that are smaller than that, and than this part of a mesh.
+_LARGEST_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
+
+# What is mapped at once of small meshes and of others.  The system takes pages back when a group
+# of processes has no more, but a limit of the user that is less would not be kept.
+_MAPPED_OF_SMALL, _MAPPED_BYTES, _MAPPED_UNDER_LIMIT = 0.3, 32_000_000, 128_000_000
+
+_GUESSED = 2
+"""By what factor a forecast without counts may be too high."""
+
+_COUNTED = ("ply", "stl", "glb")
+"""Formats whose headers have counts, or are damaged, which the reader will report."""
+
+# Pages are mapped by up to 12 GB/s, and the rest of a limit is for what comes between two looks.
+_BETWEEN_LOOKS_S = 0.002
+_MAPPED_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class Scratch:
+    """The folder in whose files the arrays of a mesh will live, the bytes that they take there at
+    most, the bytes of memory that there are, and whether that is a limit to keep to."""
+
+    folder: str
+    n_bytes: int
+    room: int
+    is_limit: bool
+
+
+def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractContextManager[None]:
+    """Room for one file to be denoised; errors as of ``find_scratch``, and TooLargeError."""
+    if limits.memory_bytes is None and limits.max_faces is None and not _is_large(task):
+        return nullcontext()
+    expected = forecast(task, settings)
+    refuse_faces(expected.faces, limits)
+    return taken(scratch_of_task(task, expected, limits))
+
+
+def scratch_of_task(task: Task, expected: Forecast, limits: Limits) -> Scratch | None:
+    """See ``find_scratch``."""
+    is_guess = expected.faces is None and expected.format not in _COUNTED
+    return find_scratch(
+        "denoising this file", expected.memory_bytes or 0, limits, task.output, is_guess=is_guess
+    )
+
+
+def room_for_files(paths: Sequence[str], format: str | None = None) -> AbstractContextManager[None]:
+    """Room for files that are read together; errors as of ``find_scratch``."""
+    from msal_cli.codecs.forecast import forecast
+
+    base = least_memory_bytes()
+    needs = [forecast(path, format=format).memory_bytes or base for path in paths]
+    needed = base + sum(need - base for need in needs)
+    words = "opening this file" if len(paths) == 1 else "opening these files"
+    return taken(find_scratch(words, needed))
+
+
+def find_scratch(
+    work: str,
+    needed: int,
+    limits: Limits = NO_LIMITS,
+    output: str | None = None,
+    *,
+    is_guess: bool = False,
+) -> Scratch | None:
+    """Where arrays have to live if some work needs so many bytes of memory; None where they fit.
+
+    A limit set by the user replaces what the machine has left.  ``is_guess``: the work may need
+    much less.
+
+    Raises
+    ------
+    ResourceError
+        (``E_MEMORY``) where they fit nowhere; ``where`` is ``FORECAST``.
+    OutputError
+        where the folder has no space for them.
+    """
+    limit = limits.memory_bytes
+    room = machine.available_bytes() if limit is None else limit
+    if room is None or needed <= room:
+        return None
+    n_bytes = max(0, needed - least_memory_bytes())
+    if not array_files.can_use_files() and is_guess and limit is None and needed < _GUESSED * room:
+        return None
+    mapped = _MAPPED_BYTES if limit is None else _MAPPED_UNDER_LIMIT
+    kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, mapped))
+    if not array_files.can_use_files() or needed - n_bytes + kept > room:
+        raise _no_memory(work, needed, room, is_limit=limit is not None)
+    folder = limits.scratch or _folder_of(output)
+    if _is_in_memory(folder):
+        raise ResourceError(
+            f"{work} takes up to {megabytes(needed)}, there are "
+            f"{megabytes(room, rounded_up=False)}, and the files of {folder!r} are in memory, too",
+            code="E_MEMORY",
+            where=FORECAST,
+            hint="name a folder on a disk by --scratch",
+        )
+    _require_space(folder, n_bytes)
+    return Scratch(folder, n_bytes, room, limit is not None)
+
+
+def are_arrays_in_files() -> bool:
+    """Whether large arrays of this process live in files now."""
+    return array_files.are_used()
+
+
+@contextmanager
+def taken(scratch: Scratch | None) -> Iterator[None]:
+    """Have large arrays live in files; nothing where they fit into memory.
+
+    Raises
+    ------
+    OutputError
+        where the folder cannot be used, or its disk is full.
+    """
+    if scratch is None:
+        yield
+        return
+    is_over = threading.Event()
+    try:
+        smallest = min(_LARGEST_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)
+        with array_files.arrays_in_files(scratch.folder, max(1, smallest)), large_files_allowed():
+            if scratch.is_limit:
+                arguments = (scratch.room, is_over)
+                threading.Thread(target=_keep_to, args=arguments, daemon=True).start()
+            yield
+    except MsalError:
+        raise
+    except (OSError, MemoryError, RuntimeError) as failure:
+        error = failure.errno if isinstance(failure, OSError) else array_files.count_scratch().error
+        if not error:
+            raise
+        raise OutputError(
+            f"arrays that exceed the memory cannot be kept in {scratch.folder!r}: "
+            f"{os.strerror(error)}",
+            hint="name a folder with more space by --scratch",
+        ) from None
+    finally:
+        is_over.set()
+
+
+def _keep_to(limit: int, is_over: threading.Event) -> None:
+    """Let go of the pages of files before the process has as many as the limit."""
+    page = os.sysconf("SC_PAGE_SIZE")
+    base = least_memory_bytes()
+    most = base + _MAPPED_SHARE * (limit - base)
+    with open("/proc/self/statm", "rb", buffering=0) as file:
+        while not is_over.wait(_BETWEEN_LOOKS_S):
+            file.seek(0)
+            if int(file.read(200).split()[1]) * page > most:
+                array_files.let_go_of_pages()
+
+
+def _is_large(task: Task) -> bool:
+    try:
+        size = task.input_mark.size if task.input_mark else os.stat(task.input).st_size
+    except (OSError, ValueError):
+        return False  # the reader says why
+    return size >= LARGE_BYTES
+
+
+def _no_memory(work: str, needed: int, room: int, *, is_limit: bool) -> ResourceError:
+    if is_limit:
+        has = f"the limit is {megabytes(room)}"
+        hint = "raise --memory-limit if the machine has more, or cut the mesh into parts"
+    else:
+        has = f"this machine has {megabytes(room, rounded_up=False)} left"
+        hint = "use a machine with more memory, or cut the mesh into parts"
+    return ResourceError(
+        f"{work} takes up to {megabytes(needed)}, and {has}",
+        code="E_MEMORY",
+        where=FORECAST,
+        hint=hint,
+    )
+
+
+def _folder_of(output: str | None) -> str:
+    """The folder of an output, or the next above that is there; else that for temporary files."""
+    from msal_cli.storage.urls import is_url
+
+    if output is None or is_url(output):
+        return tempfile.gettempdir()
+    folder = Path(output).absolute().parent
+    while not folder.is_dir() and folder != folder.parent:
+        folder = folder.parent
+    return str(folder)
+
+
+def _is_in_memory(folder: str) -> bool:
+    """Whether a folder's files are memory themselves, as far as Linux says."""
+    try:
+        device = os.stat(folder).st_dev
+        lines = Path("/proc/self/mountinfo").read_text(errors="replace").splitlines()
+    except OSError:
+        return False
+    name = f"{os.major(device)}:{os.minor(device)}"
+    kinds = {line.partition(" - ")[2].split()[0] for line in lines if line.split()[2] == name}
+    return bool(kinds & {"tmpfs", "ramfs"})
+
+
+def _require_space(folder: str, needed: int) -> None:
+    try:
+        status = os.statvfs(folder)
+    except OSError:
+        return  # using it says why not
+    free = status.f_bavail * status.f_frsize
+    if free < needed:
+        raise OutputError(
+            f"arrays that exceed the memory take up to {megabytes(needed)} in {folder!r}, where "
+            f"{megabytes(free, rounded_up=False)} are free",
+            hint="name a folder with more space by --scratch",
+        )
