@@ -60,7 +60,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
     memory, in_files = expected.memory_bytes, None
     if scratch is not None:
         memory, in_files = scratch.room, scratch.n_bytes
-        seconds = None if n is None else seconds + _IN_FILES_S_PER_MILLION * n / 1e6
+        seconds = None if n is None else _seconds(n, settings) + _IN_FILES_S_PER_MILLION * n / 1e6
     planned = Planned(size, n, None if seconds is None else round(seconds, 2), memory, in_files)
     return replace(record, format=expected.format or None, planned=planned)
 
