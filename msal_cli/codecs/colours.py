@@ -91,9 +91,11 @@ def _of_ply(mesh_file: MeshFile) -> Colours | None:
         (code,) = codes
         if code not in ("u1", "f4", "f8"):
             return None
-        sections, _ = located(
-            as_bytes(data), header, lambda _, wanted=present: wanted, last="vertex"
-        )
+
+        def wanted(_: object, names: tuple[str, ...] = present) -> tuple[str, ...]:
+            return names
+
+        sections, _ = located(as_bytes(data), header, wanted, last="vertex")
         return _to_bytes(sections["vertex"].slots(present).values, 255.0 if code != "u1" else 1.0)
     return None
 

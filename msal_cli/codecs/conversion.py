@@ -1,8 +1,7 @@
 """A mesh in another format, and what that format cannot carry.
 
 Positions, faces, vertex colours and the presence of vertex normals go across; everything else a
-file has is named as lost.
-"""
+file has is named as lost."""
 
 from __future__ import annotations
 
@@ -18,7 +17,6 @@ from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_writer import Column, corners_of, write_ply
-from msal_cli.codecs.text_lines import float_lines, integer_lines
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.buffers import Buffer
 
@@ -217,7 +215,7 @@ def _vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     """A new file; ``single`` rounds positions to float32."""
-    from msal_cli.codecs import stl_writer, threemf, vtk_xml
+    from msal_cli.codecs import stl_facets, threemf, vtk_xml
 
     if to == "ply":
         return _as_ply(mesh, encoding, single)
@@ -227,8 +225,8 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
         rows = mesh.vertices[mesh.faces].reshape(-1, 9)
         normals = face_normals(mesh.vertices, mesh.faces)
         if encoding == "ascii":
-            return stl_writer.ascii_stl(rows, normals, "", single=single)
-        return stl_writer.binary_stl(rows, normals, "")
+            return stl_facets.ascii_stl(rows, normals, "", single=single)
+        return stl_facets.binary_stl(rows, normals, "")
     points = mesh.positions(single)
     if to == "obj":
         return _as_obj(mesh, points, single)
@@ -315,3 +313,23 @@ def _as_gltf(scene: bytes) -> Buffer:
     data = gltf.repack(made, made.vertices, "gltf")
     assert data is not None
     return data
+
+
+def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> bytes:
+    """Numbers (n, k), a line for each row, as the shortest text that is read back as the same
+    number, of float32 where they are ``single``."""
+    from msal_cli.kernels import text
+
+    digits, stops = text.printed_shortest(values.reshape(-1), single)
+    ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
+    return text.lines(digits, stops, ends, prefix).tobytes()
+
+
+def integer_lines(
+    values: Longs, sizes: Longs, prefix: bytes = b"", *, doubled: bool = False
+) -> bytes:
+    """Whole numbers (c,) in lines of ``sizes`` (p,); ``doubled`` as of ``text.lines``."""
+    from msal_cli.kernels import text
+
+    digits, stops = text.printed(values.astype(np.float64), 0)
+    return text.lines(digits, stops, np.cumsum(sizes), prefix, doubled).tobytes()

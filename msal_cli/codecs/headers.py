@@ -203,9 +203,9 @@ def _described(text: bytes, size: int) -> dict[str, Any]:
 
 
 def _read_obj(head: bytes) -> Header:
-    from msal_cli.codecs import obj_errors
+    from msal_cli.codecs.obj import refuse_binary
 
-    obj_errors.refuse_binary(head)
+    refuse_binary(head)
     return Header("obj", True)
 
 

@@ -114,11 +114,11 @@ def build_vertices(layout: Layout) -> Floats:
 
 
 def require_finite(
-    vertices: NDArray[Any], where: Callable[[int], str] = "vertex {}".format, first: int = 0
+    vertices: NDArray[Any], where: Callable[[int], str] = "vertex {}".format
 ) -> None:
     """Raise ContentError (``E_NONFINITE``) where a position (n, 3) is NaN or infinite.
 
-    ``where`` says in words where a vertex is stored, ``first`` is the number of the first one.
+    ``where`` says in words where a vertex is stored.
     """
     # A sum is finite only if all are, and quicker; it may overflow, too.
     with np.errstate(over="ignore", invalid="ignore"):
@@ -126,7 +126,7 @@ def require_finite(
             return
     is_finite = np.isfinite(vertices).all(axis=1)
     if not is_finite.all():
-        vertex = first + int(np.argmin(is_finite))
+        vertex = int(np.argmin(is_finite))
         raise ContentError(
             f"vertex {vertex} has a coordinate that is not a finite number",
             where=where(vertex),

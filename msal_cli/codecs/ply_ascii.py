@@ -36,16 +36,6 @@ MOST_UNUSUAL = 5_000
 CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 
-class Before(NamedTuple):
-    """What a part of a file has before it: records of its first element, and lines."""
-
-    records: int = 0
-    lines: int = 0
-
-
-NOTHING = Before()
-
-
 class Places(NamedTuple):
     """Words of ascii records: ``starts`` and ``stops`` (count, c) are those of the properties in
     ``columns`` (of a list: of its count), ``lengths`` (count, c) their items."""
@@ -85,7 +75,6 @@ class Lines:
 
     ``kept`` are the properties whose values or words are known.  ``read`` are their values, where
     the records are plain; then the places of words are found only when they are asked for.
-    ``before`` is what the file has before ``data``, where these are a part of it.
     """
 
     data: Bytes
@@ -96,7 +85,6 @@ class Lines:
     kept: tuple[str, ...]
     read: Values | None = None
     is_stream: bool = False
-    before: Before = NOTHING
 
     @functools.cached_property
     def tokens(self) -> Places:
@@ -108,16 +96,12 @@ class Lines:
             self.start,
             self.kept,
             self.is_stream,
-            self.before,
         )[0]
 
     def where(self, record: int) -> str:
         """The record in words, with its line."""
-        line = self._line(int(self.tokens.starts[record, 0]))
-        return f"{self.element.name} {self.before.records + record}, line {line}"
-
-    def _line(self, at: int) -> int:
-        return self.before.lines + line_of(self.data, at)
+        line = line_of(self.data, int(self.tokens.starts[record, 0]))
+        return f"{self.element.name} {record}, line {line}"
 
     def spans(self, names: Sequence[str]) -> tuple[Longs, Longs]:
         """First bytes and ends (count * len(names),) of the tokens, record by record.
@@ -135,7 +119,7 @@ class Lines:
         token = self.data[start : start + 40].tobytes().split(maxsplit=1)[0]
         return FormatError(
             f"{token.decode('latin-1')!r} in element '{self.element.name}' is not {wanted}",
-            where=f"line {self._line(start)}",
+            where=f"line {line_of(self.data, start)}",
             hint=number_hint(token),
         )
 
@@ -217,7 +201,6 @@ def plain_lines(
     element: Element,
     at: int,
     wanted: Sequence[str],
-    before: Before = NOTHING,
 ) -> Lines | None:
     """The section of an element whose records are plain; None for others."""
     if not can_hold(data, element, at):
@@ -226,7 +209,7 @@ def plain_lines(
     if found is None:
         return None
     kept = kept_names(element, wanted)
-    return Lines(data, header, element, at, found[1], kept, found[0], before=before)
+    return Lines(data, header, element, at, found[1], kept, found[0])
 
 
 def _read_quickly(
@@ -320,15 +303,14 @@ def find_lines(
     at: int,
     wanted: Sequence[str],
     is_stream: bool = False,
-    before: Before = NOTHING,
 ) -> Lines:
     """The section of an element that begins at byte ``at``, its tokens found one by one.
 
     Raises TruncatedError and FormatError with the record and its line.
     """
     kept = kept_names(element, wanted)
-    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream, before)
-    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream, before=before)
+    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
+    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream)
     lines.__dict__["tokens"] = tokens
     return lines
 
@@ -388,7 +370,6 @@ def _find_tokens(
     at: int,
     kept: Sequence[str],
     is_stream: bool,
-    before: Before,
 ) -> tuple[Places, int]:
     """The places of the tokens of the properties ``kept``, and the end of the element's last."""
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, WHOLE, walk_text
@@ -418,24 +399,22 @@ def _find_tokens(
             where=f"line {header.format_line + 1}",
             hint="correct the format line, or export the file again",
         )
-    line = before.lines + line_of(data, stop)
-    record = before.records + records
-    place = f"{element.name} {record}, line {line}"
+    place = f"{element.name} {records}, line {line_of(data, stop)}"
     if status == CUT or (status == TOO_FEW and stop == len(data)):
         raise TruncatedError(
             f"the file ends within element '{element.name}': {element.count - records} of "
-            f"{before.records + element.count} lines are missing or not whole",
+            f"{element.count} lines are missing or not whole",
             where=place,
             hint=CUT_HINT,
         )
     if status == BAD_COUNT:
         raise FormatError(
-            f"the count of a list of {element.name} {record} is not a whole number from 0 up",
+            f"the count of a list of {element.name} {records} is not a whole number from 0 up",
             where=place,
         )
     many = "fewer" if status == TOO_FEW else "more"
     raise FormatError(
-        f"{element.name} {record} has {many} values than the header declares",
+        f"{element.name} {records} has {many} values than the header declares",
         where=place,
         hint="each record of an ascii PLY file stands on one line of its own",
     )

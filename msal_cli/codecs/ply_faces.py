@@ -323,9 +323,8 @@ def bad_index(section: Section, name: str, item: int, n_vertices: int) -> Conten
     """The error for a list item that is no vertex."""
     record = _record_of(section, name, item)
     value = section.items(name)[0].reshape(-1)[item].item()
-    number = section.before.records + record
     return ContentError(
-        f"{section.element.name} {number} names vertex {value}, but the vertices go from 0 to "
+        f"{section.element.name} {record} names vertex {value}, but the vertices go from 0 to "
         f"{n_vertices - 1}",
         where=section.where(record),
         hint="the file is damaged or was written with wrong indices; export it again",

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Longs
 from msal_cli.codecs.ply_ascii import (
     CUT_HINT,
-    NOTHING,
-    Before,
     Lines,
     find_lines,
     plain_lines,
@@ -47,11 +45,10 @@ class Fixed:
     stop: int
     stride: int
     places: dict[str, tuple[int, int]]
-    before: Before = NOTHING
 
     def where(self, record: int) -> str:
         """The record in words."""
-        return f"{self.element.name} {self.before.records + record}"
+        return f"{self.element.name} {record}"
 
     def column(self, name: str) -> NDArray[np.generic]:
         """The values of a scalar (count,) or of a list (count, k), a view into the file."""
@@ -92,11 +89,10 @@ class Varied:
     columns: dict[str, int]
     starts: Longs
     lengths: Longs
-    before: Before = NOTHING
 
     def where(self, record: int) -> str:
         """The record in words."""
-        return f"{self.element.name} {self.before.records + record}"
+        return f"{self.element.name} {record}"
 
     def _pieces(self, name: str) -> tuple[np.dtype[np.generic], Longs, Longs]:
         """Type, first bytes (count,) and sizes in bytes (count,) of a property's values."""

@@ -150,19 +150,13 @@ def to_type(values: Floats, code: str) -> NDArray[np.generic]:
         return (values if dtype.kind == "f" else np.rint(values)).astype(dtype)
 
 
-def as_float32(positions: Floats, first: int = 0) -> NDArray[np.float32]:
-    """Positions (m, 9) or (n, 3) rounded to float32; ``first`` is the number of the first row.
-
-    Raises
-    ------
-    ContentError
-        with code ``E_RANGE`` if one is beyond float32's range.
-    """
+def as_float32(positions: Floats) -> NDArray[np.float32]:
+    """Positions (m, 9) or (n, 3) as float32; ContentError (``E_RANGE``) beyond its range."""
     with np.errstate(over="ignore", under="ignore"):
         rounded = positions.astype(np.float32)
     if not np.isfinite(rounded).all():
         bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
-        raise too_large_for_float32(f"row {first + bad}")
+        raise too_large_for_float32(f"row {bad}")
     return rounded
 
 
@@ -251,7 +245,9 @@ def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
 
 def line_of(data: Buffer | Bytes, at: int) -> int:
     """The line, from one, that byte ``at`` is in; lines may end with LF, CR LF or CR."""
-    before = bytes(memoryview(data)[:at])
+    from msal_cli.kernels.text import as_bytes
+
+    before = as_bytes(data)[:at].tobytes()
     # A CR LF that is cut in two by ``at`` has been counted by its CR.
     return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 

@@ -19,11 +19,12 @@ from msal_cli.codecs.stl_facets import (
     FACET,
     HEADER_BYTES,
     FacetFile,
+    ascii_stl,
     check_countable,
     check_not_empty,
     not_finite,
+    refuse_float64,
 )
-from msal_cli.codecs.stl_writer import ascii_stl, refuse_float64
 from msal_cli.errors import (
     InternalError,
     TruncatedError,
@@ -253,12 +254,10 @@ def check_replaced(
     old: Floats,
     new: Floats,
     faces: Ints,
-    first: int = 0,
 ) -> None:
     """Raise InternalError unless facets (m,) differ just as ``new`` vertices ask for.
 
     old, new (n, 3) : vertices, whose numbers are in ``faces`` (m, 3).
-    first : number of the first facet in the file.
     """
     from msal_cli.kernels import stl_facets as facets
     from msal_cli.kernels.parallel import over_ranges
@@ -290,7 +289,7 @@ def check_replaced(
                     facets.WRONG_NORMAL: "a normal was not written right",
                     facets.WRONG_ATTRIBUTE: "the attribute words of an STL file changed",
                 }[wrong],
-                where=f"facet {first + facet}",
+                where=f"facet {facet}",
             )
 
 

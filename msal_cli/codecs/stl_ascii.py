@@ -1,26 +1,210 @@
 """Ascii STL: numbers replaced in the file's own text.
 
-Keywords may be in any case and apart by any white space; a solid's name is the rest of its line.
-"""
+Keywords may be in any case and apart by any white space; a solid's name is the rest of its line."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.arrays import Bytes, Floats, Ints, Longs
+from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slot_file import require_finite_result, require_shape
-from msal_cli.codecs.slots import as_float32
-from msal_cli.codecs.stl_facets import FacetFile
-from msal_cli.codecs.stl_numbers import Scan, read_numbers
-from msal_cli.codecs.stl_writer import binary_stl, refuse_float64
+from msal_cli.codecs.slots import as_float32, line_of, number_hint
+from msal_cli.codecs.stl_facets import (
+    FacetFile,
+    binary_stl,
+    check_countable,
+    check_not_empty,
+    not_finite,
+    refuse_float64,
+)
 from msal_cli.errors import (
+    EXPORT_AGAIN,
+    FormatError,
     InputError,
     InternalError,
+    TooLargeError,
+    TruncatedError,
 )
 from msal_cli.storage.buffers import Buffer
+
+SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
+"""Bytes of text that a facet takes at least."""
+
+_USUAL_FACET = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Facets of a text: see ``kernels.stl_facets`` for what the arrays are.
+
+    ``n_bare`` counts facets without a normal.
+    """
+
+    facet_at: NDArray[np.int64]
+    offsets: NDArray[np.int32]
+    decimals: NDArray[np.int64]
+    names: tuple[str, ...]
+    n_solids: int
+    end: int
+    n_bare: int
+
+
+def read_numbers(data: Buffer) -> tuple[Scan, Floats]:
+    """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``."""
+    from msal_cli.kernels import stl_facets
+    from msal_cli.kernels.text import as_bytes
+
+    buf = without_end_mark(as_bytes(data))
+    state = np.zeros(stl_facets.N_STATE, dtype=np.int64)
+    if bytes(buf[:3]) == BYTE_ORDER_MARK:
+        state[stl_facets.AT] = len(BYTE_ORDER_MARK)
+    facets = scan_facets(buf, state, np.zeros(4, dtype=np.int64))
+    status, at, word = facets.status
+    if status != stl_facets.WHOLE:
+        raise scan_error(buf, status, at, word, len(facets.facet_at))
+    numbers = facets.numbers
+    check_not_empty(len(numbers))
+    check_countable(len(numbers))
+    decide_numbers(data, facets.facet_at, facets.offsets, numbers)
+    n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
+    scan = Scan(
+        facets.facet_at, facets.offsets, facets.decimals, facets.names, n_solids, len(buf), n_bare
+    )
+    return scan, numbers
+
+
+def decide_numbers(
+    data: Buffer,
+    facet_at: Longs,
+    offsets: Ints,
+    numbers: Floats,
+) -> None:
+    """Read numbers (m, 12) that are in doubt; raises for a position that is not finite."""
+    doubtful = np.argwhere(~np.isfinite(numbers[:, 3:]))
+    view = memoryview(data).cast("B")
+    for facet, token in doubtful:
+        start = int(facet_at[facet] + offsets[facet, token + 3])
+        value = _read_number(view, start)
+        if not np.isfinite(value):
+            raise not_finite(int(facet), int(token) // 3, line_of(data, start))
+        numbers[facet, token + 3] = value
+    for facet, token in np.argwhere(np.isinf(numbers[:, :3])):
+        start = int(facet_at[facet] + offsets[facet, token])
+        numbers[facet, token] = _read_number(view, start)
+
+
+def _read_number(view: memoryview, start: int) -> float:
+    token = bytes(view[start : start + 4096]).split(None, 1)[0]
+    try:
+        return float(token)
+    except ValueError:
+        return float("nan")
+
+
+def without_end_mark(buf: Bytes) -> Bytes:
+    """A text without what some editors end it with: a NUL, or the end-of-file mark of old
+    systems."""
+    n_last = min(len(buf), 4096)
+    return buf[: len(bytes(buf[-4096:]).rstrip(b"\0\x1a")) - n_last + len(buf)]
+
+
+class Facets(NamedTuple):
+    """What ``kernels.stl_facets.scan`` finds, and its last answer: status, byte, expected word."""
+
+    facet_at: Longs
+    offsets: Ints
+    numbers: Floats
+    decimals: Longs
+    names: tuple[str, ...]
+    status: tuple[int, int, int]
+
+
+def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
+    """All facets of a text, from ``state`` on; ``decimals`` (4,) are carried on, too.
+
+    The arrays grow with what is scanned, never with what is claimed.
+    """
+    from msal_cli.kernels import stl_facets
+
+    room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
+    facet_at = np.empty(room, dtype=np.int64)
+    offsets = np.empty((room, 12), dtype=np.int32)
+    numbers = np.empty((room, 12))
+    solid_at = np.zeros(stl_facets.MOST_SOLIDS, dtype=np.int64)
+    while True:
+        status, stop, word = stl_facets.scan(
+            buf, state, facet_at, offsets, numbers, solid_at, decimals
+        )
+        n = int(state[stl_facets.FACETS])
+        if status != stl_facets.FULL:
+            break
+        room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
+        for array in (facet_at, offsets, numbers):
+            array.resize((room, *array.shape[1:]), refcheck=False)
+    for array in (facet_at, offsets, numbers):
+        array.resize((n, *array.shape[1:]), refcheck=False)
+    names = tuple(
+        bytes(buf[at : at + 256]).splitlines()[0].decode("utf-8", "replace").strip()
+        if at < len(buf)
+        else ""
+        for at in (int(one) for one in solid_at[: state[stl_facets.SOLIDS]])
+    )
+    answer = int(status), int(stop), int(word)
+    return Facets(facet_at, offsets, numbers, decimals, names, answer)
+
+
+def scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> InputError:
+    """The error for a text that ``stl_facets.scan`` does not accept."""
+    from msal_cli.kernels import stl_facets
+
+    token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
+    touches_end = at + len(token) == len(buf)
+    where = f"facet {facet}, line {line_of(buf, at)}"
+    wanted = stl_facets.WORDS[word]
+    others = {stl_facets.FACET: ("endsolid",), stl_facets.NORMAL: ("outer",)}
+    known = (wanted, *others.get(word, ()))
+    cut = status == stl_facets.CUT or (
+        touches_end
+        and (
+            status == stl_facets.BAD_NUMBER
+            or (
+                status == stl_facets.WRONG
+                and any(w.encode().startswith(token.lower()) for w in known)
+            )
+        )
+    )
+    if cut:
+        return TruncatedError(
+            f"the text ends within a solid, after {facet} whole facets",
+            where=where,
+            hint="the file was cut short; copy or export it again",
+        )
+    text = token.decode("ascii", "backslashreplace")
+    if status == stl_facets.OUTSIDE:
+        return FormatError(
+            f"expected 'solid', found {text!r}",
+            where=where,
+            hint="ascii STL is a list of solids; is this another format?",
+        )
+    if status == stl_facets.BAD_NUMBER:
+        return FormatError(
+            f"{text!r} is not a number",
+            where=where,
+            hint=number_hint(token),
+        )
+    if status == stl_facets.TOO_LONG:
+        return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
+    hint = EXPORT_AGAIN
+    if word == stl_facets.ENDLOOP and token.lower() == b"vertex":
+        hint = "a facet of STL has three corners; triangulate the mesh first"
+    return FormatError(f"expected '{wanted}', found {text!r}", where=where, hint=hint)
+
 
 _AT_ONCE = 1 << 14
 _NORMAL_DECIMALS = 6

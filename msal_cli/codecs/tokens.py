@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.arrays import Bytes, Flags, Longs
 from msal_cli.codecs.slots import Tokens, line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.storage.buffers import Buffer
@@ -78,10 +78,6 @@ class Words:
                 f"{shown!r} is not the number of {what}", where=self.where(i), hint=EXPORT_AGAIN
             )
         return int(word)
-
-    def floats(self) -> Floats:
-        """The values (q,) of all words."""
-        return parse_floats(self.data, self.starts, self.stops)
 
     def integers(self, chosen: slice | Longs) -> Longs:
         """Whole numbers; FormatError for a word that is none."""

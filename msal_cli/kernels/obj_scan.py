@@ -58,11 +58,8 @@ NO_CORNERS = 6
     KEYWORDS,  # different other keywords
     LIBRARIES,  # mtllib statements
     WORD,  # with an error: first byte of the word that is wrong
-    VERTICES_BEFORE,  # what the file has before the text: negative numbers count from here back
-    NORMALS_BEFORE,
-    TEXTURE_BEFORE,
     N_STATE,
-) = range(25)
+) = range(22)
 
 MOST_KEYWORDS = 64
 """Different other keywords that are distinguished; the last row takes the rest."""
@@ -297,8 +294,7 @@ def scanned(  # type: ignore[no-untyped-def]
     Parameters
     ----------
     buf : (size,) uint8, the file.
-    state : (N_STATE,) int64, see the names above; at the start zeros but for AT, and of a part of
-        a file for what it has before.
+    state : (N_STATE,) int64, see the names above; at the start zeros but for AT.
     n_faces_wanted : stop before the next face once this many are read.
     vertices, vertex_at, decimals : (n, 3) float64; where each statement begins, (n,) int64; and
         the most decimals of its numbers, (n,) uint8, 255 for more.
@@ -426,8 +422,7 @@ def scanned(  # type: ignore[no-untyped-def]
                     if at > begin:
                         if number_t > state[LARGEST_TEXTURE]:
                             state[LARGEST_TEXTURE] = number_t
-                        count = state[TEXTURE] + state[TEXTURE_BEFORE]
-                        if _resolved(number_t, count) < 0:
+                        if _resolved(number_t, state[TEXTURE]) < 0:
                             state[BEFORE_FIRST] += 1
                     if at < len(buf) and buf[at] == 47:
                         begin = at + 1
@@ -435,13 +430,13 @@ def scanned(  # type: ignore[no-untyped-def]
                         if at > begin:
                             if number_n > state[LARGEST_NORMAL]:
                                 state[LARGEST_NORMAL] = number_n
-                            normal = _resolved(number_n, n_normals + state[NORMALS_BEFORE])
+                            normal = _resolved(number_n, n_normals)
                             if normal < 0:
                                 state[BEFORE_FIRST] += 1
                 if not is_word_end(buf, at):
                     result = BAD_CORNER
                     break
-                vertex = _resolved(number, n_vertices + state[VERTICES_BEFORE])
+                vertex = _resolved(number, n_vertices)
                 if vertex < 0:
                     result = BAD_INDEX
                     break

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.codecs import normal_warnings, obj, obj_parser, open_mesh
+from msal_cli.codecs import normal_warnings, obj, open_mesh
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from tests.codecs import plain_ply
@@ -57,7 +57,7 @@ def test_shared_normals_that_cannot_fit_are_counted_in_the_record():
     output, record = denoise_bytes(data, "a.obj", Settings(method="taubin", parameters=parameters))
     assert output is not None and record.status == "written"
     (warning,) = (one for one in record.warnings if " vn " in one)
-    after, content = open_mesh(bytes(output), "a.obj"), obj_parser.parse_content(bytes(output))
+    after, content = open_mesh(bytes(output), "a.obj"), obj.parse_content(bytes(output))
     n_off = 0
     for quad, entry in zip(after.polygons(), content.face_normals[::2, 0], strict=True):
         fans = [quad[[0, 1, 2]], quad[[0, 2, 3]]]

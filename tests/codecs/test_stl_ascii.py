@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msal_cli.codecs import stl, stl_numbers
+from msal_cli.codecs import stl, stl_ascii
 from msal_cli.codecs.stl_facets import FACET
 from msal_cli.errors import ContentError, FormatError, TruncatedError
 from tests.codecs import plain_stl
@@ -229,7 +229,7 @@ def test_a_position_that_is_not_finite_is_found_with_its_line():
 def test_the_arrays_grow_with_what_is_found(monkeypatch):
     text = plain_stl.text(np.tile(tetrahedron(), (30, 1)), number="{:.0f}")
     whole = read(text)
-    monkeypatch.setattr(stl_numbers, "_USUAL_FACET", 10**6)
+    monkeypatch.setattr(stl_ascii, "_USUAL_FACET", 10**6)
     assert np.array_equal(read(text).vertices, whole.vertices)
     assert whole.n_polygons == 120
 

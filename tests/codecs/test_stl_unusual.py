@@ -9,7 +9,7 @@ import pytest
 
 from msal_cli.codecs import forecast, open_mesh, stl
 from msal_cli.codecs import header_check as first_look
-from msal_cli.codecs.stl_numbers import SHORTEST_FACET
+from msal_cli.codecs.stl_ascii import SHORTEST_FACET
 from msal_cli.errors import MsalError, TruncatedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
