@@ -139,12 +139,13 @@ class _Search:
         self._restore_inliers(bound)
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= FEWEST_CERTAIN * count
-        are_clear = self._are_off_noise(are_certain)
+        are_clear = self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
-    def _are_off_noise(self, are_certain: bool) -> bool:
-        """Whether the others have much less noise than the outliers, surely where these are not
-        certain by themselves; points of a design that were moved look like noise."""
+    def _are_off_noise(self, are_certain: bool, share: float) -> bool:
+        """Whether the others have much less noise than the outliers.  Where none of these is
+        certain, there must be noise, and more of them than noise alone seems to have; points of a
+        design that were moved look like noise."""
         from msal_cli.analysis.noise_estimate import estimate_noise
 
         after = self._noise()
@@ -154,7 +155,7 @@ class _Search:
             return False
         if after.is_negligible:
             return are_certain
-        is_sure = are_certain or not after.is_unsure
+        is_sure = are_certain or (share > USUAL and not after.is_unsure)
         return is_sure and not estimate_noise(self.mesh).is_negligible
 
     def _noise(self) -> NoiseLevel:
