@@ -23,7 +23,10 @@ from benchmarks import (
 
 PEER = ["--peers", "meshio_mean", "--peers-python", sys.executable]
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="measures by fork and /proc")
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="measures by fork and /proc"),
+    pytest.mark.ci,
+]
 
 
 @pytest.mark.parametrize("surface", scans.SURFACES)

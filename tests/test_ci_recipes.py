@@ -18,7 +18,10 @@ PAGE = (ROOT / "docs/ci.md").read_text("utf-8")
 RECIPE = re.compile(r"^<!-- recipe: (\S+) -->\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RECIPES = dict(RECIPE.findall(PAGE))
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="the recipes are for POSIX shells")
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="the recipes are for POSIX shells"),
+    pytest.mark.ci,
+]
 
 
 @pytest.fixture

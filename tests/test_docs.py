@@ -256,7 +256,7 @@ def test_ci_runs_the_commands_of_the_readme() -> None:
     for name in ("set-up", "tests"):
         assert f"run_block {name}" in script
     # The commands themselves stand in the README only, so that they cannot drift apart.
-    assert "pytest" not in script
+    assert tests not in script
     assert set_up not in script
     assert "-m venv .venv" in set_up and "msal denoise sample_meshes" in set_up
     assert "-m pytest" in tests

@@ -17,6 +17,7 @@ WORKFLOW = yaml.safe_load((EXAMPLE / ".github/workflows/meshes.yml").read_text("
 make_scans = load_script("docs/example_repository/make_scans.py")
 
 pytestmark = [
+    pytest.mark.ci,
     pytest.mark.skipif(os.name != "posix", reason="the action's steps are run by a POSIX shell"),
     pytest.mark.skipif(shutil.which("bash") is None, reason="no bash"),
 ]

@@ -12,6 +12,8 @@ import pytest
 
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of
 
+pytestmark = pytest.mark.ci
+
 FOLDER = Path(__file__).parents[1] / "docs/examples"
 NOTEBOOK = json.loads((FOLDER / "notebook.ipynb").read_text("utf-8"))
 

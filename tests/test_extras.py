@@ -6,6 +6,8 @@ import pytest
 
 from msal_cli.errors import install_hint
 
+pytestmark = pytest.mark.ci
+
 REQUIREMENTS = [
     "numpy>=1.26",
     "fsspec>=2024.2; extra == 'cloud'",

@@ -9,7 +9,10 @@ import pytest
 from benchmarks import hostile_headers
 from benchmarks.hostile_headers import MOST_BYTES, MOST_SECONDS, lies, refused
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and writes holes")
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="reads /proc and writes holes"),
+    pytest.mark.ci,
+]
 
 
 def test_every_lie_is_refused(tmp_path):

@@ -14,6 +14,8 @@ import pytest
 from msal_cli.batch.shard import COUNT_VARIABLE, parse_shard
 from tests.cli.scans import closed_scan, folder_of
 
+pytestmark = pytest.mark.ci
+
 PAGE = (Path(__file__).parents[1] / "docs/many_machines.md").read_text("utf-8")
 posix = pytest.mark.skipif(os.name != "posix", reason="the recipes are for a POSIX shell")
 

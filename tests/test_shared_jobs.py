@@ -28,6 +28,7 @@ HOOKS = {one["id"]: one for one in yaml.safe_load((ROOT / ".pre-commit-hooks.yam
 GATES = "volume.valid and abs(volume_change) > 50%\nmax_displacement > 3e\n"
 
 pytestmark = [
+    pytest.mark.ci,
     pytest.mark.skipif(os.name != "posix", reason="the jobs are for POSIX shells"),
     pytest.mark.skipif(shutil.which("bash") is None, reason="no bash"),
 ]

@@ -12,6 +12,8 @@ import msal_cli as msal
 from msal_cli.cli.main import program
 from tests.scripts import load_script
 
+pytestmark = pytest.mark.ci
+
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 API = load_script("docs/make_api_page.py")
 COMMANDS = load_script("docs/make_command_page.py")

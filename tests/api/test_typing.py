@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.ci
+
 pytest.importorskip("mypy", reason="mypy is not installed: the types of the API are not checked")
 
 FOLDER = Path(__file__).parent

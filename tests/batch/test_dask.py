@@ -29,6 +29,8 @@ from tests.batch.test_run import fill, statuses
 from tests.batch.test_whole import obj, outputs
 from tests.cli.scans import msal
 
+pytestmark = pytest.mark.ci
+
 distributed = pytest.importorskip("distributed", reason="Dask distributed is not installed")
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 FAKE = Settings("fake", {"n": 1})

@@ -19,6 +19,8 @@ from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
 from tests.cli.scans import MSAL, msal
 
+pytestmark = pytest.mark.ci
+
 WHY = "needs the extra: pip install '.[test]'"
 s3fs = pytest.importorskip("s3fs", reason=WHY)
 pytest.importorskip("moto.server", reason=WHY)

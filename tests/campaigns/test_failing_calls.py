@@ -26,7 +26,7 @@ CALLS = (
 )
 ERRORS = (errno.EIO, errno.ENOSPC, errno.EACCES)
 
-pytestmark = pytest.mark.skipif(not IS_LINUX, reason="looks into /proc")
+pytestmark = [pytest.mark.skipif(not IS_LINUX, reason="looks into /proc"), pytest.mark.ci]
 
 REASON = re.compile(r"\(E_(?!INTERNAL)[A-Z]+\)|error: the folder .* cannot be listed")
 

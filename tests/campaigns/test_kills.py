@@ -34,7 +34,7 @@ from tests.campaigns.runs import (
 )
 from tests.cli.scans import closed_scan, folder_of
 
-pytestmark = pytest.mark.skipif(not IS_LINUX, reason="finds processes by /proc")
+pytestmark = [pytest.mark.skipif(not IS_LINUX, reason="finds processes by /proc"), pytest.mark.ci]
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

@@ -15,7 +15,10 @@ from tests.campaigns.runs import IS_LINUX, contents
 from tests.cli.scans import folder_of, msal, open_scan
 from tests.report.made import HOSTILE_NAMES
 
-pytestmark = pytest.mark.skipif(not IS_LINUX, reason="names and links as Linux allows them")
+pytestmark = [
+    pytest.mark.skipif(not IS_LINUX, reason="names and links as Linux allows them"),
+    pytest.mark.ci,
+]
 
 SCAN = open_scan()
 

@@ -16,6 +16,8 @@ from msal_cli.kernels import library
 from tests.kernel_build.programs import build_program, native_output
 from tests.shapes import torus
 
+pytestmark = pytest.mark.ci
+
 RUNNERS = {
     "musl-x86_64": [],
     "musl-aarch64": ["qemu-aarch64-static", "qemu-aarch64"],

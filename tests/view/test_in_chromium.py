@@ -11,7 +11,7 @@ from tests.report.made import HOSTILE_NAMES
 from tests.shapes import cube, noisy, torus
 from tests.view.decoded import decoded
 
-pytestmark = pytest.mark.xdist_group("chromium")
+pytestmark = [pytest.mark.xdist_group("chromium"), pytest.mark.ci]
 
 HOSTILE = "".join(HOSTILE_NAMES)
 

@@ -14,7 +14,7 @@ from msal_cli.view import scene, viewer
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 from tests.shapes import noisy, torus
 
-pytestmark = pytest.mark.xdist_group("chromium")
+pytestmark = [pytest.mark.xdist_group("chromium"), pytest.mark.ci]
 
 N_MORE = 120
 
