@@ -35,6 +35,14 @@ def grid(rows: int = 6, columns: int = 5):
     return vertices, faces.astype(np.int32)
 
 
+def roof(rows: int, columns: int, slope: float = np.pi / 4):
+    """An open grid folded along its middle column; both sides fall off at ``slope`` radians."""
+    vertices, faces = grid(rows, columns)
+    across = vertices[:, 0] - columns // 2
+    vertices[:, 0], vertices[:, 2] = across * np.cos(slope), -np.abs(across) * np.sin(slope)
+    return vertices, faces
+
+
 def fan(heights) -> tuple[np.ndarray, np.ndarray]:
     """A vertex at the origin amid a closed ring of unit radius with the given heights."""
     count = len(heights)

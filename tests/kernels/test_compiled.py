@@ -69,11 +69,6 @@ def test_other_types_are_an_error_with_their_names(kernel):
     assert "signatures.txt" in error.value.hint
 
 
-def test_other_types_are_an_error_in_a_wheel_too(kernel, is_wheel):
-    with pytest.raises(InternalError, match=r"has no quantiles._count\(f4"):
-        count(kernel, np.float32)
-
-
 def test_an_edited_kernel_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
     entries[LINE] = entries[LINE]._replace(source_hash="0123")
     with caplog.at_level(logging.WARNING):
@@ -81,13 +76,6 @@ def test_an_edited_kernel_is_compiled_by_numba_with_a_notice(kernel, entries, ca
     assert "outdated, compiling quantiles._count: python -m kernel_build" in caplog.text
     caplog.clear()
     assert count(kernel) == 3 and not caplog.text
-
-
-def test_a_new_line_of_the_list_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
-    del entries[LINE]
-    with caplog.at_level(logging.WARNING):
-        assert count(kernel) == 3
-    assert "outdated" in caplog.text
 
 
 def test_without_numba_an_outdated_library_is_an_error(kernel, entries, monkeypatch):
@@ -111,18 +99,6 @@ def test_a_library_that_is_not_there_is_an_error(kernel, is_wheel, monkeypatch, 
     with pytest.raises(InternalError, match="the library of compiled kernels") as error:
         count(kernel)
     assert "install msal again" in error.value.hint
-
-
-def test_arguments_that_are_no_numbers_are_refused(kernel):
-    with pytest.raises(TypeError, match="not list"):
-        kernel([1.0], np.empty(1))
-
-
-def test_types_of_arguments():
-    assert arg_type(np.float64(1.0)) == arg_type(1.0) == "f8"
-    assert arg_type(True) == arg_type(np.bool_(True)) == "b1"
-    assert arg_type(1) == arg_type(np.int64(1)) == "i8"
-    assert arg_type(1 << 63) == "u8" and arg_type(np.float32(1)) == "f4"
 
 
 @pytest.mark.parametrize(

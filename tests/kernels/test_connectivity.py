@@ -16,7 +16,7 @@ from msal_cli.kernels.connectivity import (
     count_components,
     faces_to_flip,
 )
-from msal_cli.kernels.welding import duplicate_faces, first_alike, number_groups, weld
+from msal_cli.kernels.welding import duplicate_faces, first_alike, number_groups
 from tests.methods.plain_rings import rows
 from tests.paper import one_rings
 from tests.shapes import cube, grid, torus
@@ -72,30 +72,6 @@ def test_components_of_any_triangle_set(case):
         touched = [part for part in parts if part & set(face)]
         parts = [part for part in parts if not part & set(face)] + [set().union(*touched)]
     assert count_components(n, faces, used) == len(parts)
-
-
-def test_closed_and_open_shapes():
-    closed = connectivity(len(torus()[0]), torus()[1])
-    assert (closed.boundary_edges, closed.inconsistent_edges, closed.non_manifold_edges) == (
-        0,
-        0,
-        0,
-    )
-    assert (np.diff(closed.ring_start) == 6).all()
-    open_sheet = connectivity(30, grid(6, 5)[1])
-    assert open_sheet.boundary_edges == 2 * (5 + 4)
-    assert open_sheet.boundary.sum() == 18
-
-
-def test_a_hub_of_many_faces_is_no_trouble():
-    count = 50_000
-    k = np.arange(count)
-    faces = np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
-    links = connectivity(count + 1, faces)
-    assert links.ring_start[1] == count
-    assert links.boundary_edges == count
-    flip, _ = faces_to_flip(faces, links)
-    assert not flip.any()
 
 
 @settings(max_examples=50, deadline=None)
@@ -158,11 +134,6 @@ def test_among_very_many_points_only_equal_ones_weld():
     assert first_alike(points, used)[1] == 1
 
 
-def test_points_that_are_not_numbers_weld_with_nothing():
-    points = np.full((3, 3), np.nan)
-    assert first_alike(points, np.ones(3, dtype=bool))[0].tolist() == [0, 1, 2]
-
-
 @pytest.mark.parametrize("shape", [torus(300, 240), grid(301, 260)])
 def test_threads_change_nothing(shape, monkeypatch):
     vertices, faces = shape
@@ -185,12 +156,6 @@ def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
     assert links.boundary_edges == links.non_manifold_edges == links.inconsistent_edges == 0
 
 
-def test_minus_zero_welds_and_unreferenced_do_not():
-    points = np.array([[0.0, 0, 0], [-0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]])
-    faces = np.array([[0, 2, 3], [1, 4, 3]], dtype=np.int32)
-    assert weld(points, faces).tolist() == [0, 0, 2, 3, 2, 5]
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.integers(-2, 5), st.integers(-2, 5)), min_size=1, max_size=60))
 def test_pairs_are_numbered_in_order_of_appearance(pairs):
@@ -204,13 +169,6 @@ def test_pairs_are_numbered_in_order_of_appearance(pairs):
 def test_duplicates_in_any_order_of_corners():
     faces = np.array([[0, 1, 2], [2, 3, 0], [2, 0, 1], [1, 0, 2], [3, 4, 5]], dtype=np.int32)
     assert duplicate_faces(faces).tolist() == [False, False, True, True, False]
-
-
-@pytest.mark.parametrize("shape", [torus, grid, cube])
-def test_rings_name_each_neighbour_once(shape):
-    vertices, faces = shape()
-    for ring in rings(connectivity(len(vertices), faces)):
-        assert len(ring) == len(set(ring))
 
 
 def listed(start, row):
@@ -230,15 +188,6 @@ def test_the_rim_of_a_grid_worked_by_hand():
     assert listed(*averaged_ring(faces, links, "curve")) == rim
     fixed = [[]] * 4 + [middle] + [[]] * 4
     assert listed(*averaged_ring(faces, links, "fixed")) == fixed
-
-
-@pytest.mark.parametrize("boundary", ["free", "fixed", "curve"])
-def test_a_closed_surface_keeps_its_rings(boundary):
-    vertices, faces = torus(9, 7)
-    links = connectivity(len(vertices), faces)
-    start, ring = averaged_ring(faces, links, boundary)
-    assert (start == links.ring_start).all()
-    assert (ring == links.ring).all()
 
 
 @settings(max_examples=60, deadline=None)

@@ -33,18 +33,6 @@ def test_cube():
     assert mean_edge_length(vertices, links.ring_start, links.ring) == pytest.approx(edges / 18)
 
 
-def test_normals_point_outward_and_have_unit_length():
-    vertices, faces = torus()
-    normals, areas = face_normals_and_areas(vertices, faces)
-    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-15)
-    centre = vertices[faces].mean(axis=1)
-    tube = centre - 3 * np.stack(
-        [*(centre[:, :2] / np.linalg.norm(centre[:, :2], axis=1)[:, None]).T, 0 * centre[:, 2]], 1
-    )
-    assert ((normals * tube).sum(axis=1) > 0).all()
-    assert areas.sum() == pytest.approx(area_and_volume(vertices, faces)[0])
-
-
 def test_degenerate_faces_have_zero_normals():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1e-13, 0]], dtype=float)
     faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], dtype=np.int32)
@@ -109,19 +97,6 @@ def test_threads_do_not_change_a_bit_of_normals(monkeypatch):
             found.append((normals.tobytes(), flat))
         assert found[0] == found[1]
         assert found[0][1] == len(faces[::1000])
-
-
-def test_mollification_is_the_normalised_mean_of_the_ring():
-    vertices, faces = torus(9, 7)
-    mesh = prepare_mesh(noisy(vertices, 1, 0.3), faces).mesh
-    plain, once = mesh.vertex_normals("uniform", 0), mesh.vertex_normals("uniform", 1)
-    twice = mesh.vertex_normals("uniform", 2)
-    links = mesh.topology
-    for i in range(len(plain)):
-        ring = links.ring[links.ring_start[i] : links.ring_start[i + 1]]
-        for before, after in ((plain, once), (once, twice)):
-            total = before[ring].sum(axis=0)
-            assert np.allclose(after[i], total / np.linalg.norm(total), atol=1e-14)
 
 
 def test_ring_means():

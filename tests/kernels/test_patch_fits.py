@@ -9,15 +9,13 @@ from scipy import stats
 from msal_cli.analysis.noise_estimate.colour import FREEDOMS, LEFT
 from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
 from msal_cli.kernels.patch_fits import (
-    MOST_VERTICES,
-    MOST_WIDE_VERTICES,
     REACHES,
     TERMS,
     fit_patches,
     fit_scales,
 )
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import fan, grid
+from tests.shapes import grid
 
 PLANE, NEAR, FAR, CUBIC = range(4)
 
@@ -85,31 +83,6 @@ def test_a_spike_is_told_by_how_far_it_stands_out():
     assert ratios[1] < 3.0
 
 
-def test_patches_that_tell_nothing():
-    triangle = prepare_mesh(
-        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]])
-    ).mesh
-    variances, freedoms, gaps, ratios = fits_of(triangle)
-    assert not variances.any() and not freedoms.any() and not gaps.any()
-    assert (ratios == -1.0).all()
-
-
-def test_a_long_needle_is_a_patch_with_fewer_columns():
-    vertices, faces = grid(8, 6)
-    vertices[:, 1] *= 1e-9
-    vertices[:, 2] = 0.01 * np.sin(np.arange(len(vertices)))
-    variances, _, _, _ = fits_of(prepare_mesh(vertices, faces).mesh)
-    assert np.isfinite(variances).all()
-
-
-def test_a_vertex_with_very_many_neighbours():
-    vertices, faces = fan(0.01 * np.sin(np.arange(3 * MOST_VERTICES)))
-    variances, freedoms, _, _ = fits_of(prepare_mesh(vertices, faces).mesh, [0])
-    # On a circle around the vertex two of the cubic monomials are not their own.
-    assert freedoms[0].tolist() == [MOST_VERTICES - k for k in (3, 6, 6, 8)]
-    assert np.isfinite(variances).all()
-
-
 def wide_graph_of(height, rows=40, columns=40, uneven=0.2):
     """The same over a larger grid, of half as large arguments."""
     return graph_of(lambda x, y: height(x / 2, y / 2), rows, columns, uneven)
@@ -148,16 +121,6 @@ def test_vertices_of_the_patches():
     assert rows.tolist() == [[1 + 3 * rings * (rings + 1) for rings in REACHES]]
     assert freedoms.tolist() == [(rows[0] - TERMS).tolist()]
     assert frames.tolist() == [[0.0, 0.0, 1.0]]
-
-
-@pytest.mark.parametrize("uneven", [0.0, 0.3])
-def test_white_noise_leaves_its_variance_to_all(uneven):
-    draw = np.random.default_rng(3)
-    mesh = wide_graph_of(lambda x, y: 0.1 * draw.standard_normal(len(x)), 90, 80, uneven)
-    variances, freedoms, _, _, _ = wide_fits_of(mesh)
-    for fit in range(len(REACHES)):
-        mean = np.average(variances[:, fit], weights=freedoms[:, fit])
-        assert mean == pytest.approx(0.01, rel=0.04)
 
 
 def test_offsets_have_the_variance_of_the_vertices():
@@ -203,20 +166,3 @@ def test_quantiles_of_chi_square(share):
     freedoms = np.arange(5.0, 140.0)
     exact = stats.chi2.ppf(share, freedoms) / freedoms
     assert chi_square_quantile(freedoms, share) == pytest.approx(exact, rel=0.02)
-
-
-def test_too_many_neighbours_are_left_out():
-    vertices, faces = fan(np.zeros(MOST_WIDE_VERTICES + 20))
-    mesh = prepare_mesh(vertices, faces).mesh
-    _, freedoms, rows, frames, offsets = wide_fits_of(mesh)
-    centre = np.argmin((mesh.vertices**2).sum(axis=1))
-    assert not rows[centre].any()
-    assert not freedoms[centre].any()
-    assert np.isfinite(frames).all()
-    assert np.isfinite(offsets).all()
-
-
-def test_a_small_mesh_is_its_own_patch():
-    variances, _, rows, _, _ = wide_fits_of(prepare_mesh(*grid(3, 3)).mesh)
-    assert rows.max() == 9
-    assert (variances >= 0.0).all()

@@ -65,33 +65,6 @@ def test_numbers_are_read_as_python_reads_them(word: bytes) -> None:
     assert same_bits(value_of(word), float(word))
 
 
-@given(st.integers(1, 10**19 - 1), st.integers(-90, 90))
-@settings(max_examples=400, deadline=None)
-def test_every_mantissa_and_exponent(mantissa: int, exponent: int) -> None:
-    word = f"{mantissa}e{exponent}".encode()
-    assert same_bits(value_of(word), float(word))
-
-
-def test_a_seeded_campaign_near_the_middle_of_two_doubles() -> None:
-    random = np.random.default_rng(5)
-    words = []
-    for bits in random.integers(0, 2**63, 4_000):
-        value = abs(struct.unpack("d", struct.pack("q", int(bits)))[0])
-        exponent = int(random.integers(-40, 40))
-        value = math.ldexp(math.frexp(value)[0], exponent) if math.isfinite(value) else 1.0
-        if value == 0.0:
-            continue
-        above = math.nextafter(value, math.inf)
-        numerator, denominator = value.as_integer_ratio()
-        more, other = above.as_integer_ratio()
-        # the exact middle, to 17, 18 and 19 digits and in full
-        middle = (numerator * other + more * denominator) / (2 * denominator * other)
-        words += [f"{middle:.16e}", f"{value:.17e}", f"{above:.18e}", f"{value:.40e}"]
-    values, bad = text.numbers_at(*tokens([word.encode() for word in words]))
-    assert bad == -1
-    assert values.tolist() == [float(word) for word in words]
-
-
 @pytest.mark.parametrize("shift", range(-12, 12))
 def test_the_middle_of_two_doubles_and_its_neighbours(shift: int) -> None:
     """The hardest tokens: exact ties, to all their digits, and a hair above and below."""
@@ -105,15 +78,6 @@ def test_the_middle_of_two_doubles_and_its_neighbours(shift: int) -> None:
         short = digits.rstrip("0")
         written = f"{short}0e{len(digits) - len(short) - 13}"
         assert same_bits(value_of(written.encode()), float(written)), written
-
-
-@pytest.mark.parametrize(
-    "word",
-    [b"1", b"0.1", b"-17.25", b"1e22", b"123456789.123456789", b"0.12345678901234567", b"1e-60"],
-)
-def test_ordinary_tokens_need_no_second_look(word: bytes) -> None:
-    value, status = text.parse_number(text.as_bytes(word), 0, len(word))
-    assert (value, status) == (float(word), text.EXACT)
 
 
 @pytest.mark.parametrize(
@@ -197,22 +161,6 @@ def test_printed_is_correctly_rounded(values: list[float], decimals: int) -> Non
     assert got == [fixed(v, decimals) if abs(v) < 2.0**63 else repr(v) for v in values]
 
 
-@given(st.integers(-(2**50), 2**50), st.integers(0, 40), st.integers(0, 17))
-@settings(max_examples=300, deadline=None)
-def test_printed_breaks_ties_to_even(numerator: int, shift: int, decimals: int) -> None:
-    value = math.ldexp(float(numerator), -shift)
-    assert split(*text.printed(np.array([value]), decimals)) == [fixed(value, decimals)]
-
-
-def test_printed_at_every_binary_exponent() -> None:
-    random = np.random.default_rng(2)
-    mantissas = random.uniform(-2, 2, 20)
-    values = np.array([math.ldexp(m, e) for e in range(-140, 62) for m in mantissas])
-    for decimals in range(18):
-        expected = [fixed(v, decimals) for v in values.tolist()]
-        assert split(*text.printed(values, decimals)) == expected
-
-
 def test_printed_where_a_number_is_not_finite() -> None:
     got = split(*text.printed(np.array([1.0, math.nan, -math.inf, 2.0]), 1))
     assert got == ["1.0", "nan", "-inf", "2.0"]
@@ -272,21 +220,6 @@ def test_shortest_single(values: list[float]) -> None:
     ):
         assert np.float32(word).tobytes() == value.tobytes()
         assert n_digits(word) == digits_of_single(value), (word, value)
-
-
-def test_shortest_at_every_power() -> None:
-    random = np.random.default_rng(3)
-    values = np.array(
-        [m * 10.0**e for e in range(-70, 70) for m in (1.0, 9.999999999999999, *random.random(9))]
-    )
-    words = split(*text.printed_shortest(values, False))
-    assert [float(word) for word in words] == values.tolist()
-    assert [n_digits(word) for word in words] == [n_digits(repr(v)) for v in values.tolist()]
-    singles = values[np.abs(np.log10(values)) < 37].astype(np.float32)
-    words = split(*text.printed_shortest(singles.astype(np.float64), True))
-    assert [np.float32(word) for word in words] == list(singles)
-    for word, single in zip(words, singles, strict=True):
-        assert n_digits(word) == digits_of_single(single), (word, single)
 
 
 def test_shortest_single_keeps_clear_of_the_middle() -> None:

@@ -21,13 +21,6 @@ def test_a_triangle_covers_the_samples_in_it():
     assert (front[~np.array(inside)] == z_buffer.NOTHING).all()
 
 
-def test_winding_does_not_hide_a_triangle():
-    points = [(0, 0, 0), (4, 0, 0), (0, 4, 0)]
-    _, one = drawn(points, [(0, 1, 2)], 5, 5)
-    _, other = drawn(points, [(0, 2, 1)], 5, 5)
-    assert (one == other).all()
-
-
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_nearer_face_wins_in_any_order(order):
     square = [(0, 0), (6, 0), (6, 6), (0, 6)]
@@ -99,9 +92,3 @@ def test_an_edge_is_smooth_up_to_half_the_crease_and_sharp_beyond_it():
     assert np.allclose(sharp[2:], right, atol=1e-6)
     assert left @ mean < left @ between[0, 1] < 1.0
     assert right @ mean < right @ between[2, 0] < 1.0
-
-
-def test_no_crease_angle_gives_flat_faces():
-    vertices, faces = roof(0.2)
-    flat = z_buffer.corner_normals(vertices, faces, 0.0)
-    assert np.allclose(flat, flat[:, :1])

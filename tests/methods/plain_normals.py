@@ -1,31 +1,119 @@
-"""Plain-Python twins of the filters of face normals, written from the papers' formulas."""
+"""Plain twins of the filters of face normals, face by face, from the papers' formulas."""
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
-from tests.kernels.plain_faces import neighbours, normals_and_areas, rim, unit, updated
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Each row (k, 3) divided by its length."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def threshold_normals(n: np.ndarray, rows: list[list[int]], T: float, passes: int) -> np.ndarray:
-    """Sun et al.: weights max(0, n_i . n_j - T)^2, the face itself among its neighbours."""
-    for _ in range(passes):
-        new = np.empty_like(n)
-        for i, row in enumerate(rows):
-            new[i] = sum(max(0.0, n[i] @ n[j] - T) ** 2 * n[j] for j in [*row, i])
-        n = unit(new)
-    return n
+def normals_and_areas(x: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals and areas; zero normals where the area is zero."""
+    a, b, c = (x[faces[:, corner]] for corner in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1)
+    return cross / np.where(length > 0, length, 1)[:, None], length / 2
 
 
-def mean_distance(c: np.ndarray, faces: np.ndarray) -> float:
-    """Mean distance between the centroids of faces that share an edge."""
-    rows = neighbours(faces, "edge")
-    return float(np.mean([np.linalg.norm(c[i] - c[j]) for i, row in enumerate(rows) for j in row]))
+def sharing(faces: np.ndarray, corners: int) -> list[set[int]]:
+    """For each face the others with which it shares at least so many corners."""
+    sets = [set(face) for face in faces.tolist()]
+    return [
+        {g for g, other in enumerate(sets) if g != f and len(own & other) >= corners}
+        for f, own in enumerate(sets)
+    ]
 
 
-def bilateral_weights(
-    n: np.ndarray, areas: np.ndarray, c: np.ndarray, rows: list[list[int]], widths
+def neighbours(faces: np.ndarray, kind: str) -> list[list[int]]:
+    """For each face those that share an edge, or a vertex, with it."""
+    return [sorted(row) for row in sharing(faces, 2 if kind == "edge" else 1)]
+
+
+def mean_distance(centroids: np.ndarray, across) -> float:
+    """Mean distance of centroids over the pairs of faces."""
+    pairs = [(f, g) for f, others in enumerate(across) for g in others if g > f]
+    return float(np.mean([np.linalg.norm(centroids[f] - centroids[g]) for f, g in pairs]))
+
+
+def near(centroids: np.ndarray, touching: list[set[int]], radius: float) -> list[set[int]]:
+    """The faces within the radius that touch the face or others found before."""
+    result = []
+    for f in range(len(touching)):
+        found, waiting = {f}, [f]
+        while waiting:
+            for g in touching[waiting.pop()] - found:
+                if np.linalg.norm(centroids[g] - centroids[f]) <= radius:
+                    found.add(g)
+                    waiting.append(g)
+        result.append(found - {f})
+    return result
+
+
+def guides(
+    normals: np.ndarray, areas: np.ndarray, touching: list[set[int]], across: list[set[int]]
 ) -> np.ndarray:
+    """Mean normals of the patches with the least scores."""
+
+    def jump(a, b):
+        has_both = normals[a].any() and normals[b].any()
+        return np.linalg.norm(normals[a] - normals[b]) if has_both else 0.0
+
+    scores, means = [], []
+    for f, others in enumerate(touching):
+        patch = others | {f}
+        widest = max(jump(a, b) for a, b in itertools.product(patch, patch))
+        jumps = [jump(a, b) for a in patch for b in across[a] & patch if a < b]
+        scores.append(widest * max(jumps) / (1e-9 + sum(jumps)))
+        means.append(unit(sum(areas[a] * normals[a] for a in patch)))
+    best = [min([f, *others], key=lambda g: scores[g]) for f, others in enumerate(touching)]
+    return np.array([means[g] for g in best])
+
+
+def joint(n, like, areas, c, rows, sigma_s: float, sigma_r: float) -> np.ndarray:
+    """Normalised sums over each face and its row, by area, distance and likeness of guides."""
+    result = np.empty_like(n)
+    for i, row in enumerate(rows):
+        j = [i, *row]
+        far = ((c[j] - c[i]) ** 2).sum(axis=1) / (2 * sigma_s**2)
+        unlike = ((like[j] - like[i]) ** 2).sum(axis=1) / (2 * sigma_r**2)
+        result[i] = unit((areas[j] * np.exp(-far - unlike)) @ n[j])
+    return result
+
+
+def inner(x: np.ndarray, faces: np.ndarray, fixed: bool = True) -> np.ndarray:
+    """Which vertices are no ends of an edge that one face has; all unless ``fixed``."""
+    count: dict[frozenset[int], int] = {}
+    for face in faces.tolist():
+        for edge in itertools.combinations(face, 2):
+            count[frozenset(edge)] = count.get(frozenset(edge), 0) + 1
+    free = np.ones(len(x), dtype=bool)
+    if fixed:
+        free[[i for edge, number in count.items() if number == 1 for i in edge]] = False
+    return free
+
+
+def moved(
+    x: np.ndarray, normals: np.ndarray, faces: np.ndarray, free: np.ndarray, passes: int
+) -> np.ndarray:
+    """Vertices after so many moves towards the planes through the centroids of their faces."""
+    for _ in range(passes):
+        centroids = x[faces].mean(axis=1)
+        new = x.copy()
+        for i in np.flatnonzero(free):
+            around = np.flatnonzero((faces == i).any(axis=1) & normals.any(axis=1))
+            if len(around):
+                heights = ((centroids[around] - x[i]) * normals[around]).sum(axis=1)
+                new[i] = x[i] + (heights[:, None] * normals[around]).mean(axis=0)
+        x = new
+    return x
+
+
+def bilateral_weights(n, areas, c, rows, widths) -> np.ndarray:
     """Zheng et al.: the matrix w_ij for widths sigma_c and sigma_s, zero but for neighbours."""
     sigma_c, sigma_s = widths
     w = np.zeros((len(rows), len(rows)))
@@ -38,16 +126,6 @@ def bilateral_weights(
     return w
 
 
-def local_normals(n, areas, c, rows, widths, passes: int) -> np.ndarray:
-    """Normalised sums of w_ij n_j, with n of the pass before; kept where there are none."""
-    for _ in range(passes):
-        sums = bilateral_weights(n, areas, c, rows, widths) @ n
-        n = np.array(
-            [unit(s) if len(row) else own for s, row, own in zip(sums, rows, n, strict=True)]
-        )
-    return n
-
-
 def global_matrix(n, areas, c, rows, widths, fidelity: float) -> np.ndarray:
     """(1 - lambda) (I - W)^T (I - W) + lambda I; no difference for a face without neighbours."""
     w = bilateral_weights(n, areas, c, rows, widths)
@@ -57,32 +135,45 @@ def global_matrix(n, areas, c, rows, widths, fidelity: float) -> np.ndarray:
     return (1 - fidelity) * m.T @ m + fidelity * np.eye(len(n))
 
 
-def threshold_filter(v, faces, T=0.5, passes=20, vertex_passes=50, sharing="vertex", fixed=True):
-    """Both stages after Sun et al."""
+def threshold_filter(v, faces, T=0.5, passes=20, vertex_passes=50, kind="vertex", fixed=True):
+    """Sun et al.: weights max(0, n_i . n_j - T)^2, the face itself among its neighbours."""
     n, _ = normals_and_areas(v, faces)
-    n = threshold_normals(n, neighbours(faces, sharing), T, passes)
-    return updated(v, n, faces, vertex_passes, rim(faces) if fixed else frozenset())
+    rows = neighbours(faces, kind)
+    for _ in range(passes):
+        n = unit(
+            np.array(
+                [
+                    sum(max(0.0, n[i] @ n[j] - T) ** 2 * n[j] for j in [*row, i])
+                    for i, row in enumerate(rows)
+                ]
+            )
+        )
+    return moved(v, n, faces, inner(v, faces, fixed), vertex_passes)
+
+
+def _prepare(v, faces, widths, kind):
+    """Normals, areas, centroids, rows of neighbours, and widths of which sigma_c is absolute."""
+    c = v[faces].mean(axis=1)
+    absolute = widths[0] * mean_distance(c, sharing(faces, 2)), widths[1]
+    return *normals_and_areas(v, faces), c, neighbours(faces, kind), absolute
 
 
 def local_filter(
-    v, faces, widths=(1.0, 0.35), passes=20, vertex_passes=10, sharing="vertex", fixed=True
+    v, faces, widths=(1.0, 0.35), passes=20, vertex_passes=10, kind="vertex", fixed=True
 ):
-    """Both stages after Zheng et al.; sigma_c in mean distances, and sigma_s."""
-    n, areas = normals_and_areas(v, faces)
-    c = v[faces].mean(axis=1)
-    absolute = widths[0] * mean_distance(c, faces), widths[1]
-    n = local_normals(n, areas, c, neighbours(faces, sharing), absolute, passes)
-    return updated(v, n, faces, vertex_passes, rim(faces) if fixed else frozenset())
+    """Zheng et al.: normalised sums of w_ij n_j; sigma_c in mean distances, and sigma_s."""
+    n, areas, c, rows, absolute = _prepare(v, faces, widths, kind)
+    for _ in range(passes):
+        sums = bilateral_weights(n, areas, c, rows, absolute) @ n
+        n = np.array([unit(s) if row else own for s, row, own in zip(sums, rows, n, strict=True)])
+    return moved(v, n, faces, inner(v, faces, fixed), vertex_passes)
 
 
 def global_filter(
-    v, faces, widths=(1.0, 0.35), fidelity=0.01, vertex_passes=10, sharing="vertex", fixed=True
+    v, faces, widths=(1.0, 0.35), fidelity=0.01, vertex_passes=10, kind="vertex", fixed=True
 ):
     """The same by one solve; also the least length of a solution before it is normalised."""
-    n, areas = normals_and_areas(v, faces)
-    c = v[faces].mean(axis=1)
-    absolute = widths[0] * mean_distance(c, faces), widths[1]
-    matrix = global_matrix(n, areas, c, neighbours(faces, sharing), absolute, fidelity)
-    solution = np.linalg.solve(matrix, fidelity * n)
-    passed = updated(v, unit(solution), faces, vertex_passes, rim(faces) if fixed else frozenset())
-    return passed, np.linalg.norm(solution, axis=1).min()
+    n, *known = _prepare(v, faces, widths, kind)
+    solution = np.linalg.solve(global_matrix(n, *known, fidelity), fidelity * n)
+    out = moved(v, unit(solution), faces, inner(v, faces, fixed), vertex_passes)
+    return out, np.linalg.norm(solution, axis=1).min()

@@ -129,17 +129,6 @@ def test_it_agrees_with_the_literal_twin(variant, shape, boundary, threshold, fa
     assert np.abs(found - mesh.vertices).max() > 1e-3
 
 
-def test_without_threshold_amc_is_mean_curvature_flow():
-    mesh = scan()
-    flow = methods.find("mean_curvature_flow")
-    given = flow.validate(
-        {"variant": "explicit", "areas": "ring", "time_step": 0.02, "iterations": 3}
-    )
-    expected = flow.denoise(mesh, given).vertices
-    found = diffused(mesh, variant="amc", threshold=1000.0, time_step=0.02, iterations=3)
-    assert np.abs(found - expected).max() < 1e-13 * np.ptp(mesh.vertices)
-
-
 def test_the_automatic_threshold_is_that_by_hand():
     mesh = scan()
     lengths = np.linalg.norm(
@@ -198,27 +187,6 @@ def test_no_time_step_is_too_long(variant):
     before, _ = area_and_volume(mesh.vertices, mesh.faces)
     assert area_and_volume(moved, mesh.faces)[0] < before
     assert np.abs(moved).max() < 1.05 * np.abs(mesh.vertices).max()
-
-
-@pytest.mark.parametrize("variant", ["amc", "pmc"])
-def test_the_multiscale_schedule_stays_nearer_to_the_input(variant):
-    mesh = scan()
-    plain = diffused(mesh, variant=variant, iterations=8)
-    pulled = diffused(mesh, variant=variant, iterations=8, schedule="multiscale")
-    way = np.linalg.norm(plain - mesh.vertices, axis=1).mean()
-    assert 0 < np.linalg.norm(pulled - mesh.vertices, axis=1).mean() < 0.8 * way
-
-
-def test_a_hub_of_many_faces_is_no_trouble():
-    count = 20_000
-    angle = 2 * np.pi * np.arange(count) / count
-    heights = np.random.default_rng(0).normal(0, 0.01, count)
-    vertices = np.concatenate([[[0, 0, 0]], np.c_[np.cos(angle), np.sin(angle), heights]])
-    k = np.arange(count)
-    faces = np.stack([np.zeros_like(k), 1 + k, 1 + (k + 1) % count], axis=1).astype(np.int32)
-    mesh = prepare_mesh(vertices, faces).mesh
-    moved = diffused(mesh, boundary="free", iterations=5)
-    assert np.abs(moved - mesh.vertices).max() < 0.1
 
 
 @pytest.mark.parametrize(

@@ -118,34 +118,6 @@ def test_a_vertex_far_from_every_centroid_stays():
     assert (out[:36] != vertices[:36]).any(axis=1).all()
 
 
-def test_a_plane_far_off_hardly_counts():
-    # The vertices next to the ridge of a roof are well above or below the other side's plane: a
-    # wide sigma_g draws them towards it, a narrow one does not.
-    vertices, faces = grid(15, 15)
-    vertices[:, 2] = -2.0 * np.abs(vertices[:, 0] - 7.0)
-    wide, narrow = (
-        (run(vertices, faces, similarity=width) - vertices).reshape(15, 15, 3)[7, 8, 2]
-        for width in (5.0, 0.1)
-    )
-    assert abs(narrow) < 0.1 * abs(wide)
-
-
-def test_more_iterations_repeat_the_filter():
-    vertices, faces = SHAPES["torus"]
-    once = run(vertices, faces)
-    ready = prepare_mesh(vertices, faces)
-    operator = ProjectionAverage(
-        ready.mesh.faces,
-        ready.mesh.topology,
-        np.ones(len(vertices), dtype=bool),
-        ready.mesh.mean_edge_length,
-        ready.mesh.mean_edge_length,
-        ready.mesh.mean_edge_length,
-    )
-    again = once + operator(once - ready.origin).move
-    assert run(vertices, faces, iterations=2) == pytest.approx(again, abs=1e-13)
-
-
 def test_the_multiscale_schedule_goes_over_it():
     # Algorithm 1 with the displacement of the filter for dx.
     vertices, faces = SHAPES["torus"]

@@ -69,18 +69,6 @@ def test_one_member_of_weight_1_is_that_method_to_the_bit(mesh, name):
     )
 
 
-def test_a_small_weight_moves_by_that_part(mesh):
-    whole = alone(mesh, "al") - mesh.vertices
-    part = blended(mesh, "0.01*al") - mesh.vertices
-    assert part == pytest.approx(0.01 * whole, abs=1e-15)
-
-
-def test_members_are_run_on_the_input_whatever_their_order(mesh):
-    one = blended(mesh, "0.3*al(iterations=2)+0.7*taubin")
-    other = blended(mesh, "0.7*taubin+0.3*al(iterations=2)")
-    assert np.abs(one - other).max() < 1e-14
-
-
 def test_progress_goes_through_all_members(mesh):
     told = []
     blended(mesh, "0.5*al(iterations=4)+0.5*msal(iterations=2)", lambda *step: told.append(step))
@@ -269,13 +257,6 @@ def test_weights_follow_the_local_noise(half_noisy):
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert (made[quiet] == mesh.vertices[quiet]).all()
     assert np.abs(made - alone(mesh, "al", iterations=3))[loud].max() < 1e-12
-
-
-def test_equal_weights_for_all_levels_are_those_weights(half_noisy):
-    mesh, _ = half_noisy
-    given = {"members": "0.4:0.4*al+0.3:0.3*taubin", "levels": "0.05:0.15"}
-    made = BLEND.denoise(mesh, BLEND.validate(given)).vertices
-    assert np.abs(made - blended(mesh, "0.4*al+0.3*taubin")).max() < 1e-12
 
 
 @pytest.mark.parametrize(

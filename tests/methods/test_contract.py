@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from msal_cli.analysis.measures import normal_statistics
 from msal_cli.errors import UsageError
 from msal_cli.kernels import parallel
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import grid, noisy, torus
+from tests.shapes import fan, grid, noisy, torus
 
 ALL = methods.names()
 
@@ -43,6 +44,10 @@ class Variant:
 
     method: methods.Method
     given: dict
+
+    @property
+    def defaults(self):
+        return self.method.validate(self.given)
 
     def __call__(self, mesh, on_sweep=None, **more):
         values = self.method.validate(self.given | more)
@@ -145,7 +150,7 @@ def test_scale_does_not_matter(run):
 
 
 def test_progress_is_reported_after_every_sweep(run):
-    if "iterations" not in run.method.validate({}):
+    if "iterations" not in run.defaults:
         pytest.skip("not iterative")
     reported = []
     run(scan(), lambda *at: reported.append(at), iterations=3)
@@ -162,7 +167,7 @@ def test_it_can_be_interrupted(run):
 
 
 def test_zero_iterations_return_the_input(run):
-    if "iterations" not in run.method.validate({}):
+    if "iterations" not in run.defaults:
         pytest.skip("not iterative")
     mesh = scan()
     out = run(mesh, iterations=0).vertices
@@ -178,7 +183,7 @@ def test_fixed_vertices_stay(run):
 
 
 def test_the_rule_at_open_edges(run):
-    if "boundary" not in {spec.name for spec in run.method.parameters}:
+    if "boundary" not in run.defaults:
         pytest.skip("no such rule")
     vertices, faces = grid(9, 9)
     mesh = prepare_mesh(noisy(vertices, 8, 0.2), faces).mesh
@@ -206,6 +211,25 @@ def test_dirt_is_survived(run, dirt):
     ready = prepare_mesh(vertices, faces.astype(np.int32))
     out = run(ready.mesh).vertices
     assert np.isfinite(out).all()
+
+
+def test_a_hub_of_many_faces_costs_no_square_of_time(run):
+    heights = np.random.default_rng(0).normal(0, 0.003, 10_000)
+    mesh = prepare_mesh(*fan(heights)).mesh
+    given = {name: 1 for name in ("iterations", "normal_iterations") if name in run.defaults}
+    started = time.perf_counter()
+    assert np.isfinite(run(mesh, **given).vertices).all()
+    # A sum over all pairs of faces would take minutes.
+    assert time.perf_counter() - started < 20.0
+
+
+def test_vertices_without_faces_stay(run):
+    vertices, faces = torus()
+    vertices = np.concatenate([noisy(vertices), [[2.0, 2.0, 2.0]]])
+    mesh = prepare_mesh(vertices, faces).mesh
+    out = run(mesh).vertices
+    assert (out[-1] == mesh.vertices[-1]).all()
+    assert (out[:-1] != mesh.vertices[:-1]).any()
 
 
 def test_parameters_describe_themselves(method):

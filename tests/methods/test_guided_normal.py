@@ -8,8 +8,8 @@ import pytest
 from msal_cli import methods
 from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import prepare_mesh
-from tests.methods import plain_guides as plain
-from tests.shapes import fan, grid, noisy, torus
+from tests.methods import plain_normals as plain
+from tests.shapes import fan, grid, noisy, roof, torus
 
 METHOD = methods.find("guided_normal")
 
@@ -17,14 +17,6 @@ METHOD = methods.find("guided_normal")
 def run(vertices, faces, **given):
     mesh = prepare_mesh(vertices, faces).mesh
     return mesh, METHOD.denoise(mesh, METHOD.validate(given)).vertices
-
-
-def roof(rows=12, columns=13):
-    """Two planes at a right angle, joined along the middle column of a grid."""
-    vertices, faces = grid(rows, columns)
-    across = vertices[:, 0] - columns // 2
-    vertices[:, 0], vertices[:, 2] = across / np.sqrt(2), -np.abs(across) / np.sqrt(2)
-    return vertices, faces
 
 
 def twin(
@@ -39,23 +31,14 @@ def twin(
         g = plain.guides(n, areas, touching, across)
         c = x[faces].mean(axis=1)
         sigma = closeness * plain.mean_distance(c, across)
-        wanted = np.empty_like(n)
-        for i, others in enumerate(near):
-            j = [i, *others]
-            weights = (
-                areas[j]
-                * np.exp(-((c[j] - c[i]) ** 2).sum(axis=1) / (2 * sigma**2))
-                * np.exp(-((g[j] - g[i]) ** 2).sum(axis=1) / (2 * similarity**2))
-            )
-            total = weights @ n[j]
-            wanted[i] = total / np.linalg.norm(total)
+        wanted = plain.joint(n, g, areas, c, near, sigma, similarity)
         x = plain.moved(x, wanted, faces, free, vertex_iterations)
     return x
 
 
 def test_a_sharp_edge_stays():
     # Beside the ridge there is always a patch on one side, and the other side weighs exp(-100).
-    mesh, out = run(*roof(), similarity=0.1)
+    mesh, out = run(*roof(12, 13), similarity=0.1)
     assert np.abs(out - mesh.vertices).max() < 1e-13
 
 
@@ -115,18 +98,3 @@ def test_it_agrees_with_the_plain_twin(shape):
     assert np.abs(out - mesh.vertices).max() > 1e-2
     if shape == "fixed":
         assert (out[~free] == mesh.vertices[~free]).all()
-
-
-def test_no_passes_move_nothing():
-    mesh, out = run(*torus(), vertex_iterations=0)
-    assert (out == mesh.vertices).all()
-
-
-def test_a_wide_hub_and_scattered_triangles_are_filtered():
-    vertices, faces = fan(np.random.default_rng(0).normal(0, 0.003, 20_000))
-    _, out = run(vertices, faces, iterations=2)
-    assert np.isfinite(out).all()
-    # Without neighbours a face keeps its normal, and its vertices their places.
-    apart = np.random.default_rng(1).normal(0, 1, (30, 3))
-    mesh, out = run(apart, np.arange(30, dtype=np.int32).reshape(10, 3))
-    assert np.abs(out - mesh.vertices).max() < 1e-14

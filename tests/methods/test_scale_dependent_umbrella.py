@@ -9,7 +9,7 @@ from msal_cli import methods
 from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
 from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_rings import rows, scale_dependent_umbrella
-from tests.shapes import fan, grid, noisy, torus
+from tests.shapes import grid, noisy, torus
 
 METHOD = methods.find("scale_dependent_umbrella")
 
@@ -48,16 +48,6 @@ def test_edges_without_length_are_left_out():
     assert (only(x).move == 0.0).all()
 
 
-def test_on_equal_edges_it_is_the_umbrella():
-    vertices, faces = fan([0.0] * 6)
-    vertices[0, 2] = 0.0
-    umbrella = methods.find("umbrella")
-    mesh, out = run(vertices, faces, iterations=1)
-    other = umbrella.denoise(mesh, umbrella.validate({"iterations": 1})).vertices
-    assert np.allclose(out, other, rtol=0, atol=1e-15)
-    assert np.abs(out - mesh.vertices).max() > 0.2
-
-
 @pytest.mark.parametrize("shape", ["torus", "stretched"])
 @pytest.mark.parametrize("boundary", ["curve", "free", "fixed"])
 @pytest.mark.parametrize("time_step", [0.05, 0.25, 50.0])
@@ -70,18 +60,6 @@ def test_it_agrees_with_the_plain_twin(shape, boundary, time_step):
         x = x + scale_dependent_umbrella(x, ring, time_step * mesh.mean_edge_length**2)
     assert np.abs(out - x).max() <= 1e-12 * np.ptp(mesh.vertices)
     assert np.abs(out - mesh.vertices).max() > 1e-3
-
-
-def test_the_schedule_takes_its_share_of_the_step():
-    vertices, faces = stretched()
-    mesh, _ = run(vertices, faces, iterations=0)
-    _, out = run(vertices, faces, iterations=2, schedule="constant", fidelity=0.25)
-    x = mesh.vertices
-    ring = rows(len(x), faces, "curve")
-    for _ in range(2):
-        move = scale_dependent_umbrella(x, ring, 0.25 * mesh.mean_edge_length**2)
-        x = x + move + 0.25 * (mesh.vertices - x)
-    assert np.abs(out - x).max() <= 1e-12 * np.ptp(mesh.vertices)
 
 
 def test_no_step_overshoots():

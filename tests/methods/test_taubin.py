@@ -8,7 +8,6 @@ import pytest
 from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume
 from msal_cli.errors import UsageError
-from msal_cli.kernels.sweeps import Alternating
 from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_rings import rows, umbrella
 from tests.shapes import grid, noisy, torus
@@ -31,11 +30,6 @@ def test_the_steps_are_the_common_ones():
     assert step_of(pass_band=0.1, shrink=0.6307) == pytest.approx(-0.6732, abs=5e-5)
     assert step_of(mu=-0.6) == -0.6
     assert step_of(pass_band=0.0) == -0.5
-
-
-def test_the_first_step_goes_inwards():
-    schedule = Alternating(0.5, -0.53)
-    assert [schedule(sweep, None).time_step for sweep in range(4)] == [0.5, -0.53, 0.5, -0.53]
 
 
 def test_a_wave_is_multiplied_by_the_transfer_function():
@@ -78,13 +72,6 @@ def test_it_keeps_the_volume_that_the_umbrella_loses():
     before = volume(mesh.vertices)
     assert abs(volume(out) / before - 1) < 0.025
     assert volume(shrunken.vertices) / before < 0.9
-
-
-def test_progress_counts_pairs():
-    told = []
-    mesh = prepare_mesh(*torus()).mesh
-    METHOD.denoise(mesh, METHOD.validate({"n": 4}), lambda *at: told.append(at))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 @pytest.mark.parametrize(("shrink", "inflate"), [(0.1, -1.0), (0.3, -0.6), (0.49, -1.0)])

@@ -32,12 +32,6 @@ def test_a_full_step_goes_to_the_mean_of_the_neighbours():
     assert (out[1:] == mesh.vertices[1:]).all()
 
 
-def test_half_a_step_is_the_default():
-    vertices, faces = fan([0.2, 0.4, 0.9, 0.5])
-    mesh, out = run(vertices, faces, iterations=1, boundary="fixed")
-    assert out[0] - mesh.vertices[0] == pytest.approx([0.0, 0.0, 0.25], abs=1e-15)
-
-
 def test_a_rim_is_a_curve():
     # The inner vertex of a regular fan stands over the plane of its rim.  Averaged along the rim
     # only, the rim's vertices of a hexagon move towards its centre by half a step of 1 - cos 60,

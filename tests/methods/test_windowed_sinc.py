@@ -9,7 +9,7 @@ from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume
 from msal_cli.kernels.umbrellas import sinc_coefficients
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import grid, noisy, torus
+from tests.shapes import noisy, torus
 
 METHOD = methods.find("windowed_sinc")
 
@@ -71,15 +71,3 @@ def test_the_surface_does_not_shrink_and_the_noise_goes():
         return np.linalg.norm(positions - clean.vertices, axis=1).mean()
 
     assert error(out) < 0.6 * error(mesh.vertices)
-
-
-def test_held_vertices_and_those_of_a_fixed_rim_keep_every_bit():
-    vertices, faces = grid(12, 9)
-    mesh = prepare_mesh(noisy(vertices, 2, 0.2), faces).mesh
-    held = np.arange(len(mesh.vertices)) % 7 == 0
-    out = METHOD.denoise(mesh.with_constraints(held, None), METHOD.validate({})).vertices
-    assert (out[held] == mesh.vertices[held]).all()
-    assert (out[~held] != mesh.vertices[~held]).any()
-    rim = mesh.topology.boundary
-    out = METHOD.denoise(mesh, METHOD.validate({"boundary": "fixed"})).vertices
-    assert (out[rim] == mesh.vertices[rim]).all()

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.curvature import FLATTEST, corner_cotangents, cotangent_weights, mixed_areas
 from msal_cli.kernels.geometry import area_and_volume, ring_areas
-from tests.shapes import cube, fan, grid, noisy, torus
+from tests.shapes import cube, grid, noisy, torus
 
 
 def surface(kind="torus", seed=1, level=0.1):
@@ -25,20 +21,6 @@ def dense(weights, links):
     matrix = np.zeros((n, n))
     matrix[np.repeat(np.arange(n), np.diff(links.ring_start)), links.ring] = weights
     return matrix
-
-
-def angle(at, one, two):
-    u, v = one - at, two - at
-    return np.arccos(u @ v / np.sqrt((u @ u) * (v @ v)))
-
-
-def test_cotangents_are_those_of_the_angles():
-    vertices, faces, _ = surface()
-    expected = [
-        [1 / np.tan(angle(*vertices[np.roll(face, -corner)])) for corner in range(3)]
-        for face in faces
-    ]
-    assert np.allclose(corner_cotangents(vertices, faces), expected, rtol=1e-11, atol=1e-12)
 
 
 def test_a_right_triangle_by_hand():
@@ -77,12 +59,6 @@ def test_areas_add_up(kind):
     assert ring_areas(vertices, faces, links).sum() == pytest.approx(3 * area, rel=1e-13)
 
 
-def test_areas_are_positive():
-    for seed in range(5):
-        vertices, faces, links = surface("torus", seed, 0.4)
-        assert (mixed_areas(vertices, faces, links) > 0).all()
-
-
 @pytest.mark.parametrize("kind", ["torus", "grid"])
 def test_weights_give_the_gradient_of_the_area(kind):
     vertices, faces, links = surface(kind, 2, 0.05)
@@ -98,29 +74,6 @@ def test_weights_give_the_gradient_of_the_area(kind):
             assert gradient[i, axis] == pytest.approx(slope, abs=1e-7)
 
 
-def test_a_flat_part_has_no_curvature():
-    # However irregular the triangles: linear precision.
-    vertices, faces = grid(8, 8)
-    vertices = vertices + np.random.default_rng(3).uniform(-0.2, 0.2, (64, 3)) * [1, 1, 0]
-    links = connectivity(64, faces)
-    matrix = dense(cotangent_weights(vertices, faces, links), links)
-    pull = matrix @ vertices - matrix.sum(axis=1)[:, None] * vertices
-    assert np.abs(pull[~links.boundary]).max() < 1e-13
-    assert np.abs(pull[links.boundary]).max() > 0.1
-
-
-@settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6), level=st.floats(0.0, 3.0), flat=st.floats(0.0, 1.0))
-def test_weights_are_symmetric_and_positive_semidefinite(seed, level, flat):
-    vertices, faces = torus(6, 5)
-    vertices = noisy(vertices, seed, level) * [1.0, 1.0, flat]
-    links = connectivity(len(vertices), faces)
-    matrix = dense(cotangent_weights(vertices, faces, links), links)
-    assert (matrix == matrix.T).all()
-    values = np.linalg.eigvalsh(np.diag(matrix.sum(axis=1)) - matrix)
-    assert values.min() > -1e-12 * max(values.max(), 1e-300)
-
-
 def test_non_manifold_edges_have_all_their_cotangents():
     # Three unit right triangles around the edge 0-1, each with a cotangent 1 facing it.
     vertices = np.array([[0.0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0]])
@@ -128,16 +81,6 @@ def test_non_manifold_edges_have_all_their_cotangents():
     links = connectivity(5, faces)
     matrix = dense(cotangent_weights(vertices, faces, links), links)
     assert matrix[0, 1] == pytest.approx(3.0)
-
-
-def test_scale_and_winding_do_not_matter():
-    vertices, faces, links = surface()
-    weights = cotangent_weights(vertices, faces, links)
-    assert (cotangent_weights(vertices * 2.0**-40, faces, links) == weights).all()
-    turned = np.ascontiguousarray(faces[:, ::-1])
-    other = connectivity(len(vertices), turned)
-    expected = dense(weights, links)
-    assert np.allclose(dense(cotangent_weights(vertices, turned, other), other), expected)
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-100, 1e-12, 0.02])
@@ -150,23 +93,3 @@ def test_flat_faces_are_bounded_and_keep_their_sign(height):
     assert found[2] < 0 < min(found[0], found[1])
     areas = mixed_areas(vertices, faces, connectivity(3, faces))
     assert areas.sum() == pytest.approx(height / 2, rel=1e-12, abs=0)
-
-
-def test_coincident_corners_are_harmless():
-    vertices = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 0]])
-    for points in (vertices, np.zeros((3, 3))):
-        faces = np.array([[0, 1, 2]], dtype=np.int32)
-        assert np.isfinite(corner_cotangents(points, faces)).all()
-        assert (mixed_areas(points, faces, connectivity(3, faces)) == 0).all()
-
-
-def test_a_hub_is_not_quadratic():
-    vertices, faces = fan(np.zeros(50_000))
-    links = connectivity(len(vertices), faces)
-    cotangent_weights(vertices, faces, links)
-    started = time.perf_counter()
-    weights = cotangent_weights(vertices, faces, links)
-    areas = mixed_areas(vertices, faces, links)
-    assert time.perf_counter() - started < 1.0
-    assert np.isfinite(weights).all()
-    assert areas.sum() == pytest.approx(np.pi, rel=1e-6)

@@ -95,13 +95,3 @@ def test_one_pass_is_the_two_passes(kind, of):
     t = offsets + 0.5 * heights - 0.25 * offsets
     assert (told == t).all()
     assert (moved == x + t[:, None] * made.normals).all()
-
-
-def test_the_input_stays():
-    made, x = operator("mixed")
-    kept = x.copy()
-    for schedule in (Plain(), Multiscale()):
-        for iterations in (0, 1, 2, 3):
-            result = run_sweeps(x, made, schedule, iterations).vertices
-            assert (x == kept).all()
-            assert not np.shares_memory(result, x)

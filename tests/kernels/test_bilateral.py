@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from msal_cli.kernels import bilateral as reach
 from msal_cli.kernels.connectivity import connectivity
-from tests.shapes import fan, grid, noisy, torus
+from tests.shapes import fan, grid
 
 
 def vertices_around(i, x, faces, radius):
@@ -44,45 +43,6 @@ def faces_around(i, x, faces, radius):
         squares,
     )
     return found[:count].tolist(), squares[:count]
-
-
-def spread_out(start, joined, near):
-    """The transitive closure, by the slowest means."""
-    reached = {k for k in start if near(k)}
-    while True:
-        more = {k for j in reached for k in joined(j) if near(k)} - reached
-        if not more:
-            return reached
-        reached |= more
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.4, 0.9, 1.7, 3.0, 50.0])
-def test_vertices_are_those_of_a_plain_flood(radius):
-    x, faces = torus()
-    x = noisy(x, 1, 0.2)
-    for i in (0, 17, 250):
-        joined = lambda j: set(faces[(faces == j).any(axis=1)].reshape(-1).tolist())  # noqa: E731
-        expected = spread_out([i], joined, lambda k, i=i: np.linalg.norm(x[k] - x[i]) <= radius)
-        found, squares = vertices_around(i, x, faces, radius)
-        assert found[0] == i
-        assert len(found) == len(set(found))
-        assert set(found) == expected
-        assert squares == pytest.approx(((x[found] - x[i]) ** 2).sum(axis=1), rel=1e-12, abs=1e-15)
-
-
-@pytest.mark.parametrize("radius", [0.1, 0.4, 0.9, 1.7, 3.0, 50.0])
-def test_faces_are_those_of_a_plain_flood(radius):
-    x, faces = torus()
-    x = noisy(x, 2, 0.2)
-    centroids = x[faces].mean(axis=1)
-    for i in (0, 17, 250):
-        start = np.flatnonzero((faces == i).any(axis=1)).tolist()
-        joined = lambda f: np.flatnonzero(np.isin(faces, faces[f]).any(axis=1)).tolist()  # noqa: E731
-        near = lambda f, i=i: np.linalg.norm(centroids[f] - x[i]) <= radius  # noqa: E731
-        found, squares = faces_around(i, x, faces, radius)
-        assert len(found) == len(set(found))
-        assert set(found) == spread_out(start, joined, near)
-        assert squares == pytest.approx(((centroids[found] - x[i]) ** 2).sum(axis=1), rel=1e-12)
 
 
 def test_the_far_side_of_a_wall_is_not_found():
