@@ -16,9 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.records import SCHEMA, MeshRecord
+from msal_cli.job.records import SCHEMA, ComparisonRecord, InfoRecord, MeshRecord
 from msal_cli.report.data import Run, Totals, json_bytes
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -19,7 +19,7 @@ from click.exceptions import Exit
 from msal_cli.cli import config, console, main
 from msal_cli.cli.main import program
 from msal_cli.job import records
-from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import InfoRecord
 from msal_cli.report.data import Run, Totals
 from tests.scripts import load_script
 

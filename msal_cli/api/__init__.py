@@ -30,10 +30,10 @@ from msal_cli.errors import (
     UnsupportedError,
     UsageError,
 )
-from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.records import (
     Area,
     ChoiceMade,
+    ComparisonRecord,
     Displacement,
     Failure,
     GateResult,

@@ -9,7 +9,7 @@ import numpy as np
 
 from msal_cli.api.mesh_objects import explained_errors, from_arrays, read_object
 from msal_cli.job.comparison import Surface, compare_meshes, measure_files, open_surface
-from msal_cli.job.comparison_record import ComparisonRecord
+from msal_cli.job.records import ComparisonRecord
 
 
 def compare(before: Any, after: Any, *, intersections: bool = False) -> ComparisonRecord:

@@ -20,7 +20,7 @@ from msal_cli.api.mesh_objects import (
 )
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
-from msal_cli.job.opened_mesh import prepare_mesh
+from msal_cli.job.inspection import prepare_mesh
 from msal_cli.job.records import NoiseEstimate
 from msal_cli.job.settings import to_number
 
@@ -157,7 +157,7 @@ def add_noise(
     given = locals()
     from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
     from msal_cli.analysis.added_noise import add_noise as add
-    from msal_cli.job.noise_file import read_weights
+    from msal_cli.job.output import read_weights
 
     with explained_errors():
         is_object = faces is None

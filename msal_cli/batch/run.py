@@ -29,9 +29,9 @@ from msal_cli.batch.run_checks import check_limits, check_numbers
 from msal_cli.batch.run_history import RunEntry
 from msal_cli.batch.unfinished import failure_of, unfinished_record
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.outlook import foresee
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.room import foresee
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.urls import is_url

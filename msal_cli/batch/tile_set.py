@@ -28,7 +28,7 @@ from msal_cli.batch.events import Progress
 from msal_cli.batch.manifest_dirs import output_folders
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
-from msal_cli.job.opened_mesh import open_mesh, to_known_error
+from msal_cli.job.inspection import open_mesh, to_known_error
 from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
 from msal_cli.job.room import find_scratch, taken

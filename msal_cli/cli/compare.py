@@ -16,7 +16,7 @@ from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import ComparisonRecord
     from msal_cli.report.gates import Gate
 
 _NO_PARTNER = "E_NO_PARTNER"
@@ -195,8 +195,7 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
 
 
 def _no_partner(name: str, before: str, after: str, folder: str) -> ComparisonRecord:
-    from msal_cli.job.comparison_record import ComparisonRecord
-    from msal_cli.job.records import Failure
+    from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.version import __version__
 
     failure = Failure(_NO_PARTNER, f"there is no {name!r} in {folder!r}")
@@ -270,8 +269,8 @@ def _print_table(
 
     ``is_all``: all files were compared, so that the baseline may miss a file.
     """
-    from msal_cli.job.comparison_record import ComparisonRecord
     from msal_cli.job.plain_data import as_data
+    from msal_cli.job.records import ComparisonRecord
     from msal_cli.report import comparison
     from msal_cli.report.facts import file_name
     from msal_cli.report.gates import is_any_broken
@@ -355,7 +354,7 @@ def build_checks(
     expressions: Sequence[str], baseline: str | None, tolerance: float | None, unit: str | None
 ) -> Checks:
     """The checks: gates, with lengths in ``unit``, and the report at the path ``baseline``."""
-    from msal_cli.job.comparison_record import ComparisonRecord
+    from msal_cli.job.records import ComparisonRecord
     from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import parse_gates
     from msal_cli.storage import gzip_streams

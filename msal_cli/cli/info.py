@@ -15,7 +15,7 @@ from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.job.info_record import InfoRecord
+    from msal_cli.job.records import InfoRecord
 
 
 @grouped_command("info", epilog="Exit status: see msal --help.")
@@ -142,8 +142,8 @@ def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
 
 def _print_json(records: Iterator[InfoRecord]) -> int:
     """Print the document; the exit status."""
-    from msal_cli.job.info_record import InfoRecord
     from msal_cli.job.plain_data import as_data
+    from msal_cli.job.records import InfoRecord
 
     everything = list(records)
     console.put_json(InfoRecord.schema, records=[as_data(record) for record in everything])

@@ -224,8 +224,7 @@ def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | No
     from msal_cli.cli.streams import read_stream
     from msal_cli.codecs import header_check
     from msal_cli.codecs.companions import list_sources
-    from msal_cli.job.noise_file import add_noise_to_file
-    from msal_cli.job.output import write_output
+    from msal_cli.job.output import add_noise_to_file, write_output
 
     try:
         data = read_stream() if source == STREAM else header_check.read_input(source, format)

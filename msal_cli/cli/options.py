@@ -13,8 +13,8 @@ from typing import Any
 import click
 
 from msal_cli.errors import UsageError
+from msal_cli.job.constraints import METRES
 from msal_cli.job.settings import SELF_INTERSECTIONS
-from msal_cli.job.units import METRES
 
 STREAM = "-"
 """The name of standard input and standard output."""

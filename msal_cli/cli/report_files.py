@@ -234,8 +234,7 @@ def _refuse_own(path: str, what: str) -> None:
 
 def _refuse_mesh(name: str, what: str, replaces: str | None) -> None:
     from msal_cli.codecs.detection import content_format
-    from msal_cli.storage.limits import LOOKED_AT
-    from msal_cli.storage.regular import open_regular
+    from msal_cli.storage.regular import LOOKED_AT, open_regular
 
     try:
         with open_regular(name) as file:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
     from msal_cli.job.records import MeshRecord
     from msal_cli.job.settings import Limits, Settings
-    from msal_cli.storage.buffers import Buffer
+    from msal_cli.storage.regular import Buffer
 
 _PIECE = 1 << 20
 
@@ -157,7 +157,7 @@ def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) ->
 def _find_limit(memory_limit: int | None = None) -> tuple[int, MsalError]:
     """The most bytes that standard input may have, and the error if it has more."""
     from msal_cli.machine import available_bytes
-    from msal_cli.storage.limits import largest_bytes
+    from msal_cli.storage.regular import largest_bytes
 
     half, free = largest_bytes(), available_bytes()
     if memory_limit is not None and memory_limit < half:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from msal_cli.codecs.detection import resolve_format
 from msal_cli.codecs.mesh_file import HasVertexProperties, MeshFile, Surface
 from msal_cli.errors import UnsupportedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import Companion

@@ -10,8 +10,8 @@ from msal_cli.codecs.gltf import names_of_buffers
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.storage.atomic import Sources, write_whole
-from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import expand, read_whole
+from msal_cli.storage.regular import Buffer
 
 
 def list_sources(path: str, data: Buffer) -> list[str]:

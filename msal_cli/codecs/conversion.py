@@ -18,7 +18,7 @@ from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_writer import Column, corners_of, write_ply
 from msal_cli.errors import UnsupportedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _NORMAL_PROPERTIES = re.compile(
     r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE

@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
-from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
-from msal_cli.storage.limits import LOOKED_AT
+from msal_cli.storage.regular import LOOKED_AT, Buffer
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 

@@ -15,8 +15,7 @@ from msal_cli.codecs.detection import content_format, format_of_name
 from msal_cli.codecs.headers import read_header
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, LARGEST_RATIO
-from msal_cli.storage.limits import LOOKED_AT
-from msal_cli.storage.regular import open_regular
+from msal_cli.storage.regular import LOOKED_AT, open_regular
 from msal_cli.storage.urls import is_url
 
 BASE_BYTES = 50_000_000

@@ -49,10 +49,8 @@ from msal_cli.errors import (
     UnsupportedError,
 )
 from msal_cli.kernels.text import as_bytes
-from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import is_gzip_name
-from msal_cli.storage.limits import memory_bytes
-from msal_cli.storage.regular import NotRegularError, open_regular
+from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open_regular
 from msal_cli.storage.urls import is_url
 
 

@@ -14,10 +14,15 @@ from typing import BinaryIO
 from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name
 from msal_cli.codecs.headers import read_header
 from msal_cli.errors import FormatError, TooLargeError
-from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import GZIP_MAGIC, read_in_large_pages, read_whole
-from msal_cli.storage.limits import LARGE_BYTES, LOOKED_AT, largest_bytes, too_large
-from msal_cli.storage.regular import open_regular
+from msal_cli.storage.regular import (
+    LARGE_BYTES,
+    LOOKED_AT,
+    Buffer,
+    largest_bytes,
+    open_regular,
+    too_large,
+)
 
 MOST_BEHIND = 256 << 20
 """Bytes behind the mesh that are carried along whatever the mesh's own size."""

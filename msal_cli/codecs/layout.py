@@ -14,7 +14,7 @@ from msal_cli.codecs.frames import transform
 from msal_cli.codecs.slots import Slots
 from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import ContentError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 Shift = Callable[[int], int]
 """By how many bytes a place of the input moves, new positions and normals being written."""

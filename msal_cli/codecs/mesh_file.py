@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 
 @dataclass(frozen=True, eq=False)

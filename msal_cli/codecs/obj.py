@@ -44,7 +44,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 MISFIT_DEG = 30.0
 """Angle between a face and its ``vn`` from which on it is warned that the vn does not fit."""

@@ -23,7 +23,7 @@ from msal_cli.codecs.layout import Layout
 from msal_cli.codecs.slots import Tokens
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _HEADER = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+((?:ST)?C?N?|NC?(?:ST)?)(4?n?)OFF(?=\d|\b)"

@@ -37,7 +37,7 @@ from msal_cli.codecs.ply_sections import Section, located
 from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.kernels.text import as_bytes
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _STREAM_WARNING = (
     "the records do not stand one to a line: they are read as a stream of words, and the lines kept"

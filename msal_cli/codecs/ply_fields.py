@@ -17,7 +17,7 @@ from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_writer import Column, corners_of, write_ply
 from msal_cli.errors import InternalError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})

@@ -33,7 +33,7 @@ from msal_cli.codecs.text_slots import (
 )
 from msal_cli.errors import InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _NONE = np.zeros(0, dtype=np.int64)
 

@@ -23,7 +23,7 @@ from msal_cli.codecs.decimals import (
     uniform_decimals,
 )
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _UNREAD = np.empty((0, 0))
 

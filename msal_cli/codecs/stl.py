@@ -29,7 +29,7 @@ from msal_cli.errors import (
     InternalError,
     TruncatedError,
 )
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024

@@ -31,7 +31,7 @@ from msal_cli.errors import (
     TooLargeError,
     TruncatedError,
 )
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Bytes of text that a facet takes at least."""

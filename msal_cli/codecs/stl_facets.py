@@ -7,7 +7,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.slots import as_float32
 from msal_cli.errors import ContentError, TooLargeError, UnsupportedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])

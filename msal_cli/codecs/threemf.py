@@ -47,9 +47,8 @@ from msal_cli.errors import (
     UnsupportedError,
 )
 from msal_cli.kernels.text import as_bytes
-from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
-from msal_cli.storage.limits import memory_bytes
+from msal_cli.storage.regular import Buffer, memory_bytes
 
 LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""

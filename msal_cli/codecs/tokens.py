@@ -9,7 +9,7 @@ import numpy as np
 from msal_cli.arrays import Bytes, Flags, Longs
 from msal_cli.codecs.slots import Tokens, line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _MOST_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22

@@ -20,7 +20,7 @@ from msal_cli.codecs.record_slots import Strided
 from msal_cli.codecs.slots import Slots, Tokens, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TruncatedError, UnsupportedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 _CODES = {
     "char": ">i1",

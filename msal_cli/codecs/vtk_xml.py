@@ -31,9 +31,8 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from msal_cli.storage.buffers import Buffer
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO
-from msal_cli.storage.limits import memory_bytes
+from msal_cli.storage.regular import Buffer, memory_bytes
 
 _CODES = {
     f"{sign}Int{bits}": f"{code}{bits // 8}"

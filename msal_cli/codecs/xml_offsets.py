@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 
 MOST_ELEMENTS = 1_000_000
 """A file of more elements would take more memory as a tree than meshes take."""

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
-from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.opened_mesh import open_mesh, to_known_error
+from msal_cli.job.inspection import open_mesh, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
     Area,
+    ComparisonRecord,
     Failure,
     Reference,
     SelfIntersections,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh, PreparedMesh
-    from msal_cli.storage.buffers import Buffer
+    from msal_cli.storage.regular import Buffer
 
 HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""

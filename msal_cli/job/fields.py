@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import PreparedMesh
-    from msal_cli.storage.buffers import Buffer
+    from msal_cli.storage.regular import Buffer
 
 SUFFIX = ".fields.ply"
 """What takes the place of an output's suffix."""

@@ -16,7 +16,7 @@ from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
-from msal_cli.job.opened_mesh import open_mesh, prepare_mesh, to_known_error
+from msal_cli.job.inspection import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
 from msal_cli.job.room import room_for_task
 from msal_cli.job.settings import (
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
     from msal_cli.storage.atomic import Sources
-    from msal_cli.storage.buffers import Buffer
+    from msal_cli.storage.regular import Buffer
 
 OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
@@ -228,12 +228,13 @@ class FileRun:
 
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
+        from msal_cli import machine
         from msal_cli.codecs.mesh_file import corner_count
-        from msal_cli.storage import allocator, digests
+        from msal_cli.storage import gzip_streams
 
         with self.stage("read"):
-            allocator.give_back_large_arrays()
-            digest = digests.sha256_meanwhile(data)
+            machine.give_back_large_arrays()
+            digest = gzip_streams.sha256_meanwhile(data)
             try:
                 mesh_file, is_compressed = open_mesh(
                     data, self._record.input, self._settings.format
@@ -262,7 +263,7 @@ class FileRun:
         source: output.Source,
     ) -> output.Output:
         """The output file with new positions (n, 3)."""
-        from msal_cli.storage import digests
+        from msal_cli.storage import gzip_streams
 
         with self.stage("write"):
             made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
@@ -274,7 +275,7 @@ class FileRun:
                     mesh_file, vertices, self.field_values, fields.path_beside(output_path)
                 )
             self._is_changed = made.data is not source.data
-            self._output_digest = digests.sha256_meanwhile(made.data)
+            self._output_digest = gzip_streams.sha256_meanwhile(made.data)
         return made
 
     def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:

@@ -11,10 +11,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from msal_cli.errors import FormatError
-from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import figure
 from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import SCHEMA, GateResult, Reference, SurfaceDistance
+from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference, SurfaceDistance
 from msal_cli.report.data import parse_json, read_json, read_record
 from msal_cli.report.facts import (
     Line,

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from msal_cli.job.display_names import escape_for_display, figure
-from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import (
     DONE,
     Failure,
     GateResult,
+    InfoRecord,
     MeshRecord,
     NoiseEstimate,
     Reference,

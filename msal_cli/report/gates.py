@@ -21,13 +21,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar
 
 from msal_cli.errors import UsageError
+from msal_cli.job.constraints import COMPARISONS, UNIT_PATTERN, in_file_units
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import GateResult
-from msal_cli.job.units import COMPARISONS, UNIT_PATTERN, in_file_units
 
 if typing.TYPE_CHECKING:
-    from msal_cli.job.comparison_record import ComparisonRecord
-    from msal_cli.job.records import MeshRecord
+    from msal_cli.job.records import ComparisonRecord, MeshRecord
 
 Kind = Literal["truth", "constant", "number", "quotient", "percent", "relative", "edges", "length"]
 Value = float | bool | None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msal_cli.job.display_names import columns, figure, pad_name, shorten_name
-from msal_cli.job.info_record import InfoRecord
+from msal_cli.job.records import InfoRecord
 from msal_cli.report.facts import (
     Line,
     defects_text,

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from msal_cli.errors import OutputError
-from msal_cli.storage.buffers import Buffer
+from msal_cli.storage.regular import Buffer
 from msal_cli.storage.urls import is_url
 
 LONGEST_NAME = 140

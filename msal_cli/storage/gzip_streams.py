@@ -1,16 +1,23 @@
-"""Whole files in and out of memory: reading, and gzip with a bound on what it may expand to."""
+"""Whole files in and out of memory: reading, gzip with a bound on what it may expand to, hashes."""
 
 from __future__ import annotations
 
+import hashlib
 import os
+import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, TruncatedError
-from msal_cli.storage.buffers import Buffer
-from msal_cli.storage.limits import LARGE_BYTES, largest_bytes, too_large
-from msal_cli.storage.regular import NotRegularError, open_regular
+from msal_cli.storage.regular import (
+    LARGE_BYTES,
+    Buffer,
+    NotRegularError,
+    largest_bytes,
+    open_regular,
+    too_large,
+)
 from msal_cli.storage.urls import is_url
 
 GZIP_SUFFIX = ".gz"
@@ -249,3 +256,32 @@ def compress_pieces(pieces: Iterable[Buffer]) -> Iterator[bytes]:
             yield deflate.compress(view[at : at + _LARGEST_PIECE])
     yield deflate.flush()
     yield checksum.to_bytes(4, "little") + (size & 0xFFFFFFFF).to_bytes(4, "little")
+
+
+THREAD_BYTES = 1 << 20
+"""Bytes from which on a thread is worth its start."""
+
+
+def sha256_meanwhile(data: Buffer) -> Callable[[], str]:
+    """Begin to hash ``data``, which must not change; call what is returned for the hex digits.
+
+    Other threads run on: a second core hashes while the first one parses, and even a single core
+    hashes while the disk writes.
+    """
+    if len(data) < THREAD_BYTES:
+        digits = hashlib.sha256(data).hexdigest()
+        return lambda: digits
+    state = hashlib.sha256()
+    thread = threading.Thread(target=state.update, args=(data,), daemon=True)
+    try:
+        thread.start()
+    except RuntimeError:
+        # The system gives no more threads.
+        digits = hashlib.sha256(data).hexdigest()
+        return lambda: digits
+
+    def wait() -> str:
+        thread.join()
+        return state.hexdigest()
+
+    return wait

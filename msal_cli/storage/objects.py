@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError, install_hint
 from msal_cli.storage import urls
-from msal_cli.storage.buffers import Buffer
-from msal_cli.storage.limits import largest_bytes, too_large
+from msal_cli.storage.regular import Buffer, largest_bytes, too_large
 
 _EXTRA = "cloud"
 

@@ -1,4 +1,4 @@
-"""Regular files, opened for reading without waiting.
+"""Regular files, opened for reading without waiting, and how much of one may be in memory.
 
 Opening a FIFO waits for a writer, reading a terminal waits for a key, and some devices never end.
 A folder of scans may hold all of them under the name of a mesh, so every file of the disk whose
@@ -11,7 +11,12 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import BinaryIO
+
+from msal_cli.errors import TooLargeError
 
 _KINDS = (
     (stat.S_ISFIFO, "a named pipe"),
@@ -66,3 +71,49 @@ def _require_regular(mode: int) -> None:
     if not stat.S_ISREG(mode):
         kind = next((word for is_kind, word in _KINDS if is_kind(mode)), "a special file")
         raise NotRegularError(errno.EINVAL, f"it is {kind}, not a regular file")
+
+
+LOOKED_AT = 1 << 16
+"""Bytes of a file's beginning that show its format and its counts."""
+
+LARGE_BYTES = 4 << 20
+"""Bytes from which on the system may give large pages of memory."""
+
+
+def memory_bytes() -> int:
+    """Physical memory of this machine; more than any machine has where it is not known."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 1 << 62
+
+
+_is_large_allowed = False
+
+
+@contextmanager
+def large_files_allowed() -> Iterator[None]:
+    """Have files of any size be read, because large arrays are not kept in memory."""
+    global _is_large_allowed
+    before, _is_large_allowed = _is_large_allowed, True
+    try:
+        yield
+    finally:
+        _is_large_allowed = before
+
+
+def largest_bytes() -> int:
+    """The most bytes that a file may have to be kept in memory: half of the machine's."""
+    return sys.maxsize if _is_large_allowed else memory_bytes() // 2
+
+
+def too_large(size: int) -> TooLargeError:
+    """The error for a file of ``size`` bytes that is beyond ``largest_bytes``."""
+    return TooLargeError(
+        f"the file has {size:,} bytes, and more than {largest_bytes():,} cannot be loaded into the "
+        "memory of this machine",
+        hint="cut the mesh into parts, or use a machine with more memory",
+    )
+
+
+Buffer = bytes | bytearray | memoryview

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from string import Template
 
-from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import figure
-from msal_cli.job.records import SurfaceDistance
+from msal_cli.job.records import ComparisonRecord, SurfaceDistance
 from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
 from msal_cli.view.panels import png_bytes

@@ -14,8 +14,8 @@ from msal_cli.analysis.enclosure import measure_enclosure
 from msal_cli.arrays import Floats, Ints
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface
-from msal_cli.job.comparison_record import ComparisonRecord
 from msal_cli.job.display_names import figure
+from msal_cli.job.records import ComparisonRecord
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.colours import Scale, scale_of

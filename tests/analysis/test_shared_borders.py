@@ -14,7 +14,7 @@ from msal_cli.analysis.shared_borders import (
     share_borders,
 )
 from msal_cli.codecs import open_mesh
-from msal_cli.job.opened_mesh import prepare_mesh
+from msal_cli.job.inspection import prepare_mesh
 from tests.batch.tile_files import in_tiles, noisy_ball, ply
 from tests.shapes import grid
 

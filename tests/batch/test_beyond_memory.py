@@ -15,8 +15,8 @@ from msal_cli import codecs, machine
 from msal_cli.job import room
 from msal_cli.job.comparison import compare_files
 from msal_cli.job.inspection import inspect_file
-from msal_cli.job.outlook import foresee
 from msal_cli.job.pipeline import denoise_file, start_record
+from msal_cli.job.room import foresee
 from msal_cli.job.settings import (
     ADAPTIVE,
     AUTO,

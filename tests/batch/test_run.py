@@ -22,7 +22,7 @@ from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job import outlook
+from msal_cli.job import room
 from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
@@ -259,7 +259,7 @@ class TestDryRun:
     @pytest.fixture(autouse=True)
     def _no_meshes(self, monkeypatch):
         """The files of these tests are no meshes, which a dry run would say."""
-        monkeypatch.setattr(outlook, "_check", lambda path, format: None)
+        monkeypatch.setattr(room, "_check", lambda path, format: None)
 
     def test_nothing_is_touched(self, folders):
         fill(folders, 3)

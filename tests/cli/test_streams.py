@@ -17,7 +17,7 @@ import pytest
 from msal_cli import machine
 from msal_cli.cli.streams import Stream, choose_format, copy_stream, find_stream, read_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError, UsageError
-from msal_cli.storage import limits
+from msal_cli.storage import regular
 from tests.cli.scans import (
     BAD_SCAN,
     MSAL,
@@ -76,7 +76,7 @@ def scratch(tmp_path, monkeypatch):
 
 
 def test_more_than_half_of_the_memory_is_not_read(endless, monkeypatch):
-    monkeypatch.setattr(limits, "memory_bytes", lambda: 32 << 20)
+    monkeypatch.setattr(regular, "memory_bytes", lambda: 32 << 20)
     with pytest.raises(TooLargeError, match="memory of this machine"):
         read_stream()
     assert endless.n_read <= 18 << 20
@@ -92,7 +92,7 @@ def test_more_than_is_left_of_the_memory_is_not_read(endless, monkeypatch):
 
 @pytest.mark.parametrize("words", [("denoise", "-", "-o", "-"), ("info", "-")])
 def test_the_commands_read_no_more_either(words, monkeypatch):
-    monkeypatch.setattr(limits, "memory_bytes", lambda: 4 << 20)
+    monkeypatch.setattr(regular, "memory_bytes", lambda: 4 << 20)
     made = msal_on(b"y\n" * (3 << 20), *words)
     assert made.exit_code == 1
     assert made.stdout == ""

@@ -8,9 +8,16 @@ import pickle
 import pytest
 
 from msal_cli import errors
-from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.plain_data import as_data, from_data
-from msal_cli.job.records import Displacement, Failure, MeshRecord, MethodUsed, Seconds, Volume
+from msal_cli.job.records import (
+    Displacement,
+    Failure,
+    InfoRecord,
+    MeshRecord,
+    MethodUsed,
+    Seconds,
+    Volume,
+)
 
 
 def full_record():

@@ -10,10 +10,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.info_record import InfoRecord
 from msal_cli.job.records import (
     ChoiceMade,
+    ComparisonRecord,
+    InfoRecord,
     MeshRecord,
     NoiseEstimate,
     NoiseReading,

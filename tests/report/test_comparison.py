@@ -7,8 +7,7 @@ import json
 import pytest
 
 from msal_cli.errors import FormatError
-from msal_cli.job.comparison_record import ComparisonRecord
-from msal_cli.job.records import Reference
+from msal_cli.job.records import ComparisonRecord, Reference
 from msal_cli.report.comparison import (
     compare_with_baseline,
     find_partner,

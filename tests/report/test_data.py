@@ -16,8 +16,7 @@ from jsonschema import Draft202012Validator
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restore_name
-from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.records import GateResult, MeshRecord, MethodUsed, Volume
+from msal_cli.job.records import GateResult, InfoRecord, MeshRecord, MethodUsed, Volume
 from msal_cli.report.data import (
     COMMON_COLUMNS,
     plain,

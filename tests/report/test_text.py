@@ -8,8 +8,7 @@ import unicodedata
 import pytest
 
 from msal_cli.job.display_names import columns
-from msal_cli.job.info_record import InfoRecord
-from msal_cli.job.records import Failure, GateResult, MeshRecord, Planned, Volume
+from msal_cli.job.records import Failure, GateResult, InfoRecord, MeshRecord, Planned, Volume
 from msal_cli.report import text as as_text
 from msal_cli.report.info import describe_info
 from tests.report.made import HOSTILE_NAMES, RUN, failed, written

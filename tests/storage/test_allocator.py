@@ -7,12 +7,12 @@ import sys
 
 import pytest
 
-from msal_cli.storage.allocator import give_back_large_arrays
+from msal_cli.machine import give_back_large_arrays
 
 SEEN = """
 import os, sys
 import numpy as np
-from msal_cli.storage.allocator import give_back_large_arrays
+from msal_cli.machine import give_back_large_arrays
 
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -7,10 +7,10 @@ import threading
 
 import pytest
 
-from msal_cli.storage.digests import LARGE_BYTES, sha256_meanwhile
+from msal_cli.storage.gzip_streams import THREAD_BYTES, sha256_meanwhile
 
 
-@pytest.mark.parametrize("size", [0, 1000, LARGE_BYTES, LARGE_BYTES + 1])
+@pytest.mark.parametrize("size", [0, 1000, THREAD_BYTES, THREAD_BYTES + 1])
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
 def test_they_are_those_of_the_bytes(size, kind):
     data = bytes(k % 251 for k in range(1000)) * (size // 1000 + 1)
@@ -24,5 +24,5 @@ def test_without_another_thread_it_is_done_at_once(monkeypatch):
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", refuse)
-    data = bytes(LARGE_BYTES)
+    data = bytes(THREAD_BYTES)
     assert sha256_meanwhile(data)() == hashlib.sha256(data).hexdigest()

@@ -13,8 +13,8 @@ import pytest
 from msal_cli.codecs import header_check
 from msal_cli.codecs.forecast import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
-from msal_cli.storage import limits, sidecars
 from msal_cli.storage import objects as remote
+from msal_cli.storage import regular, sidecars
 from msal_cli.storage.objects import (
     Mark,
     list_objects,
@@ -256,7 +256,7 @@ class TestBounds:
 
     @pytest.fixture(autouse=True)
     def little_memory(self, monkeypatch):
-        monkeypatch.setattr(limits, "memory_bytes", lambda: 8 << 20)
+        monkeypatch.setattr(regular, "memory_bytes", lambda: 8 << 20)
 
     @pytest.fixture
     def server(self):

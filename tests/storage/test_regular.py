@@ -11,7 +11,7 @@ from msal_cli.codecs import forecast
 from msal_cli.codecs import header_check as first_look
 from msal_cli.errors import InputError, TooLargeError
 from msal_cli.storage import gzip_streams as streams
-from msal_cli.storage import limits
+from msal_cli.storage import regular
 from msal_cli.storage.regular import NotRegularError, is_regular, open_regular
 from tests.time_limit import time_limit
 
@@ -82,7 +82,7 @@ def test_folders_and_what_is_missing_are_told_apart(tmp_path):
 def test_what_grows_without_end_is_not_read_to_the_end(tmp_path, monkeypatch):
     path = tmp_path / "scan.ply"
     path.write_bytes(bytes(3 << 20))
-    monkeypatch.setattr(limits, "memory_bytes", lambda: 4 << 20)
+    monkeypatch.setattr(regular, "memory_bytes", lambda: 4 << 20)
     with pytest.raises(TooLargeError, match="memory of this machine"):
         streams.read_whole(path)
     # A file that says it is empty and is not, as one that is written to meanwhile.
