@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import interrupts, plan, plan_checks, worker_process
+from msal_cli.batch import interrupts, plan, worker_pool
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.codecs import header_check
 from msal_cli.errors import OutputError, UsageError
@@ -152,8 +152,8 @@ def test_an_input_that_changed_its_case_keeps_its_output(tmp_path, monkeypatch):
 
 
 def test_names_are_folded_as_file_systems_do():
-    assert plan_checks.fold_case("S/\u00c9.PLY") == plan_checks.fold_case("s/e\u0301.ply")
-    assert plan_checks.fold_case("a.ply") != plan_checks.fold_case("b.ply")
+    assert plan.fold_case("S/\u00c9.PLY") == plan.fold_case("s/e\u0301.ply")
+    assert plan.fold_case("a.ply") != plan.fold_case("b.ply")
 
 
 # Signals and processes
@@ -200,11 +200,11 @@ def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
         started.update(settings)
         raise OSError(12, "not enough memory")
 
-    monkeypatch.setattr(worker_process.sys, "platform", "win32")
+    monkeypatch.setattr(worker_pool.sys, "platform", "win32")
     monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
-    monkeypatch.setattr(worker_process.subprocess, "Popen", start)
+    monkeypatch.setattr(worker_pool.subprocess, "Popen", start)
     with pytest.raises(Exception, match="no worker can be started"):
-        worker_process.start_worker(None, 1, None)
+        worker_pool.start_worker(None, 1, None)
     assert started["creationflags"] == 0x200
     assert "process_group" not in started
 

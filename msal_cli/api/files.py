@@ -11,12 +11,11 @@ from typing import Any, Unpack
 from msal_cli.api.denoise import parse_arguments
 from msal_cli.api.mesh_objects import explained_errors
 from msal_cli.api.method_list import MethodName, MethodParameters
-from msal_cli.batch.events import Event, Finished
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.plan import Plan, build_plan
-from msal_cli.batch.run import run
-from msal_cli.batch.run_checks import check_limits, check_numbers
+from msal_cli.batch.run import check_limits, check_numbers, run
+from msal_cli.batch.schedule import Event, Finished
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.records import MeshRecord
@@ -111,7 +110,7 @@ def denoise_file(
         check_limits(limits)
         gates, settings = _parse(denoise_file, given)
         plan = build_plan(discover_inputs([source], output=target), target, to=settings.to)
-        if len(plan.tasks) != 1 or plan.homes != (None,):
+        if len(plan.tasks) != 1 or plan.manifest_dirs != (None,):
             raise UsageError(
                 f"{source!r} into {target!r} is not one file into one file",
                 hint="denoise_folder takes folders",

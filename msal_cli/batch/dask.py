@@ -21,9 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from msal_cli.batch import temporary_files
-from msal_cli.batch.engine import Interrupt, Work
-from msal_cli.batch.events import Failed, Message, Returned, Started
-from msal_cli.batch.manifest_dirs import output_folders
+from msal_cli.batch.schedule import Failed, Interrupt, Message, Returned, Started, Work
+from msal_cli.batch.temporary_files import output_folders
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError, UsageError, install_hint
 from msal_cli.storage.atomic import temporary_name
@@ -40,12 +39,9 @@ _log = logging.getLogger("msal.dask")
 
 
 class DaskEngine:
-    """An ``engine.Engine`` on Dask distributed.
+    """A ``schedule.Engine`` on Dask distributed; all workers must see the inputs and outputs.
 
-    Parameters
-    ----------
-    work : what is to be done; inputs and outputs must be where all workers see them.
-    scheduler : the scheduler's address.
+    ``scheduler`` is an address.
     """
 
     def __init__(self, work: Work, scheduler: str) -> None:
@@ -60,15 +56,13 @@ class DaskEngine:
         self._is_stopped = self._is_interrupted = False
 
     def stop(self) -> None:
-        """See ``Engine.stop``; files of tasks that have begun are not reported."""
+        """Hand out nothing more; files of tasks that have begun are not reported."""
         self._is_stopped = True
 
     def interrupt(self) -> None:
-        """See ``Engine.interrupt``."""
         self._is_interrupted = True
 
     def batches(self) -> Generator[list[Message], None, None]:
-        """See ``Engine.batches``."""
         probes = [
             os.path.join(os.path.abspath(folder), temporary_name("probe"))
             for folder in self._work.folders
@@ -217,7 +211,7 @@ class DaskEngine:
                 continue
             messages = self._handle_answer(self._submitted.pop(future), answer)
             if messages:
-                yield [one for each in messages for one in (Started(each.index), each)]
+                yield [part for each in messages for part in (Started(each.index), each)]
 
     def _handle_answer(self, indices: list[int], answer: Any) -> list[Message]:
         if isinstance(answer, bytes):
@@ -295,8 +289,8 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
     threading.Thread(target=end_if_unwanted, daemon=True).start()
     messages: list[Message] = []
     try:
-        for some in pool.batches():
-            messages += [one for one in some if isinstance(one, Returned | Failed)]
+        for batch in pool.batches():
+            messages += [each for each in batch if isinstance(each, Returned | Failed)]
     except Interrupt:
         pass
     finally:

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from msal_cli.batch.patterns import Patterns, has_magic
 from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.records import ObjectMark
@@ -26,6 +26,7 @@ from msal_cli.storage.urls import is_url
 T = TypeVar("T")
 
 _LINKS_NAMED = 3
+_MAGIC = re.compile(r"[*?[]")
 
 _log = logging.getLogger("msal.batch")
 
@@ -100,7 +101,7 @@ def discover_inputs(
     takes every file it matches, another only mesh names, and a folder that it matches is searched.
 
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
-    (see `patterns.Patterns`); a file is kept if some ``include`` (where there is any) and no
+    (see `Patterns`); a file is kept if some ``include`` (where there is any) and no
     ``exclude`` matches.
 
     Raises
@@ -134,14 +135,14 @@ def discover_inputs(
         else:
             found = _list_tree(Path(root), prefix, selection, excluded, own_output)
         kept = [
-            one
-            for one in found
-            if (not included or included.matches(one.relative))
-            and not excluded.matches(one.relative)
+            file
+            for file in found
+            if (not included or included.matches(file.relative))
+            and not excluded.matches(file.relative)
         ]
         empty += [] if kept else [text]
-        for one in kept:
-            everything.setdefault((one.path, one.relative), one)
+        for file in kept:
+            everything.setdefault((file.path, file.relative), file)
     if not everything:
         raise NothingMatched(
             f"no mesh file is selected by {', '.join(repr(text) for text in inputs)}",
@@ -295,12 +296,12 @@ def _list_tree(
                 yield DiscoveredInput(folder, prefix + relative, str(root))
             continue
         below: list[tuple[str, str, str | None, bool]] = []
-        for one in _scan(folder):
-            if _is_skipped(one.name, selection.with_hidden):
+        for entry in _scan(folder):
+            if _is_skipped(entry.name, selection.with_hidden):
                 continue
-            path = one.name if folder == "." else os.path.join(folder, one.name)
-            name = f"{relative}/{one.name}" if relative else one.name
-            file_type = _file_type(one)
+            path = entry.name if folder == "." else os.path.join(folder, entry.name)
+            name = f"{relative}/{entry.name}" if relative else entry.name
+            file_type = _file_type(entry)
             if file_type == "file":
                 below.append((path, name, None, is_beyond_link))
             elif (
@@ -309,7 +310,7 @@ def _list_tree(
                 and selection.may_lie_below(name)
             ):
                 is_link = file_type == "linked folder"
-                real = str(resolve(Path(path))) if is_link else os.path.join(holder, one.name)
+                real = str(resolve(Path(path))) if is_link else os.path.join(holder, entry.name)
                 if own_output is not None and _is_below(own_output, real):
                     continue
                 if is_link and not _is_below(real_root, real):
@@ -382,3 +383,98 @@ def resolve(path: Path) -> Path:
         return path.resolve()
     except (OSError, RuntimeError):
         return Path.cwd() / path
+
+
+# Patterns
+
+
+def has_magic(text: str) -> bool:
+    """Whether ``text`` holds a wildcard."""
+    return _MAGIC.search(text) is not None
+
+
+class Patterns:
+    """Several glob patterns, matched together.
+
+    Relative paths are written with ``/``.  A pattern matches a file when it matches its whole
+    relative path, its name alone, or a folder that holds it, so ``old`` and ``old/`` match all
+    that lies in a folder ``old`` anywhere, and ``left/**/*.ply`` for ``left/a.ply`` as well as for
+    ``left/b/c.ply``.  As in a shell, a wildcard at the start of a name does not match a dot.
+    With ``whole`` set, only the whole relative path or that of a holding folder counts.
+    Case counts, but for Windows.
+
+    Raises UsageError for an empty pattern.
+    """
+
+    def __init__(self, patterns: Iterable[str], *, whole: bool = False) -> None:
+        self._whole = whole
+        self._compiled = [_compile_pattern(pattern) for pattern in patterns]
+
+    def __bool__(self) -> bool:
+        return bool(self._compiled)
+
+    def is_exact(self, relative: str) -> bool:
+        """Whether a pattern matches ``relative`` itself, not only a folder that holds it."""
+        return any(pattern.fullmatch(relative) for pattern in self._compiled)
+
+    def matches(self, relative: str) -> bool:
+        """Whether a pattern matches ``relative``, its name or a folder that holds it."""
+        if not self._compiled:
+            return False
+        parts = relative.split("/")
+        for stop in range(len(parts), 0, -1):
+            if self.is_exact("/".join(parts[:stop])):
+                return True
+            if not self._whole and self.is_exact(parts[stop - 1]):
+                return True
+        return False
+
+
+def _compile_pattern(pattern: str) -> re.Pattern[str]:
+    text = pattern.replace(os.sep, "/")
+    while text.startswith("./"):
+        text = text[2:]
+    text = text.rstrip("/")
+    if not text:
+        raise UsageError(f"the pattern {pattern!r} is empty")
+    expression = ""
+    segments = text.split("/")
+    for place, segment in enumerate(segments):
+        is_last = place == len(segments) - 1
+        if segment == "**":
+            expression += ".*" if is_last else "(?:.*/)?"
+        else:
+            expression += _to_regex(segment) + ("" if is_last else "/")
+    flags = re.DOTALL | (re.IGNORECASE if os.name == "nt" else 0)
+    try:
+        return re.compile(expression, flags)
+    except re.error as error:
+        raise UsageError(
+            f"the pattern {pattern!r} cannot be read: {error}",
+            hint="write [[] for a literal bracket",
+        ) from None
+
+
+def _to_regex(segment: str) -> str:
+    expression = r"(?!\.)" if segment[:1] in ("*", "?", "[") else ""
+    at = 0
+    while at < len(segment):
+        character = segment[at]
+        at += 1
+        if character == "*":
+            expression += "[^/]*"
+        elif character == "?":
+            expression += "[^/]"
+        elif character == "[":
+            # A ] right behind the opening bracket (or its !) is a member, not the end.
+            first = at + 1 if segment[at : at + 1] == "!" else at
+            stop = segment.find("]", first + 1)
+            if stop < 0:
+                expression += r"\["
+                continue
+            members = re.sub(r"([\\\[&~|^])", r"\\\1", segment[first:stop])
+            expression += f"[{'^/' if first > at else ''}{members}]"
+            at = stop + 1
+        else:
+            expression += re.escape(character)
+    return expression

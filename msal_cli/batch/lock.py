@@ -31,8 +31,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from msal_cli.batch.process_status import is_alive
 from msal_cli.batch.shard import Shard
+from msal_cli.batch.temporary_files import is_alive
 from msal_cli.errors import OutputError, UsageError
 
 NAME = ".msal-lock"

@@ -1,59 +1,369 @@
-"""The manifests of an output folder: what was written there, from what, with which settings.
+"""The manifest of a place: which outputs runs have written there, from what, with which settings.
 
-``.msal-manifest.jsonl`` (see `manifest_lines`) only ever grows at its end, so a run that is killed
-loses at most its last line.  Each shard writes a manifest of its own,
-``.msal-manifest-K-of-N.jsonl``; all manifests of a folder are read.
+A manifest has one JSON object a line.  There are four kinds of line:
+
+``run``     when a run starts: version, command, settings, shard, process and machine.
+``intent``  before a run starts on a file: an output of this name is ours.
+``done``    after the output was moved into place (or the file failed): hashes and the record.
+``end``     when a run ends in good order, or by a signal.
+
+Of the lines for a name the newest counts: within a manifest the last, between manifests the one
+with the greatest ``at``.  That is the time in nanoseconds when the line was made, but always more
+than that of every line that was read before, so that clocks of several machines need not agree.
+
+In a folder ``.msal-manifest.jsonl`` only ever grows at its end, so a run that is killed loses at
+most its last line.  Each shard writes a manifest of its own, ``.msal-manifest-K-of-N.jsonl``; all
+manifests of a folder are read.
+
+Nothing can be appended to an object of a store, so a manifest there is made of parts,
+``.msal-manifest/RUN-00001.jsonl`` and so on, RUN being the time at which the run began and eight
+random digits.  A part is written whole and never again.  ``intent`` lines are there before the work
+starts; ``done`` lines follow every few seconds, so a run that is killed forgets what it finished in
+the last of them, and those files are done again.  Many parts are merged into one: first the new
+part is written, then the old ones are removed, so that at any moment every line is in some part.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import logging
 import os
 import re
+import sys
+import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from msal_cli.batch.manifest_lines import (
-    LineSpan,
-    LogView,
-    ManifestEntry,
-    encode_line,
-    manifest_error,
-    merge_entries,
-    parse_line,
-    read_lines,
-)
+from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.shard import Shard
+from msal_cli.errors import InputError, MsalError, OutputError
+from msal_cli.job.plain_data import as_data, from_data
+from msal_cli.job.records import MeshRecord, ObjectMark
+from msal_cli.storage import urls
 from msal_cli.storage.atomic import flush_folder, write_whole
 from msal_cli.storage.regular import is_regular, open_regular
+from msal_cli.storage.urls import is_url
+from msal_cli.version import __version__
 
 NAME = ".msal-manifest.jsonl"
+PARTS_FOLDER = ".msal-manifest"
 _ANY_NAME = re.compile(r"\.msal-manifest(?:-\d{1,9}-of-\d{1,9})?\.jsonl")
+_PART = re.compile(r"\d{8}T\d{6}\.\d{6}Z-[0-9a-f]{8}-\d{5,}\.jsonl")
+
+FORMAT = 1
+RUN_KINDS = ("run", "end")
+_ENTRY_KINDS = ("intent", "done")
 
 # Lines that no longer count are dropped at the start of a run once there are this many of them
 # and more than there are lines that count.
 _SPARE_LINES = 1000
 
-RUN_LINES_KEPT = 100
+MAX_RUN_LINES = 100
 """Lines about runs are kept for reports, but not without end."""
+
+SECONDS_BETWEEN_PARTS = 3.0
+"""Seconds that a line may wait for others before it is written to a store."""
+
+MAX_PARTS = 50
+"""Parts beyond which the next run merges them; each costs a request at every start."""
+
+_MAX_FAILURES = 10
+_LAST_CHANCE_S = 1.5
+
+# Parsing the records, which are rarely needed, would take half of the time of reading.
+_USUAL_DONE = re.compile(
+    rb'(\{"kind":"done",.*?),"record":\{.*\},"at":([1-9]\d{0,29})\}', re.DOTALL
+)
+
+_USUAL_NAME = re.compile(
+    rb'\{"kind":"(?:done|intent)","name":("(?:[^"\\]|\\.)*"),"format":1,.*\}$', re.DOTALL
+)
 
 _log = logging.getLogger("msal.batch")
 
+MAX_LINE_BYTES = 16 << 20
+"""Bytes that a line may have.  Lines of msal have some kilobytes; a longer one is damage, and a
+file with a hole would be one line as long as the hole."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileStat:
+    """Size in bytes and time of change in nanoseconds: fast to read, and only a hint."""
+
+    size: int
+    mtime_ns: int
+
+    @staticmethod
+    def of(path: str) -> FileStat | None:
+        """The values of a file now; None where they cannot be read."""
+        try:
+            # Constructing a Path costs more than the call itself.
+            status = os.stat(path)
+        except (OSError, ValueError):
+            return None
+        return FileStat(status.st_size, status.st_mtime_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class LineSpan:
+    """A line in a file: where it begins, and how long it is without its end, in bytes."""
+
+    path: Path
+    start: int
+    length: int
+
+    def read(self) -> bytes:
+        """The line as it is now; OSError if the file cannot be read."""
+        with open_regular(self.path, buffering=0) as file:
+            file.seek(self.start)
+            return file.read(self.length)
+
+
+@dataclass(frozen=True, slots=True)
+class ManifestEntry:
+    """What the manifest says of one output.
+
+    ``name`` is the output below the folder of the manifest, written with ``/``.  An entry that is
+    not ``is_done`` says only that a run began to write this output.  ``input_version`` and
+    ``output_version`` are what the files were when the line was written: a stat, or size and tag
+    of an object in a store.  ``at`` orders entries, 0 where the line has none (see above).
+    ``line`` is the whole line, or where it is in a file, because all lines of a large manifest
+    take more memory than everything else in a run.
+    """
+
+    name: str
+    is_done: bool
+    at: int = 0
+    settings: str = ""
+    status: str = ""
+    input_sha256: str = ""
+    output_sha256: str = ""
+    input_version: FileStat | ObjectMark | None = None
+    output_version: FileStat | ObjectMark | None = None
+    line: bytes | LineSpan = b""
+
+    def record(self) -> MeshRecord | None:
+        """The record of the run that wrote the output; None if it cannot be read."""
+        try:
+            record: MeshRecord = from_data(MeshRecord, self.data().get("record"))
+        except TypeError:
+            return None
+        return record
+
+    def data(self) -> dict[str, Any]:
+        """All that the line says; empty if it cannot be read (any more)."""
+        try:
+            data = json.loads(self.line.read() if isinstance(self.line, LineSpan) else self.line)
+            # The file may have been rewritten by the shard that it belongs to.
+            return data if data["name"] == self.name and data.get("at", 0) == self.at else {}
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return {}
+
+
+@dataclass(slots=True)
+class RunLine:
+    """A line about a run, and the greatest ``at`` of the entries between it and the next one."""
+
+    line: bytes
+    last_at: int = 0
+
+
+@dataclass(slots=True)
+class LogView:
+    """The line that counts for each name, and the lines about runs, of one manifest."""
+
+    entries: dict[str, ManifestEntry] = field(default_factory=dict)
+    run_lines: list[RunLine] = field(default_factory=list)
+    n_lines: int = 0
+
+    @classmethod
+    def of(cls, lines: Iterable[tuple[bytes, LineSpan | None]]) -> LogView:
+        """Read lines in their order; a line that is torn or makes no sense is skipped."""
+        view = cls()
+        for line, span in lines:
+            view.n_lines += 1
+            parsed = parse_line(line, span)
+            if isinstance(parsed, ManifestEntry):
+                other = view.entries.get(parsed.name)
+                if other is None or parsed.at >= other.at:
+                    view.entries[parsed.name] = parsed
+                if view.run_lines:
+                    view.run_lines[-1].last_at = max(view.run_lines[-1].last_at, parsed.at)
+            elif parsed in RUN_KINDS:
+                view.run_lines.append(RunLine(line))
+        return view
+
+
+def merge_entries(views: Iterable[LogView]) -> dict[str, ManifestEntry]:
+    """Of several manifests the entry that counts for each name."""
+    merged: dict[str, ManifestEntry] = {}
+    for view in views:
+        for name, entry in view.entries.items():
+            other = merged.get(name)
+            if other is None or (entry.at, entry.is_done) >= (other.at, other.is_done):
+                merged[name] = entry
+    return merged
+
+
+# Reading
+
+
+def read_lines(path: Path) -> Iterator[tuple[bytes, LineSpan]]:
+    """The lines of a manifest without their ends and where they are, empty ones left out.
+
+    Raises OutputError if it cannot be read; a file that is not there has no lines.
+    """
+    try:
+        with open_regular(path) as file:
+            start = 0
+            while line := file.readline(MAX_LINE_BYTES + 1):
+                if len(line) > MAX_LINE_BYTES:
+                    raise OSError(errno.EFBIG, f"a line has more than {MAX_LINE_BYTES:,} bytes")
+                if plain := line.rstrip(b"\n"):
+                    yield plain, LineSpan(path, start, len(plain))
+                start += len(line)
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise manifest_error(str(path), error) from None
+
+
+def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str | None:
+    """The entry in a line, the kind of a line that is about a run, or None if it makes no sense."""
+    try:
+        data = _load_json(line)
+        kind = data["kind"]
+        if kind not in _ENTRY_KINDS or data.get("format", FORMAT) != FORMAT:
+            return kind if kind in RUN_KINDS else None
+        output = data.get("output") or {}
+        at = data.get("at", 0)
+        entry = ManifestEntry(
+            name=data["name"],
+            is_done=kind == "done",
+            at=at if type(at) is int else 0,
+            # Equal texts in many lines share one object.
+            settings=sys.intern(data.get("settings", "")),
+            status=sys.intern(data.get("status", "")),
+            input_sha256=data["input"]["sha256"],
+            output_sha256=output.get("sha256", ""),
+            input_version=_parse_version(data["input"]),
+            output_version=_parse_version(output),
+            line=line if span is None else span,
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    texts = (entry.name, entry.input_sha256, entry.output_sha256)
+    return entry if all(isinstance(text, str) for text in texts) else None
+
+
+def _load_json(line: bytes) -> Any:
+    """What a line says, without the record where that can be left out; errors as of JSON."""
+    usual = _USUAL_DONE.fullmatch(line)
+    if usual is None:
+        return json.loads(line)
+    # In a string the quotes would have backslashes, so this is where the record begins.
+    return json.loads(usual[1] + b"}") | {"at": int(usual[2])}
+
+
+def _parse_version(data: Mapping[str, Any]) -> FileStat | ObjectMark | None:
+    size, mtime_ns, tag = data.get("size"), data.get("mtime_ns"), data.get("tag")
+    if not isinstance(size, int):
+        return None
+    if isinstance(tag, str):
+        return ObjectMark(size, tag)
+    return FileStat(size, mtime_ns) if isinstance(mtime_ns, int) else None
+
+
+# Writing
+
+
+def intent_line(name: str, input_path: str, output_path: str = "") -> dict[str, Any]:
+    """The line that says: a run is about to write the output ``name`` from this input."""
+    return {
+        "kind": "intent",
+        "name": name,
+        "format": FORMAT,
+        "input": _version_fields(FileStat.of(input_path), ""),
+        "paths": [input_path, output_path],
+    }
+
+
+def done_line(
+    name: str, settings: str, record: MeshRecord, input_path: str, output_path: str = ""
+) -> dict[str, Any]:
+    """The line for a finished or failed file; ``settings`` is their hash."""
+    output = None
+    if record.error is None and record.output is not None:
+        version = record.output_object or FileStat.of(record.output)
+        output = _version_fields(version, record.output_sha256)
+    return {
+        "kind": "done",
+        "name": name,
+        "format": FORMAT,
+        "version": __version__,
+        "settings": settings,
+        "status": record.status,
+        "input": _version_fields(
+            record.input_object or FileStat.of(input_path), record.input_sha256
+        ),
+        "output": output,
+        "paths": [input_path, output_path],
+        "record": as_data(record),
+    }
+
+
+def _version_fields(version: FileStat | ObjectMark | None, sha256: str | None) -> dict[str, Any]:
+    fields: dict[str, Any] = {"sha256": sha256 or ""}
+    if isinstance(version, ObjectMark):
+        fields |= {"size": version.size, "tag": version.tag}
+    elif version is not None:
+        fields |= {"size": version.size, "mtime_ns": version.mtime_ns}
+    return fields
+
+
+def encode_line(data: Mapping[str, Any]) -> bytes:
+    """The line for what ``intent_line`` or ``done_line`` made, with its end."""
+    # ASCII with escapes carries names that are not valid Unicode, and no name can break a line.
+    text = json.dumps(data, separators=(",", ":"), default=to_builtin)
+    return text.encode("ascii") + b"\n"
+
+
+def to_builtin(value: Any) -> Any:
+    """For JSON: a parameter may be a numpy scalar, which must count as the number that it is."""
+    return value.item() if hasattr(value, "item") else repr(value)
+
+
+def manifest_error(path: str, error: OSError) -> OutputError:
+    """The error for a manifest that the system does not let us read or write."""
+    return OutputError(
+        f"the manifest {path!r} cannot be used: {error.strerror}",
+        hint="free some space and run again"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT)
+        else "the output folder must be writable",
+        path=path,
+    )
+
+
+# Places
+
 
 class Manifest:
-    """All manifests of one place, of which one is written; `FolderManifest` or `ObjectManifest`."""
+    """All manifests of one place, of which one is written."""
 
-    def __init__(self, home: str, views: Collection[LogView]) -> None:
-        self.home = home
+    def __init__(self, place: str, views: Collection[LogView]) -> None:
+        self.place = place
         self._entries = merge_entries(views)
         self._newest = max((entry.at for entry in self._entries.values()), default=0)
 
     def get(self, name: str) -> ManifestEntry | None:
-        """What is known of an output."""
+        """The entry of an output."""
         return self._entries.get(name)
 
     def names(self) -> frozenset[str]:
@@ -74,9 +384,9 @@ class Manifest:
         self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in some))
 
     def open(self) -> None:
-        """Prepare to append; drop lines that no longer count.  OutputError if that fails.
+        """Prepare to append, and drop lines that no longer count; harmless if it is open.
 
-        Harmless if it is open.
+        Raises OutputError if that fails.
         """
         raise NotImplementedError
 
@@ -89,27 +399,25 @@ class Manifest:
 
 
 class FolderManifest(Manifest):
-    """The manifests of a folder; written is that of ``shard``, or that of runs that are no shards.
-
-    Raises OutputError if one is there but cannot be read.
-    """
+    """The manifests of a folder, of which it writes that of ``shard``."""
 
     def __init__(self, folder: str, shard: Shard | None = None) -> None:
-        self._path = Path(folder) / manifest_name(shard)
+        own_name = NAME if shard is None else f".msal-manifest-{shard.file_part}.jsonl"
+        self._path = Path(folder) / own_name
         views = {path: read_view(path) for path in list_manifests(folder)}
         super().__init__(folder, views.values())
         self._own = views.get(self._path, LogView())
         self._file: BinaryIO | Any = None
 
     def open(self) -> None:
-        """Prepare to append, under the folder's lock: repair a torn end, drop what is outdated."""
+        """Prepare to append, under the folder's lock; repair a torn end."""
         if self._file is not None:
             return
         try:
-            n_kept = len(self._own.entries) + min(len(self._own.run_lines), RUN_LINES_KEPT)
+            n_kept = len(self._own.entries) + min(len(self._own.run_lines), MAX_RUN_LINES)
             if self._own.n_lines - n_kept > max(_SPARE_LINES, n_kept):
                 self._compact()
-                _log.debug("manifest of %r: %d lines are left", self.home, n_kept)
+                _log.debug("manifest of %r: %d lines are left", self.place, n_kept)
             if self._path.is_symlink():
                 # Its target may be outside of the output folder.
                 raise OSError(errno.ELOOP, "it is a link")
@@ -121,13 +429,16 @@ class FolderManifest(Manifest):
             self._file = self._path.open("ab", buffering=0)
             if is_new:
                 flush_folder(self._path.parent)
-            if self._file.tell() and not _ends_with_newline(self._path):
-                self._write_all(b"\n")
+            if self._file.tell():
+                with open_regular(self._path) as file:
+                    file.seek(-1, os.SEEK_END)
+                    is_torn = file.read(1) != b"\n"
+                if is_torn:
+                    self._write_all(b"\n")
         except OSError as error:
             raise manifest_error(str(self._path), error) from None
 
     def close(self) -> None:
-        """Close the file; harmless if it is not open."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -139,8 +450,8 @@ class FolderManifest(Manifest):
             os.fsync(self._file.fileno())
         except OSError as error:
             raise manifest_error(str(self._path), error) from None
-        # One that stays open for several runs tells the next of them what the last one did; what
-        # was only begun does not hide what this run may still ask of the one before.
+        # A manifest may stay open for several runs, and the next one reads what this one did.
+        # What was only begun must not hide the entries of the run before.
         for line in lines:
             entry = parse_line(line[:-1], LineSpan(self._path, start, len(line) - 1))
             if isinstance(entry, ManifestEntry) and entry.is_done:
@@ -164,18 +475,13 @@ class FolderManifest(Manifest):
         counting = {entry.line for entry in self._own.entries.values()}
 
         def lines() -> Iterator[bytes]:
-            for run in self._own.run_lines[-RUN_LINES_KEPT:]:
+            for run in self._own.run_lines[-MAX_RUN_LINES:]:
                 yield run.line + b"\n"
             for line, span in read_lines(self._path):
                 if span in counting:
                     yield line + b"\n"
 
         write_whole(self._path, lines())
-
-
-def manifest_name(shard: Shard | None) -> str:
-    """The name of a shard's manifest, or of that of runs that are no shards."""
-    return NAME if shard is None else f".msal-manifest-{shard.file_part}.jsonl"
 
 
 def list_manifests(folder: str) -> list[Path]:
@@ -195,7 +501,186 @@ def read_view(path: Path) -> LogView:
     return LogView.of(read_lines(path))
 
 
-def _ends_with_newline(path: Path) -> bool:
-    with open_regular(path) as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
+# In a store
+
+
+class ObjectManifest(Manifest):
+    """The manifest of one folder of a store; every run, shard or not, writes its own parts."""
+
+    def __init__(self, url: str, shard: Shard | None = None) -> None:
+        started = datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+        self._run = f"{started}-{os.urandom(4).hex()}"
+        parts = _read_parts(url)
+        self._parts = list(parts)
+        self._view = _view_of_parts(parts)
+        super().__init__(url, [self._view])
+        # Of shards that start together one merges: else each would write a copy of everything.
+        self._merges = shard is None or shard.number == 1
+        self._n_written = 0
+        self._n_failures = 0
+        self._failure: MsalError | None = None
+        self._waiting: list[bytes] = []
+        self._lock = threading.Lock()
+        self._writing = threading.Lock()
+        self._is_closed = threading.Event()
+        self._has_lines = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        if self._merges and len(self._parts) > MAX_PARTS:
+            self._merge_parts()
+        self._thread = threading.Thread(target=self._write_loop, name="msal-manifest", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Write what is left; while another exception is being handled a failure is only logged,
+        and not waited for long."""
+        if self._thread is None:
+            return
+        self._is_closed.set()
+        self._has_lines.set()
+        is_failing = sys.exc_info()[0] is not None
+        thread, self._thread = self._thread, None
+        thread.join(_LAST_CHANCE_S if is_failing else None)
+        if not self._waiting:
+            return
+        if is_failing:
+            _log.warning("the last lines of the manifest of %r could not be written", self.place)
+            return
+        self._flush()
+
+    def _write_lines(self, lines: list[bytes], *, at_once: bool) -> None:
+        with self._lock:
+            self._waiting.extend(lines)
+        if at_once:
+            self._flush()
+            return
+        self._has_lines.set()
+        if self._failure is not None and self._n_failures >= _MAX_FAILURES:
+            raise _store_error(self.place, self._failure)
+
+    def _write_loop(self) -> None:
+        while not self._is_closed.is_set():
+            self._has_lines.wait()
+            self._has_lines.clear()
+            self._is_closed.wait(SECONDS_BETWEEN_PARTS)
+            try:
+                self._flush()
+                self._n_failures = 0
+            except MsalError as error:
+                # The lines wait for the next time: a store may be out of reach for a moment.
+                self._failure = error
+                self._n_failures += 1
+                self._has_lines.set()
+
+    def _flush(self) -> None:
+        """Write the lines that wait as a part; they wait on if that fails."""
+        with self._writing:
+            with self._lock:
+                text, n_lines = b"".join(self._waiting), len(self._waiting)
+            if not text:
+                return
+            self._write_part(self._n_written + 1, text)
+            self._n_written += 1
+            with self._lock:
+                del self._waiting[:n_lines]
+
+    def _write_part(self, number: int, text: bytes) -> None:
+        from msal_cli.storage import objects
+
+        try:
+            objects.write_whole(_part_url(self.place, f"{self._run}-{number:05d}.jsonl"), text)
+        except OutputError as error:
+            raise _store_error(self.place, error) from None
+
+    def _merge_parts(self) -> None:
+        from msal_cli.storage import objects
+
+        lines = [run.line for run in self._view.run_lines[-MAX_RUN_LINES:]]
+        lines += [entry.line for entry in self._entries.values() if isinstance(entry.line, bytes)]
+        self._write_part(0, b"".join(line + b"\n" for line in lines))
+        objects.remove_object([_part_url(self.place, name) for name in self._parts])
+        _log.debug("manifest of %r: %d parts became one", self.place, len(self._parts))
+
+
+def _view_of_parts(parts: dict[str, bytes]) -> LogView:
+    return LogView.of((line, None) for text in parts.values() for line in text.split(b"\n") if line)
+
+
+def _read_parts(url: str) -> dict[str, bytes]:
+    """The parts of a manifest by name, those of one run after another."""
+    from msal_cli.storage import objects
+
+    for is_last in (False, False, True):
+        try:
+            listed = objects.list_objects(_part_url(url))
+            names = sorted(filter(_PART.fullmatch, listed))
+            texts = objects.read_many({_part_url(url, name): listed[name] for name in names})
+        except InputError as error:
+            # Another run may be merging what was listed.
+            if is_last:
+                raise _store_error(url, error) from None
+        else:
+            return dict(zip(names, texts, strict=True))
+    return {}
+
+
+def _part_url(url: str, name: str = "") -> str:
+    return urls.join_url(url, f"{PARTS_FOLDER}/{name}")
+
+
+def _store_error(url: str, error: MsalError) -> OutputError:
+    return OutputError(
+        f"the manifest in {url!r} cannot be used: {error.message}", hint=error.hint, path=url
+    )
+
+
+# Any place
+
+
+def read_views(place: str) -> list[LogView]:
+    """What each manifest of a folder or URL says; OutputError if one cannot be read."""
+    if not is_url(place):
+        return [read_view(path) for path in list_manifests(place)]
+    parts = _read_parts(place)
+    return [_view_of_parts(parts)] if parts else []
+
+
+def read_output_names(place: str) -> frozenset[str]:
+    """Every output that some run wrote or began to write; OutputError if that cannot be read."""
+    if is_url(place):
+        return frozenset(name for view in read_views(place) for name in view.entries)
+    names = set()
+    for path in list_manifests(place):
+        for line, _ in read_lines(path):
+            if usual := _USUAL_NAME.match(line):
+                names.add(json.loads(usual[1]))
+            elif isinstance(entry := parse_line(line), ManifestEntry):
+                names.add(entry.name)
+    return frozenset(names)
+
+
+def open_manifest(place: str, shard: Shard | None = None) -> Manifest:
+    """What the manifests of a folder or URL say so far; OutputError if one cannot be read."""
+    return ObjectManifest(place, shard) if is_url(place) else FolderManifest(place, shard)
+
+
+def open_folder(place: str, stack: ExitStack, shard: Shard | None = None) -> Manifest:
+    """Make and lock a folder, for a shard beside other shards, and read its manifests, until
+    ``stack`` ends.
+
+    A store has neither folders nor locks; there two runs write the same objects, each whole.
+
+    Raises UsageError if another run has locked the folder, OutputError if it cannot be made.
+    """
+    if not is_url(place):
+        try:
+            Path(place).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"the output folder {place!r} cannot be made: {error.strerror}", path=place
+            ) from None
+        stack.enter_context(FolderLock(place, shard))
+    manifest = open_manifest(place, shard)
+    stack.callback(manifest.close)
+    return manifest

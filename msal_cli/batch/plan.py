@@ -1,23 +1,18 @@
-"""Which output each input gets."""
+"""Which output each input gets, and every reason to refuse one before anything is touched."""
 
 from __future__ import annotations
 
 import os
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
-from msal_cli.batch.manifest_dirs import list_objects, written_names
-from msal_cli.batch.plan_checks import (
-    check_outputs,
-    distinct_tasks,
-    fold_case,
-    ignores_case,
-    refuse_escapes,
-)
+from msal_cli.batch.manifest import read_output_names
 from msal_cli.batch.shard import Shard
-from msal_cli.errors import UsageError
+from msal_cli.batch.temporary_files import is_own
+from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.records import ObjectMark
 from msal_cli.job.settings import (
     DEFAULT_BACKUP,
@@ -34,21 +29,17 @@ from msal_cli.storage.urls import is_url
 class Plan:
     """What a run is to do.
 
-    Attributes
-    ----------
-    tasks : one per input file, in the order of the inputs.
-    homes : for each task the folder whose manifest notes it, or None where there is none (one
-        file into one file).  It is the output folder or, in place, the folder that was searched
-        or holds the file.
-    fresh : do every file again, even where its output is current.
-    retry_failed : do files again that failed before, even where they would fail again.
-    shard, whole : which part this is, and of what, where it is a part (see ``select_shard``).
-    objects : where the outputs go to a store, size and tag of those that are there, by URL.
-    is_set : the files are denoised as one mesh: all of them, or none.
+    ``manifest_dirs`` are for each task the folder whose manifest notes it, or None where there is
+    none (one file into one file): the output folder or, in place, the folder that was searched or
+    holds the file.  ``fresh`` does every file again, even where its output is current, and
+    ``retry_failed`` those that failed before.  ``shard`` and ``whole`` say which part this is, and
+    of what (see ``select_shard``).  ``objects`` are, where the outputs go to a store, size and tag
+    of those that are there, by URL.  With ``is_set`` the files are denoised as one mesh: all of
+    them, or none.
     """
 
     tasks: tuple[Task, ...]
-    homes: tuple[str | None, ...]
+    manifest_dirs: tuple[str | None, ...]
     fresh: bool = False
     retry_failed: bool = False
     shard: Shard | None = None
@@ -57,33 +48,31 @@ class Plan:
     is_set: bool = False
 
     def folders(self) -> list[str]:
-        """All homes, each once; of a part those of the whole, for it works under their locks."""
-        homes = self.homes if self.whole is None else self.whole.homes
-        return sorted({home for home in homes if home is not None})
+        """All places with a manifest; of a part those of the whole, because it locks these."""
+        plan = self.whole or self
+        return sorted({place for place in plan.manifest_dirs if place is not None})
 
     @property
     def is_in_process(self) -> bool:
         """Whether no other process could do the work: the objects live in this one."""
-        objects = [
-            path for task in self.tasks for path in (task.input, task.output) if is_url(path)
-        ]
-        if not objects:
+        paths = [path for task in self.tasks for path in (task.input, task.output) if is_url(path)]
+        if not paths:
             return False
-        from msal_cli.storage import objects as remote
+        from msal_cli.storage import objects
 
-        return any(map(remote.is_in_process, objects))
+        return any(map(objects.is_in_process, paths))
 
     def manifest_key(self, index: int) -> str:
-        """The name by which the manifest knows a task: its output below its home, with ``/``."""
-        home = self.homes[index]
-        if home is None:
+        """The name by which the manifest knows a task: its output below the folder, with ``/``."""
+        place, output = self.manifest_dirs[index], self.tasks[index].output
+        if place is None:
             raise ValueError(f"task {index} has no manifest")
-        if is_url(home):
-            return self.tasks[index].output.removeprefix(urls.folder(home))
-        output, start = self.tasks[index].output, home + os.sep
-        if os.sep == "/" and output.startswith(start) and not home.endswith("/"):
+        if is_url(place):
+            return output.removeprefix(urls.folder(place))
+        start = place + os.sep
+        if os.sep == "/" and output.startswith(start) and not place.endswith("/"):
             return output[len(start) :]
-        return Path(self.tasks[index].output).relative_to(home).as_posix()
+        return Path(output).relative_to(place).as_posix()
 
 
 def build_plan(
@@ -119,33 +108,33 @@ def build_plan(
         output folder or would replace a file that is not ours; options contradict each other.
     """
     output = None if output is None else urls.normalize_url(output)
-    homes: Sequence[str | None]
+    manifest_dirs: Sequence[str | None]
     if in_place:
         _check_in_place(found, output, to, backup)
-        tasks = [_in_place_task(one, backup) for one in found]
+        tasks = [_in_place_task(file, backup) for file in found]
         # Also a single file has a manifest: without it a second run would denoise it twice.
-        homes = [
-            str(Path(one.root) if one.root else Path(task.input).parent)
-            for one, task in zip(found, tasks, strict=True)
+        manifest_dirs = [
+            str(Path(file.root) if file.root else Path(task.input).parent)
+            for file, task in zip(found, tasks, strict=True)
         ]
     elif output is None:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output):
         _check_file_output(output, to)
         tasks = [Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)]
-        homes = [None]
+        manifest_dirs = [None]
     else:
         _check_folder_output(found, output)
-        tasks = [_mirror(one, output, to) for one in found]
-        homes = [output] * len(tasks)
-    plan = Plan(tuple(tasks), tuple(homes), fresh, retry_failed, is_set=is_set)
-    plan = _subset(plan, distinct_tasks(plan.tasks))
+        tasks = [_mirror(file, output, to) for file in found]
+        manifest_dirs = [output] * len(tasks)
+    plan = Plan(tuple(tasks), tuple(manifest_dirs), fresh, retry_failed, is_set=is_set)
+    plan = _subset(plan, _distinct_tasks(plan.tasks))
     check_outputs(plan.tasks)
-    if output is not None and homes[:1] != [None]:
+    if output is not None and manifest_dirs[:1] != [None]:
         if is_url(output):
-            plan = replace(plan, objects=list_objects(output, plan.tasks))
+            plan = replace(plan, objects=_list_outputs(output, plan.tasks))
         else:
-            refuse_escapes(plan.tasks, output)
+            _refuse_escapes(plan.tasks, output)
         if not force:
             _refuse_foreign_files(plan, output)
     return plan
@@ -159,8 +148,11 @@ def select_shard(plan: Plan, shard: Shard) -> Plan:
 
 def _subset(plan: Plan, indices: Iterable[int]) -> Plan:
     kept = tuple(indices)
-    tasks, homes = plan.tasks, plan.homes
-    return replace(plan, tasks=tuple(tasks[i] for i in kept), homes=tuple(homes[i] for i in kept))
+    return replace(
+        plan,
+        tasks=tuple(plan.tasks[index] for index in kept),
+        manifest_dirs=tuple(plan.manifest_dirs[index] for index in kept),
+    )
 
 
 def _check_in_place(
@@ -180,29 +172,29 @@ def _check_in_place(
                 f"backups named *{backup} would be inputs of the next run",
                 hint=f"take a suffix that is no mesh format, such as {DEFAULT_BACKUP}",
             )
-    for one in found:
-        if is_url(one.path):
+    for file in found:
+        if is_url(file.path):
             raise UsageError(
-                f"--in-place is for files, and {one.path!r} is in a store",
+                f"--in-place is for files, and {file.path!r} is in a store",
                 hint="name another place with -o: a store cannot keep the original safe",
-                path=one.path,
+                path=file.path,
             )
 
 
-def _in_place_task(one: DiscoveredInput, backup: str | None) -> Task:
-    target = Path(one.path)
+def _in_place_task(file: DiscoveredInput, backup: str | None) -> Task:
+    target = Path(file.path)
     if os.path.islink(target):
         # A link stays a link: the file that it leads to is the one to replace.  It is named from
         # the folder that was searched, so that there is one manifest for all in it.
-        real, real_root = resolve(target), resolve(Path(one.root))
-        if one.root and not real.is_relative_to(real_root):
+        real, real_root = resolve(target), resolve(Path(file.root))
+        if file.root and not real.is_relative_to(real_root):
             raise UsageError(
-                f"{one.path!r} leads out of {one.root!r} to {str(real)!r}",
+                f"{file.path!r} leads out of {file.root!r} to {str(real)!r}",
                 hint="leave it out with --exclude, or name it as an input itself",
-                path=one.path,
+                path=file.path,
             )
-        target = Path(one.root) / real.relative_to(real_root) if one.root else real
-    return Task(str(target), str(target), one.relative, in_place=True, backup=backup)
+        target = Path(file.root) / real.relative_to(real_root) if file.root else real
+    return Task(str(target), str(target), file.relative, in_place=True, backup=backup)
 
 
 def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
@@ -242,18 +234,18 @@ def _check_folder_output(found: Sequence[DiscoveredInput], output: str) -> None:
         )
 
 
-def _mirror(one: DiscoveredInput, output: str, to: str | None) -> Task:
-    if is_url(one.path) or is_url(output):
-        name = urls.harmless(one.relative, is_local=not is_url(output))
+def _mirror(file: DiscoveredInput, output: str, to: str | None) -> Task:
+    if is_url(file.path) or is_url(output):
+        name = urls.harmless(file.relative, is_local=not is_url(output))
         folder, slash, last = name.rpartition("/")
         name = folder + slash + output_name(last, to)
         place = urls.join_url(output, name) if is_url(output) else str(Path(output) / name)
-        return Task(one.path, place, one.relative, input_mark=one.mark)
-    relative = PurePosixPath(one.relative)
-    if relative.is_absolute() or ".." in relative.parts or Path(one.relative).drive:
-        raise UsageError(f"{one.relative!r} is no path below the output folder", path=one.path)
+        return Task(file.path, place, file.relative, input_mark=file.mark)
+    relative = PurePosixPath(file.relative)
+    if relative.is_absolute() or ".." in relative.parts or Path(file.relative).drive:
+        raise UsageError(f"{file.relative!r} is no path below the output folder", path=file.path)
     relative = relative.with_name(output_name(relative.name, to))
-    return Task(one.path, str(Path(output) / relative), one.relative)
+    return Task(file.path, str(Path(output) / relative), file.relative)
 
 
 def _refuse_foreign_files(plan: Plan, output: str) -> None:
@@ -262,7 +254,7 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
         for index, task in enumerate(plan.tasks)
         if task.output in plan.objects or (not is_url(output) and os.path.lexists(task.output))
     ]
-    own = written_names(output) if existing else frozenset()
+    own = read_output_names(output) if existing else frozenset()
     foreign = [plan.tasks[index] for index in existing if plan.manifest_key(index) not in own]
     if foreign and not is_url(output) and ignores_case(Path(output)):
         # An input that was renamed from A.ply to a.ply keeps its output.
@@ -281,3 +273,172 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
             hint="choose another output folder, or give --force to overwrite",
             path=foreign[0].input,
         )
+
+
+def _list_outputs(url: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
+    """Size and tag of the outputs that are in a store already, by URL, from one listing."""
+    from msal_cli.storage import objects
+
+    try:
+        marks = objects.list_objects(url)
+    except InputError as error:
+        raise OutputError(error.message, hint=error.hint, path=url) from None
+    start = urls.folder(url)
+    found = ((task.output, marks.get(task.output.removeprefix(start))) for task in tasks)
+    return {url: ObjectMark(*mark) for url, mark in found if mark is not None}
+
+
+# Refusals before anything is touched
+
+
+def check_outputs(tasks: Sequence[Task]) -> None:
+    """UsageError for an output that collides with another, an input, a folder or our files."""
+    _refuse_collisions(tasks)
+    # An input that was named itself may be called like the manifest, the lock or a temporary file.
+    for task in tasks:
+        if is_own(urls.name(task.output) if is_url(task.output) else Path(task.output).name):
+            raise UsageError(
+                f"the output {task.output!r} would have the name of a file of msal's own",
+                hint="rename the input, or name another output",
+                path=task.input,
+            )
+    new = [task for task in tasks if not task.in_place]
+    _refuse_inputs_as_outputs(new)
+    _refuse_folders_as_outputs(task for task in new if not is_url(task.output))
+
+
+def _distinct_tasks(tasks: Sequence[Task]) -> list[int]:
+    """The indices of one task for each file, which two inputs or a link may name twice.
+
+    Hard links are as many files in place: each is replaced by a file of its own.
+    """
+    kept: dict[tuple[object, ...], int] = {}
+    for index, task in enumerate(tasks):
+        target = fold_case(str(resolve(Path(task.input)))) if task.in_place else task.output
+        kept.setdefault((identify_file(task.input) or task.input, target), index)
+    return list(kept.values())
+
+
+def _refuse_escapes(tasks: Sequence[Task], output: str) -> None:
+    """Refuse outputs that a link within the output folder would carry out of it."""
+    folder = resolve(Path(output))
+    first: dict[Path, Task] = {}
+    for task in tasks:
+        first.setdefault(Path(task.output).parent, task)
+    for parent, task in first.items():
+        real = resolve(parent)
+        if not real.is_relative_to(folder):
+            raise UsageError(
+                f"the output {task.output!r} would leave the output folder: {str(parent)!r} "
+                f"leads to {str(real)!r}",
+                hint="remove the link, or make that folder the output",
+                path=task.input,
+            )
+
+
+def identify_file(name: str) -> tuple[int, int] | str | None:
+    """What distinguishes files, links of both kinds followed; None where there is no file."""
+    if is_url(name):
+        return urls.identity(name)
+    path = Path(name)
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return None
+    return (status.st_dev, status.st_ino) if status.st_ino else str(resolve(path))
+
+
+def _refuse_collisions(tasks: Sequence[Task]) -> None:
+    seen: dict[str, Task] = {}
+    folded: dict[str, Task] = {}
+    twins: list[tuple[Task, Task]] = []
+    folders: dict[Path, Task] = {}
+    for task in tasks:
+        other = seen.setdefault(task.output, task)
+        if other is not task:
+            raise _collision(other, task, f"would both be written to {task.output!r}")
+        if is_url(task.output):
+            # A store has no folders, and every letter of a name counts.
+            continue
+        twin = folded.setdefault(fold_case(task.output), task)
+        if twin is not task:
+            twins.append((twin, task))
+        for parent in Path(task.output).parents:
+            if parent in folders:
+                break
+            folders[parent] = task
+    for task in tasks:
+        other = folders.get(Path(task.output), task)
+        if other is not task:
+            what = f"cannot both be written: {task.output!r} is to be file and folder"
+            raise _collision(task, other, what)
+    for first, second in twins:
+        if ignores_case(next(filter(os.path.isdir, Path(first.output).parents), Path())):
+            what = f"would both be written to {second.output!r}: case does not count"
+            raise _collision(first, second, what)
+
+
+def _collision(first: Task, second: Task, what: str) -> UsageError:
+    return UsageError(
+        f"the inputs {first.input!r} and {second.input!r} {what}",
+        hint="rename one, leave one out with --exclude, or run them into two output folders",
+        path=second.input,
+    )
+
+
+def fold_case(path: str) -> str:
+    """Equal for paths that are one where neither case nor the form of accents counts."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
+
+
+def ignores_case(folder: Path) -> bool:
+    import tempfile
+
+    try:
+        # The one sure way is to look for a file under its other name.
+        with tempfile.NamedTemporaryFile(prefix=".msal-case-", suffix=".tmp", dir=folder) as probe:
+            path = Path(probe.name)
+            return path.with_name(path.name.upper()).exists()
+    except OSError:
+        # Where nothing can be created, nothing will be written either: that error comes later.
+        return False
+
+
+def _refuse_inputs_as_outputs(tasks: Sequence[Task]) -> None:
+    def key(path: str) -> tuple[int, int] | str:
+        return identify_file(path) or str(resolve(Path(path)))
+
+    inputs = {key(task.input): task.input for task in tasks}
+    for task in tasks:
+        victim = inputs.get(key(task.output))
+        if victim is None:
+            continue
+        if victim == task.input:
+            what = f"the input {task.input!r} would be overwritten by its own output"
+        else:
+            what = f"the output of {task.input!r} would overwrite the input {victim!r}"
+        if Path(task.output) != Path(victim):
+            what += f" (as {task.output!r})"
+        hint = "choose another output; only msal denoise --in-place replaces inputs"
+        raise UsageError(what, hint=hint, path=task.input)
+
+
+def _refuse_folders_as_outputs(tasks: Iterable[Task]) -> None:
+    checked: set[Path] = set()
+    for task in tasks:
+        output = Path(task.output)
+        if os.path.isdir(output) and not os.path.islink(output):
+            raise UsageError(
+                f"the output of {task.input!r} is the folder {task.output!r}",
+                hint="choose another output folder",
+                path=task.input,
+            )
+        for parent in output.parents:
+            if parent in checked:
+                break
+            checked.add(parent)
+            if os.path.lexists(parent) and not os.path.isdir(parent):
+                raise UsageError(
+                    f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
+                    path=task.input,
+                )

@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from msal_cli.batch.manifest import Manifest
-from msal_cli.batch.manifest_lines import FileStat, ManifestEntry, to_builtin
+from msal_cli.batch.manifest import FileStat, Manifest, ManifestEntry, to_builtin
 from msal_cli.batch.plan import Plan
 from msal_cli.errors import OutputError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
@@ -39,9 +38,9 @@ _FAULTS_OF_FILES = frozenset(
 )
 
 # Hashing is as fast as a disk; more threads than this only make the disk seek.
-_MOST_THREADS = 8
+_MAX_THREADS = 8
 _TASKS_PER_CALL = 32
-_LARGEST_BLOCK = 1 << 20
+_BLOCK_BYTES = 1 << 20
 
 
 def hash_settings(settings: Settings, members: Sequence[str] = ()) -> str:
@@ -60,7 +59,7 @@ def hash_file(path: str, is_stopped: Callable[[], bool] = lambda: False) -> str:
     try:
         with open_regular(path, buffering=0) as file:
             # A block of full size for each of many small files would cost more than the hashing.
-            block = bytearray(min(_LARGEST_BLOCK, os.fstat(file.fileno()).st_size + 1))
+            block = bytearray(min(_BLOCK_BYTES, os.fstat(file.fileno()).st_size + 1))
             view = memoryview(block)
             while length := file.readinto(view):  # type: ignore[attr-defined]
                 if is_stopped():
@@ -104,7 +103,7 @@ def file_states(
         return
     from concurrent.futures import ThreadPoolExecutor
 
-    pool = ThreadPoolExecutor(min(threads, _MOST_THREADS, n_read))
+    pool = ThreadPoolExecutor(min(threads, _MAX_THREADS, n_read))
     try:
         # To pass on each file by itself would take longer than the hashing of a small one.
         shares = [indices[at : at + _TASKS_PER_CALL] for at in indices[::_TASKS_PER_CALL]]
@@ -118,9 +117,9 @@ def file_states(
 def states_of_set(states: Iterable[FileState]) -> Iterator[FileState]:
     """The states of the files of a tile set: if one is to be denoised, all are."""
     every = list(states)
-    if all(one.record is not None for one in every):
+    if all(state.record is not None for state in every):
         return iter(every)
-    return (FileState(one.index) for one in every)
+    return (FileState(state.index) for state in every)
 
 
 @dataclass
@@ -134,8 +133,8 @@ class _FreshnessCheck:
         self._methods: dict[str, MethodUsed] = {}
 
     def entry(self, index: int) -> ManifestEntry | None:
-        home = self.plan.homes[index]
-        return None if home is None else self.manifests[home].get(self.plan.manifest_key(index))
+        folder = self.plan.manifest_dirs[index]
+        return None if folder is None else self.manifests[folder].get(self.plan.manifest_key(index))
 
     def file_state(self, index: int) -> FileState:
         task, entry = self.plan.tasks[index], self.entry(index)
@@ -236,7 +235,7 @@ def restore_backup(task: Task) -> None:
 
     def blocks() -> Iterator[bytes]:
         with open_regular(backup_path(task)) as file:
-            while block := file.read(_LARGEST_BLOCK):
+            while block := file.read(_BLOCK_BYTES):
                 yield block
 
     try:

@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.batch import interrupts, temporary_files
-from msal_cli.batch.denoise_task import denoise_in_worker
-from msal_cli.batch.events import Failed, Finished, Progress, Retried, Returned, Started
-from msal_cli.batch.manifest_dirs import open_folder, open_manifest, output_folders
-from msal_cli.batch.manifest_lines import FileStat, done_line, intent_line
+from msal_cli.batch.history import RunEntry
+from msal_cli.batch.manifest import FileStat, done_line, intent_line, open_folder, open_manifest
 from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
+from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import (
     file_states,
     hash_settings,
@@ -25,24 +24,41 @@ from msal_cli.batch.resume import (
     roll_back,
     states_of_set,
 )
-from msal_cli.batch.run_checks import check_limits, check_numbers
-from msal_cli.batch.run_history import RunEntry
-from msal_cli.batch.unfinished import failure_of, unfinished_record
-from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.batch.schedule import (
+    Failed,
+    Finished,
+    Interrupt,
+    Progress,
+    Retried,
+    Returned,
+    Started,
+    Work,
+)
+from msal_cli.batch.temporary_files import output_folders
+from msal_cli.errors import OutputError, ResourceError, UsageError
+from msal_cli.job.pipeline import denoise_copy, denoise_file
+from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 from msal_cli.job.room import foresee
-from msal_cli.job.settings import NO_LIMITS, Limits, Settings
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, least_memory_bytes
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.urls import is_url
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
-    from msal_cli.batch.denoise_task import Denoise
-    from msal_cli.batch.engine import EngineFactory
-    from msal_cli.batch.events import Message, OnEvent
     from msal_cli.batch.manifest import Manifest
-    from msal_cli.batch.plan import Plan
+    from msal_cli.batch.schedule import EngineFactory, Event, Message, OnEvent
+    from msal_cli.batch.worker import Denoise
+    from msal_cli.job.pipeline import OnProgress
 
+
+# By what ended a task.
+_LOSS_CODES = {
+    "crash": "E_CRASH",
+    "memory": "E_MEMORY",
+    "timeout": "E_TIMEOUT",
+    "exception": "E_INTERNAL",
+    "changed": "E_CHANGED",
+}
 
 _log = logging.getLogger("msal.batch")
 
@@ -74,7 +90,7 @@ def run(
     ----------
     jobs : files at the same time; None is one per usable core, as far as memory allows: large
         files go first, and one that fits beside no other runs alone on all cores.
-    on_event : called in this thread with events.Started, Progress and Finished.
+    on_event : called in this thread with schedule.Started, Progress and Finished.
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
     limits : what one file may use; beyond it the file fails with ``E_TIMEOUT``, ``E_MEMORY`` or
         ``E_TOO_LARGE``.
@@ -102,7 +118,7 @@ def run(
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
     with ExitStack() as stack:
-        one = _BatchRun(
+        batch_run = _BatchRun(
             plan,
             settings,
             denoise,
@@ -115,7 +131,9 @@ def run(
             cancellation=cancellation,
             opened=manifests or {},
         )
-        return one.dry_run() if dry_run else one.execute(stack, tuple(command))
+        if dry_run:
+            return batch_run.dry_run()
+        return batch_run.execute(stack, tuple(command))
 
 
 @dataclass
@@ -148,7 +166,7 @@ class _BatchRun:
     def dry_run(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
         with interrupts.noticed(interrupts.raise_for):
-            self._manifests = {home: open_manifest(home) for home in self.plan.folders()}
+            self._manifests = {folder: open_manifest(folder) for folder in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
                 from msal_cli.batch.tile_set import survey_set
@@ -201,12 +219,12 @@ class _BatchRun:
 
     def _lock_and_plan(self, stack: ExitStack, entry: RunEntry) -> list[int]:
         """Lock the folders, report what is up to date; the indices of what is to be done."""
-        tasks, homes = self.plan.tasks, self.plan.folders()
-        for home in homes:
-            self._manifests[home] = self.opened.get(home) or open_folder(
-                home, stack, self.plan.shard
+        tasks, folders = self.plan.tasks, self.plan.folders()
+        for folder in folders:
+            self._manifests[folder] = self.opened.get(folder) or open_folder(
+                folder, stack, self.plan.shard
             )
-        temporary_files.sweep({*output_folders(tasks), *map(Path, _local(homes))})
+        temporary_files.sweep({*output_folders(tasks), *map(Path, _local(folders))})
         todo, restored = self._outdated()
         for manifest in self._manifests.values():
             manifest.open()
@@ -272,7 +290,7 @@ class _BatchRun:
                 except Exception as error:
                     _log.exception("internal error at %r", task.input)
                     failed = Failed(index, "exception", f"{type(error).__name__}: {error}")
-                    record = self._failed_record(index, failure_of(failed))
+                    record = self._failed_record(index, _to_failure(failed))
                 self._finish({index: record})
                 if self._failure is not None:
                     return
@@ -295,7 +313,7 @@ class _BatchRun:
             )
 
     def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
-        from msal_cli.batch.engine import Interrupt, Work
+        from msal_cli.batch.worker import denoise_in_worker
         from msal_cli.batch.worker_pool import WorkerPool
 
         received: list[int] = []
@@ -348,7 +366,7 @@ class _BatchRun:
                     record = replace(record, warnings=(*record.warnings, note))
                 finished[message.index] = record
             elif isinstance(message, Failed):
-                finished[message.index] = self._failed_record(message.index, failure_of(message))
+                finished[message.index] = self._failed_record(message.index, _to_failure(message))
             elif isinstance(message, Retried):
                 name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
@@ -362,7 +380,7 @@ class _BatchRun:
     def _finish(self, finished: dict[int, MeshRecord]) -> None:
         """Record files in the manifests, then report, also what could not be recorded."""
         tasks = self.plan.tasks
-        finished = {n: _warn_of_memory(one, self.limits) for n, one in finished.items()}
+        finished = {n: _warn_of_memory(record, self.limits) for n, record in finished.items()}
         try:
             self._append_lines(
                 finished,
@@ -382,11 +400,11 @@ class _BatchRun:
     ) -> None:
         lines: dict[str, list[dict[str, Any]]] = {}
         for index in indices:
-            home = self.plan.homes[index]
-            if home is not None:
-                lines.setdefault(home, []).append(line(index, self.plan.manifest_key(index)))
-        for home, some in lines.items():
-            self._manifests[home].append(some)
+            folder = self.plan.manifest_dirs[index]
+            if folder is not None:
+                lines.setdefault(folder, []).append(line(index, self.plan.manifest_key(index)))
+        for folder, new_lines in lines.items():
+            self._manifests[folder].append(new_lines)
 
     def _emit_finished(self, index: int, record: MeshRecord) -> None:
         self._records[index] = record
@@ -424,5 +442,86 @@ def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:
     return replace(record, warnings=(*record.warnings, note))
 
 
-def _local(homes: Iterable[str]) -> list[str]:
-    return [home for home in homes if not is_url(home)]
+def _local(folders: Iterable[str]) -> list[str]:
+    return [folder for folder in folders if not is_url(folder)]
+
+
+def check_numbers(jobs: int | None, retries: int, stop_after_failures: int | None) -> None:
+    """UsageError for a number that means nothing."""
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
+    if stop_after_failures is not None and stop_after_failures < 1:
+        raise UsageError(
+            f"the number of failures to stop after must be at least 1, not {stop_after_failures}"
+        )
+    if retries < 0:
+        raise UsageError(f"the number of retries must be at least 0, not {retries}")
+
+
+def check_limits(limits: Limits) -> None:
+    """UsageError for limits within which no file can be denoised."""
+    if limits.timeout_s is not None and not limits.timeout_s > 0.0:
+        raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
+    if limits.max_faces is not None and limits.max_faces < 1:
+        raise UsageError(f"no file has {limits.max_faces} faces at most")
+    least = least_memory_bytes()
+    if limits.memory_bytes is not None and limits.memory_bytes < least:
+        raise UsageError(
+            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
+            hint=f"msal itself takes {least / 1e6:.0f} MB",
+        )
+
+
+def unfinished_record(name: str, settings: Settings, failure: Failure | None = None) -> MeshRecord:
+    """The record of an input that failed outside of the pipeline, or that is not done yet."""
+    return MeshRecord(
+        input=name,
+        status="planned" if failure is None else "failed",
+        version=__version__,
+        method=MethodUsed(settings.method, dict(settings.parameters)),
+        error=failure,
+    )
+
+
+def _to_failure(message: Failed) -> Failure:
+    return Failure(_LOSS_CODES[message.cause], message.reason, message.hint)
+
+
+def denoise_in_pool(
+    task: Task,
+    settings: Settings,
+    limits: Limits,
+    left_s: float | None,
+    on_progress: OnProgress,
+) -> MeshRecord:
+    """Denoise a mesh of a stream in a worker, which its limits can end; there is no manifest and no
+    second try.
+
+    ``left_s`` is what is left of ``limits.timeout_s``, which began with the first byte.  Raises
+    ResourceError if no worker can be started, or no time is left (E_TIMEOUT).
+    """
+    from msal_cli.batch.worker_pool import WorkerPool
+
+    def on_event(event: Event) -> None:
+        if isinstance(event, Progress):
+            on_progress(event.stage, event.done, event.total)
+
+    record: MeshRecord | None = None
+    if left_s is None or left_s > 0.0:
+        (record,) = run(
+            Plan((task,), (None,)),
+            settings,
+            jobs=1,
+            on_event=on_event,
+            limits=replace(limits, timeout_s=left_s),
+            retries=0,
+            denoise=denoise_copy,
+            engine=WorkerPool,
+        )
+    if record is None or (record.error is not None and record.error.code == "E_TIMEOUT"):
+        raise ResourceError(
+            f"it was not done within {limits.timeout_s:g} s",
+            code="E_TIMEOUT",
+            hint="raise --timeout, or look at the file: it may be very large, or damaged",
+        )
+    return replace(record, input=task.relative)

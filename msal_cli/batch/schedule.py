@@ -1,24 +1,176 @@
-"""The order of the tasks: large ones first, and no more at once than fit into memory.
+"""What an engine gets and what it reports, and the order in which tasks are handed out.
 
-Nothing here starts or waits for anything; that is the part of ``worker_pool.WorkerPool``.
+An engine sends messages, one frozen value per event of one file; a run passes on what a user wants
+to see as events.  ``index`` is the task's position in the plan.  A task whose worker died is tried
+again, so ``Started`` can come twice for one index; ``Finished`` comes exactly once for every file.
 """
 
 from __future__ import annotations
 
 import collections
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from msal_cli.job.settings import NO_LIMITS, Limits
+
+if TYPE_CHECKING:
+    from msal_cli.job.records import MeshRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """Work on a task begins."""
+
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """``done`` of ``total`` steps of ``stage`` (such as ``"sweeps"``) of one task are over."""
+
+    index: int
+    stage: str
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class Returned:
+    """The result of a task; ``earlier`` says what ended the try before, if there was one."""
+
+    index: int
+    result: Any
+    earlier: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A task has no result.
+
+    ``cause`` is ``"crash"``, ``"memory"`` or ``"timeout"``, at every try; ``"exception"``, which
+    another try would not avoid; or ``"changed"``, if another try would do harm.
+    """
+
+    index: int
+    cause: str
+    reason: str
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Retried:
+    """A task was lost with its worker and will be tried again."""
+
+    index: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A file is finished; its output, where there is one, is whole and in the manifest."""
+
+    index: int
+    record: MeshRecord
+
+
+Message = Started | Progress | Returned | Failed | Retried
+Event = Started | Progress | Finished
+OnEvent = Callable[[Event], None]
+
+
+class Losses:
+    """The tasks that were lost with their workers: how often each, and why the last time."""
+
+    def __init__(self, retries: int) -> None:
+        self._retries = retries
+        self._counts: collections.Counter[int] = collections.Counter()
+        self.reasons: dict[int, str] = {}
+
+    def add(self, index: int, cause: str, reason: str, hint: str) -> Retried | Failed:
+        """Count one more loss; what becomes of the task."""
+        self._counts[index] += 1
+        tries = self._counts[index]
+        if tries <= self._retries:
+            self.reasons[index] = reason
+            return Retried(index, reason)
+        if tries > 1:
+            reason += ", as at the first try" if tries == 2 else f" ({tries} tries)"
+        return Failed(index, cause, reason, hint)
+
+
+class Interrupt(Exception):  # noqa: N818 - it is a message, not a fault
+    """Raised by ``Engine.batches`` after ``Engine.interrupt``, when all work is given up."""
+
+
+class Engine(Protocol):
+    """Does many tasks and reports on each: worker processes or a cluster.
+
+    Every task that was begun gets exactly one ``Returned`` or ``Failed``, unless it is interrupted.
+    """
+
+    def batches(self) -> Generator[list[Message], None, None]:
+        """What happens, as it happens; nothing of the engine is left when the iteration ends.
+
+        Raises
+        ------
+        Interrupt : after ``interrupt``, once all work is given up.
+        UsageError : the engine cannot be used like this; no file was begun.
+        ResourceError : it cannot go on; what was given before is whole.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Hand out nothing more; what was handed out goes on, second tries too."""
+        ...
+
+    def interrupt(self) -> None:
+        """Give up the current tasks and end; may be called from a signal handler."""
+        ...
+
+
+@dataclass(frozen=True)
+class Work:
+    """What an engine is to do.
+
+    ``tasks`` are picklable values by their index in the plan.  ``function``, of a module, is called
+    in some process as ``function(task, common, on_progress)``.  ``jobs`` tasks run at the same time
+    on this machine, whose ``cores`` the workers share.  ``folders`` have a manifest and exist.
+
+    ``on_death`` is called with the process id of a worker of this machine that has ended, and the
+    index of its current task, to remove what it left; ``on_loss`` with the index of a task that was
+    lost, before it is tried again (at most ``retries`` times) or given up: it returns why the task
+    must not be tried again, or an empty string.
+
+    ``weights`` are the bytes of memory that the large tasks are expected to need, ``light_bytes``
+    those of any other, and ``budget_bytes`` what all current ones may need; None is no bound.  With
+    ``reports_first`` results are reported before the next tasks are handed out, so that ``stop`` is
+    in time for these.
+    """
+
+    tasks: dict[int, Any]
+    function: Callable[..., Any]
+    common: Any
+    jobs: int = 1
+    cores: int = 1
+    folders: tuple[str, ...] = ()
+    on_death: Callable[[int, int], None] = lambda pid, index: None
+    on_loss: Callable[[int], str] = lambda index: ""
+    limits: Limits = NO_LIMITS
+    retries: int = 1
+    weights: Mapping[int, int] = field(default_factory=dict)
+    light_bytes: int = 0
+    budget_bytes: int | None = None
+    reports_first: bool = False
+
+
+EngineFactory = Callable[[Work], Engine]
 
 
 class TaskQueue:
-    """The tasks that are yet to be handed out.
+    """The tasks that are yet to be handed out; indices in the order of the plan.
 
-    Parameters
-    ----------
-    tasks : indices, in the order of the plan.
-    weights : bytes of memory that the large ones among them are expected to need at their peak.
-        They go first, heaviest first, so that none is left to run alone at the end.
-    light_bytes : what any other is expected to need.
-    budget_bytes : what all current tasks together may need; None is no bound.
+    Those with ``weights`` go first, heaviest first, so that none is left to run alone at the end.
     """
 
     def __init__(

@@ -24,8 +24,8 @@ from msal_cli.analysis.shared_borders import (
     share_borders,
 )
 from msal_cli.batch import interrupts, temporary_files
-from msal_cli.batch.events import Progress
-from msal_cli.batch.manifest_dirs import output_folders
+from msal_cli.batch.schedule import Progress
+from msal_cli.batch.temporary_files import output_folders
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
 from msal_cli.job.inspection import open_mesh, to_known_error
@@ -44,9 +44,9 @@ from msal_cli.job.settings import (
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
-    from msal_cli.batch.events import OnEvent
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
+    from msal_cli.batch.schedule import OnEvent
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.pipeline import OnProgress
 
@@ -157,7 +157,9 @@ def read_earlier(plan: Plan, manifests: Mapping[str, Manifest]) -> EarlierRuns:
     parts: dict[int, TileSetPart] = {}
     absent: dict[str, TileSetPart] = {}
     keys = {
-        plan.manifest_key(index): index for index, home in enumerate(plan.homes) if home is not None
+        plan.manifest_key(index): index
+        for index, folder in enumerate(plan.manifest_dirs)
+        if folder is not None
     }
     for manifest in manifests.values():
         for name in sorted(manifest.names()):

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
-from msal_cli.batch.manifest_lines import FileStat
+from msal_cli.batch.manifest import FileStat
 from msal_cli.errors import UsageError
 
 _UNFINISHED_ENDS = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", "~")
@@ -83,7 +83,7 @@ class Inbox:
         wait_s = min(_LISTED_EVERY_S, max(self._settle_s, 0.1))
         spent = time.monotonic() - now
         self._next_listing = now + spent + max(wait_s, spent / _SHARE_OF_LISTING)
-        return [file for _, file in sorted(complete, key=lambda one: (one[0], one[1].path))]
+        return [file for _, file in sorted(complete, key=lambda item: (item[0], item[1].path))]
 
     def _list(self) -> Sequence[DiscoveredInput]:
         try:

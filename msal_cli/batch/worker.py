@@ -20,16 +20,24 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from msal_cli.batch.process_status import memory_bytes
 from msal_cli.job.room import are_arrays_in_files
+from msal_cli.job.settings import FORECAST
 from msal_cli.machine import peak_bytes, usable_cores
+
+if TYPE_CHECKING:
+    from msal_cli.job.pipeline import OnProgress
+    from msal_cli.job.records import MeshRecord
+    from msal_cli.job.settings import Settings, Task
+
+    Denoise = Callable[..., MeshRecord]
+    """What does one file, such as ``pipeline.denoise_file``."""
 
 _LENGTH = struct.Struct("<Q")
 
-# Progress is for people: more often than this (seconds) is a waste of both processes' time, and the
-# stages of a file that is done sooner are nothing to see.
+# More often is a waste of both processes' time, and the stages of a file that is done sooner are
+# nothing to see.
 _BETWEEN_PROGRESS_S = 0.05
 
 _BETWEEN_CHECKS_S = 0.05
@@ -237,3 +245,29 @@ def _log_to_parent(outgoing: _Outgoing, level: int) -> None:
     root.addHandler(_ParentLog(outgoing))
     root.setLevel(logging.WARNING)
     logging.getLogger("msal").setLevel(level)
+
+
+def memory_bytes(pid: int | str, name: str) -> int:
+    """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not known."""
+    try:
+        with open(f"/proc/{pid}/status", "rb") as file:
+            for line in file:
+                if line.startswith(name.encode() + b":"):
+                    return 1024 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    return 0
+
+
+def denoise_in_worker(
+    task: Task, common: tuple[Denoise, Settings], on_progress: OnProgress
+) -> MeshRecord:
+    """One file, in a worker.  MemoryError is raised again, so that the file gets its second try
+    alone and the worker, whose heap is fragmented, is replaced.  That there was not enough memory
+    by forecast would come again."""
+    denoise, settings = common
+    record = denoise(task, settings, on_progress)
+    error = record.error
+    if error is not None and error.code == "E_MEMORY" and error.where != FORECAST:
+        raise MemoryError(error.message)
+    return record

@@ -8,27 +8,49 @@ pipe does, so none outlives the parent.
 
 from __future__ import annotations
 
+import collections
 import contextlib
+import json
 import logging
 import math
 import os
 import queue
 import re
+import signal
 import subprocess
+import sys
+import threading
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from msal_cli.batch.engine import Interrupt, Work
-from msal_cli.batch.events import Failed, Losses, Message, Progress, Retried, Returned, Started
-from msal_cli.batch.process_status import describe_exit, is_near_memory_limit
-from msal_cli.batch.schedule import TaskQueue
-from msal_cli.batch.worker import Assignment
-from msal_cli.batch.worker_process import Inbox, WorkerProcess, start_worker
+from msal_cli.batch.schedule import (
+    Failed,
+    Interrupt,
+    Losses,
+    Message,
+    Progress,
+    Retried,
+    Returned,
+    Started,
+    TaskQueue,
+    Work,
+)
+from msal_cli.batch.worker import Assignment, memory_bytes, read_message, write_message
 from msal_cli.errors import ResourceError
 from msal_cli.machine import oom_kills
 
-_FALSE_STARTS = 3
+# Without -P the first entry of the search path would be the current folder, which may hold any
+# files.
+_BOOT = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from msal_cli.batch.worker import serve; serve()"
+)
+_THREAD_VARIABLES = ("MSAL_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_LAST_LINES = 40
+
+_MAX_FALSE_STARTS = 3
 _GONE_WITHIN_S = 2.0
 
 # Libraries may come from a network disk that everybody reads at once, but not for ever.
@@ -85,15 +107,13 @@ class WorkerPool:
         self._false_starts = 0
 
     def stop(self) -> None:
-        """See ``Engine.stop``."""
         self._queue.drop()
 
     def interrupt(self) -> None:
-        """See ``Engine.interrupt``."""
         self._inbox.put((None, ()))
 
     def batches(self) -> Generator[list[Message], None, None]:
-        """See ``Engine.batches``.
+        """What happens, as it happens.
 
         A task whose worker dies is tried again after all others, alone, in a fresh worker.
         """
@@ -162,7 +182,11 @@ class WorkerPool:
 
     def _assign_exclusive(self) -> list[Message]:
         """Give a task that must be alone to a fresh worker that has all cores."""
-        unused = [one for one in self._active() if not one.n_done and one.cores >= self._work.cores]
+        unused = [
+            worker
+            for worker in self._active()
+            if not worker.n_done and worker.cores >= self._work.cores
+        ]
         alone = unused[0] if unused else self._start(self._work.cores)
         for worker in self._active():
             if worker is not alone:
@@ -172,8 +196,9 @@ class WorkerPool:
     def _occupancy(self, but: WorkerProcess | None = None) -> tuple[list[int], int]:
         """The current tasks, and the memory of idle workers, one worker left out."""
         others = [worker for worker in self._active() if worker is not but]
-        idle_bytes = sum(one.resident_bytes for one in others if one.current_task is None)
-        return [one.current_task for one in others if one.current_task is not None], idle_bytes
+        idle_bytes = sum(worker.resident_bytes for worker in others if worker.current_task is None)
+        current = [worker.current_task for worker in others if worker.current_task is not None]
+        return current, idle_bytes
 
     def _send_task(self, worker: WorkerProcess, index: int) -> list[Message]:
         worker.kills_before = oom_kills()
@@ -287,7 +312,7 @@ class WorkerPool:
             return self._handle_loss(worker, *self._cause_of_death(worker, code))
         if not worker.is_ready and (worker.is_overdue or not worker.is_dismissed):
             self._false_starts += 1
-            if self._false_starts >= _FALSE_STARTS:
+            if self._false_starts >= _MAX_FALSE_STARTS:
                 how = f"the last one {describe_exit(code)}"
                 line = worker.last_lines[-1] if worker.last_lines else "it printed nothing"
                 raise ResourceError(
@@ -397,3 +422,159 @@ class WorkerPool:
         worker.close()
         if worker.current_task is not None:
             self._work.on_death(worker.pid, worker.current_task)
+
+
+def is_near_memory_limit(pid: int) -> bool:
+    """Whether a process on Linux uses nearly all the memory that RLIMIT_DATA grants it."""
+    if not sys.platform.startswith("linux"):
+        return False
+    import resource
+
+    try:
+        limit = resource.prlimit(pid, resource.RLIMIT_DATA)[0]
+    except (OSError, ValueError):
+        return False
+    return limit != resource.RLIM_INFINITY and memory_bytes(pid, "VmData") > 0.85 * limit
+
+
+def describe_exit(code: int) -> str:
+    """How a process ended, in words, from the exit code that ``subprocess`` gives."""
+    if code < 0:
+        try:
+            return f"was killed by {signal.Signals(-code).name}"
+        except ValueError:
+            return f"was killed by signal {-code}"
+    if code >= 0x80000000:
+        return f"ended with the exception 0x{code:08X}"
+    return f"ended with exit status {code}"
+
+
+# One process
+
+
+@dataclass(eq=False)
+class WorkerProcess:
+    """One worker and what is known of it.
+
+    ``deadline`` is when (``time.monotonic``) it is to be killed, and ``is_overdue`` that it was;
+    ``kills_before`` counts the processes that the system had killed because memory ran out when
+    its current task began, and ``is_near_limit`` that it was seen close to its memory limit.
+    """
+
+    process: subprocess.Popen[bytes]
+    pid: int
+    cores: int
+    deadline: float = math.inf
+    readers: list[threading.Thread] = field(default_factory=list)
+    is_ready: bool = False
+    is_dismissed: bool = False
+    is_overdue: bool = False
+    is_near_limit: bool = False
+    current_task: int | None = None
+    n_done: int = 0
+    first_bytes: int = 0
+    resident_bytes: int = 0
+    kills_before: int = 0
+    last_lines: collections.deque[str] = field(
+        default_factory=lambda: collections.deque(maxlen=_LAST_LINES)
+    )
+
+    def send(self, message: object) -> bool:
+        """Send a message; False if the worker has died, which its reader will report."""
+        try:
+            write_message(self.process.stdin.fileno(), message)  # type: ignore[union-attr]
+        except OSError:
+            return False
+        return True
+
+    def dismiss(self) -> None:
+        """End it at once, whatever it does."""
+        self.is_dismissed = True
+        self.process.kill()
+
+    def close(self) -> None:
+        """Close the pipes; the worker has ended."""
+        for thread in self.readers:
+            thread.join(1.0)
+        if not any(thread.is_alive() for thread in self.readers):
+            # Otherwise a grandchild has a pipe open, and its number must not be given to another.
+            for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
+                if pipe is not None:
+                    pipe.close()
+
+
+Inbox = queue.SimpleQueue[tuple[WorkerProcess | None, tuple[Any, ...]]]
+"""Messages of workers; those without a worker are from the parent to itself."""
+
+
+def start_worker(assignment: Assignment, cores: int, inbox: Inbox) -> WorkerProcess:
+    """A new worker that computes with ``cores`` threads and sends its messages to ``inbox``.
+
+    Raises
+    ------
+    ResourceError
+        if the system cannot start a process.
+    """
+    environment = dict(os.environ)
+    # What the user has set stays.
+    for name in _THREAD_VARIABLES:
+        environment.setdefault(name, str(cores))
+    command = [sys.executable, "-P", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _BOOT]
+    # A group of its own keeps the terminal's Ctrl-C from the worker: the parent decides.
+    grouped: dict[str, Any] = {"process_group": 0}
+    if sys.platform == "win32":
+        grouped = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    try:
+        process = subprocess.Popen(
+            [*command, json.dumps(sys.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            env=environment,
+            **grouped,
+        )
+    except OSError as error:
+        raise ResourceError(
+            f"no worker can be started: {error.strerror}",
+            hint="there may not be enough memory, or too many processes",
+        ) from None
+    worker = WorkerProcess(process, process.pid, cores)
+    output_reader = threading.Thread(target=_read_output, args=(worker,), daemon=True)
+    message_reader = threading.Thread(
+        target=_read_messages, args=(worker, output_reader, inbox), daemon=True
+    )
+    for thread in (output_reader, message_reader):
+        worker.readers.append(thread)
+        thread.start()
+    worker.send(assignment)
+    return worker
+
+
+def _read_messages(worker: WorkerProcess, output_reader: threading.Thread, inbox: Inbox) -> None:
+    handle = worker.process.stdout.fileno()  # type: ignore[union-attr]
+    try:
+        while True:
+            inbox.put((worker, read_message(handle)))
+    except (EOFError, OSError):
+        code = worker.process.wait()
+        # What it printed last is worth a moment, but a grandchild may hold that pipe for ever.
+        output_reader.join(0.5)
+        inbox.put((worker, ("gone", code)))
+
+
+def _read_output(worker: WorkerProcess) -> None:
+    handle = worker.process.stderr.fileno()  # type: ignore[union-attr]
+    rest = b""
+    while part := os.read(handle, 1 << 16):
+        *lines, rest = (rest + part).split(b"\n")
+        rest = rest[-4096:]
+        _note(worker, lines)
+    _note(worker, [rest] if rest else [])
+
+
+def _note(worker: WorkerProcess, lines: Sequence[bytes]) -> None:
+    for line in lines:
+        text = line[:4096].decode(errors="replace").rstrip()
+        worker.last_lines.append(text)
+        _log.debug("worker %d prints: %s", worker.process.pid, text)

@@ -26,10 +26,9 @@ from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Sett
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.batch.engine import EngineFactory
-    from msal_cli.batch.events import Event
     from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.plan import Plan
+    from msal_cli.batch.schedule import EngineFactory, Event
     from msal_cli.cli.streams import Stream
     from msal_cli.job.records import MeshRecord
     from msal_cli.report.data import Run
@@ -146,8 +145,8 @@ class _Session:
 
     def _run_files(self, plan: Plan, settings: Settings) -> int:
         from msal_cli.batch import interrupts
-        from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
+        from msal_cli.batch.schedule import Finished
         from msal_cli.cli import progress
 
         request = self._request
@@ -159,7 +158,7 @@ class _Session:
 
             engine = partial(DaskEngine, scheduler=request.scheduler)
         whole = plan.whole or plan
-        tasks, is_file = whole.tasks, whole.homes[:1] == (None,)
+        tasks, is_file = whole.tasks, whole.manifest_dirs[:1] == (None,)
         _refuse_found_targets(request, tasks[0].output if is_file else None)
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]

@@ -15,7 +15,7 @@ from msal_cli.job.display_names import escape_for_display, pad_name, shorten_nam
 from msal_cli.report.facts import seconds_text
 
 if TYPE_CHECKING:
-    from msal_cli.batch.events import Event, Finished
+    from msal_cli.batch.schedule import Event, Finished
     from msal_cli.job.settings import Task
 
 _NAME_WIDTH = 32
@@ -72,7 +72,7 @@ class SweepBar(Silent):
 
     def on_event(self, event: Event) -> None:
         """Follow the one file of a run."""
-        from msal_cli.batch.events import Progress
+        from msal_cli.batch.schedule import Progress
 
         if isinstance(event, Progress):
             self.on_progress(event.stage, event.done, event.total)
@@ -106,7 +106,7 @@ class FileBar(Silent):
 
     def on_event(self, event: Event) -> None:
         """Show what happened to one file."""
-        from msal_cli.batch.events import Finished, Started
+        from msal_cli.batch.schedule import Finished, Started
 
         if isinstance(event, Started):
             name = pad_name(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
@@ -137,7 +137,7 @@ class Log(Silent):
 
     def on_event(self, event: Event) -> None:
         """Say what became of a file, or after a while what is being done."""
-        from msal_cli.batch.events import Finished, Progress
+        from msal_cli.batch.schedule import Finished, Progress
 
         if isinstance(event, Progress):
             self._say_stage(self._tasks[event.index].relative, event.stage, event.done, event.total)

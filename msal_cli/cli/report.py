@@ -21,7 +21,7 @@ from msal_cli.report.data import Run
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.batch.run_history import FileRow, RunEntry, RunHistory
+    from msal_cli.batch.history import FileRow, RunEntry, RunHistory
     from msal_cli.job.records import MeshRecord
 
 
@@ -202,9 +202,9 @@ def summarize(names: Sequence[str]) -> RunSummary:
 
 
 def _read_folder(name: str) -> RunHistory:
-    from msal_cli.batch import run_history
+    from msal_cli.batch import history as histories
 
-    history = run_history.read_home(name)
+    history = histories.read_place(name)
     if history is None:
         raise UsageError(
             f"there is no manifest in the folder {name!r}",
@@ -245,7 +245,7 @@ def _all_shards(run: RunEntry) -> list[str]:
 
 
 def _read_file(path: Path) -> RunHistory:
-    from msal_cli.batch import run_history
+    from msal_cli.batch import history as histories
     from msal_cli.report.data import read_json, read_lines
     from msal_cli.storage.gzip_streams import read_whole
 
@@ -261,14 +261,14 @@ def _read_file(path: Path) -> RunHistory:
     runs: tuple[RunEntry, ...] = ()
     if path.suffix.lower() == ".jsonl":
         if b'"kind":' in data.lstrip()[:10]:
-            return run_history.read_file(path)
+            return histories.read_file(path)
         records = read_lines(data, name)
     elif path.suffix.lower() == ".json":
         run, records = read_json(data, name)
         ended = _parse_time(run.finished)
         at = at if ended is None else int(ended * 1e9)
         runs = (
-            run_history.RunEntry(
+            histories.RunEntry(
                 version=run.version,
                 command=run.command,
                 settings=run.settings,
@@ -285,8 +285,8 @@ def _read_file(path: Path) -> RunHistory:
             hint=_WHAT_TO_NAME,
             path=name,
         )
-    rows = (run_history.FileRow(at, made.input, made.output or "", made) for made in records)
-    return run_history.RunHistory(runs, tuple(rows))
+    rows = (histories.FileRow(at, made.input, made.output or "", made) for made in records)
+    return histories.RunHistory(runs, tuple(rows))
 
 
 def _newest_records(rows: Iterable[FileRow]) -> list[MeshRecord]:
@@ -331,7 +331,7 @@ def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
 def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
     """What is known of a run of which only the files are known."""
     from msal_cli.auto import ALL
-    from msal_cli.batch.run_history import iso_timestamp
+    from msal_cli.batch.history import iso_timestamp
     from msal_cli.job.settings import ADAPTIVE, AUTO
     from msal_cli.version import __version__
 

@@ -200,7 +200,7 @@ def refuse_target(
         for the name of a mesh that may not be one, of a file of msal's own, of a folder, a device
         or a pipe; for one of ``taken``, and for another mesh that is there.
     """
-    from msal_cli.batch.plan_checks import identify_file
+    from msal_cli.batch.plan import identify_file
     from msal_cli.job.settings import is_mesh_name
     from msal_cli.storage.urls import is_url
 

@@ -290,8 +290,7 @@ def _denoise_in_worker(
     import tempfile
 
     from msal_cli.batch import interrupts
-    from msal_cli.batch.run_checks import check_limits
-    from msal_cli.batch.single_file import denoise_in_pool
+    from msal_cli.batch.run import check_limits, denoise_in_pool
     from msal_cli.job.settings import Task
     from msal_cli.storage import gzip_streams
 

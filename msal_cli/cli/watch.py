@@ -27,10 +27,10 @@ from msal_cli.errors import OutputError, ResourceError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from msal_cli.batch.events import Event
     from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
+    from msal_cli.batch.schedule import Event
     from msal_cli.batch.watch import Inbox
     from msal_cli.job.records import MeshRecord
 
@@ -148,7 +148,7 @@ class _Watch:
     def run(self) -> int:
         """Watch until the end that was asked for; the exit status."""
         from msal_cli.batch import interrupts
-        from msal_cli.batch.manifest_dirs import open_folder
+        from msal_cli.batch.manifest import open_folder
         from msal_cli.batch.watch import Inbox
 
         request = self._request
@@ -227,8 +227,8 @@ class _Watch:
             yield plan
 
     def _run(self, plan: Plan) -> None:
-        from msal_cli.batch.events import Finished
         from msal_cli.batch.run import run
+        from msal_cli.batch.schedule import Finished
 
         request = self._request
         n_current = 0

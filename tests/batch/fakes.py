@@ -17,8 +17,7 @@ import sys
 import time
 from pathlib import Path
 
-from msal_cli.batch.engine import Interrupt, Work
-from msal_cli.batch.events import Failed, Returned, Started
+from msal_cli.batch.schedule import Failed, Interrupt, Returned, Started, Work
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST

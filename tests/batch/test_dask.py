@@ -16,11 +16,11 @@ import pytest
 from msal_cli import methods
 from msal_cli.batch import dask as dask_engine
 from msal_cli.batch.dask import DaskEngine
-from msal_cli.batch.events import Finished, Started
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
+from msal_cli.batch.schedule import Finished, Started
 from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes

@@ -10,12 +10,12 @@ import sys
 
 import pytest
 
+from msal_cli.batch import worker_pool
 from msal_cli.batch import worker_pool as workers
-from msal_cli.batch import worker_process
-from msal_cli.batch.events import Failed, Retried, Returned, Started
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import _warn_of_memory, run
+from msal_cli.batch.schedule import Failed, Retried, Returned, Started
 from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
@@ -66,7 +66,7 @@ class TestTime:
 
     def test_a_worker_that_never_gets_ready_is_given_up(self, monkeypatch):
         monkeypatch.setattr(workers, "_READY_WITHIN_S", 0.2)
-        monkeypatch.setattr(worker_process, "_BOOT", "import time; time.sleep(60)")
+        monkeypatch.setattr(worker_pool, "_BOOT", "import time; time.sleep(60)")
         with pytest.raises(workers.ResourceError, match="end before they start"):
             heard([("double", 1)])
 
@@ -111,11 +111,11 @@ class TestMemory:
 
     @linux
     def test_where_the_system_cannot_the_worker_looks_itself(self, monkeypatch):
-        boot = worker_process._BOOT.replace(
+        boot = worker_pool._BOOT.replace(
             "serve; serve()",
             "serve; import msal_cli.batch.worker as w, sys; sys.platform = 'other'; serve()",
         )
-        monkeypatch.setattr(worker_process, "_BOOT", boot)
+        monkeypatch.setattr(worker_pool, "_BOOT", boot)
         messages = heard(
             [("hold", 600 << 20), ("double", 2)], limits=Limits(memory_bytes=300_000_000), jobs=1
         )

@@ -13,14 +13,15 @@ import pytest
 import msal_cli
 from msal_cli.batch import manifest as manifests
 from msal_cli.batch import resume
-from msal_cli.batch.manifest import NAME, FolderManifest
-from msal_cli.batch.manifest_dirs import written_names
-from msal_cli.batch.manifest_lines import (
+from msal_cli.batch.manifest import (
+    NAME,
     FileStat,
+    FolderManifest,
     done_line,
     encode_line,
     intent_line,
     parse_line,
+    read_output_names,
 )
 from msal_cli.batch.resume import hash_settings
 from msal_cli.batch.shard import Shard
@@ -180,7 +181,7 @@ class TestSeveral:
         for shard in (None, Shard(2, 3), Shard(1, 7)):
             known = FolderManifest(str(tmp_path), shard).names()
             assert known == {"1", "2", "3", "whole", "other"}
-        assert written_names(str(tmp_path)) == known
+        assert read_output_names(str(tmp_path)) == known
 
     def test_the_newer_line_counts_whoever_wrote_it(self, tmp_path):
         line = done_line("a.ply", "new", record(tmp_path), "in")
@@ -211,7 +212,7 @@ class TestSeveral:
 
     def test_compaction_drops_only_what_is_outdated_in_its_own(self, tmp_path, monkeypatch):
         monkeypatch.setattr(manifests, "_SPARE_LINES", 5)
-        monkeypatch.setattr(manifests, "RUN_LINES_KEPT", 3)
+        monkeypatch.setattr(manifests, "MAX_RUN_LINES", 3)
         line = done_line("a.ply", "h", record(tmp_path), "in")
         runs = [{"kind": "run", "format": 1, "number": n} for n in range(10)]
         noted(tmp_path, *runs, line | {"settings": "old"}, line, intent_line("b", "in"))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.batch.patterns import Patterns
+from msal_cli.batch.inputs import Patterns
 from msal_cli.errors import UsageError
 
 

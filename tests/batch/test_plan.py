@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import plan_checks as planning
+from msal_cli.batch import plan as planning
 from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
@@ -65,7 +65,7 @@ def test_a_folder_is_mirrored(tmp_path):
         str(tmp_path / "out/a.ply"),
         str(tmp_path / "out/b/c.obj.gz"),
     ]
-    assert plan.homes == (str(tmp_path / "out"),) * 2
+    assert plan.manifest_dirs == (str(tmp_path / "out"),) * 2
     assert [plan.manifest_key(index) for index in (0, 1)] == ["a.ply", "b/c.obj.gz"]
     assert not (tmp_path / "out").exists()
 
@@ -95,7 +95,7 @@ def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, ex
     made(tmp_path, "in/a.ply", *existing)
     plan = planned([tmp_path / "in/a.ply"], f"{tmp_path}/{output}")
     assert plan.tasks[0].output == f"{tmp_path}/{expected}"
-    assert (plan.homes[0] is None) == (not expected.endswith("/a.ply"))
+    assert (plan.manifest_dirs[0] is None) == (not expected.endswith("/a.ply"))
 
 
 @pytest.mark.parametrize("names", [("in/a.ply",), ("in/a.ply", "in/b.ply")])
@@ -257,7 +257,7 @@ class TestInPlace:
         plan = planned([tmp_path / "in"], None, in_place=True)
         assert all(task.in_place and task.input == task.output for task in plan.tasks)
         assert [task.backup for task in plan.tasks] == [".orig", ".orig"]
-        assert plan.homes == (str(tmp_path / "in"),) * 2
+        assert plan.manifest_dirs == (str(tmp_path / "in"),) * 2
         assert plan.manifest_key(1) == "b/c.ply"
         assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
 
@@ -266,8 +266,8 @@ class TestInPlace:
         made(tmp_path, "in/a.ply", "in/b.ply")
         one = planned([tmp_path / "in/a.ply"], None, in_place=True)
         both = planned([tmp_path / "in/a.ply", tmp_path / "in/b.ply"], None, in_place=True)
-        assert one.homes == (str(tmp_path / "in"),)
-        assert both.homes == (str(tmp_path / "in"),) * 2
+        assert one.manifest_dirs == (str(tmp_path / "in"),)
+        assert both.manifest_dirs == (str(tmp_path / "in"),) * 2
 
     @pytest.mark.skipif(os.name == "nt", reason="links need rights there")
     def test_links_within_the_folder_share_its_manifest(self, tmp_path, monkeypatch):
@@ -275,7 +275,7 @@ class TestInPlace:
         (tmp_path / "in/link.ply").symlink_to("b.ply")
         monkeypatch.chdir(tmp_path)
         plan = planned(["in"], None, in_place=True)
-        assert set(plan.homes) == {"in"}
+        assert set(plan.manifest_dirs) == {"in"}
         assert sorted(task.output for task in plan.tasks) == ["in/a.ply", "in/b.ply"]
 
     def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):

@@ -5,22 +5,12 @@ from __future__ import annotations
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import (
-    manifest_dirs as homes,
-)
-from msal_cli.batch import (
-    remote_manifest,
-)
-from msal_cli.batch import (
-    run_history as history,
-)
-from msal_cli.batch import (
-    shard as shards,
-)
+from msal_cli.batch import history
+from msal_cli.batch import manifest as manifests
+from msal_cli.batch import shard as shards
 from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
-from msal_cli.batch.manifest_lines import done_line, intent_line
+from msal_cli.batch.manifest import PARTS_FOLDER, ObjectManifest, done_line, intent_line
 from msal_cli.batch.plan import build_plan, select_shard
-from msal_cli.batch.remote_manifest import FOLDER, ObjectManifest
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.pipeline import denoise_bytes
@@ -244,7 +234,7 @@ def test_a_rerun_reads_no_object(scans, monkeypatch):
         remote, "read_whole", lambda url, *size: reads.append(url) or real(url, *size)
     )
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
-    assert all(FOLDER in url for url in reads)
+    assert all(PARTS_FOLDER in url for url in reads)
 
 
 def test_what_changed_is_done_again_and_nothing_else(scans):
@@ -308,29 +298,29 @@ INTENT = intent_line("a", "memory://scans/a")
 
 
 def parts():
-    return sorted(list_objects(f"memory://out/{FOLDER}"))
+    return sorted(list_objects(f"memory://out/{PARTS_FOLDER}"))
 
 
 def test_lines_of_all_parts_are_read_and_the_last_counts():
     for status in ("failed", "written"):
         write([INTENT, intent_line(status, "memory://scans/b")], [line("a", status)])
-    manifest = homes.open_manifest("memory://out")
+    manifest = manifests.open_manifest("memory://out")
     assert manifest.names() == {"a", "failed", "written"}
     assert manifest.get("a").status == "written"
     assert len(parts()) == 4
 
 
 def test_what_makes_no_sense_is_passed_over():
-    write_whole(f"memory://out/{FOLDER}/notes.txt", b"{")
+    write_whole(f"memory://out/{PARTS_FOLDER}/notes.txt", b"{")
     write([INTENT])
     (part,) = [name for name in parts() if name.endswith(".jsonl")]
-    url = f"memory://out/{FOLDER}/{part}"
+    url = f"memory://out/{PARTS_FOLDER}/{part}"
     write_whole(url, b'{"torn\n\n' + read_whole(url) + b'{"kind": "do')
     assert ObjectManifest("memory://out").names() == {"a"}
 
 
 def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
-    monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
+    monkeypatch.setattr(manifests, "MAX_PARTS", 3)
     for n in range(4):
         write([intent_line(f"{n}", "memory://scans/a")], [line(f"{n}")])
     entries = ObjectManifest("memory://out")
@@ -340,7 +330,7 @@ def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
 
 
 def test_what_runs_did_is_told_from_their_parts(scans):
-    assert history.read_home("memory://out") is None
+    assert history.read_place("memory://out") is None
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
     run(plan, settings(), command=["msal", "one"])
     write_whole("memory://scans/2.obj", b"v 1 2\n")
@@ -349,14 +339,14 @@ def test_what_runs_did_is_told_from_their_parts(scans):
         settings(),
         command=["msal", "two"],
     )
-    told = history.read_home("memory://out")
+    told = history.read_place("memory://out")
     assert [one.command[-1] for one in told.runs] == ["one", "two"]
     assert not any(one.interrupted for one in told.runs)
     assert sorted(row.record.status for row in told.rows) == ["failed", "written", "written"]
 
 
 def test_of_many_shards_one_merges(monkeypatch):
-    monkeypatch.setattr(remote_manifest, "MOST_PARTS", 0)
+    monkeypatch.setattr(manifests, "MAX_PARTS", 0)
     write([INTENT])
     before = parts()
     for number in (2, 3):
@@ -371,7 +361,7 @@ def test_of_many_shards_one_merges(monkeypatch):
 @pytest.mark.parametrize("killed", ["before", "between"])
 def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
     write(*([intent_line(f"{n}", "memory://scans/a")] for n in range(5)))
-    monkeypatch.setattr(remote_manifest, "MOST_PARTS", 3)
+    monkeypatch.setattr(manifests, "MAX_PARTS", 3)
 
     def kill(*arguments):
         raise KeyboardInterrupt
@@ -402,7 +392,7 @@ def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
     real = remote.write_whole
 
     def refusing(url, data):
-        if FOLDER in url:
+        if PARTS_FOLDER in url:
             raise OutputError("access is denied", hint="ask")
         return real(url, data)
 

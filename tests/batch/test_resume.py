@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from msal_cli.batch import resume
-from msal_cli.batch.manifest_lines import FileStat, done_line, encode_line, intent_line, parse_line
+from msal_cli.batch.manifest import FileStat, done_line, encode_line, intent_line, parse_line
 from msal_cli.batch.plan import Plan
 from msal_cli.errors import OutputError
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed, ObjectMark

@@ -15,12 +15,12 @@ import pytest
 
 import msal_cli
 from msal_cli.batch import resume
-from msal_cli.batch.events import Finished, Progress, Started
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
+from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job import room
 from msal_cli.job.records import SCHEMA
@@ -364,7 +364,7 @@ from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.interrupts import Terminated
-from msal_cli.batch.events import Finished, Started
+from msal_cli.batch.schedule import Finished, Started
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
 

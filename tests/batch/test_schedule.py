@@ -6,8 +6,7 @@ import random
 
 import pytest
 
-from msal_cli.batch.events import Failed, Losses, Retried
-from msal_cli.batch.schedule import TaskQueue
+from msal_cli.batch.schedule import Failed, Losses, Retried, TaskQueue
 
 
 def order(schedule, at_once=1):

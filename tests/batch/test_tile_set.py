@@ -10,8 +10,8 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.batch import tile_set
-from msal_cli.batch.events import Progress
 from msal_cli.batch.plan import Plan
+from msal_cli.batch.schedule import Progress
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings
 from tests.batch.tile_files import (

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import worker_process
-from msal_cli.batch.engine import Interrupt, Work
-from msal_cli.batch.events import Failed, Progress, Retried, Returned, Started
+from msal_cli.batch import worker_pool
+from msal_cli.batch.schedule import Failed, Interrupt, Progress, Retried, Returned, Started, Work
 from msal_cli.batch.worker import read_message, write_message
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError
@@ -198,7 +197,7 @@ def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
 @posix
 def test_a_worker_that_dies_before_it_starts_is_not_the_files_fault(monkeypatch):
     monkeypatch.setattr(
-        worker_process, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)"
+        worker_pool, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)"
     )
     with pytest.raises(ResourceError, match=r"exit status 7; no way"):
         heard(pool([("double", 1)] * 5))

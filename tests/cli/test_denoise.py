@@ -14,8 +14,8 @@ from jsonschema import Draft202012Validator
 
 from msal_cli import methods
 from msal_cli.batch import run as run_module
-from msal_cli.batch.events import Finished
 from msal_cli.batch.interrupts import Terminated
+from msal_cli.batch.schedule import Finished
 from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from msal_cli.batch.events import Finished, Progress, Started
+from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.cli import console as talk
 from msal_cli.cli import progress
 from msal_cli.job.settings import Task

@@ -122,8 +122,7 @@ def test_links_to_meshes(place):
 
 def test_a_backup_that_is_a_link_is_never_put_in_place(place):
     """A hostile manifest says that a run was killed while it replaced the scan."""
-    from msal_cli.batch.manifest import NAME
-    from msal_cli.batch.manifest_lines import encode_line, intent_line
+    from msal_cli.batch.manifest import NAME, encode_line, intent_line
 
     folder_of(place / "in", scan=closed_scan())
     secret = place / "secret"

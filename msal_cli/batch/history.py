@@ -12,9 +12,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.batch.manifest import read_view
-from msal_cli.batch.manifest_dirs import read_views
-from msal_cli.batch.manifest_lines import FORMAT, LogView, ManifestEntry, merge_entries
+from msal_cli.batch.manifest import (
+    FORMAT,
+    LogView,
+    ManifestEntry,
+    merge_entries,
+    read_view,
+    read_views,
+)
 from msal_cli.batch.shard import Shard
 from msal_cli.job.records import MeshRecord
 from msal_cli.version import __version__
@@ -28,7 +33,7 @@ if TYPE_CHECKING:
 class RunEntry:
     """A run as its manifest describes it.
 
-    ``at`` orders runs (see `manifest_lines`).  ``started`` and ``finished`` are UTC, ISO 8601, to
+    ``at`` orders runs (see `manifest`).  ``started`` and ``finished`` are UTC, ISO 8601, to
     the millisecond, and ``seconds`` lie between them.  A run without an end, because it was killed
     or is still at work, is ``interrupted`` and finished when it wrote its last line.  ``files`` is
     how many it had to process.
@@ -96,7 +101,7 @@ class RunEntry:
 
 @dataclass(frozen=True)
 class FileRow:
-    """What is known of one file: its record, and when that was made (see `manifest_lines`).
+    """What is known of one file: its record, and when that was made (see `manifest`).
 
     ``input`` and ``output`` are the paths that the run had; the record of a failure has no output.
     """
@@ -115,14 +120,14 @@ class RunHistory:
     rows: tuple[FileRow, ...]
 
 
-def read_home(home: str) -> RunHistory | None:
+def read_place(place: str) -> RunHistory | None:
     """What all manifests in a folder, or a folder of a store, say; None if there is none.
 
     A file that a run began and did not finish has a record that is ``planned``.
     Raises OutputError if a manifest cannot be read.
     """
-    views = read_views(home)
-    return _history(views, home) if views else None
+    views = read_views(place)
+    return _history(views, place) if views else None
 
 
 def read_file(path: Path) -> RunHistory:
@@ -139,11 +144,11 @@ def iso_timestamp(time_ns: int) -> str:
     return when.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def _history(views: Sequence[LogView], home: str) -> RunHistory:
+def _history(views: Sequence[LogView], place: str) -> RunHistory:
     runs = [run for view in views for run in _parse_runs(view)]
     entries = merge_entries(views).values()
     return RunHistory(
-        tuple(sorted(runs, key=lambda run: run.at)), tuple(_row(entry, home) for entry in entries)
+        tuple(sorted(runs, key=lambda run: run.at)), tuple(_row(entry, place) for entry in entries)
     )
 
 
@@ -186,7 +191,7 @@ def _parse_start(data: Mapping[str, Any], last_at: int) -> RunEntry:
     )
 
 
-def _row(entry: ManifestEntry, home: str) -> FileRow:
+def _row(entry: ManifestEntry, place: str) -> FileRow:
     data = entry.data()
     record = entry.record() if entry.is_done else None
     paths = data.get("paths")
@@ -195,7 +200,7 @@ def _row(entry: ManifestEntry, home: str) -> FileRow:
     else:
         # Manifests of older versions have no paths.
         source, target = (record.input, record.output) if record is not None else (entry.name, None)
-    target = target or str(Path(home) / entry.name)
+    target = target or str(Path(place) / entry.name)
     if record is None:
         record = MeshRecord(input=source, status="planned", output=target)
     return FileRow(entry.at, source, target, record)
