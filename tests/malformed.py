@@ -1,4 +1,4 @@
-"""Every malformed file that was made by hand, with the code that it must end in.
+"""Every malformed file that was made by hand, with the code and the place that it must end in.
 
     python -m tests.malformed
 
@@ -19,6 +19,7 @@ from tests.codecs import (
     test_stl_hostile,
     test_threemf_hostile,
     test_vtk,
+    test_vtk_xml,
 )
 from tests.storage import test_gzip_streams
 
@@ -45,24 +46,29 @@ UNUSABLE = {
 """Files that parse, or that no reader takes: what the way of a file refuses beside its codec."""
 
 
-def malformed() -> dict[str, tuple[bytes, str]]:
-    """Content and code by file name; the suffix tells the format."""
-    found = dict(UNUSABLE)
-    ply = test_ply_hostile.HEADERS | test_ply_hostile.BODIES
-    found |= {f"{name}.ply": row[:2] for name, row in ply.items()}
-    found |= {f"{name}.obj": (row[0], row[2]) for name, row in test_obj_hostile.MALFORMED.items()}
-    found |= {f"{name}.stl": row[:2] for name, row in test_stl_hostile.DAMAGED.items()}
-    found |= {f"{name}.glb": row for name, row in test_glb.DAMAGED.items()}
-    found |= {f"{name}.gltf": row for name, row in test_gltf.DAMAGED.items()}
-    found |= {f"{name}.3mf": row for name, row in test_threemf_hostile.DAMAGED.items()}
-    found |= {f"{name}.ply.gz": row for name, row in test_gzip_streams.DAMAGED.items()}
-    return found | test_off.DAMAGED | test_vtk.DAMAGED
+def malformed() -> dict[str, tuple[bytes, str, str]]:
+    """Content, code and a part of the place by file name; the suffix tells the format."""
+    tables = {
+        ".ply": test_ply_hostile.DAMAGED,
+        ".obj": test_obj_hostile.DAMAGED,
+        ".stl": test_stl_hostile.DAMAGED,
+        ".glb": test_glb.DAMAGED,
+        ".gltf": test_gltf.DAMAGED,
+        ".3mf": test_threemf_hostile.DAMAGED,
+        ".ply.gz": test_gzip_streams.DAMAGED,
+        "": UNUSABLE | test_off.DAMAGED | test_vtk.DAMAGED | test_vtk_xml.DAMAGED,
+    }
+    return {
+        name + suffix: (*row, "")[:3]
+        for suffix, table in tables.items()
+        for name, row in table.items()
+    }
 
 
 def counts() -> dict[str, Counter[str]]:
     """How many of each code, by format."""
     found: dict[str, Counter[str]] = {}
-    for name, (_, code) in malformed().items():
+    for name, (_, code, _) in malformed().items():
         found.setdefault(name.rpartition(".")[2], Counter())[code] += 1
     return found
 

@@ -27,13 +27,15 @@ E_CONTENT stands for arrays of a wrong shape, which no reader gives."""
 
 @pytest.mark.parametrize("name", MALFORMED)
 def test_the_record_has_the_code_and_the_reason(name):
-    data, code = MALFORMED[name]
+    data, code, place = MALFORMED[name]
     output, record = pipeline.denoise_bytes(data, name, settings(iterations=0))
     assert output is None
     assert record.status == "failed"
-    assert record.error is not None
-    assert record.error.code == code, record.error
-    assert record.error.message and "Traceback" not in record.error.message
+    error = record.error
+    assert error is not None
+    assert (error.code, place in error.where) == (code, True), error
+    assert error.message and len(error.message) < 300
+    assert "Traceback" not in error.message and "\n" not in error.message
 
 
 def test_there_are_enough_of_every_format_and_code():

@@ -7,25 +7,10 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 PACK = {
-    "char": "b",
-    "int8": "b",
-    "uchar": "B",
-    "uint8": "B",
-    "short": "h",
-    "int16": "h",
-    "ushort": "H",
-    "uint16": "H",
-    "int": "i",
-    "int32": "i",
-    "uint": "I",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float": "f",
-    "float32": "f",
-    "double": "d",
-    "float64": "d",
-}
+    "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H",
+    "uint16": "H", "int": "i", "int32": "i", "uint": "I", "uint32": "I", "int64": "q",
+    "uint64": "Q", "float": "f", "float32": "f", "double": "d", "float64": "d",
+}  # fmt: skip
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 FLOATS = ("float", "float32", "double", "float64")
 

@@ -204,22 +204,10 @@ def peak(path, target):
     ("form", "around"),
     [
         ("ply", 400),
-        *[
-            pytest.param(form, 1000, marks=pytest.mark.slow)
-            for form in (
-                "ply",
-                "ply-ascii",
-                "stl",
-                "obj",
-                "stl-ascii",
-                "off",
-                "ply-gz",
-                "vtk",
-                "vtk-ascii",
-            )
-        ],
+        *[pytest.param(form, 1000, marks=pytest.mark.slow) for form in ("ply", "ply-ascii", "stl",
+            "obj", "stl-ascii", "off", "ply-gz", "vtk", "vtk-ascii")],
     ],
-)
+)  # fmt: skip
 def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_path):
     to, _, flavour = form.partition("-")
     data = ply(*scan(around, around // 2))

@@ -153,11 +153,3 @@ def test_what_cannot_be_opened_is_an_error_of_reading(tmp_path):
         with pytest.raises(InputError) as caught:
             read_input(path)
         assert caught.value.code == "E_READ"
-
-
-def test_another_format_than_the_name_says_is_left_to_open_mesh(tmp_path, monkeypatch):
-    monkeypatch.setattr(first_look, "LOOKED_AT", 64)
-    path = tmp_path / "a.ply"
-    path.write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" * 9)
-    with pytest.raises(MsalError, match="this is an OBJ file"):
-        open_mesh(read_input(path), "a.ply")

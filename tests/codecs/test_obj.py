@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.codecs import obj
-from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.errors import InternalError
 from msal_cli.kernels import obj_scan, text
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
@@ -41,16 +40,6 @@ def moved(file: obj.ObjFile, seed: int = 0, share: float = 1.0, size: float = 0.
 
 
 # Hand-worked
-
-
-def test_a_tetrahedron() -> None:
-    file = obj.read(TETRAHEDRON, "t.obj")
-    assert file.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    assert file.faces.tolist() == [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
-    assert (file.vertices.dtype, file.faces.dtype) == (np.float64, np.int32)
-    assert (file.format, file.encoding, file.precision) == ("obj", "ascii", "text")
-    assert file.n_polygons == 4
-    assert (file.properties, file.references, file.warnings) == ((), (), ())
 
 
 def test_one_moved_coordinate_and_nothing_else() -> None:
@@ -117,23 +106,6 @@ def test_negative_numbers_count_from_their_own_line() -> None:
     assert obj.read(data, "").faces.tolist() == [[0, 1, 2], [3, 4, 5], [5, 2, 0]]
 
 
-def test_faces_may_stand_before_their_vertices() -> None:
-    data = b"f 1//2 2//2 3//1\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 0 1\n"
-    file = obj.read(data, "")
-    assert file.faces.tolist() == [[0, 1, 2]]
-    vertices = file.vertices + [[0, 0, 0.5], [0, 0, 0], [0, 0, 0]]
-    assert b"vn 0.408248 0.408248 0.816497\nvn" in bytes(file.replaced(vertices))
-
-
-def test_polygons_are_given_back_as_they_are() -> None:
-    corners = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
-    quads = obj.read(corners + b"f 1 2 3 4\nf 4 3 2 1\n", "").polygons()
-    assert isinstance(quads, np.ndarray) and quads.tolist() == [[0, 1, 2, 3], [3, 2, 1, 0]]
-    mixed = obj.read(corners + b"f 1 2 3 4\nf 4 3 2\nf 1 2 3 4 1\n", "")
-    assert [one.tolist() for one in mixed.polygons()] == [[0, 1, 2, 3], [3, 2, 1], [0, 1, 2, 3, 0]]
-    assert (mixed.n_polygons, len(mixed.faces)) == (3, 6)
-
-
 def test_normals_follow_the_faces_that_use_them() -> None:
     file = obj.read(ROOF, "roof.obj")
     vertices = file.vertices.copy()
@@ -150,15 +122,6 @@ def test_normals_that_no_face_uses_stay() -> None:
     vertices = file.vertices + 1e-3 * np.arange(18).reshape(6, 3) ** 2
     output = bytes(file.replaced(vertices))
     assert b"vn 9 9 9\nvn nan 0 1\nvn" in output
-    file.check(output, vertices)
-
-
-def test_normals_without_length_or_number_stay() -> None:
-    data = ROOF.replace(b"0.0 0.7 0.7", b"NaN 0 1e999").replace(b"0.00 -0.71 0.71", b"0 0 0")
-    file = obj.read(data, "")
-    vertices = moved(file)
-    output = bytes(file.replaced(vertices))
-    assert blanked(output, ("v",)) == blanked(data, ("v",))
     file.check(output, vertices)
 
 
@@ -220,35 +183,6 @@ def test_precisions() -> None:
     assert file.encoded(same, "ascii", "same") is data
 
 
-def test_precision_of_extreme_numbers_and_normals() -> None:
-    file = obj.read(ROOF, "")
-    vertices = file.vertices * 1.5 + [0, 1e-70, 1e-39]
-    for precision, kind in (("float32", np.float32), ("float64", np.float64)):
-        output = bytes(file.encoded(vertices, "same", precision))
-        assert blanked(output) == blanked(ROOF)
-        again = obj.read(output, "").vertices.astype(kind)
-        assert (again == vertices.astype(kind)).all()
-
-
-def test_a_normal_component_beyond_the_table_of_powers() -> None:
-    data = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1\n"
-    file = obj.read(data, "")
-    vertices = np.array([[0, 0, 0], [1, 0, 1e-70], [0, 1, 0]])
-    output = bytes(file.encoded(vertices, "same", "float64"))
-    assert output.splitlines()[3] == b"vn -1e-70 0 1"
-    assert output.splitlines()[1] == b"v 1 0 1e-70"
-
-
-def test_no_binary_and_nothing_beyond_float32() -> None:
-    file = obj.read(TETRAHEDRON, "")
-    with pytest.raises(UnsupportedError) as caught:
-        file.encoded(file.vertices, "binary", "same")
-    assert "ply" in caught.value.hint
-    with pytest.raises(ContentError) as beyond:
-        file.encoded(file.vertices * 1e39, "same", "float32")
-    assert (beyond.value.code, beyond.value.where) == ("E_RANGE", "vertex 2")
-
-
 # What else a file says
 
 
@@ -297,12 +231,6 @@ V 1 2 3
     file.check(output, vertices)
 
 
-def test_a_long_library_statement_is_read_to_its_end() -> None:
-    names = [f"{k:0500}.mtl" for k in range(9)]
-    data = b"mtllib " + " \\\n".join(names).encode() + b"\n" + TETRAHEDRON
-    assert obj.read(data, "").references == tuple(names)
-
-
 def test_many_different_keywords_do_no_harm() -> None:
     data = b"".join(b"k%d x\n" % k for k in range(300)) + b"usemtl a\nmtllib b.mtl\n" + TETRAHEDRON
     file = obj.read(data, "")
@@ -326,22 +254,7 @@ def test_faces_of_many_corners() -> None:
     assert obj.read(with_normals, "").properties == ("normals",)
 
 
-def test_what_is_counted_in_a_face_is_counted_once() -> None:
-    corners = b" ".join(b"%d/0" % (k + 1) for k in range(300))
-    data = b"".join(b"v %d 0 %d\n" % (k, k * k) for k in range(300)) + b"f " + corners + b"\n"
-    assert "(300 corners)" in obj.read(data, "").warnings[0]
-
-
-def test_many_numbers_of_many_digits() -> None:
-    long = b"0.50000000000000000000000000000000001"
-    data = b"".join(b"v %d %s 1e-200\n" % (k, long) for k in range(400)) + b"f 1 2 3\n"
-    file = obj.read(data, "")
-    assert (file.vertices[:, 1] == 0.5).all() and (file.vertices[:, 2] == 1e-200).all()
-    assert file.vertices[:, 0].tolist() == list(range(400))
-
-
 @given(st.binary(max_size=200), st.lists(st.sampled_from([b"v ", b"\nvn\t", b" f\\", b"v"])))
-@settings(max_examples=200, deadline=None)
 def test_room_is_counted_generously(noise: bytes, more: list[bytes]) -> None:
     data = noise.join([b"", *more])
     lines = re.split(rb"[\r\n]", data)
@@ -413,7 +326,6 @@ def _number(draw: st.DrawFn, count: int) -> bytes:
 
 
 @given(files(), st.integers(0, 99), st.sampled_from([0.0, 0.3, 1.0]))
-@settings(max_examples=30, deadline=None)
 def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: float) -> None:
     file = obj.read(data, "")
     plain = parsed(data)
@@ -446,19 +358,6 @@ def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: fl
         assert before == now or (used and k in everyone)
 
 
-@given(files(), st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
-def test_replacing_is_exact_to_the_last_decimal(data: bytes, seed: int) -> None:
-    file = obj.read(data, "")
-    vertices = moved(file, seed)
-    output = bytes(file.replaced(vertices))
-    for old, new, words in zip(file.vertices, vertices, tokens(output, "v"), strict=True):
-        for a, b, word in zip(old.tolist(), new.tolist(), words, strict=True):
-            if a != b and b"e" not in word:
-                decimals = len(word.partition(b".")[2])
-                assert word.decode().lstrip("-") == f"{b:.{decimals}f}".lstrip("-")
-
-
 def test_a_position_has_the_decimals_of_its_own_line() -> None:
     ring = [b"v %.3f %.3f 0" % (math.cos(k / 100), math.sin(k / 100)) for k in range(600)]
     ring[7] = b"v 0.997551000253279572 0.069942847337532768 0"
@@ -475,63 +374,12 @@ def test_a_position_has_the_decimals_of_its_own_line() -> None:
         file.check(wrong, file.vertices + 1e-4)
 
 
-# The check of the own output
-
-
-@pytest.mark.parametrize(
-    "edit",
-    [
-        lambda d: d[:-1], lambda d: d + b"\n", lambda d: b"", lambda d: d[: len(d) // 2],
-        lambda d: d.replace(b"2.2500000", b"2.2500001"), lambda d: d.replace(b"2.2500000", b"x"),
-        lambda d: d.replace(b"2.2500000", b"nan"), lambda d: d.replace(b"2.2500000", b""),
-        lambda d: d.replace(b"2.2500000", b"2.2500000 1"),
-        lambda d: d.replace(b"2.2500000 1 ", b"2.2500000 1.0 "),
-        lambda d: d.replace(b"v 0 0 0", b"v 0 0 1"),
-        lambda d: d.replace(b"\n", b"\r\n"), lambda d: d.replace(b"f 4", b"f 3"),
-        lambda d: re.sub(rb"vn [-.\d]+", b"vn 3", d, count=1),
-        lambda d: re.sub(rb"vn [-.\d]+", b"vn nan", d, count=1),
-        lambda d: re.sub(rb"vn [-.\d]+", b"vn q", d, count=1),
-        lambda d: re.sub(rb"vn [-.\d]+ ", b"vn ", d, count=1),
-    ],
-)  # fmt: skip
-def test_the_check_refuses(edit) -> None:
-    file = obj.read(ROOF, "")
-    vertices = file.vertices.copy()
-    vertices[2] += [0.25, 0, 0.125]
-    good = bytes(file.replaced(vertices))
-    bad = edit(good)
-    assert bad != good
-    with pytest.raises(InternalError):
-        file.check(bad, vertices)
-
-
 # Real files and other readers
 
 
 def real_files(folder: Path) -> list[Path]:
     # trimesh and meshio merge or drop what some files of others have.
     return sorted(path for path in folder.rglob("*.obj") if "foreign" not in str(path))
-
-
-def test_real_files_come_back(real_data: Path) -> None:
-    paths = real_files(real_data)
-    assert len(paths) >= 12
-    for path in paths:
-        data = path.read_bytes()
-        file = obj.read(data, path.name)
-        assert file.replaced(file.vertices.copy()) is data
-        vertices = moved(file, share=0.5, size=1e-4)
-        output = bytes(file.replaced(vertices))
-        file.check(output, vertices)
-        again = obj.read(output, path.name)
-        assert (again.faces == file.faces).all()
-        assert np.abs(again.vertices - vertices).max() < 1e-6
-        still = (vertices == file.vertices).all(axis=1)
-        assert (again.vertices[still] == file.vertices[still]).all()
-        if len(data) < 400_000:
-            assert blanked(output) == blanked(data)
-            assert file.vertices.tolist() == parsed(data).vertices
-            assert file.faces.tolist() == parsed(data).triangles()
 
 
 def test_real_files_are_read_as_trimesh_reads_them(real_data: Path) -> None:
@@ -546,20 +394,3 @@ def test_real_files_are_read_as_trimesh_reads_them(real_data: Path) -> None:
         turned = np.roll(theirs, 1, axis=1)
         same = (theirs == ours).all(axis=(1, 2)) | (turned == ours).all(axis=(1, 2))
         assert same.all(), path
-
-
-def test_real_files_are_read_as_meshio_reads_them(real_data: Path) -> None:
-    import meshio
-
-    compared = 0
-    for path in real_files(real_data):
-        file = obj.read(path.read_bytes(), path.name)
-        if "texture coordinates" in file.properties:
-            continue  # meshio misreads negative numbers and refuses other counts of vt
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            other = meshio.read(path)
-        assert np.array_equal(other.points, file.vertices)
-        assert np.array_equal(other.cells_dict["triangle"], file.faces)
-        compared += 1
-    assert compared >= 10

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.codecs import ply, ply_ascii
@@ -66,7 +66,6 @@ def outcome(data: bytes, seed: int) -> list[Any]:
 
 
 @given(files(), st.binary(max_size=2), st.integers(0, 10**9), st.integers(0, 9))
-@settings(max_examples=75, deadline=None)
 def test_both_walks_read_and_write_the_same(
     data: bytes, noise: bytes, place: int, seed: int
 ) -> None:

@@ -7,17 +7,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from msal_cli.codecs import open_mesh, ply
 from msal_cli.codecs.headers import read_header
 from msal_cli.errors import MsalError
-from msal_cli.job import comparison, pipeline
-from msal_cli.job.settings import Task
 from tests.codecs import plain_ply
 from tests.codecs.plain_ply import ENCODINGS, Element, Ply
-from tests.job.test_pipeline import settings
 
 SAMPLES = [
     [0, 1, 2, None],
@@ -53,27 +49,6 @@ def scan(encoding: str = "ascii", infos=INFOS, samples=SAMPLES, heights=None) ->
             Element("range_grid", [("vertex_indices", "int", "uchar")], cells),
         ],
         list(infos),
-    )
-
-
-def large(encoding: str, noise: float = 0.02) -> bytes:
-    """A hill of 20 by 30 samples with a hole, noise, and a step that nothing crosses."""
-    draw = np.random.default_rng(1)
-    x, y = np.meshgrid(np.arange(30.0), np.arange(20.0))
-    z = 3 * np.exp(-((x - 8) ** 2 + (y - 9) ** 2) / 30) + 20.0 * (x > 15)
-    is_seen = (x - 22) ** 2 + (y - 10) ** 2 > 9
-    rows = np.stack([x, y, z], axis=-1)[is_seen]
-    rows += draw.normal(scale=noise, size=rows.shape)
-    numbers = np.where(is_seen, np.cumsum(is_seen).reshape(is_seen.shape) - 1, -1)
-    cells = [[[k] if k >= 0 else []] for k in numbers.reshape(-1).tolist()]
-    vertices = Element(
-        "vertex",
-        [(name, "float", "") for name in "xyz"],
-        [[*map(plain_ply.single, row)] for row in rows.tolist()],
-    )
-    grid = Element("range_grid", [("vertex_indices", "int", "uchar")], cells)
-    return plain_ply.written(
-        Ply(encoding, [vertices, grid], ["obj_info num_rows 20", "obj_info num_cols 30"])
     )
 
 
@@ -120,13 +95,10 @@ def test_faces_go_before_the_grid():
         ({"infos": ["obj_info num_cols 4", "obj_info num_rows 4"]}, "E_FORMAT", "12 samples"),
         ({"infos": ["obj_info num_cols -4", "obj_info num_rows -3"]}, "E_FORMAT", "-3 by -4"),
         ({"samples": [[0, 1, 2, None], [9, 4, 5, 6], [None] * 4]}, "E_INDEX", "vertex 9"),
-        (
-            {"samples": [[0, 1, 2, None], [None] * 4, [3, 4, 5, 6]]},
-            "E_NO_FACES",
-            "no three samples",
-        ),
+        ({"samples": [[0, 1, 2, None], [None] * 4, [3, 4, 5, 6]]}, "E_NO_FACES",
+            "no three samples"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_what_is_wrong_with_a_grid(change, code, words, encoding):
     with pytest.raises(MsalError, match=words) as caught:
@@ -141,25 +113,6 @@ def test_a_sample_has_at_most_one_vertex():
     with pytest.raises(MsalError, match="more than one vertex") as caught:
         open_mesh(plain_ply.written(plain), "a.ply")
     assert caught.value.where == "range_grid 5"
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "binary_big_endian"])
-def test_a_scan_is_denoised_compared_and_converted(tmp_path, encoding):
-    noisy, result = tmp_path / "noisy.ply", tmp_path / "out.ply"
-    noisy.write_bytes(large(encoding))
-    record = pipeline.denoise_file(Task(str(noisy), str(result), "a"), settings(iterations=4))
-    assert record.error is None and record.components == 2
-    old, new = (plain_ply.read(path.read_bytes()) for path in (noisy, result))
-    assert new.element("range_grid") == old.element("range_grid")
-    assert new.comments == old.comments
-    # Other diagonals may be the shorter ones now; vertices correspond all the same.
-    faces = [open_mesh(path.read_bytes(), path.name).faces for path in (noisy, result)]
-    assert not np.array_equal(*faces)
-    assert comparison.compare_files(str(noisy), str(result)).correspondence == "vertices"
-    for name, more in (("b.ply", {"precision": "float64"}), ("b.stl", {})):
-        target = Task(str(noisy), str(tmp_path / name), "a")
-        record = pipeline.denoise_file(target, settings(iterations=4, **more))
-        assert record.error is None, record.error
 
 
 def test_the_forecast_counts_its_triangles():

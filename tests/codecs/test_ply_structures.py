@@ -8,7 +8,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.codecs import ply
@@ -144,7 +144,6 @@ def normal_names(file: Ply) -> list[tuple[str, str]]:
     ]
 
 
-@settings(max_examples=75, deadline=None)
 @given(structures())
 def test_what_is_read_is_what_was_written(file):
     data = plain_ply.written(file)
@@ -163,7 +162,6 @@ def test_what_is_read_is_what_was_written(file):
     assert bytes(mesh.replaced(mesh.vertices.copy())) == data
 
 
-@settings(max_examples=60, deadline=None)
 @given(structures(encodings=("binary_little_endian", "binary_big_endian")))
 def test_binary_differs_in_moved_coordinates_and_normals_only(file):
     mesh = ply.read(plain_ply.written(file))
@@ -178,7 +176,6 @@ def test_binary_differs_in_moved_coordinates_and_normals_only(file):
     assert output == plain_ply.written(expected)
 
 
-@settings(max_examples=50, deadline=None)
 @given(structures(encodings=("ascii",)))
 def test_ascii_differs_in_moved_tokens_only(file):
     data = plain_ply.written(file)
@@ -205,7 +202,6 @@ def test_ascii_differs_in_moved_tokens_only(file):
                     assert old[k] == new[k]
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     structures(),
     st.sampled_from(["same", "ascii", "binary"]),
@@ -257,7 +253,6 @@ def test_encoded_keeps_all_but_encoding_and_types(file, encoding, precision):
     assert np.array_equal(again.faces, mesh.faces)
 
 
-@settings(max_examples=60, deadline=None)
 @given(structures())
 def test_recomputed_normals_are_unit_vectors_near_moved_vertices(file):
     mesh = ply.read(plain_ply.written(file))

@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import pytest
 
-from msal_cli.codecs import header_check as first_look
 from msal_cli.codecs import ply
 from msal_cli.errors import FormatError, InternalError, MsalError
 
@@ -75,19 +74,6 @@ def test_records_on_any_lines_are_read_replaced_and_checked(name):
     assert output[:size] == data[:size]
     assert masked(output[size:]) == masked(data[size:])
     assert np.array_equal(ply.read(output).vertices, vertices)
-
-
-@pytest.mark.parametrize("name", STREAMS)
-def test_another_encoding_is_what_a_plain_file_gives(name):
-    file, plain = (ply.read(one.encode()) for one in (STREAMS[name], PLAIN))
-    vertices = moved(file)
-    for encoding, precision in (("binary", "same"), ("binary", "float64")):
-        want = bytes(plain.encoded(vertices, encoding, precision)).replace(b"\r\n", b"\n")
-        got = bytes(file.encoded(vertices, encoding, precision)).replace(b"\r\n", b"\n")
-        assert got == want
-    doubles = ply.read(file.encoded(vertices, "ascii", "float64"))
-    assert np.array_equal(doubles.vertices, vertices)
-    assert np.array_equal(doubles.faces, file.faces)
 
 
 def test_normals_and_other_properties_of_a_stream():
@@ -211,13 +197,6 @@ def test_a_header_line_without_a_keyword_is_kept_like_a_comment(before, stray, e
     assert np.array_equal(again.vertices, vertices)
 
 
-def test_strays_are_counted():
-    file = ply.read(PLAIN.replace("element vertex", "a\nb\nelement vertex").encode())
-    assert file.warnings == (
-        "2 header lines have no known keyword and are kept like comments: 'a' in line 3, ...",
-    )
-
-
 def binary(stray: str = "") -> bytes:
     header = HEADER.replace("ascii", "binary_little_endian").replace("face 3", "face 1")
     corners = struct.pack("<12f", *(float(one) for one in VERTICES.split()))
@@ -234,10 +213,3 @@ def test_a_stray_line_among_elements_must_not_hide_data():
     # Before the first element it declares nothing, and what follows the data is kept.
     data = binary().replace(b"element vertex", BLENDER.encode() + b"element vertex") + bytes(4)
     assert len(ply.read(data).warnings) == 2
-
-
-def test_a_large_file_with_a_stray_line_passes_the_first_look(tmp_path):
-    path = tmp_path / "a.ply"
-    data = PLAIN.replace("element vertex", BLENDER + "element vertex").encode() + b"\n" * 70_000
-    path.write_bytes(data)
-    assert len(ply.read(first_look.read_input(path)).faces) == 4

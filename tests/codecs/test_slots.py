@@ -36,20 +36,12 @@ def test_positions_beyond_float32_are_refused():
 @pytest.mark.parametrize(
     ("code", "value", "fits"),
     [
-        ("<f4", LARGEST, True),
-        ("<f4", -LARGEST, True),
-        ("<f4", 1.1 * LARGEST, False),
-        ("<f4", -1.1 * LARGEST, False),
-        ("<f4", np.nan, False),
-        ("<f8", 1e300, True),
-        ("|u1", 255.4, True),
-        ("|u1", 255.6, False),
-        ("|u1", -0.4, True),
-        ("|u1", -0.6, False),
-        ("<i8", 2.0**63, False),
-        ("<i8", -(2.0**63), True),
+        ("<f4", LARGEST, True), ("<f4", -LARGEST, True), ("<f4", 1.1 * LARGEST, False),
+        ("<f4", -1.1 * LARGEST, False), ("<f4", np.nan, False), ("<f8", 1e300, True),
+        ("|u1", 255.4, True), ("|u1", 255.6, False), ("|u1", -0.4, True), ("|u1", -0.6, False),
+        ("<i8", 2.0**63, False), ("<i8", -(2.0**63), True),
     ],
-)
+)  # fmt: skip
 def test_a_number_fits_its_type_or_not(code, value, fits):
     values, is_changed = VALUES.copy(), np.zeros((4, 3), dtype=bool)
     values[2, 1] = value

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import re
 
 import numpy as np
-import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.codecs import stl, stl_ascii
+from msal_cli.codecs import stl
 from msal_cli.codecs.stl_facets import FACET
-from msal_cli.errors import ContentError, FormatError, TruncatedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
 from tests.codecs.test_stl import corners_of, moved, soups
@@ -70,7 +67,6 @@ def texts(draw):
 
 
 @given(texts())
-@settings(max_examples=200, deadline=None)
 def test_every_form_of_text_is_read_exactly_and_comes_back(data):
     file = read(data)
     expected = np.array([[float(word) for word in words] for words in corner_tokens(data)])
@@ -80,7 +76,6 @@ def test_every_form_of_text_is_read_exactly_and_comes_back(data):
 
 
 @given(texts(), st.integers(0, 2**32 - 1))
-@settings(max_examples=200, deadline=None)
 def test_only_tokens_that_moved_change(data, seed):
     file = read(data)
     rng = np.random.default_rng(seed)
@@ -115,14 +110,6 @@ def test_coarse_files_get_the_digits_that_their_size_asks_for():
     assert words[0] == [b"0.33333", b"0.33333", b"0.33333"]
 
 
-def test_tiny_numbers_with_an_exponent_do_not_drive_the_digits():
-    text = plain_stl.text(tetrahedron() * 100, number="{:.6e}")
-    text = text.replace("0.000000e+00 0.000000e+00 0.000000e+00", "1.5e-17 0 0", 6)
-    file = read(text)
-    words = corner_tokens(bytes(file.replaced(file.vertices + 0.5)))
-    assert max(len(word.split(b".")[1]) for row in words for word in row) == 7
-
-
 def test_normals_follow_and_zero_and_nan_ones_stay():
     corners = np.array([[0, 0, 0, 1, 0, 0, 0, 1, 0]] * 3, dtype=float)
     normals = np.array([[0, 0, -1], [0, 0, 0], [0, 0, 1]], dtype=float)
@@ -138,17 +125,6 @@ def test_normals_follow_and_zero_and_nan_ones_stay():
     assert lines[2] == [b"nan", b"1.#QNAN", b"-1.#IND"]
 
 
-def test_normals_of_whole_numbers_get_digits():
-    corners = tetrahedron()
-    text = plain_stl.text(corners, normals=np.round(plain_stl.right_hand_normals(corners)))
-    file = read(text.replace(".000000", ""))
-    vertices = moved(file)
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
-    line = next(line for line in output.splitlines() if b"normal" in line)
-    assert abs(np.linalg.norm([float(word) for word in line.split()[2:]]) - 1) < 1e-5
-
-
 def test_several_solids_with_names():
     one, two = plain_stl.text(tetrahedron(), name="left leg"), plain_stl.text(tetrahedron() + 5)
     file = read(one + "\n" + two.replace("part", "") + "solid empty\nendsolid empty\n")
@@ -160,85 +136,6 @@ def test_several_solids_with_names():
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
     assert output.count(b"solid left leg") == 2
-
-
-def test_names_of_any_bytes_are_kept():
-    data = plain_stl.text(tetrahedron(), name="NAME").encode("latin-1")
-    data = data.replace(b"NAME", b"caf\xe9 facet vertex 1 2 3")
-    file = read(data)
-    assert file.n_polygons == 4
-    output = bytes(file.replaced(moved(file)))
-    assert output.count(b"caf\xe9 facet vertex 1 2 3") == 2
-
-
-def test_huge_numbers_are_printed_in_full():
-    file = read(plain_stl.text(tetrahedron() * 1e20, number="{:g}"))
-    vertices = file.vertices * 1.0 + 3e19
-    output = bytes(file.replaced(vertices))
-    assert np.array_equal(read(output).vertices, vertices)
-    file.check(output, vertices)
-
-
-def test_numbers_of_very_many_digits_are_read_exactly():
-    digits = "0.1234567890123456789012345678901234567890"
-    text = plain_stl.text(tetrahedron()).replace("0.000000", digits)
-    assert float(digits) in read(text).vertices
-
-
-def test_float32_rounds_the_text():
-    file = read(plain_stl.text(tetrahedron()))
-    vertices = file.vertices + 1e-9
-    rounded = read(bytes(file.encoded(vertices, "same", "float32"))).vertices
-    assert np.allclose(rounded, vertices.astype(np.float32), rtol=0, atol=1e-7)
-
-
-def test_trimesh_reads_what_is_written():
-    import trimesh
-
-    rng = np.random.default_rng(5)
-    corners = rng.normal(size=(50, 9)).round(6)
-    file = read(plain_stl.text(corners))
-    vertices = (file.vertices + rng.normal(size=file.vertices.shape)).round(6)
-    output = bytes(file.replaced(vertices))
-    mesh = trimesh.load_mesh(io.BytesIO(output), file_type="stl_ascii", process=False)
-    assert np.allclose(mesh.triangles.reshape(-1, 3), vertices, rtol=0, atol=1e-9)
-
-
-def test_lines_are_counted_in_every_kind_of_text():
-    for newline in ("\n", "\r\n", "\r"):
-        text = plain_stl.text(tetrahedron(), newline=newline)
-        lines = text.split(newline)
-        lines[10] = lines[10].replace("vertex", "vertx")
-        assert "vertx" in lines[10]
-        with pytest.raises(FormatError) as caught:
-            read(newline.join(lines))
-        assert caught.value.where == "facet 1, line 11"
-
-
-def test_a_position_that_is_not_finite_is_found_with_its_line():
-    text = plain_stl.text(tetrahedron())
-    for word in ("nan", "inf", "-Infinity", "1e999", "1.#INF"):
-        lines = text.splitlines()
-        lines[11] = f"vertex 0 {word} 0"
-        with pytest.raises(ContentError) as caught:
-            read("\n".join(lines))
-        assert caught.value.code == "E_NONFINITE"
-        assert caught.value.where == "facet 1, corner 1, line 12"
-
-
-def test_the_arrays_grow_with_what_is_found(monkeypatch):
-    text = plain_stl.text(np.tile(tetrahedron(), (30, 1)), number="{:.0f}")
-    whole = read(text)
-    monkeypatch.setattr(stl_ascii, "_USUAL_FACET", 10**6)
-    assert np.array_equal(read(text).vertices, whole.vertices)
-    assert whole.n_polygons == 120
-
-
-def test_a_cut_text_says_how_much_is_whole():
-    text = plain_stl.text(tetrahedron())
-    cut = text[: text.rindex("outer")]
-    with pytest.raises(TruncatedError, match="after 3 whole facets"):
-        read(cut)
 
 
 def test_a_normal_beyond_float32_becomes_none_in_a_binary_file():
