@@ -187,35 +187,6 @@ def test_the_gates_of_a_baseline_are_in_the_object(files):
     assert {"vertex_error_percent", "displacement.rms_edges"} <= broken
 
 
-def test_folders_that_have_moved(files, tmp_path):
-    truth = folder_of(tmp_path / "truth", a=scan(0.0), b=scan(0.0), c=scan(0.0))
-    old = folder_of(tmp_path / "old", a=scan(0.05), b=scan(0.05), c=scan(0.05))
-    known = baseline_of(tmp_path, truth, old)
-    new = folder_of(tmp_path / "new", a=scan(0.05), b=scan(0.06), c=scan(0.05))
-    made = msal("compare", truth, new, "--baseline", known)
-    assert made.exit_code == 4
-    named = [line for line in made.stderr.splitlines() if "broken: vertex_error" in line]
-    assert [line.partition(": ")[0] for line in named] == [str(new / "b.ply")]
-    good = msal("compare", truth, new, "--baseline", known, "--exclude", "b.ply")
-    assert good.exit_code == 0
-    for folder in (truth, new):
-        (folder / "b.ply").unlink()
-    gone = msal("compare", truth, new, "--baseline", known)
-    assert gone.exit_code == 4
-    assert "b.ply: in the baseline, and not here" in gone.stderr
-
-
-def test_a_report_of_denoising_is_a_baseline_too(files, tmp_path):
-    output, report = tmp_path / "out" / "a.ply", tmp_path / "run.json"
-    given = ("denoise", files / "good.ply", "-o", output, "--method", "msal")
-    given += ("--reference", files / "truth.ply")
-    assert msal(*given, "--report", report).exit_code == 0
-    again = ("compare", files / "truth.ply", output, "--baseline", report)
-    assert msal(*again).exit_code == 0
-    bad = msal("compare", files / "truth.ply", files / "good.ply", "--baseline", report)
-    assert bad.exit_code == 4
-
-
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b'{"schema": "msal.info/1"}', b"\xff", b'{"schema": []}',
                 b'{"schema": "msal.compare/1", "records": 5}',

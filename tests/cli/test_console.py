@@ -10,16 +10,13 @@ import sys
 
 import pytest
 
-from msal_cli import errors
-from msal_cli.batch.inputs import NothingMatched
-from msal_cli.batch.interrupts import Terminated
 from msal_cli.cli import console, logs, report_files
 from msal_cli.cli import console as talk
 from msal_cli.errors import ContentError, OutputError, UsageError
 from msal_cli.job.records import Failure
 from msal_cli.report.facts import Line
 from tests.cli.scans import BAD_SCAN, msal
-from tests.report.made import HOSTILE_NAMES, failed, written
+from tests.report.made import HOSTILE_NAMES, failed
 
 
 class Terminal(io.StringIO):
@@ -140,27 +137,6 @@ def test_of_files(n_files, n_failed, gate, status):
     assert console.status_of_files(n_files, n_failed, is_gate_failed=gate) == status
 
 
-@pytest.mark.parametrize(
-    ("error", "status"),
-    [
-        (errors.UsageError("x"), 2),
-        (errors.UsageError("x", code="E_LOCKED"), 2),
-        (NothingMatched("x"), 5),
-        (errors.OutputError("x"), 1),
-        (errors.InputError("x"), 1),
-        (errors.InternalError("x"), 1),
-        (errors.ResourceError("x"), 1),
-    ],
-)
-def test_of_errors(error, status):
-    assert console.status_of_error(error) == status
-
-
-def test_of_signals():
-    assert console.status_of_interrupt(KeyboardInterrupt()) == 130
-    assert console.status_of_interrupt(Terminated(15)) == 143
-
-
 def test_the_worst_wins():
     ranking = [130, 1, 3, 4, 0]
     for first, second in itertools.combinations_with_replacement(ranking, 2):
@@ -260,14 +236,6 @@ def in_actions(tmp_path, monkeypatch):
     monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path))
 
 
-def test_failures_are_marked_where_the_repository_knows_them(in_actions, capsys):
-    report_files.annotate([written(), failed("bad.ply")])
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("::error file=scans/bad.ply,title=msal%3A failed::bad.ply: ")
-    assert told.err.count("\n") == 1
-
-
 def test_a_run_marks_its_failures_once(in_actions, tmp_path):
     (tmp_path / "scans" / "bad.ply").write_bytes(BAD_SCAN)
     made = msal("denoise", "bad.ply", "-o", tmp_path / "out.ply", "-q")
@@ -279,11 +247,3 @@ def test_elsewhere_nothing_is_said(in_actions, monkeypatch, capsys, value):
     monkeypatch.setenv("GITHUB_ACTIONS", value)
     report_files.annotate([failed()])
     assert capsys.readouterr().err == ""
-
-
-def test_outside_of_the_repository_names_stay_as_they_are(
-    in_actions, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path / "elsewhere"))
-    report_files.annotate([failed("bad.ply")])
-    assert "::error file=bad.ply," in capsys.readouterr().err

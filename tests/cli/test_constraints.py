@@ -28,25 +28,6 @@ def test_the_report_tells_what_was_kept(scan, tmp_path):
     assert "vertices cut to the longest move; 18 vertices locked" in made.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--max-move", "0"), "no length above 0"),
-        (("--max-move", "3%"), "no length above 0"),
-        (("--lock", "confidence"), "neither 'boundary' nor"),
-        (("--weights", "q", "--method", "al"), "al has none with the schedule plain"),
-        (("--weights", "q", "--method", "taubin"), "taubin has none"),
-    ],
-)
-def test_what_means_nothing_is_refused_before_any_work(scan, tmp_path, words, said):
-    output = tmp_path / "out"
-    made = msal("denoise", scan, "-o", output, *words)
-    assert made.exit_code == 2
-    assert said in made.stderr
-    assert "hint: " in made.stderr
-    assert not output.exists()
-
-
 def test_lengths_have_units_where_that_of_the_files_is_said(scan, tmp_path):
     given = ("denoise", scan, "-q", "--method", "msal", "--force", "-o")
     plain, metres, micro = (tmp_path / f"{name}.ply" for name in ("plain", "metres", "micro"))

@@ -177,19 +177,6 @@ def test_one_bad_file_is_one_failed_row(mixed, tmp_path):
     assert by_name["bad.ply"]["error.code"] == "E_INDEX"
 
 
-def test_a_second_run_finds_everything_up_to_date(mixed, tmp_path):
-    output = tmp_path / "out"
-    (mixed / "bad.ply").unlink()
-    assert msal("denoise", mixed, "-o", output).exit_code == 0
-    times = {one: (output / one).stat().st_mtime_ns for one in ("closed.ply", "below/open.ply")}
-    made = msal("denoise", mixed, "-o", output)
-    assert made.exit_code == 0
-    assert made.stderr.splitlines()[-1] == "2 files: 2 up to date"
-    assert times == {one: (output / one).stat().st_mtime_ns for one in times}
-    again = msal("denoise", mixed, "-o", output, "--fresh", "--dry-run")
-    assert again.stdout.count(" -> ") == 2
-
-
 def test_all_failed_is_fatal(tmp_path):
     folder = folder_of(tmp_path / "in", a=BAD_SCAN, b=BAD_SCAN)
     made = msal("denoise", folder, "-o", tmp_path / "out", "-q")
@@ -198,36 +185,6 @@ def test_all_failed_is_fatal(tmp_path):
     lines = made.stderr.splitlines()
     assert lines[0] == "failed: 2"
     assert [line for line in lines if "(E_INDEX)" in line] == lines[1::2]
-
-
-def test_a_foreign_file_in_the_output_is_replaced_only_by_force(scan, tmp_path):
-    output = folder_of(tmp_path / "out", scan=b"precious")
-    made = msal("denoise", scan.parent, "-o", output)
-    assert made.exit_code == 2
-    assert "--force" in made.stderr
-    assert (output / "scan.ply").read_bytes() == b"precious"
-    assert msal("denoise", scan.parent, "-o", output, "--force").exit_code == 0
-    assert (output / "scan.ply").read_bytes() != b"precious"
-
-
-@pytest.mark.parametrize(
-    ("options", "names"),
-    [
-        ([], ["scan.ply", "scan.ply.orig"]),
-        (["--backup", "~"], ["scan.ply", "scan.ply~"]),
-        (["--no-backup"], ["scan.ply"]),
-    ],
-)
-def test_in_place(scan, options, names):
-    before = scan.read_bytes()
-    assert msal("denoise", scan, "--in-place", *options).exit_code == 0
-    once = scan.read_bytes()
-    assert once != before
-    assert tree(scan.parent) == [".msal-manifest.jsonl", *names]
-    assert all((scan.parent / name).read_bytes() == before for name in names[1:])
-    again = msal("denoise", scan, "--in-place", *options)
-    assert again.exit_code == 0
-    assert scan.read_bytes() == once, "it was denoised twice"
 
 
 def test_the_log_file_tells_every_file(scan, tmp_path):

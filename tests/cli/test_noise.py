@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from msal_cli import codecs
 from msal_cli.analysis.added_noise import KINDS
 from msal_cli.cli.noise import _KINDS
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, ply_text
@@ -33,15 +31,6 @@ def test_only_positions_change(scan, kind):
     start = before.index(b"end_header") + 1
     assert changed
     assert all(start <= at < start + 288 for at in changed)
-
-
-def test_the_same_seed_gives_the_same_bytes(scan):
-    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
-        assert (
-            msal("noise", scan, "-o", scan.with_name(f"{name}.ply"), "--seed", seed).exit_code == 0
-        )
-    a, b, c = (scan.with_name(f"{name}.ply").read_bytes() for name in "abc")
-    assert a == b != c
 
 
 def test_a_folder_becomes_a_mirrored_tree(tmp_path):
@@ -118,30 +107,6 @@ def test_a_setting_that_the_kind_does_not_use_is_refused(scan, kind, setting, us
     assert users in made.stderr
 
 
-def files_vertices(path):
-    return codecs.open_mesh(path.read_bytes(), path.name).vertices
-
-
-def test_noise_by_a_property_leaves_alone_what_has_none(scan):
-    vertices, faces = torus()
-    lines = [f"{x:.6f} {y:.6f} {z:.6f} {max(x, 0.0):.6f}" for x, y, z in vertices]
-    text = scan.read_text().split("end_header")[0]
-    text = text.replace("float z", "float z\nproperty float amount") + "end_header\n"
-    text += "\n".join(lines) + "\n" + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces)
-    source, target = scan.with_name("amount.ply"), scan.with_name("out.ply")
-    source.write_text(text)
-    made = msal("noise", source, "-o", target, "--kind", "property", "--property", "amount")
-    assert made.exit_code == 0
-    assert "times amount" in made.stderr
-    moved = (files_vertices(target) != files_vertices(source)).any(axis=1)
-    assert not moved[vertices[:, 0] <= 0.0].any()
-    assert moved[vertices[:, 0] > 0.5].all()
-    words = ("--kind", "property", "--property", "Amount", "--force")
-    wrong = msal("noise", source, "-o", target, *words)
-    assert (wrong.exit_code, "E_PROPERTY" in wrong.stderr) == (1, True)
-    assert "amount" in wrong.stderr
-
-
 def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
     text = ply_text(*torus()).decode().splitlines()
     start = text.index("end_header") + 1
@@ -152,19 +117,3 @@ def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
     assert (made.exit_code, (tmp_path / "out.ply").exists()) == (1, False)
     assert "choose a lower --level" in made.stderr
     assert "--precision" not in made.stderr
-
-
-@pytest.mark.parametrize("kind", ["correlated", "outliers", "property"])
-def test_seams_stay_closed_whatever_the_kind(tmp_path, kind):
-    vertices, faces = torus()
-    corners = vertices[faces.reshape(-1)]
-    soup = np.arange(len(corners)).reshape(-1, 3)
-    (tmp_path / "soup.ply").write_bytes(ply_text(corners, soup))
-    words = ["--property", "z"] if kind == "property" else []
-    made = msal("noise", tmp_path / "soup.ply", "-o", tmp_path / "out.ply", "--kind", kind, *words)
-    assert made.exit_code == 0
-    after = files_vertices(tmp_path / "out.ply")
-    assert (after != files_vertices(tmp_path / "soup.ply")).any()
-    for at in range(len(vertices)):
-        places = after[faces.reshape(-1) == at]
-        assert (places == places[0]).all()

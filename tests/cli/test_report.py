@@ -112,19 +112,6 @@ class TestOneFolder:
             one = ran("report", "out", "--check")
         assert one.exit_code == 3 and "(shard 1/2) still at work" in one.stderr
 
-    def test_a_manifest_of_an_older_version(self, done):
-        path = done.parent / "out" / NAME
-        lines = [json.loads(line) for line in path.read_bytes().splitlines()]
-        old = [
-            {key: value for key, value in line.items() if key not in ("at", "paths")}
-            for line in lines
-            if line["kind"] in ("intent", "done")
-        ]
-        path.write_text("".join(json.dumps(line) + "\n" for line in old))
-        document = told("out")
-        assert document["totals"]["written"] == 3 and document["settings"]["method"] == "adaptive"
-        assert "3 up to date" in denoised().stderr
-
 
 class TestCheck:
     def test_some_and_all_failed(self, scans):
@@ -220,33 +207,6 @@ class TestRefusals:
         else:
             assert one.exit_code == 1
             assert "no report of msal denoise" in one.stderr and name in one.stderr
-
-    @pytest.mark.parametrize(
-        ("field", "value"),
-        [
-            ("input", 7),
-            ("input", None),
-            ("status", "done"),
-            ("vertices", "many"),
-            ("vertices", True),
-            ("warnings", "one"),
-            ("volume", []),
-            ("volume", {"before": "x"}),
-            ("error", {"code": "E_FORMAT", "message": "x"}),
-            ("method", {"name": "msal", "parameters": 5}),
-        ],
-    )
-    def test_a_record_that_is_none(self, done, field, value):
-        document = json.loads((done.parent / "r.json").read_text())
-        document["records"][1][field] = value
-        (done.parent / "r.json").write_text(json.dumps(document))
-        one = ran("report", "r.json")
-        assert one.exit_code == 1 and "record 2" in one.stderr
-        lines = (done.parent / "r.jsonl").read_text().splitlines()
-        lines[1] = json.dumps(json.loads(lines[1]) | {field: value})
-        (done.parent / "r.jsonl").write_text("\n".join(lines))
-        one = ran("report", "r.jsonl")
-        assert one.exit_code == 1 and "line 2" in one.stderr
 
 
 @pytest.mark.parametrize(

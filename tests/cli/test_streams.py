@@ -198,23 +198,6 @@ def test_a_stream_is_denoised_like_a_file(scan, tmp_path, denoised):
     assert denoised != SCAN
 
 
-def test_talk_and_data_do_not_mix(denoised):
-    made = msal_on(SCAN, "denoise", "-")
-    assert made.exit_code == 0
-    assert made.stdout_bytes == denoised
-    assert made.stderr.startswith("standard input -> standard output in ")
-
-
-def test_a_stream_to_a_file(tmp_path, denoised):
-    output = tmp_path / "new" / "out.ply"
-    made = msal_on(SCAN, "denoise", "-", "-o", output, "--json", "-q")
-    assert made.exit_code == 0
-    assert output.read_bytes() == denoised
-    record = record_of(made)
-    assert (record["input"], record["output"]) == ("-", str(output))
-    assert record["output_sha256"] == hashlib.sha256(denoised).hexdigest()
-
-
 @pytest.mark.parametrize("is_packed", [False, True])
 @pytest.mark.parametrize("name", ["out.ply", "out.ply.gz"])
 def test_a_file_is_compressed_if_its_name_says_so(tmp_path, denoised, is_packed, name):
@@ -226,13 +209,6 @@ def test_a_file_is_compressed_if_its_name_says_so(tmp_path, denoised, is_packed,
     assert (gzip.decompress(written) if name.endswith(".gz") else written) == denoised
     record = record_of(made)
     assert record["output_sha256"] == hashlib.sha256(written).hexdigest()
-
-
-def test_the_suffix_of_the_output_says_the_format(tmp_path):
-    output = tmp_path / "out.obj"
-    assert msal_on(SCAN, "denoise", "-", "-o", output).exit_code == 0
-    assert b"\nf " in output.read_bytes()
-    assert b"\nf " in msal_on(SCAN, "denoise", "-", "--to", "obj", "-q").stdout_bytes
 
 
 def test_nothing_is_written_if_something_is_wrong(tmp_path):

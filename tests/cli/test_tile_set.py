@@ -113,14 +113,6 @@ def test_a_file_that_is_gone_is_missed(tiles):
     ] * 3
 
 
-def test_fail_fast_writes_nothing(tiles):
-    folder, out = tiles
-    (folder / "2.stl").write_bytes(b"")
-    done = denoise(tiles, "--fail-fast")
-    assert done.exit_code != 0
-    assert not [one for one in out.iterdir() if not one.name.startswith(".")]
-
-
 def test_a_dry_run_lists_neighbours_and_memory(tiles):
     done = denoise(tiles, "--dry-run")
     assert "touches 0.ply, 2.stl, 3.ply" in done.stdout
@@ -152,10 +144,3 @@ def test_what_does_not_go_with_a_set(tiles, options, words):
 def test_a_set_needs_an_output(tiles):
     done = msal("denoise", tiles[0], "--in-place", "--tile-set")
     assert done.exit_code == 2 and "--in-place cannot be used with --tile-set" in done.stderr
-
-
-def test_one_file_is_a_set_too(tiles):
-    folder, out = tiles
-    done = msal("denoise", folder / "0.ply", "-o", out / "a.ply", "--tile-set", "-n", "3", "--json")
-    (record,) = json.loads(done.stdout)["records"]
-    assert record["status"] == "written" and record["tile_set"]["neighbours"] == []

@@ -1,0 +1,482 @@
+"""What is chosen for each mesh: the plain command, --auto, --assume, --min-noise, --despike."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator
+
+from msal_cli import auto as selection
+from msal_cli import codecs, methods
+from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
+from msal_cli.auto import adaptive
+from msal_cli.job.choice import prepare
+from msal_cli.job.settings import ADAPTIVE, Settings
+from msal_cli.mesh import prepare_mesh
+from tests.cli.scans import (
+    closed_scan,
+    folder_of,
+    msal,
+    open_scan,
+    ply_text,
+    process,
+    record_of,
+    records_of,
+)
+from tests.report.schemas import report_schema
+from tests.shapes import noisy, torus
+
+REASON = "noise 0.11 e; organic; MSAL, K = 0.7, 3 sweeps"
+SPIKED = np.arange(40, 1800, 88)
+READINGS = (Reading(NOISE, 0.08, 0.6), Reading(TEXTURE, 0.0, 0.4))
+
+
+def scan_with(level, is_spiked=False):
+    """A torus with noise, and maybe 20 of its 1,800 vertices two edges off along the normals."""
+    mesh = prepare_mesh(*torus(60, 30)).mesh
+    vertices = add_plain_noise(mesh, "gaussian-normal", level, 1)
+    if is_spiked:
+        vertices[SPIKED] += 2.0 * mesh.mean_edge_length * mesh.vertex_normals()[SPIKED]
+    return ply_text(vertices, mesh.faces)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("choice")
+    folder_of(folder / "in", clean=scan_with(0.0), fair=scan_with(0.04), loud=scan_with(0.2))
+    quiet, loud = scan_with(0.0, is_spiked=True), scan_with(0.15, is_spiked=True)
+    folder_of(folder / "spiked", quiet=quiet, loud=loud)
+    return folder / "in"
+
+
+@pytest.fixture
+def scan(tmp_path):
+    vertices, faces = torus(64, 32)
+    data = ply_text(noisy(vertices, 0, 0.02), faces)
+    return folder_of(tmp_path / "in", scan=data) / "scan.ply"
+
+
+def denoise(*words, code=0):
+    """The only record of a run; it fits the schema."""
+    made = msal("denoise", *words, "--json")
+    Draft202012Validator(report_schema()).validate(json.loads(made.stdout))
+    return record_of(made, code)
+
+
+def vertices_of(path):
+    return codecs.open_mesh(path.read_bytes(), path.name).vertices
+
+
+@pytest.fixture
+def choose(monkeypatch):
+    """A function that fixes what --auto chooses; it returns the wishes that arrive."""
+
+    def fix(name="msal", given=None):
+        arrived = []
+
+        def search(mesh, wishes, on_step=None, is_allowed=None):
+            arrived.append(wishes)
+            noise = dataclasses.replace(estimate_noise(mesh), mean_edges=0.11)
+            runners_up = (("AL, 3 sweeps", 0.0724),)
+            parameters = methods.find(name).validate(given or {})
+            return selection.Choice(
+                name, parameters, REASON, "organic", noise, 0.0625, tried=7, runners_up=runners_up
+            )
+
+        monkeypatch.setattr("msal_cli.auto.search.search", search)
+        # What a test chooses may shrink a small torus.
+        monkeypatch.setattr("msal_cli.analysis.harm.excessive_change", lambda *a, **k: None)
+        return arrived
+
+    return fix
+
+
+@pytest.fixture
+def collapse(monkeypatch):
+    """Let the plain command and --auto choose what destroys the mesh."""
+
+    def choose_umbrella(mesh, *given, **named):
+        values = methods.find("umbrella").validate({"iterations": 1000})
+        return selection.Choice("umbrella", values, "collapse", None, estimate_noise(mesh))
+
+    monkeypatch.setattr(adaptive, "choose_adaptive", choose_umbrella)
+    monkeypatch.setattr("msal_cli.job.choice.choose_method", choose_umbrella)
+
+
+# The plain command
+
+
+def test_the_plain_command_reports_its_choice(scans, tmp_path):
+    made = msal("denoise", scans, "-o", tmp_path / "out", "--exclude", "fair.ply", "--json")
+    records = records_of(made)
+    loud, clean = records["loud.ply"], records["clean.ply"]
+    assert (loud["status"], clean["status"]) == ("written", "unchanged")
+    assert (tmp_path / "out" / "clean.ply").read_bytes() == (scans / "clean.ply").read_bytes()
+    assert clean["method"] == {"name": "none", "parameters": {}}
+    assert loud["method"]["name"] == "al"
+    assert loud["method"]["parameters"]["schedule"] == "wiener"
+    for record in records.values():
+        assert (record["choice"]["among"], record["choice"]["wishes"]) == ("family", {})
+        assert record["warnings"] == []
+    assert loud["choice"]["reason"].startswith("noise 0.2 e; AL with Wiener fidelity")
+    assert loud["choice"]["risk_edges"] > 0.0
+    assert "chosen: al 1, none 1" in made.stderr
+    assert json.loads(made.stdout)["settings"]["method"] == "adaptive"
+
+
+@pytest.mark.parametrize("words", [("-n", "4"), ("--set", "K=0.5"), ("--schedule", "multiscale")])
+def test_any_parameter_is_the_filter_of_the_paper(scans, tmp_path, words):
+    record = denoise(scans / "clean.ply", "-o", tmp_path / "a.ply", *words)
+    assert (record["method"]["name"], record["choice"]) == ("msal", None)
+    msal("denoise", scans / "clean.ply", "-o", tmp_path / "b.ply", "--method", "msal")
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+@pytest.mark.parametrize("words", [[], ["--auto"]])
+def test_a_choice_that_damages_is_softened_or_rejected(tmp_path, monkeypatch, collapse, words):
+    """A collapse is never written: a milder result or the input is, and the reason says why."""
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(closed_scan())
+    record = denoise(scan, "-o", tmp_path / "mild.ply", *words)
+    assert (record["status"], record["method"]["name"]) == ("written", "al")
+    noise = 0.5 * record["noise_estimate"]["mean_edges"]
+    assert record["method"]["parameters"]["noise"] == pytest.approx(noise, abs=1e-3)
+    assert "; rejected, for the volume changed by -" in record["choice"]["reason"]
+    (warning,) = record["warnings"]
+    assert warning.startswith("the first choice would damage the mesh (the volume changed by -")
+    denoise(scan, "-o", tmp_path / "by hand.ply", *record["choice"]["repeat"])
+    assert (tmp_path / "mild.ply").read_bytes() == (tmp_path / "by hand.ply").read_bytes()
+    # Where nothing milder would do, the input comes back.
+    monkeypatch.setattr("msal_cli.job.pipeline.MILDER", (0.0,))
+    record = denoise(scan, "-o", tmp_path / "out.ply", *words)
+    assert (record["status"], record["method"]["name"]) == ("unchanged", "none")
+    assert (tmp_path / "out.ply").read_bytes() == scan.read_bytes()
+    assert record["displacement"]["max"] == 0.0
+    assert "; rejected, for the volume changed by -" in record["choice"]["reason"]
+    (warning,) = record["warnings"]
+    assert warning.startswith("every choice would damage the mesh (the volume changed by -")
+    # By name it is done, with a warning.
+    record = denoise(scan, "-o", tmp_path / "b.ply", "--method", "umbrella", "-n", "1000")
+    assert record["status"] == "written"
+    assert any("damage" in warning for warning in record["warnings"])
+
+
+# --auto
+
+
+@pytest.mark.parametrize(
+    ("words", "wishes"),
+    [
+        (("--auto",), {}),
+        (("--auto", "--method", "auto"), {}),
+        (("--keep", "edges"), {"keep": "edges"}),
+        (("--strength", "-1.5"), {"strength": -1.5}),
+        (("--strength", "-0"), {}),
+        (("--prefer", "volume", "--auto"), {"prefer": "volume"}),
+        (("--auto-budget", "3"), {"budget": 3.0}),
+    ],
+)
+def test_every_way_to_ask_reaches_the_chooser(scan, tmp_path, choose, words, wishes):
+    arrived = choose()
+    record = denoise(scan, "-o", tmp_path / "o.ply", *words)
+    assert arrived == [selection.Wishes(**wishes)]
+    assert repr(record["choice"]["wishes"]["strength"]) != "-0.0"
+    assert selection.Wishes(**record["choice"]["wishes"]) == arrived[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--strength", "2.5"), "'2.5' is not a number from -2 to 2"),
+        (("--auto-budget", "0.5"), "'0.5' is not a number from 1"),
+        (("--keep", "noise"), "'texture', 'edges', 'shape'"),
+        (("--prefer", "speed"), "'positions', 'normals', 'volume'"),
+    ],
+)
+def test_wishes_that_mean_nothing_are_refused(scan, tmp_path, words, message):
+    made = msal("denoise", scan, "-o", tmp_path / "o.ply", *words)
+    assert (made.exit_code, message in made.stderr) == (2, True)
+
+
+def test_other_commands_point_to_auto(scan, tmp_path):
+    for words in (("sweep", scan, "-o", tmp_path / "o.png", "--method"), ("methods",)):
+        made = msal(*words, "auto")
+        assert made.exit_code == 2
+        assert "hint: `msal denoise --auto` chooses one" in made.stderr
+
+
+def test_the_record_has_the_choice_and_its_reason(scan, tmp_path, choose):
+    choose(given={"K": 0.7, "iterations": 3})
+    record = denoise(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
+    parameters = methods.find("msal").validate({"K": 0.7, "iterations": 3})
+    assert record["method"] == {"name": "msal", "parameters": parameters}
+    assert record["choice"] == {
+        "reason": REASON,
+        "surface": "organic",
+        "noise_edges": 0.11,
+        "risk_edges": 0.0625,
+        "tried": 7,
+        "runners_up": [{"label": "AL, 3 sweeps", "risk_edges": 0.0724}],
+        "wishes": dataclasses.asdict(selection.Wishes(keep="shape")),
+        "repeat": ["--method", "msal", "--set", "iterations=3", "--set", "K=0.7"],
+        "among": "all",
+        "auto_seconds": None,
+    }
+    # The noise is estimated once.
+    assert record["noise_estimate"]["mean_edges"] == 0.11
+    assert record["seconds"]["choose"] > 0.0
+    stages = {name: spent for name, spent in record["seconds"].items() if name != "total"}
+    assert sum(stages.values()) == pytest.approx(record["seconds"]["total"], rel=1e-9)
+
+
+def test_the_choice_for_a_single_file_is_a_line(scan, tmp_path, choose):
+    choose(given={"K": 0.7})
+    short = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto").stderr
+    assert f"  chosen        {REASON}\n" in short
+    assert "next best" not in short
+    verbose = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto", "-v").stderr
+    assert f"  chosen        {REASON}\n" in verbose
+    assert "  next best     AL, 3 sweeps (risk 0.072 e)\n" in verbose
+    assert "  by hand       --method msal --set K=0.7\n" in verbose
+    assert ", choose 0." in verbose
+
+
+def test_choices_for_many_files_are_counted_logged_and_kept(tmp_path):
+    vertices, faces = torus(60, 30)
+    files = {"clean": ply_text(vertices, faces), "b": closed_scan(), "c": closed_scan(1)}
+    folder_of(tmp_path / "in", **files)
+    log = tmp_path / "log"
+    words = ("denoise", tmp_path / "in", "-o", tmp_path / "out", "--auto", "-j", "1", "--json")
+    made = msal(*words, "--log-file", log)
+    records = json.loads(made.stdout)["records"]
+    counts = Counter(record["method"]["name"] for record in records)
+    (line,) = [line for line in made.stderr.splitlines() if line.startswith("chosen: ")]
+    assert dict(word.split() for word in line.removeprefix("chosen: ").split(", ")) == {
+        name: str(count) for name, count in counts.items()
+    }
+    for record in records:
+        assert f"{record['input']}: {record['choice']['reason']}\n" in log.read_text()
+        assert record["choice"]["reason"] not in made.stderr
+    again = json.loads(msal(*words).stdout)["records"]
+    assert [record["status"] for record in again] == ["up-to-date"] * 3
+    assert [(record["method"], record["choice"]) for record in again] == [
+        (record["method"], record["choice"]) for record in records
+    ]
+
+
+def test_the_options_of_the_record_repeat_a_real_choice(tmp_path):
+    scan = "sample_meshes/toadstool_noisy.ply"
+    record = denoise(scan, "-o", tmp_path / "1.ply", "--auto", "--keep", "edges")
+    assert record["method"]["name"] in (*selection.METHODS, selection.NONE)
+    assert record["choice"]["reason"].startswith("noise 0.")
+    again = denoise(scan, "-o", tmp_path / "2.ply", *record["choice"]["repeat"])
+    if record["method"]["name"] != selection.NONE:
+        assert again["method"] == record["method"]
+    assert (tmp_path / "1.ply").read_bytes() == (tmp_path / "2.ply").read_bytes()
+
+
+def test_a_failure_before_the_choice_has_the_wishes(tmp_path):
+    scans = folder_of(tmp_path / "in", bad=b"ply\n")
+    record = denoise(scans, "-o", tmp_path / "out", "--strength", "1", code=1)
+    assert record["method"]["name"] == "auto"
+    assert record["method"]["parameters"]["strength"] == 1.0
+    assert record["choice"] is None
+
+
+def test_other_wishes_make_a_file_anew(scan, tmp_path, choose):
+    choose()
+
+    def is_current(*words):
+        made = msal("denoise", scan.parent, "-o", tmp_path / "out", *words)
+        return "is up to date" in made.stderr
+
+    assert not is_current("--auto")
+    assert is_current("--strength", "-0")
+    assert is_current("--method", "auto", "--auto-budget", "60")
+    assert not is_current("--strength", "0.5")
+    assert not is_current("--strength", "0.5", "--prefer", "normals")
+    assert not is_current("--strength", "0.5", "--keep", "texture")
+    assert not is_current("--auto", "--auto-budget", "9")
+    assert not is_current()
+
+
+def test_trust_without_effect_is_a_warning(tmp_path, choose):
+    choose("al")
+    vertices, faces = torus()
+    head, _, rest = ply_text(vertices, faces).partition(b"\nelement face")
+    lines = rest.split(b"\n")
+    body = [line + b" 1" if 2 < at < 3 + len(vertices) else line for at, line in enumerate(lines)]
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(head + b"\nproperty float q\nelement face" + b"\n".join(body))
+    record = denoise(scan, "-o", tmp_path / "o.ply", "--auto", "--weights", "q")
+    assert record["warnings"][0] == (
+        "--weights has no effect: al has no pull to the scanned positions"
+    )
+
+
+def test_the_same_bytes_with_any_jobs_and_threads(tmp_path):
+    scans = folder_of(tmp_path / "in", a=closed_scan(), b=open_scan(), c=closed_scan(5))
+    made = []
+    for count in ("1", "2"):
+        output = tmp_path / f"out{count}"
+        words = ("denoise", scans, "-o", output, "--auto", "--strength", "0.5", "-j", count, "-q")
+        done = process(*words, "--json", env={"MSAL_THREADS": count})
+        assert done.returncode == 0, done.stderr
+        choices = [(r["method"], r["choice"]) for r in json.loads(done.stdout)["records"]]
+        made.append(([(output / f"{name}.ply").read_bytes() for name in "abc"], choices))
+    assert made[0] == made[1]
+
+
+# --assume
+
+
+def estimate_either(mesh):
+    return dataclasses.replace(estimate_noise(mesh), readings=READINGS)
+
+
+@pytest.fixture
+def unsure(tmp_path, monkeypatch):
+    """A scan of which noise and texture cannot be told apart."""
+    for place in ("auto.adaptive", "auto.search", "analysis.noise_estimate"):
+        monkeypatch.setattr(f"msal_cli.{place}.estimate_noise", estimate_either)
+    return folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
+
+
+def test_an_unsure_file_is_named_everywhere(unsure, tmp_path):
+    page = tmp_path / "run.html"
+    words = ("--json", "--report", page, "--fail-on", "noise_estimate.unsure")
+    made = msal("denoise", unsure, "-o", tmp_path / "o.ply", *words)
+    noise = record_of(made, 4)["noise_estimate"]
+    assert noise["unsure"]
+    assert noise["readings"] == [
+        {"kind": "noise", "level_edges": 0.08, "probability": 0.6},
+        {"kind": "texture", "level_edges": 0.0, "probability": 0.4},
+    ]
+    line = "noise of 0.08 e (60 %) or texture (40 %): filtered mildly, --assume noise or texture"
+    assert line in made.stderr
+    looked_at = page.read_text().partition("<h2>Look at these")[2]
+    assert "noise of 0.08 e (60 %) or texture (40 %)" in looked_at
+
+
+@pytest.mark.parametrize("words", [(), ("--auto", "--auto-budget", "1.01")])
+def test_an_assumption_decides_what_is_done(unsure, tmp_path, words):
+    records = {}
+    for assume in ("noise", "texture"):
+        record = denoise(unsure, "-o", tmp_path / f"{assume}.ply", "--assume", assume, *words)
+        # The estimate stays what it is.
+        assert record["noise_estimate"]["unsure"]
+        assert record["choice"]["wishes"]["assume"] == assume
+        assert record["choice"]["among"] == ("all" if words else "family")
+        records[assume] = record
+    assert records["noise"]["status"] == "written"
+    assert records["noise"]["choice"]["noise_edges"] == 0.08
+    assert records["texture"]["status"] == "unchanged"
+    assert (tmp_path / "texture.ply").read_bytes() == unsure.read_bytes()
+
+
+# --min-noise
+
+
+@pytest.mark.parametrize(("assume", "is_left"), [(None, True), ("noise", False), ("texture", True)])
+def test_min_noise_is_compared_with_what_is_assumed(unsure, assume, is_left):
+    quiet = prepare_mesh(noisy(torus(40, 20)[0], 0, 0.005), torus(40, 20)[1]).mesh
+    given = {} if assume is None else {"assume": assume}
+    settings = Settings(ADAPTIVE, given, min_noise="0.06e")
+    made = prepare(quiet, settings, lambda done, total: None)
+    assert ("left_alone" in made.known) == is_left
+    assert made.noise.is_unsure
+
+
+def test_quiet_files_stay_byte_for_byte(scans, tmp_path):
+    gates = {
+        "noise_estimate.mean_edges > 0.1e": [False, False, True],
+        "noise_estimate.high_edges > 0.1e and not noise_estimate.negligible": [False, False, True],
+        "noise_estimate.tail > 0.5 or noise_estimate.uneven": [False] * 3,
+    }
+    words = [word for gate in gates for word in ("--fail-on", gate)]
+    words += ["--method", "msal", "--log-file", tmp_path / "log"]
+    made = msal("denoise", scans, "-o", tmp_path / "out", "--min-noise", "0.06e", "--json", *words)
+    assert made.exit_code == 4
+    records = records_of(made)
+    for at, name in enumerate(("clean", "fair", "loud")):
+        record = records[f"{name}.ply"]
+        is_kept = name != "loud"
+        output = (tmp_path / "out" / f"{name}.ply").read_bytes()
+        assert (output == (scans / f"{name}.ply").read_bytes()) == is_kept
+        assert record["status"] == ("unchanged" if is_kept else "written")
+        assert (record["left_alone"] is not None) == is_kept
+        assert record["method"]["name"] == ("none" if is_kept else "msal")
+        for gate, (expression, broken) in zip(record["gates"], gates.items(), strict=True):
+            assert (gate["expression"], gate["decided"]) == (expression, True)
+            assert gate["broken"] == broken[at]
+    assert records["clean.ply"]["displacement"]["max"] == 0.0
+    assert "left as it is: noise 0.04" in (tmp_path / "log").read_text()
+
+
+def test_with_auto_a_quiet_file_is_left_alone_before_anything_is_tried(scans, tmp_path):
+    words = ("--auto", "--min-noise", "0.06e", "--json")
+    made = msal("denoise", scans / "fair.ply", "-o", tmp_path / "out.ply", *words)
+    record = record_of(made)
+    assert (record["status"], record["choice"]) == ("unchanged", None)
+    assert record["left_alone"]
+    assert "byte for byte as it was: noise 0.04" in made.stderr
+    assert "below --min-noise 0.06e" in made.stderr
+
+
+# --despike
+
+
+@pytest.fixture
+def spiked(scans):
+    return scans.parent / "spiked"
+
+
+def test_the_plain_command_brings_outliers_back_and_leaves_the_rest(spiked, tmp_path):
+    made = msal("denoise", spiked / "quiet.ply", "-o", tmp_path / "o.ply", "--json")
+    record = record_of(made)
+    assert (record["despiked"], record["status"]) == (20, "written")
+    assert record["choice"]["reason"].endswith("clean; the rest left as it is")
+    assert record["displacement"]["moved_vertices"] == 20
+    assert "; 20 outlier vertices brought back" in made.stderr
+    assert np.abs(vertices_of(tmp_path / "o.ply") - torus(60, 30)[0]).max() < 0.1
+    # Without them there is no noise.
+    assert record["noise_estimate"]["negligible"]
+    record = denoise(spiked / "quiet.ply", "-o", tmp_path / "o.ply", "--no-despike")
+    assert record["despiked"] is None
+    assert "--despike" not in record["choice"]["repeat"]
+
+
+@pytest.mark.parametrize("words", [(), ("--auto-budget", "3")])
+def test_the_options_repeat_the_bytes_of_despiking(spiked, tmp_path, words):
+    record = denoise(spiked / "quiet.ply", "-o", tmp_path / "a.ply", *words)
+    by_hand = record["choice"]["repeat"]
+    assert by_hand[-1] == "--despike"
+    again = denoise(spiked / "quiet.ply", "-o", tmp_path / "b.ply", *by_hand)
+    assert again["despiked"] == record["despiked"] == 20
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert again["noise_estimate"] == record["noise_estimate"]
+    assert record["noise_estimate"]["tail"] < 0.02
+
+
+def test_a_method_by_name_despikes_only_on_request(spiked, tmp_path):
+    words = (spiked / "loud.ply", "--method", "msal", "-o")
+    plain = denoise(*words, tmp_path / "a.ply")
+    asked = denoise(*words, tmp_path / "b.ply", "--despike")
+    assert (plain["despiked"], asked["despiked"]) == (None, 20)
+    errors = [
+        np.abs(vertices_of(tmp_path / name) - torus(60, 30)[0]).max() for name in ("a.ply", "b.ply")
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_locked_outliers_stay(spiked, tmp_path):
+    before = vertices_of(spiked / "quiet.ply")
+    record = denoise(spiked / "quiet.ply", "-o", tmp_path / "o.ply", "--lock", "x > 0")
+    locked = before[:, 0] > 0
+    assert record["despiked"] == 20 - int(locked[SPIKED].sum())
+    assert (vertices_of(tmp_path / "o.ply")[locked] == before[locked]).all()
