@@ -1,4 +1,4 @@
-"""`--fail-on`: exit status 4, and the gate, the file and the value by name, in every report."""
+"""`--fail-on`, `--reference`, `--check`, and limits on movement: what is measured and judged."""
 
 from __future__ import annotations
 
@@ -13,12 +13,18 @@ from tests.cli.scans import (
     closed_scan,
     folder_of,
     msal,
+    msal_on,
     open_scan,
+    ply_text,
+    record_of,
+    records_of,
 )
 from tests.report.schemas import report_schema
+from tests.shapes import grid, torus
 
 MOVED = "max_displacement > 0"
 MSAL = ("--method", "msal")
+CHECK = ("--check", "self-intersections")
 
 
 @pytest.fixture
@@ -28,50 +34,56 @@ def scans(tmp_path):
 
 def test_every_report_has_the_gates(scans, tmp_path):
     expressions = ("abs(volume_change) > 99%", MOVED)
-    given = [word for one in expressions for word in ("--fail-on", one)]
     reports = [tmp_path / f"r.{suffix}" for suffix in ("json", "jsonl", "csv")]
-    asked = [word for one in reports for word in ("--report", one)]
-    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", *given, *asked, "--json")
+    words = [word for expression in expressions for word in ("--fail-on", expression)]
+    words += [word for path in reports for word in ("--report", path)]
+    made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", *words, "--json")
     assert made.exit_code == 4
     data = json.loads(made.stdout)
     Draft202012Validator(report_schema()).validate(data)
     assert data["totals"]["gate_broken"] == 2
     closed, opened = (record["gates"] for record in data["records"])
-    assert [one["expression"] for one in closed] == list(expressions)
-    assert [(one["broken"], one["decided"]) for one in closed] == [(False, True), (True, True)]
-    assert [(one["broken"], one["decided"]) for one in opened] == [(True, False), (True, True)]
+    assert [gate["expression"] for gate in closed] == list(expressions)
+    assert [(gate["broken"], gate["decided"]) for gate in closed] == [(False, True), (True, True)]
+    assert [(gate["broken"], gate["decided"]) for gate in opened] == [(True, False), (True, True)]
     assert closed[1]["values"]["max_displacement"] == data["records"][0]["displacement"]["max"]
     assert "open" in opened[0]["reason"]
     assert json.loads(reports[0].read_text())["records"] == data["records"]
-    lines = [json.loads(line) for line in reports[1].read_text().splitlines()]
-    assert lines == data["records"]
+    assert [json.loads(line) for line in reports[1].read_text().splitlines()] == data["records"]
     with reports[2].open(newline="") as table:
         rows = list(csv.DictReader(table))
     assert rows[0]["gates"].startswith("held: abs(volume_change) > 99% (volume_change is ")
-    said = made.stderr
-    assert "broke a gate: 2\n" in said
-    assert "closed.ply: broken: max_displacement > 0 (max_displacement is " in said
-    assert "open.ply: not decided: abs(volume_change) > 99% (volume_change is not known" in said
-    assert "2 broke a gate" in said
+    assert "broke a gate: 2\n" in made.stderr
+    assert "closed.ply: broken: max_displacement > 0 (max_displacement is " in made.stderr
+    undecided = "open.ply: not decided: abs(volume_change) > 99% (volume_change is not known"
+    assert undecided in made.stderr
+    assert "2 broke a gate" in made.stderr
 
 
 def test_failures_win_over_gates_and_are_not_judged(scans, tmp_path):
     (scans / "bad.ply").write_bytes(BAD_SCAN)
     made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", "--fail-on", MOVED, "--json")
     assert made.exit_code == 3
-    gates = [len(record["gates"]) for record in json.loads(made.stdout)["records"]]
-    assert sorted(gates) == [0, 1, 1]
+    assert {name: len(record["gates"]) for name, record in records_of(made).items()} == {
+        "bad.ply": 0,
+        "closed.ply": 1,
+        "open.ply": 1,
+    }
 
 
 @pytest.mark.parametrize(
-    "expression", ["volume_chnge > 1%", "volume_change > 1", "max_displacement", "import os", ""]
+    ("expression", "messages"),
+    [
+        ("volume_chnge > 1%", ("the gate 'volume_chnge > 1%', column ", "hint: ")),
+        ("", ("the gate '', column ", "hint: ")),
+        ("hausdorff > 0", ("hausdorff is measured against a reference", "give --reference TRUTH")),
+    ],
 )
-def test_what_means_nothing_is_refused_before_any_work(scans, tmp_path, expression):
+def test_what_means_nothing_is_refused_before_any_work(scans, tmp_path, expression, messages):
     output = tmp_path / "out"
     made = msal("denoise", scans, *MSAL, "-o", output, "--fail-on", expression)
     assert made.exit_code == 2
-    assert f"the gate {expression!r}, column " in made.stderr
-    assert "hint: " in made.stderr
+    assert all(message in made.stderr for message in messages)
     assert not output.exists()
     assert msal("report", scans, "--fail-on", expression).exit_code == 2
 
@@ -83,10 +95,18 @@ def test_report_judges_earlier_runs(scans, tmp_path):
     assert made.exit_code == 4
     assert made.stderr.count("broken: max_displacement > 0") == 2
     assert msal("report", output, "--fail-on", "max_displacement > 99e").exit_code == 0
-    # Those of a report are kept, and count where somebody asks for the status.
+    # Gates of a report are kept, and count with --check.
     assert msal("report", page).exit_code == 0
     assert msal("report", page, "--check", "-q").exit_code == 4
     assert msal("report", page, "--fail-on", "max_displacement > 99e", "-q").exit_code == 0
+    for run in (output, page):
+        new = tmp_path / "new.json"
+        made = msal("report", run, "--fail-on", "hausdorff > 0", "-o", new)
+        assert (made.exit_code, new.exists()) == (2, False)
+        assert "name a JSON report of msal denoise --reference" in made.stderr
+    made = msal("report", output, "--fail-on", "self_intersections > 0")
+    assert made.exit_code == 4
+    assert "count them with --check self-intersections" in made.stderr
 
 
 def test_compare_judges_pairs(tmp_path):
@@ -100,26 +120,164 @@ def test_compare_judges_pairs(tmp_path):
     assert result["broken"] and result["decided"]
     assert f"{second / 'b.ply'}: broken: mean_angular_error_deg > 1" in made.stderr
     made = msal("compare", first, second, *gate)
-    assert made.exit_code == 4
-    assert made.stderr.count("broken: ") == 1
+    assert (made.exit_code, made.stderr.count("broken: ")) == (4, 1)
     (second / "b.ply").write_bytes(BAD_SCAN)
     assert msal("compare", first, second, *gate).exit_code == 3
     assert msal("compare", first, second, "--fail-on", "seconds > 1").exit_code == 2
 
 
-@pytest.mark.parametrize("name", ["mean_angular_error_deg", "hausdorff"])
-def test_a_gate_against_a_reference_that_is_not_there_is_refused(scans, tmp_path, name):
-    output, report = tmp_path / "out", tmp_path / "r.json"
-    gate = ("--fail-on", f"{name} > 0")
-    made = msal("denoise", scans, "-o", output, *gate)
-    assert made.exit_code == 2
-    assert f"{name} is measured against a reference" in made.stderr
-    assert "give --reference TRUTH" in made.stderr
-    assert not output.exists()
-    assert msal("denoise", scans, "-o", output, "--report", report).exit_code == 0
-    for run in (output, report):
-        page = tmp_path / "page.json"
-        made = msal("report", run, *gate, "-o", page)
-        assert made.exit_code == 2
-        assert "name a JSON report of msal denoise --reference" in made.stderr
-        assert not page.exists()
+# --reference
+
+SHARED = (
+    *("correspondence", "mean_edge_length", "mean_angular_error_deg", "max_angular_error_deg"),
+    *("vertex_error_percent", "displacement", "flipped_faces", "volume_change_percent"),
+    *("area_change_percent", "hausdorff", "hausdorff_edges"),
+)
+
+
+@pytest.fixture
+def pairs(tmp_path):
+    """A folder of two scans and one of what they should be, a.ply and below/b.ply in each."""
+    noisy = folder_of(tmp_path / "noisy", a=closed_scan(0))
+    truth = folder_of(tmp_path / "truth", a=ply_text(*torus()))
+    folder_of(noisy / "below", b=closed_scan(1))
+    folder_of(truth / "below", b=ply_text(*torus()))
+    return noisy, truth
+
+
+def test_figures_against_a_reference_are_those_of_compare(pairs, tmp_path):
+    noisy, truth = pairs
+    words = ("-o", tmp_path / "out.ply", "--reference", truth / "a.ply", "--json")
+    made = msal("denoise", noisy / "a.ply", *words)
+    reference = record_of(made)["reference"]
+    compared = json.loads(msal("compare", truth / "a.ply", words[1], "--json").stdout)
+    assert {name: reference[name] for name in SHARED} == {name: compared[name] for name in SHARED}
+    assert reference["path"] == str(truth / "a.ply")
+    angle = record_of(made)["normal_change"]["mean_deg"]
+    assert reference["mean_angular_error_deg"] != angle
+    assert "reference     normals " in made.stderr
+    piped = msal_on((noisy / "a.ply").read_bytes(), "denoise", "-", *words)
+    assert record_of(piped)["reference"]["vertex_error_percent"] > 0.0
+
+
+def test_references_of_a_folder_have_the_same_relative_paths(pairs, tmp_path):
+    noisy, truth = pairs
+    words = ("denoise", noisy, "-o", tmp_path / "out", "--reference", truth)
+    first, second = (records_of(msal(*words, "--json")) for _ in range(2))
+    for name, path in (("a.ply", truth / "a.ply"), ("b.ply", truth / "below" / "b.ply")):
+        assert first[name]["reference"] == second[name]["reference"]
+        assert first[name]["reference"]["path"] == str(path)
+        assert second[name]["status"] == "up-to-date"
+    (truth / "a.ply").unlink()
+    made = msal(*words, "--report", tmp_path / "r.csv")
+    assert made.exit_code == 0
+    assert "no comparison with the reference: 1" in made.stderr
+    with (tmp_path / "r.csv").open(newline="") as table:
+        rows = {row["input"].rpartition("/")[2]: row for row in csv.DictReader(table)}
+    assert rows["a.ply"]["reference.error.message"]
+    assert float(rows["b.ply"]["reference.vertex_error_percent"]) > 0.0
+
+
+def test_a_gate_is_judged_against_the_reference_alone(pairs, tmp_path):
+    noisy, truth = pairs
+    words = ("denoise", noisy / "a.ply", "-o", tmp_path / "a.ply", "--force")
+    words += ("--fail-on", "mean_angular_error_deg > 89", "--reference")
+    assert msal(*words, truth / "a.ply").exit_code == 0
+    (truth / "flat.ply").write_bytes(ply_text(*grid()))
+    # The faces are not the same: there is no such angle, and that of the denoising is another.
+    made = msal(*words, truth / "flat.ply")
+    assert (made.exit_code, "not decided" in made.stderr) == (4, True)
+
+
+@pytest.mark.parametrize("words", [("out.ply", "none.ply"), ("-", "truth/a.ply")])
+def test_a_reference_that_cannot_be_is_refused(pairs, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    made = msal("denoise", "noisy/a.ply", "-o", words[0], "--reference", words[1])
+    assert (made.exit_code, made.stdout) == (2, "")
+    assert not (tmp_path / "out.ply").exists()
+
+
+# --check self-intersections
+
+
+@pytest.fixture
+def pushed(tmp_path):
+    vertices, faces = torus()
+    clean = ply_text(vertices, faces)
+    vertices[:3] *= -0.9
+    return folder_of(tmp_path / "scans", clean=clean, pushed=ply_text(vertices, faces))
+
+
+def test_self_intersections_are_counted_on_request(pushed, tmp_path):
+    words = ("denoise", pushed, "-o", tmp_path / "out", "--json", "--method", "al", "-n", "1")
+    assert records_of(msal(*words))["pushed.ply"]["self_intersections"] is None
+    counted = records_of(msal(*words, *CHECK))
+    assert counted["clean.ply"]["self_intersections"] == {"before": 0, "after": 0, "created": 0}
+    counts = counted["pushed.ply"]["self_intersections"]
+    assert counts["before"] > 0 and counts["created"] <= counts["after"]
+    # The file was made again to be counted, and is current now.
+    assert {record["status"] for record in counted.values()} == {"written"}
+    again = records_of(msal(*words, *CHECK))
+    assert {record["status"] for record in again.values()} == {"up-to-date"}
+    # A gate asks for the count too.
+    gate = ("--fail-on", "self_intersections.before > 0")
+    made = msal("denoise", pushed, "-o", tmp_path / "gated", *gate)
+    assert made.exit_code == 4
+    assert "pushed.ply: broken: self_intersections.before > 0" in made.stderr
+    assert msal("report", tmp_path / "gated", *gate).exit_code == 4
+
+
+def test_info_counts_self_intersections(pushed):
+    def count(name, *words):
+        return record_of(msal("info", pushed / name, "--json", *words))["self_intersections"]
+
+    n_pushed = count("pushed.ply", *CHECK)
+    assert count("clean.ply", *CHECK) == 0 < n_pushed
+    assert count("pushed.ply") is None
+    assert "intersecting    0 pairs of faces" in msal("info", pushed / "clean.ply", *CHECK).stdout
+    piped = msal_on((pushed / "pushed.ply").read_bytes(), "info", "-", "--json", *CHECK)
+    assert record_of(piped)["self_intersections"] == n_pushed
+
+
+# Limits on movement
+
+
+@pytest.fixture
+def scan(scans):
+    return scans / "open.ply"
+
+
+def test_the_report_has_what_was_kept(scan, tmp_path):
+    words = (*MSAL, "--max-move", "0.001e", "--lock", "boundary", "--json")
+    made = msal("denoise", scan, "-o", tmp_path / "a.ply", *words)
+    record = record_of(made)
+    assert record["clamped_vertices"] > 0
+    assert record["locked_vertices"] == record["boundary_edges"]
+    assert record["displacement"]["max_edges"] <= 0.001
+    settings = json.loads(made.stdout)["settings"]
+    assert (settings["max_move"], settings["lock"]) == ("0.001e", ["boundary"])
+    assert "vertices cut to the longest move; 18 vertices locked" in made.stderr
+
+
+def test_lengths_have_units_where_that_of_the_files_is_given(scan, tmp_path):
+    words = ("denoise", scan, "-q", *MSAL, "--force", "-o")
+    plain, metres, micro = (tmp_path / f"{name}.ply" for name in ("plain", "metres", "micro"))
+    assert msal(*words, plain, "--max-move", "0.002").exit_code == 0
+    assert msal(*words, metres, "--unit", "m", "--max-move", "2mm").exit_code == 0
+    assert msal(*words, micro, "--unit", "mm", "--max-move", "2um").exit_code == 0
+    assert plain.read_bytes() == metres.read_bytes() == micro.read_bytes()
+    gate = ("--fail-on", "max_displacement > 1mm")
+    assert msal(*words, plain, "--unit", "m", *gate).exit_code == 4
+    assert msal(*words, plain, "--unit", "um", *gate).exit_code == 0
+    for more in (gate, ("--max-move", "2mm"), ("--min-noise", "2mm")):
+        made = msal(*words, tmp_path / "none.ply", *more)
+        assert (made.exit_code, "mesh files have no unit" in made.stderr) == (2, True)
+    assert not (tmp_path / "none.ply").exists()
+
+
+def test_compare_and_report_take_units_too(scan, tmp_path):
+    assert msal("denoise", scan, "-q", "-n", "4", "-o", tmp_path / "out/").exit_code == 0
+    for words in (("compare", scan, tmp_path / "out" / scan.name), ("report", tmp_path / "out")):
+        gate = ("--fail-on", "displacement.max > 1mm")
+        assert [msal(*words, *gate, "--unit", unit).exit_code for unit in ("m", "um")] == [4, 0]
+        assert msal(*words, *gate).exit_code == 2

@@ -98,6 +98,10 @@ TO_FILE, DASK, STREAM = "a.ply -o out ", "--engine dask --scheduler ", "- -o out
         (TO_FILE + "--method auto -n 3", "--method auto and --iterations contradict"),
         (TO_FILE + "--method adaptive -n 3", "--method adaptive and --iterations contradict"),
         (TO_FILE + "--method adaptive --auto", "--auto and --method adaptive contradict"),
+        (TO_FILE + "--max-move 0", "no length above 0"),
+        (TO_FILE + "--lock confidence", "neither 'boundary' nor"),
+        (TO_FILE + "--weights q --method al", "al has none with the schedule plain"),
+        (TO_FILE + "--weights q --method taubin", "taubin has none"),
         *(
             (STREAM + word, f"{word.split(' ')[0]} is for files, not for standard input")
             for word in ("--include x", "--exclude x", "--dry-run", "--shard 1/2", "--fail-fast")
