@@ -145,9 +145,9 @@ def tried(name: str) -> Array:
     return sweep.sheet(on, wanted, done, view)
 
 
-def write_png(path: Path, image: Array, most_colours: int = 256) -> None:
+def write_png(path: Path, image: Array, max_colours: int = 256) -> None:
     """Write a picture as small as a page wants it."""
-    path.write_bytes(png_bytes(image, most_colours))
+    path.write_bytes(png_bytes(image, max_colours))
 
 
 def row(panels: list[Array]) -> Array:

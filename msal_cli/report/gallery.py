@@ -248,10 +248,10 @@ def _draw(
         ends=(-end, end) if scene.is_signed else None,
         view=camera.axes,
         colours=scene.colours,
-        most_faces=bounds.scene_faces,
+        max_faces=bounds.scene_faces,
     )
-    most_colours = None if scene.painted(1) is None else 256
-    poster = png_bytes(image(scene.after, scene.painted(1), "paint", _POSTER), most_colours)
+    max_colours = None if scene.painted(1) is None else 256
+    poster = png_bytes(image(scene.after, scene.painted(1), "paint", _POSTER), max_colours)
     name = f"{record.input}, after"
     return shown, viewer.embed_scene(key, data, picture=poster, description=name, starts="click")
 

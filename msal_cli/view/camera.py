@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 
 MARGIN = 0.04
 """Share of the picture's width and height that stays free on each side."""
 
-LARGEST_GUESSED = 60_000
+_MAX_GUESS_FACES = 60_000
 """Faces that a guess about up and front looks at."""
 
 
@@ -53,17 +52,16 @@ def frame_vertices(axes: Floats, vertices: Floats) -> Camera:
     seen = (vertices - middle) @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
     half = 0.5 * (high - low)
-    least = 1e-6 * max(float(half.max()), 1e-300)
+    min_half = 1e-6 * max(float(half.max()), 1e-300)
     return Camera(
         axes=axes,
         centre=middle + (0.5 * (low + high)) @ axes,
-        half_width=max(float(half[0]), least),
-        half_height=max(float(half[1]), least),
+        half_width=max(float(half[0]), min_half),
+        half_height=max(float(half[1]), min_half),
     )
 
 
 VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
-UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
 
 
 def choose_camera(
@@ -86,22 +84,21 @@ def choose_camera(
         scans of one side and at reliefs.
     turn_deg : more goes round to the mesh's right; None is 0, or what ``auto`` chose.
     tilt_deg : more goes up; None likewise.
-    up : one of ``UPS``, where the guess is wrong.
+    up : an axis with its sign, such as ``-y``, where the guess is wrong.
     also : (k, 3) other points to be shown, such as the same mesh before.
     """
     stance = _with_up(_stance(vertices, faces), up)
     turn, tilt = _ANGLES.get(view, (stance.turn_deg, stance.tilt_deg))
-    if view != "auto" or turn_deg is None:
-        turn += turn_deg or 0.0
-    else:
-        turn = turn_deg
-    if view != "auto" or tilt_deg is None:
-        tilt += tilt_deg or 0.0
-    else:
-        tilt = tilt_deg
-    points = vertices[_used(len(vertices), faces)]
+    if view == "auto":
+        # What is given replaces the guess; it is added to a named view.
+        turn = 0.0 if turn_deg is not None else turn
+        tilt = 0.0 if tilt_deg is not None else tilt
+    is_used = np.zeros(len(vertices), dtype=bool)
+    is_used[faces.reshape(-1)] = True
+    points = vertices[is_used]
     if also is not None:
         points = np.concatenate([points, also])
+    turn, tilt = turn + (turn_deg or 0.0), tilt + (tilt_deg or 0.0)
     return frame_vertices(rotate(stance.front, stance.up, turn, tilt), points)
 
 
@@ -171,7 +168,7 @@ def _stance(vertices: Floats, faces: Ints) -> _Stance:
     as modellers and scanners do it, but things far longer that way are shown from their long side.
     """
     # Some of the faces suffice.
-    corner = vertices[faces[:: 1 + len(faces) // LARGEST_GUESSED]]
+    corner = vertices[faces[:: 1 + len(faces) // _MAX_GUESS_FACES]]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     areas = np.linalg.norm(doubled, axis=1)
     total = float(areas.sum())
@@ -224,7 +221,9 @@ def _relief(thin: Floats, doubled: Floats, areas: Floats) -> _Stance:
     front = thin if shown[0] >= shown[1] else -thin
     axis = _nearest_axis(front)
     front = axis if front @ axis > np.cos(np.radians(15.0)) else front
-    return _Stance(front, _up_across(front), 0.0, 0.0)
+    # Up is y, but z for what faces along y, or along x.
+    up = _Y if abs(front[2]) >= max(abs(front[0]), abs(front[1])) else _Z
+    return _Stance(front, up, 0.0, 0.0)
 
 
 def _solid(centres: Floats, areas: Floats) -> _Stance:
@@ -255,18 +254,7 @@ def _solid(centres: Floats, areas: Floats) -> _Stance:
     return _Stance(front, up, 24.0, 34.0 if lies else 14.0)
 
 
-def _up_across(front: Floats) -> Floats:
-    """Which way is up for what faces ``front``: y, but z for what faces along y, or along x."""
-    return _Y if abs(front[2]) >= max(abs(front[0]), abs(front[1])) else _Z
-
-
 def _nearest_axis(direction: Floats) -> Floats:
     k = int(np.argmax(np.abs(direction)))
     axis: Floats = np.eye(3)[k] * np.sign(direction[k])
     return axis
-
-
-def _used(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
-    used = np.zeros(n_vertices, dtype=bool)
-    used[faces.reshape(-1)] = True
-    return used

@@ -24,7 +24,7 @@ from msal_cli.view.panels import Legend
 SHARE_WITHIN = 0.99
 """Share of the numbers within the ends of a scale, so that one stray vertex does not pale all."""
 
-_SMALLEST = 1e-290
+_MIN_END = 1e-290
 """End of a scale, file units: tenths of much smaller ones are no numbers with all digits."""
 
 
@@ -54,7 +54,7 @@ class Scale:
         ticks = []
         for share in (0.0, 0.25, 0.5, 0.75, 1.0):
             value = self.low + share * (self.high - self.low)
-            ticks.append((share, _said(value), _said(value / edge)))
+            ticks.append((share, _number_text(value), _number_text(value / edge)))
         return Legend(lines, colour_table(self.map_name), tuple(ticks))
 
 
@@ -72,19 +72,14 @@ def scale_of(
     if largest > rounding:
         common = float(np.quantile(sizes, SHARE_WITHIN))
         end = common if common > rounding else largest
-    end = _rounded_up(end)
+    end = max(end, _MIN_END)
+    exponent = math.floor(math.log10(end)) - 1
+    digits = math.ceil(end / 10.0**exponent - 1e-9)
+    end = float(f"{digits}e{exponent}")
     return Scale(-end if is_signed else 0.0, end, is_signed)
 
 
-def _rounded_up(value: float) -> float:
-    """The next number with two significant digits."""
-    value = max(value, _SMALLEST)
-    exponent = math.floor(math.log10(value)) - 1
-    digits = math.ceil(value / 10.0**exponent - 1e-9)
-    return float(f"{digits}e{exponent}")
-
-
-def _said(value: float) -> str:
+def _number_text(value: float) -> str:
     return f"{value:.3g}" if value else "0"
 
 
@@ -93,31 +88,30 @@ def _said(value: float) -> str:
 
 log = logging.getLogger("msal")
 
-_DARKEST = 16
+_MIN_BRIGHTNESS = 16
 """One colour of all vertices that is darker hides the shape; programs write it where none is
 meant."""
 
 
 def open_coloured_surface(path: str, format: str | None = None) -> Surface:
-    """The surface in the file at ``path`` with its colours."""
     return coloured_surface_of(comparison.opened(path, format), path)
 
 
 def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
     """The surface in an open file, which is at ``path``, with its colours."""
-    return replace(comparison.surface_of(mesh_file), colours=_read(mesh_file, path))
+    return replace(comparison.surface_of(mesh_file), colours=_read_colours(mesh_file, path))
 
 
-def _read(mesh_file: MeshFile, path: str) -> SurfaceColours:
+def _read_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
     try:
-        found = surface_colours(mesh_file)
+        colours = surface_colours(mesh_file)
     except Exception as failure:  # colours are an extra, and files come from strangers
         log.info("%s: no colours", path, exc_info=True)
         return SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
-    if found is None:
+    if colours is None:
         return SurfaceColours()
-    if len(found) != len(mesh_file.vertices):
+    if len(colours) != len(mesh_file.vertices):
         return SurfaceColours(None, ("its colours do not fit its vertices",))
-    if int(found.max(initial=0)) < _DARKEST:
+    if int(colours.max(initial=0)) < _MIN_BRIGHTNESS:
         return SurfaceColours(None, ("all of its colours are black, and are not shown",))
-    return SurfaceColours(found)
+    return SurfaceColours(colours)

@@ -18,7 +18,7 @@ from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
 from msal_cli.view.panels import png_bytes
 from msal_cli.view.pictures import Scene, View
-from msal_cli.view.scene import MOST_FACES, EncodedScene, encode_scene
+from msal_cli.view.scene import MAX_FACES, EncodedScene, encode_scene
 from msal_cli.view.viewer import asset, content_policy, escape
 
 Rows = list[tuple[str, ...]]
@@ -33,8 +33,8 @@ STILL_SIZE = 560
 """Pixels in the width of each panel of the picture in a page, at most."""
 
 
-def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FACES) -> bytes:
-    """The page of a scene, seen at the start as in ``view``; meshes of more than ``most_faces``
+def page_of(scene: Scene, view: View, command: str, *, max_faces: int = MAX_FACES) -> bytes:
+    """The page of a scene, seen at the start as in ``view``; meshes of more than ``max_faces``
     are decimated.
 
     ``command`` is what made the page, for its readers.  A picture of the scene is in the page too,
@@ -51,7 +51,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
         ends=None if scale is None else (scale.low, scale.high),
         view=pictures.camera_of(scene, view).axes,
         colours=colours,
-        most_faces=most_faces,
+        max_faces=max_faces,
     )
     code = viewer.script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
     looks = viewer.style() + asset(__file__, "page.css")
@@ -83,7 +83,7 @@ def page_of(scene: Scene, view: View, command: str, *, most_faces: int = MOST_FA
         keys=_keys(
             scene.after is not None,
             scene.deviation is not None and view.shows_deviation,
-            any(one is not None for one in colours),
+            any(own is not None for own in colours),
         ),
         script=code,
     )
@@ -113,16 +113,16 @@ def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
     ]
 
 
-def _lengths(one: SurfaceDistance) -> Rows:
+def _lengths(distance: SurfaceDistance) -> Rows:
     """Each in file units, and in mean edge lengths (e)."""
     heads: Rows = [("", "file units", "e")]
     return heads + [
         (name, _number(length), _number(edges))
         for name, length, edges in (
-            ("Mean", one.mean, one.mean_edges),
-            ("RMS", one.rms, one.rms_edges),
-            ("95 %", one.p95, one.p95_edges),
-            ("Maximum", one.max, one.max_edges),
+            ("Mean", distance.mean, distance.mean_edges),
+            ("RMS", distance.rms, distance.rms_edges),
+            ("95 %", distance.p95, distance.p95_edges),
+            ("Maximum", distance.max, distance.max_edges),
         )
     ]
 
@@ -175,15 +175,15 @@ def _table(heading: str, rows: Sequence[tuple[str, ...]]) -> str:
 
 def _warnings(scene: Scene) -> list[str]:
     is_still = scene.after is not None and not pictures.has_moved(scene)
-    said = [pictures.NOTHING_MOVED] if is_still else []
+    texts = [pictures.NOTHING_MOVED] if is_still else []
     if scene.record is None:
-        return said
-    said += scene.record.warnings
+        return texts
+    texts += scene.record.warnings
     if scene.deviation is None:
-        said.append("Other faces: no deviation without the package fcpw.")
+        texts.append("Other faces: no deviation without the package fcpw.")
     if scene.record.volume is not None and scene.record.volume.reason:
-        said.append(f"No volume: {scene.record.volume.reason}.")
-    return said
+        texts.append(f"No volume: {scene.record.volume.reason}.")
+    return texts
 
 
 def _decimation(drawn: EncodedScene) -> list[str]:
@@ -214,18 +214,20 @@ def _precision(drawn: EncodedScene) -> list[str]:
 
 def _keys(is_pair: bool, has_deviation: bool, has_colours: bool) -> str:
     """Rows of the table of keys for what not every page has."""
-    rows = ""
-    if is_pair:
-        rows += (
-            '<tr><th scope="row">Split</th><td>drag the line; <kbd>[</kbd> <kbd>]</kbd>;'
-            " arrows on the line; <kbd>1</kbd> before, <kbd>2</kbd> half, <kbd>3</kbd> after"
-            "</td></tr>\n"
-        )
-    if has_deviation:
-        rows += '<tr><th scope="row">Deviation</th><td><kbd>d</kbd></td></tr>\n'
-    if has_colours:
-        rows += '<tr><th scope="row">Colours of the file</th><td><kbd>c</kbd></td></tr>\n'
-    return rows
+    split = (
+        "drag the line; <kbd>[</kbd> <kbd>]</kbd>; arrows on the line; <kbd>1</kbd> before, "
+        "<kbd>2</kbd> half, <kbd>3</kbd> after"
+    )
+    rows = (
+        (is_pair, "Split", split),
+        (has_deviation, "Deviation", "<kbd>d</kbd>"),
+        (has_colours, "Colours of the file", "<kbd>c</kbd>"),
+    )
+    return "".join(
+        f'<tr><th scope="row">{name}</th><td>{keys}</td></tr>\n'
+        for is_there, name, keys in rows
+        if is_there
+    )
 
 
 def _description(titles: Sequence[str], scene: Scene) -> str:

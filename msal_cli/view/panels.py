@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Longs
 from msal_cli.view.shading import LIGHT, Image, Style
 
 if TYPE_CHECKING:
@@ -141,8 +140,6 @@ class _Words:
         anchor: str = "la",
     ) -> None:
         """Draw a line of ``text`` at ``place``, shortened to ``width``."""
-        from msal_cli.view.panels import fit_text
-
         plain, font = fit_text(text, size or self.text, width)
         draw.text(place, plain, fill=colour, font=font, anchor=anchor)
 
@@ -155,8 +152,6 @@ def _draw_legend(
     width: int,
     style: Style,
 ) -> None:
-    from msal_cli.view.panels import fit_text
-
     left, y = place[0], place[1] + words.gap // 2
     for line in legend.lines:
         words.write(draw, (left, y), line, style.faint, width)
@@ -172,7 +167,7 @@ def _draw_legend(
     bottom = top + words.bar_height
     for x in range(first, last):
         k = round((x - first) / max(1, last - 1 - first) * (len(legend.colours) - 1))
-        red, green, blue = (int(one) for one in legend.colours[k])
+        red, green, blue = (int(part) for part in legend.colours[k])
         draw.line([(x, top), (x, bottom)], fill=(red, green, blue))
     draw.rectangle([first - 1, top - 1, last, bottom + 1], outline=style.faint)
     each = (last - first) // max(1, len(legend.ticks) - 1) - 4
@@ -204,30 +199,29 @@ def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeF
     because the end of a path says more than its beginning.
     """
     # No shape is narrower than a third of a pixel.
-    most = 3 * max(width, 1)
-    plain = "".join(_visible(one) for one in text[-most:])
+    max_length = 3 * max(width, 1)
+    plain = "".join(
+        _escape(character) if unicodedata.category(character) in _UNSAFE_CATEGORIES else character
+        for character in text[-max_length:]
+    )
     font = _font("", size)
     for name in ("", *_OTHER_FONTS):
         other = _font_or_none(name, size)
-        if other is not None and all(_has(name, size, one) for one in set(plain)):
+        if other is not None and all(_has(name, size, character) for character in set(plain)):
             font = other
             break
     else:
-        plain = "".join(one if _has("", size, one) else _escape(one) for one in plain)
-    if len(text) <= most and font.getlength(plain) <= width:
+        plain = "".join(c if _has("", size, c) else _escape(c) for c in plain)
+    if len(text) <= max_length and font.getlength(plain) <= width:
         return plain, font
-    tail = plain[-most:]
+    tail = plain[-max_length:]
     while tail and font.getlength("..." + tail) > width:
         tail = tail[1:]
     return "..." + tail, font
 
 
-def _visible(one: str) -> str:
-    return _escape(one) if unicodedata.category(one) in _UNSAFE_CATEGORIES else one
-
-
-def _escape(one: str) -> str:
-    code = ord(one)
+def _escape(character: str) -> str:
+    code = ord(character)
     if 0xDC80 <= code <= 0xDCFF:
         code -= 0xDC00  # a byte that is not UTF-8
     if code < 0x100:
@@ -260,18 +254,16 @@ def _font(name: str, size: int) -> ImageFont.FreeTypeFont:
 
 
 @functools.cache
-def _has(name: str, size: int, one: str) -> bool:
+def _has(name: str, size: int, character: str) -> bool:
     """Whether a font has a shape for a character."""
-    if one == " ":
-        return True
     font = _font(name, size)
-    return bytes(font.getmask(one)) != bytes(font.getmask(_NO_CHARACTER))
+    return character == " " or bytes(font.getmask(character)) != bytes(font.getmask(_NO_CHARACTER))
 
 
 # Image files; JPEG takes a tenth of the bytes, for pages with very many images
 
 
-_AT_ONCE = 1 << 14
+_N_AT_ONCE = 1 << 14
 
 
 def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
@@ -283,24 +275,24 @@ def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
     return data.getvalue()
 
 
-def png_bytes(image: NDArray[np.uint8], most_colours: int | None = None) -> bytes:
+def png_bytes(image: NDArray[np.uint8], max_colours: int | None = None) -> bytes:
     """(h, w, 3) uint8 as the bytes of a PNG file; the same image always gives the same bytes.
 
-    ``most_colours`` up to 256 makes a file of about a third of the size, with that many colours.
+    ``max_colours`` up to 256 makes a file of about a third of the size, with that many colours.
     """
     from PIL import Image
 
-    if most_colours is None:
+    if max_colours is None:
         picture = Image.fromarray(np.ascontiguousarray(image))
     else:
-        picture = _with_palette(image, most_colours)
+        picture = _with_palette(image, max_colours)
     data = io.BytesIO()
     picture.save(data, format="PNG", optimize=True)
     return data.getvalue()
 
 
-def _with_palette(image: NDArray[np.uint8], most_colours: int) -> Picture:
-    """(h, w, 3) ``image`` as a picture with a palette of ``most_colours``, at most 256.
+def _with_palette(image: NDArray[np.uint8], max_colours: int) -> Picture:
+    """(h, w, 3) ``image`` as a picture with a palette of ``max_colours``, at most 256.
 
     Half of the palette are shades that cover many pixels each, for the clay, and half are spread
     over all colours there are, for heat maps and their scale.  The most frequent colour, which is
@@ -311,31 +303,26 @@ def _with_palette(image: NDArray[np.uint8], most_colours: int) -> Picture:
     packed = image.astype(np.uint32) @ np.array([65536, 256, 1], dtype=np.uint32)
     codes, which, count = np.unique(packed.reshape(-1), return_inverse=True, return_counts=True)
     colours = np.stack([codes >> 16, (codes >> 8) & 255, codes & 255], axis=1).astype(np.float64)
-    if len(codes) <= most_colours:
+    if len(codes) <= max_colours:
         palette, nearest = colours, np.arange(len(codes))
     else:
         picture = Pictures.fromarray(np.ascontiguousarray(image))
-        spread = max(1, most_colours // 2)
+        spread = max(1, max_colours // 2)
         parts = [colours[[np.argmax(count)]]]
         for n, method in (
             (spread, Pictures.Quantize.MAXCOVERAGE),
-            (most_colours - 1 - spread, Pictures.Quantize.MEDIANCUT),
+            (max_colours - 1 - spread, Pictures.Quantize.MEDIANCUT),
         ):
             if n > 0:
                 listed = picture.quantize(n, method=method).getpalette() or []
                 parts.append(np.array(listed[: 3 * n], dtype=np.float64).reshape(-1, 3))
         palette = np.unique(np.concatenate(parts), axis=0)
-        nearest = _nearest(colours, palette)
+        # Squared distances but for the same term in all.
+        lengths = 0.5 * (palette**2).sum(axis=1)
+        starts = range(0, len(colours), _N_AT_ONCE)
+        nearest = np.concatenate(
+            [np.argmin(lengths - colours[s : s + _N_AT_ONCE] @ palette.T, axis=1) for s in starts]
+        )
     result = Pictures.fromarray(nearest[which].reshape(image.shape[:2]).astype(np.uint8))
     result.putpalette(palette.astype(np.uint8).tobytes())
     return result
-
-
-def _nearest(colours: Floats, palette: Floats) -> Longs:
-    """The number of the nearest of ``palette`` (k, 3) for each of ``colours`` (n, 3)."""
-    lengths = 0.5 * (palette**2).sum(axis=1)
-    parts = [
-        np.argmin(lengths - colours[start : start + _AT_ONCE] @ palette.T, axis=1)
-        for start in range(0, len(colours), _AT_ONCE)
-    ]
-    return np.concatenate(parts)

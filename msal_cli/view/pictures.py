@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,8 @@ DISTANCE = "Distance to the surface before"
 
 NOTHING_MOVED = "Nothing moved"
 
-_FLATTEST, _TALLEST = 0.6, 1.4
+_MIN_TALLNESS, _MAX_TALLNESS = 0.6, 1.4
+"""Height over width of a panel."""
 
 # Of the largest coordinate: what a position is off after a few operations on it.
 _ROUNDING = 1e-13
@@ -100,14 +100,8 @@ def scene_of(
     """Two surfaces, or one, made ready and measured against each other.
 
     Where the faces are not the same, the distance to the surface is measured if ``to_surface`` and
-    if the library for that is installed.
-
-    Raises
-    ------
-    ContentError
-        for a file without a surface to draw; it names the file.
+    if the library for that is installed.  ContentError names a file without a surface to draw.
     """
-
     first = prepare_surface(before, names[0])
     if after is None:
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
@@ -136,17 +130,17 @@ def _with_colours(
     """The scene with the colours of the surfaces' vertices, means where several were welded."""
     painted, notes = [], []
     titles = titles_of(scene.names)
-    for title, surface, one in zip(titles, surfaces, prepared, strict=True):
+    for title, surface, ready in zip(titles, surfaces, prepared, strict=True):
         own = surface.colours
         colours = None if own is None else own.vertices
-        if colours is not None and one.vertex_map is not None:
-            colours = _welded(colours, one.vertex_map, len(one.mesh.vertices))
+        if colours is not None and ready.vertex_map is not None:
+            colours = _average_colours(colours, ready.vertex_map, len(ready.mesh.vertices))
         painted.append(colours)
         notes += [f"{title}: {note}" for note in (own.notes if own is not None else ())]
     return replace(scene, colours=tuple(painted), notes=tuple(notes))
 
 
-def _welded(colours: Image, vertex_map: Ints, n_vertices: int) -> Image:
+def _average_colours(colours: Image, vertex_map: Ints, n_vertices: int) -> Image:
     is_used = vertex_map >= 0
     places = vertex_map[is_used]
     count = np.maximum(np.bincount(places, minlength=n_vertices), 1)
@@ -160,7 +154,6 @@ def _welded(colours: Image, vertex_map: Ints, n_vertices: int) -> Image:
 
 def camera_of(scene: Scene, view: View) -> Camera:
     """The one camera that shows all meshes of a scene."""
-
     # Noise must not tilt the view: the smoother of two meshes shows which way is up.
     chosen = scene.after or scene.before
     return choose_camera(
@@ -170,13 +163,12 @@ def camera_of(scene: Scene, view: View) -> Camera:
         turn_deg=view.turn_deg,
         tilt_deg=view.tilt_deg,
         up=view.up,
-        also=None if scene.after is None else scene.before.vertices[_used(scene.before)],
+        also=None if scene.after is None else scene.before.vertices[scene.before.topology.has_ring],
     )
 
 
 def draw_picture(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
-
     style, camera = style_of(view), camera_of(scene, view)
 
     def image(mesh: Mesh, at: int) -> Image:
@@ -200,10 +192,8 @@ def draw_picture(scene: Scene, view: View) -> Image:
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
     if not has_moved(scene):
         ends = f"{NOTHING_MOVED}: its ends are the mean edge length"
-    legend = scale.legend(
-        ("Above the scale: file units; below: mean edge lengths (e)", ends),
-        edge,
-    )
+    lines_of_scale = ("Above the scale: file units; below: mean edge lengths (e)", ends)
+    legend = scale.legend(lines_of_scale, edge)
     picture = panel(scene.after, camera, view, scale.paint(scene.deviation))
     lines = [_move(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
     panels.append((picture, deviation_name(scene), lines))
@@ -215,7 +205,6 @@ def scale_of_scene(scene: Scene) -> Scale | None:
 
     Of a mesh that did not move the scale goes to one mean edge length: all is in the middle of it.
     """
-
     if scene.deviation is None:
         return None
     return scale_of(
@@ -246,7 +235,6 @@ def deviation_name(scene: Scene) -> str:
 
 def style_of(view: View) -> Style:
     """The colours of a view."""
-
     return DARK if view.style == "dark" else LIGHT
 
 
@@ -260,13 +248,13 @@ def panel(
 ) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay; see
     ``shading.shade``."""
-
+    tallness = min(_MAX_TALLNESS, max(_MIN_TALLNESS, 1.0 / camera.aspect))
     return shade(
         mesh.vertices,
         mesh.faces,
         camera,
         view.size,
-        panel_height(camera, view.size),
+        round(view.size * tallness),
         colours,
         style=style_of(view),
         crease_deg=0.0 if view.shading == "flat" else CREASE_DEG,
@@ -280,18 +268,9 @@ def titles_of(names: tuple[str, ...]) -> tuple[str, ...]:
     return names if len(set(bare)) < len(bare) else bare
 
 
-def panel_height(camera: Camera, width: int) -> int:
-    """Pixels that suit what the camera shows, for panels ``width`` wide."""
-    return round(width * min(_TALLEST, max(_FLATTEST, 1.0 / camera.aspect)))
-
-
-def _used(mesh: Mesh) -> Any:
-    return mesh.topology.has_ring
-
-
 def count_of_vertices(mesh: Mesh) -> int:
     """How many vertices the faces use."""
-    return int(_used(mesh).sum())
+    return int(mesh.topology.has_ring.sum())
 
 
 def _counts(scene: Scene, at: int) -> str:

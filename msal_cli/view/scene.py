@@ -24,13 +24,13 @@ from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.mesh import Mesh
 
-MOST_FACES = 200_000
+MAX_FACES = 200_000
 """Faces of one mesh that a page holds; more are decimated."""
 
 STEPS_PER_EDGE = 256
 """Steps of the grid in a mean edge length, so that rounding turns a normal by some 0.1 degrees."""
 
-_FINEST = (1 << 22) - 1
+_MAX_STEPS = (1 << 22) - 1
 """Steps along the longest side: what float32 holds exactly, with room for sums."""
 
 _CLIPPED = 0.002
@@ -73,7 +73,7 @@ def encode_scene(
     ends: tuple[float, float] | None = None,
     view: Floats | None = None,
     colours: Sequence[NDArray[np.uint8] | None] = (),
-    most_faces: int = MOST_FACES,
+    max_faces: int = MAX_FACES,
 ) -> EncodedScene:
     """One scene.
 
@@ -87,10 +87,14 @@ def encode_scene(
         the numbers.
     view : (3, 3) rotation from the model to right, up, towards the eye, at the start.
     colours : (n, 3) of the vertices of each mesh, None or left out where it has none.
-    most_faces : beyond this a mesh is coarsened.
+    max_faces : beyond this a mesh is coarsened.
     """
-    shares = after is not None and _same_faces(before, after)
-    first = coarsen(before.vertices, before.faces, most_faces)
+    shares = (
+        after is not None
+        and len(before.vertices) == len(after.vertices)
+        and (before.faces is after.faces or np.array_equal(before.faces, after.faces))
+    )
+    first = coarsen(before.vertices, before.faces, max_faces)
     low, step = _grid(before, after, Mesh(before.vertices[first.kept], first.faces))
     kept, faces, ticks, planes = _mesh_planes(before, first, low, step)
     meshes: list[dict[str, int | bool]] = [{"vertices": len(kept), "faces": len(faces)}]
@@ -103,7 +107,7 @@ def encode_scene(
         painted.append(_kept_colours(colours, 1, kept))
         drawn_after = len(faces)
     elif after is not None:
-        second = coarsen(after.vertices, after.faces, most_faces)
+        second = coarsen(after.vertices, after.faces, max_faces)
         kept, faces_after, _, planes_after = _mesh_planes(after, second, low, step)
         planes += planes_after
         drawn_after = len(faces_after)
@@ -111,7 +115,7 @@ def encode_scene(
         painted.append(_kept_colours(colours, 1, kept))
     header: dict[str, object] = {"meshes": meshes, "step": step}
     if view is not None:
-        header["view"] = [round(float(one), 6) for one in np.asarray(view).reshape(-1)]
+        header["view"] = [round(float(x), 6) for x in np.asarray(view).reshape(-1)]
     if deviation is not None:
         scale, plane = _deviation(deviation, kept, ends)
         header["deviation"] = scale
@@ -152,23 +156,18 @@ def _mesh_planes(
     return kept, faces, ticks, planes
 
 
-def _same_faces(before: Mesh, after: Mesh) -> bool:
-    return len(before.vertices) == len(after.vertices) and (
-        before.faces is after.faces or np.array_equal(before.faces, after.faces)
-    )
-
-
 def _grid(before: Mesh, after: Mesh | None, drawn: Mesh) -> tuple[Floats, float]:
     """The corner and the step of a grid that both meshes are rounded to."""
-    corners = [one.vertices[one.faces.reshape(-1)] for one in (before, after) if one is not None]
-    low = np.min([one.min(axis=0) for one in corners], axis=0)
-    high = np.max([one.max(axis=0) for one in corners], axis=0)
+    meshes = [before] if after is None else [before, after]
+    corners = [mesh.vertices[mesh.faces.reshape(-1)] for mesh in meshes]
+    low = np.min([part.min(axis=0) for part in corners], axis=0)
+    high = np.max([part.max(axis=0) for part in corners], axis=0)
     extent = float((high - low).max())
     if extent == 0.0:
         return low, 1.0
     edges = drawn.vertices[drawn.faces[:, 1]] - drawn.vertices[drawn.faces[:, 0]]
     edge = float(np.sqrt((edges * edges).sum(axis=1)).mean()) if len(edges) else 0.0
-    return low, max(edge / STEPS_PER_EDGE, extent / _FINEST)
+    return low, max(edge / STEPS_PER_EDGE, extent / _MAX_STEPS)
 
 
 def _ticks(vertices: Floats, low: Floats, step: float) -> Longs:
@@ -273,7 +272,7 @@ def _deviation(
 # noisy mesh would flatter it.
 
 
-_LEAST_COSINE = 0.25
+_MIN_COSINE = 0.25
 """Of the angle by which a face may turn when an edge beside it is contracted."""
 
 _CHECKS = 3
@@ -305,18 +304,18 @@ class Coarse:
     faces: Ints
 
 
-def coarsen(vertices: Floats, faces: Ints, most_faces: int) -> Coarse:
-    """The mesh with as many faces as it may have, at most ``most_faces`` where that can be reached.
+def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> Coarse:
+    """The mesh with as many faces as it may have, at most ``max_faces`` where that can be reached.
 
     ``vertices`` (n, 3) finite, ``faces`` (m, 3).  Faces that contractions put on one another are
     left out but for the first.  What has few enough faces keeps all of them.
     """
     left = faces.astype(np.int64)
-    if len(left) > most_faces:
+    if len(left) > max_faces:
         left = _with_area(left)
     is_checked = True
     for _ in range(_ROUNDS):
-        excess = len(left) - most_faces
+        excess = len(left) - max_faces
         if excess <= 0:
             break
         fewer = _round(vertices, left, excess, is_checked=is_checked)
@@ -409,7 +408,7 @@ def _turn(vertices: Floats, faces: Longs, moved: Longs) -> Longs:
     was, now = _normals(vertices, faces[changed]), _normals(vertices, after[changed])
     along = (was * now).sum(axis=1)
     sizes = np.sqrt((was * was).sum(axis=1) * (now * now).sum(axis=1))
-    return np.unique(faces[changed[along <= _LEAST_COSINE * sizes]])
+    return np.unique(faces[changed[along <= _MIN_COSINE * sizes]])
 
 
 def _normals(vertices: Floats, faces: Longs) -> Floats:

@@ -28,7 +28,7 @@ from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.pictures import View
 from msal_cli.view.shading import Image
 
-MOST_CELLS = 100
+MAX_CELLS = 100
 
 USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
 """What varies along rows and columns where nothing else is given, as in Fig. 6 of the paper;
@@ -98,13 +98,8 @@ class Grid:
 
 
 def axis(method: Method, text: str, option: str) -> Axis:
-    """The parameter and the values in ``NAME=VALUE,VALUE,...``.
-
-    Raises
-    ------
-    UsageError
-        for another form, an unknown parameter, or a value that is not allowed or is there twice.
-    """
+    """The parameter and the values in ``NAME=VALUE,VALUE,...``; UsageError for another form, an
+    unknown parameter, or a value that is not allowed or is there twice."""
     name, sign, listed = text.partition("=")
     words = [word.strip() for word in listed.split(",")]
     if not sign or not all(words):
@@ -122,16 +117,13 @@ def axis(method: Method, text: str, option: str) -> Axis:
 def grid(
     method: Method, rows: str | None, columns: str | None, fixed: Mapping[str, object]
 ) -> Grid:
-    """What the words of a command line ask for; ``USUAL`` where nothing is said of either axis.
+    """What the words of a command line ask for; ``USUAL`` where neither axis is given.
 
-    Raises
-    ------
-    UsageError
-        for what is wrong in them, for one parameter in two places, and for too many cells.
+    UsageError for what is wrong in them, a parameter in two places, and too many cells.
     """
     if rows is None and columns is None:
         known = {spec.name for spec in method.parameters}
-        rows, columns = (one if one.partition("=")[0] in known else None for one in USUAL)
+        rows, columns = (text if text.partition("=")[0] in known else None for text in USUAL)
         if rows is None and columns is None:
             raise UsageError(
                 f"{method.name} has neither iterations nor K, which vary by default",
@@ -142,15 +134,19 @@ def grid(
     assert columns is not None
     across = axis(method, columns, "--columns" if rows is not None else "the values")
     down = None if rows is None else axis(method, rows, "--rows")
-    taken = [across.name, *([down.name] if down else []), *(method.spec(one).name for one in fixed)]
+    taken = [
+        across.name,
+        *([down.name] if down else []),
+        *(method.spec(name).name for name in fixed),
+    ]
     for name in taken:
         if taken.count(name) > 1:
             raise UsageError(f"{name} is set in two places", hint="let it vary or set it, not both")
-    if len(across.values) * len(down.values if down else (0,)) > MOST_CELLS:
-        raise UsageError(f"that makes more than {MOST_CELLS} cells", hint="try fewer values")
+    if len(across.values) * len(down.values if down else (0,)) > MAX_CELLS:
+        raise UsageError(f"that makes more than {MAX_CELLS} cells", hint="try fewer values")
     wanted = Grid(method, fixed, down, across)
-    for one in wanted.settings():
-        method.validate({**fixed, **one})
+    for chosen in wanted.settings():
+        method.validate({**fixed, **chosen})
     return wanted
 
 
@@ -168,14 +164,8 @@ class Subject:
 def subject(
     surface: Surface, name: str, reference: Surface | None, reference_name: str, view: View
 ) -> Subject:
-    """Make a mesh ready to be denoised and drawn.
-
-    Raises
-    ------
-    ContentError
-        for a file without a surface, or a reference with other faces.
-    """
-
+    """Make a mesh ready to be denoised and drawn; ContentError for a file without a surface, and a
+    reference with other faces."""
     ready = prepare_surface(surface, name)
     truth = None
     if reference is not None:
@@ -254,20 +244,13 @@ def _options(wanted: Grid, chosen: Mapping[str, object]) -> list[str]:
 
 
 def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
-    """(h, w, 3) uint8: one mesh of the grid, or the input, seen by the one camera."""
-
+    """(h, w, 3) uint8: a mesh of the grid, or the input, seen by the one camera."""
     return pictures.panel(mesh, on.camera, view)
 
 
-def sheet(
-    on: Subject,
-    wanted: Grid,
-    done: Sequence[tuple[Cell, Image]],
-    view: View,
-) -> Image:
+def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: View) -> Image:
     """(H, W, 3) uint8: at the left the input, the choices and the reference, then the grid with its
     numbers.  ``done`` has the cells of the grid and those of choices."""
-
     sides = [(draw_grid(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
     if on.reference is not None:
         error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
@@ -279,8 +262,8 @@ def sheet(
     drawn = [
         (cell.choice, (image, _title(cell, least, nearest), _lines(cell))) for cell, image in done
     ]
-    cells = [one for choice, one in drawn if not choice]
-    sides[1:1] = [one for choice, one in drawn if choice]
+    cells = [panel for choice, panel in drawn if not choice]
+    sides[1:1] = [panel for choice, panel in drawn if choice]
     style = pictures.style_of(view)
     empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
     width = len(wanted.columns.values)

@@ -111,4 +111,4 @@ def content_policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
 
 def _hashes(texts: Iterable[str]) -> str:
     hashes = (to_base64(hashlib.sha256(text.encode()).digest()) for text in texts)
-    return " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"
+    return " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"

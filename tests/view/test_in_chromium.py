@@ -166,34 +166,6 @@ def test_the_view_moves_and_comes_back(pair):
     assert share_of_difference(middle(pair.pixels()), start) < 0.001
 
 
-def test_two_fingers_come_closer(pair):
-    start = at_split(pair, "3")
-    area = pair.run(
-        "(({left, top, width, height}) => [left + width / 2, top + height / 2])"
-        "(document.querySelector('canvas').getBoundingClientRect())"
-    )
-
-    def fingers(kind, gap):
-        points = [
-            {"x": area[0] + sign * gap, "y": area[1], "id": i} for i, sign in enumerate((-1, 1))
-        ]
-        pair.driver.execute_cdp_cmd(
-            "Input.dispatchTouchEvent", {"type": kind, "touchPoints": points if gap else []}
-        )
-
-    fingers("touchStart", 100)
-    for gap in (120, 150, 180):
-        fingers("touchMove", gap)
-    fingers("touchEnd", 0)
-    pair.settle()
-    closer = middle(pair.pixels())
-    assert share_of_difference(closer, start) > 0.02
-    background = start[0, 0]
-    assert (np.abs(closer - background).max(axis=2) > 40).mean() > (
-        np.abs(start - background).max(axis=2) > 40
-    ).mean()
-
-
 def test_the_deviation_has_colours_and_a_scale(pair):
     plain = at_split(pair, "3")
     pair.click("Deviation")
@@ -208,34 +180,6 @@ def test_the_deviation_has_colours_and_a_scale(pair):
     told = pair.run("document.querySelector('.msal-legend').innerText")
     assert "Displacement" in told and "file units" in told
     assert f"{deviation.max():.4f}".rstrip("0") in told
-
-
-def test_facets_and_light(pair):
-    smooth = at_split(pair, "1")
-    pair.click("Facets")
-    assert share_of_difference(middle(pair.pixels()), smooth) > 0.02
-    pair.click("Smooth")
-    pair.press("canvas", "l", "l", "l")
-    assert share_of_difference(middle(pair.pixels()), smooth) > 0.02
-    assert pair.run("document.querySelector('.msal-light input').value") == "170"
-
-
-def test_dark_and_light(pair):
-    def ground():
-        colour = pair.run("getComputedStyle(document.body).backgroundColor")
-        return min(int(one) for one in colour[4:-1].split(","))
-
-    from_system = ground()
-    pair.driver.execute_cdp_cmd(
-        "Emulation.setEmulatedMedia",
-        {"features": [{"name": "prefers-color-scheme", "value": "dark"}]},
-    )
-    pair.settle()
-    assert from_system > 200 and ground() < 60
-    pair.click("Theme")
-    assert ground() > 200
-    pair.click("Theme")
-    pair.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
 def test_the_script_reads_what_was_written(pair, folder):

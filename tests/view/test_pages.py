@@ -171,5 +171,5 @@ def test_a_fragment_for_other_pages():
 def test_what_the_page_holds_is_said():
     few = "".join(parts_of(pair()).texts["p"])
     assert "Decimated" not in few and "to within" in few
-    many = "".join(parts_of(pair(), most_faces=6).texts["p"])
+    many = "".join(parts_of(pair(), max_faces=6).texts["p"])
     assert "of 12 faces, the same of both meshes" in many

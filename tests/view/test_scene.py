@@ -72,7 +72,7 @@ def test_both_sides_are_decimated_alike():
     after = Mesh(vertices, faces)
     values = np.arange(float(len(vertices)))
     before = Mesh(noisy(vertices), faces)
-    drawn = scene.encode_scene(before, after, values, most_faces=1000)
+    drawn = scene.encode_scene(before, after, values, max_faces=1000)
     header, [(ticks, found), (moved, _)], deviation = decoded(drawn.text)
     assert drawn.is_decimated and drawn.drawn_faces == drawn.drawn_after_faces == len(found)
     assert len(found) <= 1000 and drawn.faces == len(faces)
