@@ -35,9 +35,8 @@ if TYPE_CHECKING:
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""
 
-DRAWN_KINDS, SURE_KIND = ("white", "isotropic"), 0.7
-"""Kinds whose noise is drawn, and the confidence of the estimate from which on it is believed: the
-noise of scanners is like no draw of the others."""
+DRAWN_KINDS = ("white", "isotropic")
+"""Kinds whose noise is drawn: that of scanners is like no draw of the others."""
 
 QUIETEST = 0.05
 """Least level of a place over that of all: moves there are errors, but not beyond measure."""
@@ -138,10 +137,8 @@ class NoiseModel:
 
 
 def is_like_draws(noise: NoiseLevel) -> bool:
-    """Whether draws of a model are like the noise: it is surely white, and Gaussian."""
-    character = noise.character
-    is_sure = character.kind in DRAWN_KINDS and character.confidence >= SURE_KIND
-    return is_sure and not noise.is_impulsive
+    """Whether draws of a model are like the noise: it is white."""
+    return noise.character.kind in DRAWN_KINDS
 
 
 def build_model(mesh: Mesh, noise: NoiseLevel) -> NoiseModel:

@@ -9,8 +9,8 @@
 5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
-Noise that no draw is like, or whose kind is not sure, has a shorter search: the learned filter and
-wide linear ones, on a simulation that adds what the learned filter has taken away.
+Noise that no draw is like has a shorter search: the learned filter and wide linear ones, on a
+simulation that adds what the learned filter has taken away.
 
 Everything is a function of the mesh and the wishes: probes have fixed seeds, and costs are those
 of a table.  The constants were chosen on the classes of benchmarks/ground_truth.py, by
@@ -47,7 +47,7 @@ from msal_cli.auto.choices import (
     wished_share,
 )
 from msal_cli.auto.levels import FEWEST_JUDGED, level_masks, may_follow, spread_levels
-from msal_cli.auto.noise_model import SURE_KIND, build_model, is_like_draws
+from msal_cli.auto.noise_model import build_model, is_like_draws
 from msal_cli.auto.risk import MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
 from msal_cli.auto.sample_patch import Part, select_patch
 from msal_cli.auto.stronger import strengthen, stronger_candidates
@@ -209,10 +209,7 @@ class _Search:
         last = [one for one in usable if one.is_last_resort]
         at_first = [one for one in usable if one not in (*later, *last)] or usable
         if later and not (self.is_unsure or self._is_drawn):
-            surface = surface_kind(self._trials(PART).result(LEARNED))
-            # What that takes away may be texture, where the kind of the noise is not sure.
-            if surface != TEXTURED or self.noise.character.confidence >= SURE_KIND:
-                return self._choose_by_mirror(surface)
+            return self._choose_by_mirror(surface_kind(self._trials(PART).result(LEARNED)))
         self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
@@ -344,11 +341,13 @@ class _Search:
 
     @property
     def _is_drawn(self) -> bool:
-        """Whether a draw of the model is like the noise: it is surely white, and all there is."""
+        """Whether a draw of the model is like the noise: it is white, as far as is known, and all
+        there is."""
         noise = self.noise
         is_weak = noise.mean_edges < WEAK and self._width > SURE and not noise.is_uneven
         is_range_scan = is_weak and is_seen_from_one_side(self.mesh)
-        return is_like_draws(noise) and not is_range_scan
+        is_like = is_like_draws(noise) or noise.character.kind == "unknown"
+        return is_like and not is_range_scan
 
     @property
     def _doubt(self) -> float:

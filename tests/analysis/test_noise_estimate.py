@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks import ground_truth
 from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
 from msal_cli.mesh import prepare_mesh
@@ -125,6 +126,15 @@ def test_texture_everywhere_widens_the_interval_to_nothing():
     vertices, faces = grid(100, 90)
     vertices[:, 2] = 0.1 * np.sin(1.1 * vertices[:, 0]) * np.sin(1.0 * vertices[:, 1])
     assert estimate_noise(prepare_mesh(vertices, faces).mesh).low == 0.0
+
+
+def test_relief_widens_the_interval_of_white_noise():
+    widths = []
+    for source in (ground_truth.sources()["rock"](), prepare_mesh(*torus(160, 80)).mesh):
+        noise = estimate_noise(ground_truth.corrupted(source, 0.1, 1)[0])
+        assert noise.character.kind == "white" and not noise.is_unsure
+        widths.append(1.0 - noise.low / noise.mean_edges)
+    assert widths[0] > 1.5 * widths[1]
 
 
 @pytest.mark.parametrize("split", ["by place", "by a slanted plane"])

@@ -99,13 +99,16 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Estimate:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), verdict)
     character = _characterize(evidence, verdict) if is_named else _leave_unknown(evidence, verdict)
     rms = max(verdict.level, white.level.rms_edges)
-    level = verdict.level
+    level, low = verdict.level, verdict.low
     if verdict.kind == "impulsive":
         level = min(level, white.level.mean_edges)
+    if verdict.kind == "white":
+        # What may be relief is known where the fits are those of the level.
+        low = min(low, white.level.low)
     noise = dataclasses.replace(
         white.level,
         mean_edges=level,
-        low=verdict.low if not _is_unsure(verdict) else 0.0,
+        low=0.0 if _is_unsure(verdict) else low,
         high=max(verdict.high, verdict.level),
         file_units=level * white.edge,
         clean_edges=to_clean_edges(level),
