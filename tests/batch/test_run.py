@@ -259,7 +259,7 @@ class TestDryRun:
     @pytest.fixture(autouse=True)
     def _no_meshes(self, monkeypatch):
         """The files of these tests are no meshes, which a dry run would say."""
-        monkeypatch.setattr(room, "_check", lambda path, format: None)
+        monkeypatch.setattr(room, "_check_header", lambda path, format: None)
 
     def test_nothing_is_touched(self, folders):
         fill(folders, 3)
