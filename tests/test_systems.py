@@ -119,10 +119,10 @@ def test_a_folder_is_not_flushed_where_it_cannot_be_opened(tmp_path, windows):
     ],
 )
 def test_an_object_of_any_name_becomes_a_file_of_windows(name, there, windows):
-    assert urls.harmless(name, is_local=True) == name
+    assert urls.escape_name(name, is_local=True) == name
     windows(urls)
-    assert urls.harmless(name, is_local=True) == there
-    assert urls.harmless(name, is_local=False) == name
+    assert urls.escape_name(name, is_local=True) == there
+    assert urls.escape_name(name, is_local=False) == name
 
 
 def test_a_drive_is_no_protocol(windows):
@@ -164,7 +164,7 @@ def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
     number = int(getattr(signal, "SIGUSR1", signal.SIGTERM))
     monkeypatch.setattr(signal, "SIGBREAK", number, raising=False)
     received = []
-    with interrupts.noticed(received.append):
+    with interrupts.catch_signals(received.append):
         signal.raise_signal(number)
     assert received == [number]
     with pytest.raises(interrupts.Terminated) as caught:
@@ -182,7 +182,7 @@ def test_a_run_in_this_process_ends_late_without_set_blocking(windows):
 
     windows(interrupts, "set_blocking", pipe=pipe)
     received = []
-    with interrupts.noticed(received.append), interrupts.ended_late(lambda: None):
+    with interrupts.catch_signals(received.append), interrupts.end_if_late(lambda: None):
         signal.raise_signal(signal.SIGTERM)
     assert received == [signal.SIGTERM]
 

@@ -71,9 +71,14 @@ class DaskEngine:
             for probe in probes:
                 Path(probe).touch()
             self._connect()
-            must_exist = (*probes, os.path.join(os.getcwd(), ""))
-            n_threads = self._wait_for_workers()
-            self._check_workers(must_exist)
+            _log.info("waiting for workers at the Dask scheduler %s", self._scheduler)
+            started = time.monotonic()
+            while not (n_threads := self._count_threads()):
+                if self._is_interrupted:
+                    raise Interrupt
+                self._require_patience(started)
+                time.sleep(_BETWEEN_CHECKS_S)
+            self._check_workers((*probes, os.path.join(os.getcwd(), "")))
             self._submit_all(n_threads)
             yield from self._run()
         finally:
@@ -108,16 +113,6 @@ class DaskEngine:
         except (OSError, TimeoutError) as error:
             _log.debug("the scheduler does not answer: %s", error)
             return 0
-
-    def _wait_for_workers(self) -> int:
-        started = time.monotonic()
-        _log.info("waiting for workers at the Dask scheduler %s", self._scheduler)
-        while not (n_threads := self._count_threads()):
-            if self._is_interrupted:
-                raise Interrupt
-            self._require_patience(started)
-            time.sleep(_BETWEEN_CHECKS_S)
-        return n_threads
 
     def _require_patience(self, since: float) -> None:
         if (waited := time.monotonic() - since) > _PATIENCE_S:
@@ -268,8 +263,8 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
     common, limits, retries, tasks = pickle.loads(payload)
 
     def sweep_after(pid: int, index: int) -> None:
-        for folder in output_folders([tasks[index]]):
-            temporary_files.sweep_after(pid, Path(common[0], folder))
+        folders = output_folders([tasks[index]])
+        temporary_files.sweep_after(pid, [Path(common[0], folder) for folder in folders])
 
     # A worker does as many files at the same time as it has threads.
     work = Work(

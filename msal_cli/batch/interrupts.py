@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn
 
-AT_LATEST_S = 1.0
-"""Seconds after a signal at which `ended_late` ends the process."""
+MAX_DELAY_S = 1.0
+"""Seconds after a signal at which `end_if_late` ends the process."""
 
 # SIGBREAK is Ctrl-Break, and the only signal by which a program on Windows can ask another to end.
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -30,7 +30,7 @@ class Terminated(KeyboardInterrupt):
 
 
 def raise_for(signum: int) -> NoReturn:
-    """KeyboardInterrupt for SIGINT, Terminated for any other signal."""
+    """Raise KeyboardInterrupt for SIGINT, Terminated for any other signal."""
     if signum == signal.SIGINT:
         raise KeyboardInterrupt
     raise Terminated(signum)
@@ -70,8 +70,8 @@ class Cancellation:
             raise KeyboardInterrupt
 
     @contextmanager
-    def noticed(self, on_request: Callable[[], object]) -> Iterator[None]:
-        """Call ``on_request()`` in the thread that asks, now if one has asked already."""
+    def notify(self, on_request: Callable[[], object]) -> Iterator[None]:
+        """Call ``on_request()`` in the thread that asks, now if the run has been asked already."""
         with self._lock:
             self._on_request = on_request
             if self._is_requested:
@@ -84,26 +84,26 @@ class Cancellation:
 
 
 @contextmanager
-def obeyed_at_once() -> Iterator[None]:
+def end_on_signal() -> Iterator[None]:
     """While nothing has been touched, SIGINT, SIGTERM and the like end the process at once."""
     with _take(end_at_once):
         yield
 
 
 @contextmanager
-def noticed(on_signal: Callable[[int], None]) -> Iterator[None]:
+def catch_signals(on_signal: Callable[[int], None]) -> Iterator[None]:
     """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or the like; the second ends at once.
 
     Only signals that no other code handles are taken over, only in the main thread (Python offers
     no other), and all are given back at the end.
     """
-    is_noticed = False
+    is_first = True
 
     def handle(signum: int, frame: FrameType | None) -> None:
-        nonlocal is_noticed
-        if is_noticed:
+        nonlocal is_first
+        if not is_first:
             end_at_once(signum)
-        is_noticed = True
+        is_first = False
         on_signal(signum)
 
     with _take(handle):
@@ -111,32 +111,32 @@ def noticed(on_signal: Callable[[int], None]) -> Iterator[None]:
 
 
 @contextmanager
-def ended_late(clean: Callable[[], object]) -> Iterator[None]:
-    """End the process ``AT_LATEST_S`` after a signal if the block is not left until then.
+def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
+    """End the process ``MAX_DELAY_S`` after a signal if the block is not left until then.
 
     A handler runs only when the main thread comes back to Python, and a kernel on a large mesh
     takes its time.  The system itself reports a signal through a pipe, and a thread that waits
-    there calls ``clean()`` and ends the process.  To be used within ``noticed``.
+    there calls ``clean()`` and ends the process.  To be used within ``catch_signals``.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     try:
-        listening, telling = os.pipe()
+        receiver, sender = os.pipe()
     except OSError:
         # Too many files are open; the handler itself still works.
         yield
         return
     # Windows has it from Python 3.12 on, and does not need it.
     if hasattr(os, "set_blocking"):
-        os.set_blocking(telling, False)
+        os.set_blocking(sender, False)
     is_left = threading.Event()
 
     def listen() -> None:
-        while number := os.read(listening, 1):
+        while number := os.read(receiver, 1):
             if number[0] in _numbers():
                 break
-        if number and not is_left.wait(AT_LATEST_S):
+        if number and not is_left.wait(MAX_DELAY_S):
             try:
                 clean()
             finally:
@@ -144,15 +144,15 @@ def ended_late(clean: Callable[[], object]) -> Iterator[None]:
 
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()
-    earlier = signal.set_wakeup_fd(telling, warn_on_full_buffer=False)
+    earlier = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     try:
         yield
     finally:
         is_left.set()
         signal.set_wakeup_fd(earlier)
-        os.close(telling)
+        os.close(sender)
         thread.join()
-        os.close(listening)
+        os.close(receiver)
 
 
 def _numbers() -> tuple[int, ...]:

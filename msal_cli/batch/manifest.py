@@ -599,7 +599,7 @@ class ObjectManifest(Manifest):
         lines = [run.line for run in self._view.run_lines[-MAX_RUN_LINES:]]
         lines += [entry.line for entry in self._entries.values() if isinstance(entry.line, bytes)]
         self._write_part(0, b"".join(line + b"\n" for line in lines))
-        objects.remove_object([_part_url(self.place, name) for name in self._parts])
+        objects.remove_objects([_part_url(self.place, name) for name in self._parts])
         _log.debug("manifest of %r: %d parts became one", self.place, len(self._parts))
 
 

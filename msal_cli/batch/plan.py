@@ -236,7 +236,7 @@ def _check_folder_output(found: Sequence[DiscoveredInput], output: str) -> None:
 
 def _mirror(file: DiscoveredInput, output: str, to: str | None) -> Task:
     if is_url(file.path) or is_url(output):
-        name = urls.harmless(file.relative, is_local=not is_url(output))
+        name = urls.escape_name(file.relative, is_local=not is_url(output))
         folder, slash, last = name.rpartition("/")
         name = folder + slash + output_name(last, to)
         place = urls.join_url(output, name) if is_url(output) else str(Path(output) / name)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.history import RunEntry
 from msal_cli.batch.manifest import FileStat, done_line, intent_line, open_folder, open_manifest
-from msal_cli.batch.memory_budget import MemoryBudget, estimate_memory
 from msal_cli.batch.plan import Plan
 from msal_cli.batch.resume import (
     file_states,
@@ -33,6 +32,7 @@ from msal_cli.batch.schedule import (
     Returned,
     Started,
     Work,
+    estimate_memory,
 )
 from msal_cli.batch.temporary_files import output_folders
 from msal_cli.errors import OutputError, ResourceError, UsageError
@@ -89,7 +89,7 @@ def run(
     Parameters
     ----------
     jobs : files at the same time; None is one per usable core, as far as memory allows: large
-        files go first, and one that fits beside no other runs alone on all cores.
+        files go first, and a file that fits beside no other runs alone on all cores.
     on_event : called in this thread with schedule.Started, Progress and Finished.
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
     limits : what one file may use; beyond it the file fails with ``E_TIMEOUT``, ``E_MEMORY`` or
@@ -165,7 +165,7 @@ class _BatchRun:
 
     def dry_run(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
-        with interrupts.noticed(interrupts.raise_for):
+        with interrupts.catch_signals(interrupts.raise_for):
             self._manifests = {folder: open_manifest(folder) for folder in self.plan.folders()}
             todo = self._outdated()[0]
             if self.plan.is_set and todo:
@@ -175,7 +175,7 @@ class _BatchRun:
             else:
                 records = {
                     index: foresee(
-                        self._planned_record(index),
+                        self._unfinished_record(index),
                         self.plan.tasks[index],
                         self.settings,
                         self.limits,
@@ -190,14 +190,14 @@ class _BatchRun:
         """What happened; ``stack`` releases locks and manifests, however this ends."""
         entry = RunEntry.start(self.plan, self.settings, command)
         try:
-            with interrupts.noticed(interrupts.raise_for):
+            with interrupts.catch_signals(interrupts.raise_for):
                 todo = self._lock_and_plan(stack, entry)
-                tasks = {index: self.plan.tasks[index] for index in todo}
-                budget = estimate_memory(tasks, self.settings, self.limits)
             if self.plan.is_set:
                 self._run_set(todo)
-            else:
-                self._run_files(todo, budget)
+            elif self._is_single() or self.plan.is_in_process:
+                self._run_in_process(todo)
+            elif todo:
+                self._run_engine(todo)
             if self._failure is not None:
                 raise self._failure
         except BaseException:
@@ -266,18 +266,11 @@ class _BatchRun:
 
     # The work
 
-    def _run_files(self, todo: list[int], budget: MemoryBudget) -> None:
-        if self._is_single() or self.plan.is_in_process:
-            self._run_in_process(todo)
-        elif todo and self._failure is None and not self._has_too_many_failures():
-            self._run_engine(todo, budget)
-
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
-            for index in todo:
-                self._sweep_after(os.getpid(), index)
+            temporary_files.sweep_after(os.getpid(), output_folders(self.plan.tasks))
 
-        with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
+        with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
             for index in todo:
                 task = self.plan.tasks[index]
                 self.on_event(Started(index))
@@ -290,7 +283,7 @@ class _BatchRun:
                 except Exception as error:
                     _log.exception("internal error at %r", task.input)
                     failed = Failed(index, "exception", f"{type(error).__name__}: {error}")
-                    record = self._failed_record(index, _to_failure(failed))
+                    record = self._unfinished_record(index, failed)
                 self._finish({index: record})
                 if self._failure is not None:
                     return
@@ -312,12 +305,14 @@ class _BatchRun:
                 )
             )
 
-    def _run_engine(self, todo: list[int], budget: MemoryBudget) -> None:
+    def _run_engine(self, todo: list[int]) -> None:
         from msal_cli.batch.worker import denoise_in_worker
         from msal_cli.batch.worker_pool import WorkerPool
 
         received: list[int] = []
         tasks = {index: self.plan.tasks[index] for index in todo}
+        with interrupts.catch_signals(interrupts.raise_for):
+            budget = estimate_memory(tasks, self.settings, self.limits)
         work = Work(
             tasks,
             denoise_in_worker,
@@ -329,7 +324,7 @@ class _BatchRun:
             on_loss=self._roll_back,
             limits=self.limits,
             retries=self.retries,
-            weights={index: size for index, size in budget.large.items() if index in tasks},
+            weights=budget.large,
             light_bytes=budget.light,
             # A number of jobs set by the user replaces the budget.
             budget_bytes=budget.total if self.jobs is None else None,
@@ -341,8 +336,8 @@ class _BatchRun:
             received.append(signum)
             engine.interrupt()
 
-        cancelled = (self.cancellation or interrupts.Cancellation()).noticed(engine.interrupt)
-        with interrupts.noticed(on_signal), cancelled, closing(engine.batches()) as batches:
+        cancelled = (self.cancellation or interrupts.Cancellation()).notify(engine.interrupt)
+        with interrupts.catch_signals(on_signal), cancelled, closing(engine.batches()) as batches:
             try:
                 for messages in batches:
                     self._handle_messages(messages)
@@ -366,7 +361,7 @@ class _BatchRun:
                     record = replace(record, warnings=(*record.warnings, note))
                 finished[message.index] = record
             elif isinstance(message, Failed):
-                finished[message.index] = self._failed_record(message.index, _to_failure(message))
+                finished[message.index] = self._unfinished_record(message.index, message)
             elif isinstance(message, Retried):
                 name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
@@ -412,14 +407,23 @@ class _BatchRun:
 
     def _in_order(self) -> list[MeshRecord]:
         n_tasks = len(self.plan.tasks)
-        return [self._records.get(index) or self._planned_record(index) for index in range(n_tasks)]
+        return [
+            self._records.get(index) or self._unfinished_record(index) for index in range(n_tasks)
+        ]
 
-    def _planned_record(self, index: int) -> MeshRecord:
-        task = self.plan.tasks[index]
-        return replace(unfinished_record(task.input, self.settings), output=task.output)
-
-    def _failed_record(self, index: int, failure: Failure) -> MeshRecord:
-        return unfinished_record(self.plan.tasks[index].input, self.settings, failure)
+    def _unfinished_record(self, index: int, failed: Failed | None = None) -> MeshRecord:
+        """The record of a file that is not done yet, or was lost outside of the pipeline."""
+        task, failure = self.plan.tasks[index], None
+        if failed is not None:
+            failure = Failure(_LOSS_CODES[failed.cause], failed.reason, failed.hint)
+        return MeshRecord(
+            input=task.input,
+            output=task.output if failed is None else None,
+            status="planned" if failed is None else "failed",
+            version=__version__,
+            method=MethodUsed(self.settings.method, dict(self.settings.parameters)),
+            error=failure,
+        )
 
     def _roll_back(self, index: int) -> str:
         """Undo what a lost worker did in place; why the file must not be tried again, if so."""
@@ -429,8 +433,7 @@ class _BatchRun:
             return error.message
 
     def _sweep_after(self, pid: int, index: int) -> None:
-        for folder in output_folders([self.plan.tasks[index]]):
-            temporary_files.sweep_after(pid, folder)
+        temporary_files.sweep_after(pid, output_folders([self.plan.tasks[index]]))
 
 
 def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:
@@ -470,21 +473,6 @@ def check_limits(limits: Limits) -> None:
             f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
             hint=f"msal itself takes {least / 1e6:.0f} MB",
         )
-
-
-def unfinished_record(name: str, settings: Settings, failure: Failure | None = None) -> MeshRecord:
-    """The record of an input that failed outside of the pipeline, or that is not done yet."""
-    return MeshRecord(
-        input=name,
-        status="planned" if failure is None else "failed",
-        version=__version__,
-        method=MethodUsed(settings.method, dict(settings.parameters)),
-        error=failure,
-    )
-
-
-def _to_failure(message: Failed) -> Failure:
-    return Failure(_LOSS_CODES[message.cause], message.reason, message.hint)
 
 
 def denoise_in_pool(

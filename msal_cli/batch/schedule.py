@@ -8,14 +8,31 @@ again, so ``Started`` can come twice for one index; ``Finished`` comes exactly o
 from __future__ import annotations
 
 import collections
+import os
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from msal_cli.job.settings import NO_LIMITS, Limits
+from msal_cli.job.room import LARGE_BYTES
+from msal_cli.job.settings import (
+    NO_LIMITS,
+    Limits,
+    Settings,
+    Task,
+    forecast,
+    least_memory_bytes,
+    method_bytes_per_face,
+)
+from msal_cli.machine import available_bytes
 
 if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
+
+_SHARE = 0.8
+
+# Bytes of memory per byte of a file that is not looked into: what most formats stay below.
+_PER_BYTE = 14.0
+_BYTES_PER_FACE = 24.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +215,7 @@ class TaskQueue:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits, second tries included."""
+        """Whether nothing waits, not even a second try."""
         return not len(self) and not self._retries
 
     def drop(self) -> None:
@@ -264,3 +281,38 @@ class TaskQueue:
 
     def _fits_with_no_other(self, index: int) -> bool:
         return self._budget is not None and self.weight(index) + self._light_bytes > self._budget
+
+
+@dataclass(frozen=True)
+class MemoryBudget:
+    """Bytes expected for each ``large`` file and for any other (``light``), and the ``total`` that
+    all current ones may need; None where that is not known."""
+
+    large: Mapping[int, int]
+    light: int
+    total: int | None
+
+
+def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limits) -> MemoryBudget:
+    """What all tasks need, and what there is; for 10,000 small files that costs one stat each."""
+
+    def limited(n_bytes: int) -> int:
+        return n_bytes if limits.memory_bytes is None else min(n_bytes, limits.memory_bytes)
+
+    large: dict[int, int] = {}
+    largest_light = 0
+    per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
+    for index, task in tasks.items():
+        try:
+            # A listing of a store includes sizes.
+            size = task.input_mark.size if task.input_mark else os.stat(task.input).st_size
+        except (OSError, ValueError):
+            # It is gone; the reader will report that.
+            continue
+        if size < LARGE_BYTES:
+            largest_light = max(largest_light, size)
+        else:
+            large[index] = limited(forecast(task, settings).memory_bytes or 0)
+    light = limited(least_memory_bytes() + int(per_byte * largest_light))
+    available = available_bytes()
+    return MemoryBudget(large, light, None if available is None else int(_SHARE * available))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
 
-MOST = 1_000_000
-"""Shards at most; more would be fewer files a shard than the largest folders have."""
+MAX_SHARDS = 1_000_000
+"""More would be fewer files a shard than the largest folders have."""
 
 COUNT_VARIABLE = "MSAL_SHARDS"
 """The environment variable that gives N where the system that starts the processes does not."""
@@ -64,9 +64,9 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     first, slash, last = text.partition("/")
     if first != "auto":
         number, count = _parse_int(first), _parse_int(last)
-        if number is None or count is None or not 1 <= number <= count <= MOST:
+        if number is None or count is None or not 1 <= number <= count <= MAX_SHARDS:
             raise UsageError(
-                f"--shard {text}: a shard is K/N with 1 <= K <= N <= {MOST}, auto or auto/N",
+                f"--shard {text}: a shard is K/N with 1 <= K <= N <= {MAX_SHARDS}, auto or auto/N",
                 hint="four processes take --shard 1/4, 2/4, 3/4 and 4/4",
             )
         return Shard(number, count)
@@ -74,12 +74,12 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     value = last if slash else environment.get(COUNT_VARIABLE)
     if value or slash:
         expected = _parse_int(value or "")
-        if expected is None or not 1 <= expected <= MOST:
+        if expected is None or not 1 <= expected <= MAX_SHARDS:
             source = f"--shard {text}" if slash else f"{COUNT_VARIABLE}={value}"
             raise UsageError(
-                f"{source}: the number of shards must be a whole number from 1 to {MOST}"
+                f"{source}: the number of shards must be a whole number from 1 to {MAX_SHARDS}"
             )
-    jobs = {(job.index, job.count): job for job in _read_environment(environment)}
+    jobs = {job[2:]: job for job in _read_environment(environment)}
     if not jobs:
         raise UsageError(
             f"--shard {text}: no variable of Slurm, AWS Batch or Kubernetes says which shard this "
@@ -87,44 +87,33 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
             hint="give --shard K/N, or run it in an array job or an indexed job",
         )
     if len(jobs) > 1:
-        names = " and ".join(sorted(f"{job.system} ({job.variables})" for job in jobs.values()))
+        names = " and ".join(sorted(f"{name} ({words})" for name, words, _, _ in jobs.values()))
         raise UsageError(f"--shard {text}: {names} say different things", hint="give --shard K/N")
-    (job,) = jobs.values()
-    return _shard_of(job, text, expected)
-
-
-@dataclass(frozen=True, slots=True)
-class _JobIndex:
-    """What the variables of a system say: ``index`` from 0, and how many there are, if known."""
-
-    system: str
-    variables: str
-    index: int
-    count: int | None
-
-
-def _shard_of(job: _JobIndex, text: str, expected: int | None) -> Shard:
-    if job.count is not None and expected is not None and job.count != expected:
+    ((system, variables, index, own_count),) = jobs.values()
+    if own_count is not None and expected is not None and own_count != expected:
         raise UsageError(
-            f"--shard {text}: {job.system} runs {job.count} processes ({job.variables}), "
-            f"not {expected}",
+            f"--shard {text}: {system} runs {own_count} processes ({variables}), not {expected}",
             hint="leave the number out, or start as many",
         )
-    count = job.count if expected is None else expected
+    count = own_count if expected is None else expected
     if count is None:
         raise UsageError(
-            f"--shard {text}: {job.system} does not say how many shards there are",
+            f"--shard {text}: {system} does not say how many shards there are",
             hint=f"give --shard auto/N, or set {COUNT_VARIABLE}",
         )
-    if not 0 <= job.index < count <= MOST:
+    if not 0 <= index < count <= MAX_SHARDS:
         raise UsageError(
-            f"--shard {text}: {job.system} says {job.variables}, which is none of {count} shards",
+            f"--shard {text}: {system} says {variables}, which is none of {count} shards",
             hint="number the tasks without gaps, or give --shard K/N",
         )
-    return Shard(job.index + 1, count)
+    return Shard(index + 1, count)
 
 
-def _read_environment(environment: Mapping[str, str]) -> Iterator[_JobIndex]:
+def _read_environment(
+    environment: Mapping[str, str],
+) -> Iterator[tuple[str, str, int, int | None]]:
+    """System, its variables in words, index from 0, and how many there are, if that is known."""
+
     def number(name: str, default: int | None = None) -> int:
         text = environment.get(name)
         if text is None and default is not None:
@@ -147,7 +136,7 @@ def _read_environment(environment: Mapping[str, str]) -> Iterator[_JobIndex]:
         variables = f"SLURM_ARRAY_TASK_ID={task}, _MIN={lowest}, _STEP={step}"
         # Tasks with gaps (--array=1,2,7) have no index that could be counted.
         index, rest = divmod(task - lowest, step) if step else (-1, 0)
-        yield _JobIndex("Slurm", variables, -1 if rest else index, count)
+        yield ("Slurm", variables, -1 if rest else index, count)
     elif is_set("SLURM_PROCID"):
         index = number("SLURM_PROCID")
         in_step = is_set("SLURM_STEP_NUM_TASKS")
@@ -159,14 +148,14 @@ def _read_environment(environment: Mapping[str, str]) -> Iterator[_JobIndex]:
                 f"this is the batch script itself, not one of the {count} tasks of a step",
                 hint="start it with srun, or leave --shard away",
             )
-        yield _JobIndex("Slurm", f"SLURM_PROCID={index}", index, count)
+        yield ("Slurm", f"SLURM_PROCID={index}", index, count)
     if is_set("AWS_BATCH_JOB_ARRAY_INDEX"):
         index, size = number("AWS_BATCH_JOB_ARRAY_INDEX"), "AWS_BATCH_JOB_ARRAY_SIZE"
         total = number(size) if is_set(size) else None
-        yield _JobIndex("AWS Batch", f"AWS_BATCH_JOB_ARRAY_INDEX={index}", index, total)
+        yield ("AWS Batch", f"AWS_BATCH_JOB_ARRAY_INDEX={index}", index, total)
     if is_set("JOB_COMPLETION_INDEX"):
         index = number("JOB_COMPLETION_INDEX")
-        yield _JobIndex("Kubernetes", f"JOB_COMPLETION_INDEX={index}", index, None)
+        yield ("Kubernetes", f"JOB_COMPLETION_INDEX={index}", index, None)
 
 
 def _parse_int(text: str) -> int | None:

@@ -47,13 +47,13 @@ def sweep(folders: Iterable[str | Path]) -> int:
     return sum(_remove_matching(Path(folder), is_stale) for folder in folders)
 
 
-def sweep_after(pid: int, folder: str | Path) -> int:
-    """Remove what process ``pid``, which has ended, left in a folder; how many files."""
+def sweep_after(pid: int, folders: Iterable[str | Path]) -> int:
+    """Remove what process ``pid``, which has ended, left in these folders; how many files."""
 
     def is_its(match: re.Match[str], path: Path) -> bool:
         return match["machine"] == machine_tag() and int(match["pid"]) == pid
 
-    return _remove_matching(Path(folder), is_its)
+    return sum(_remove_matching(Path(folder), is_its) for folder in folders)
 
 
 def _may_be_writing(pid: int, written: float) -> bool:

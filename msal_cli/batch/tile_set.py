@@ -128,11 +128,10 @@ def denoise_set(
         on_event(Progress(index, stage, done, total))
 
     def clean() -> None:
-        for folder in output_folders(plan.tasks):
-            temporary_files.sweep_after(os.getpid(), folder)
+        temporary_files.sweep_after(os.getpid(), output_folders(plan.tasks))
 
     earlier = read_earlier(plan, manifests or {})
-    with interrupts.noticed(interrupts.raise_for), interrupts.ended_late(clean):
+    with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
         return _SetRun(plan.tasks, settings, on_step, limits, earlier).denoise(max_failures)
 
 
@@ -193,7 +192,6 @@ class _SetRun:
         self._records: dict[int, MeshRecord] = {}
 
     def survey(self) -> dict[int, MeshRecord]:
-        """See ``survey_set``."""
         for index in range(len(self._tasks)):
             self._scan(index)
             self._arrays.clear()
@@ -205,7 +203,6 @@ class _SetRun:
         return self._records
 
     def denoise(self, max_failures: int | None) -> dict[int, MeshRecord]:
-        """See ``denoise_set``."""
         try:
             work = f"denoising these {len(self._tasks)} files as one"
             needed = memory_of_set(self._tasks, self._settings)

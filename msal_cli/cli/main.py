@@ -77,7 +77,7 @@ class Msal(click.Group):
     ) -> NoReturn:
         """Run a command line to its end and exit."""
         arguments = tuple(sys.argv[1:] if args is None else args)
-        with signals.obeyed_at_once():
+        with signals.end_on_signal():
             status = _flush(_status(self, arguments))
         sys.exit(status)
 

@@ -185,7 +185,7 @@ def command(
     for source, path in targets:
         try:
             # A signal must not leave a temporary file.
-            with interrupts.noticed(interrupts.raise_for):
+            with interrupts.catch_signals(interrupts.raise_for):
                 made = _make_noisy_file(source, path, noise, format)
         except MsalError as error:
             if STREAM in (source, path):

@@ -97,7 +97,7 @@ def write(
             else:
                 data = report.writer(name, has_all_columns=csv_columns == "all")(run, records)
             # A signal must not leave a temporary file, which no later run would remove.
-            with interrupts.noticed(interrupts.raise_for):
+            with interrupts.catch_signals(interrupts.raise_for):
                 write_output(name, data)
         except OutputError as error:
             first = first or error
@@ -143,7 +143,7 @@ def _render_page(
         archive = cache.to_bytes() if kept else None
         if archive is not None:
             # It saves time, and no page is worth less without it.
-            with suppress(OutputError), interrupts.noticed(interrupts.raise_for):
+            with suppress(OutputError), interrupts.catch_signals(interrupts.raise_for):
                 write_output(kept, archive)
     return html.render(run, records, pictures)
 

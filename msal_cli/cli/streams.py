@@ -297,7 +297,7 @@ def _denoise_in_worker(
     check_limits(limits)
     # The folder must be removed, whatever ends this.
     with (
-        interrupts.noticed(interrupts.raise_for),
+        interrupts.catch_signals(interrupts.raise_for),
         tempfile.TemporaryDirectory(prefix="msal-") as folder,
     ):
         source, left_s = stream.source, limits.timeout_s
@@ -323,7 +323,7 @@ def _write(output: Buffer, record: MeshRecord, stream: Stream) -> MeshRecord:
     if compress != is_compressed:
         output = gzip_streams.compress(plain) if compress else plain
     # From here on there is something to clean up.
-    with interrupts.noticed(interrupts.raise_for):
+    with interrupts.catch_signals(interrupts.raise_for):
         # What the shell redirects to standard input may be a private file, too.
         sources = (0,) if stream.source == STREAM else (stream.source,)
         write_output(target, output, sources=sources)

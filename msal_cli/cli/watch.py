@@ -154,7 +154,7 @@ class _Watch:
         request = self._request
         folder = request.inputs[0]
         with ExitStack() as stack:
-            with interrupts.noticed(interrupts.raise_for):
+            with interrupts.catch_signals(interrupts.raise_for):
                 # From the start to the end, so that no other run works on the folder meanwhile.
                 self._manifests[request.output] = open_folder(request.output, stack)
             inbox = Inbox(
@@ -168,7 +168,7 @@ class _Watch:
                 console.say(f"watching {folder}; Ctrl-C ends it")
             try:
                 while not self._is_given_up() and (files := self._wait(inbox)):
-                    with interrupts.noticed(interrupts.raise_for):
+                    with interrupts.catch_signals(interrupts.raise_for):
                         plans = list(self._plan(files))
                     for plan in plans:
                         if not self._is_given_up():
@@ -192,7 +192,7 @@ class _Watch:
 
         idle_s = self._request.idle_exit
         quiet_since = time.monotonic()
-        with interrupts.noticed(self._signals.append):
+        with interrupts.catch_signals(self._signals.append):
             while not self._signals:
                 if files := inbox.take_complete():
                     return files

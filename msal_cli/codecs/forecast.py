@@ -94,7 +94,7 @@ def forecast(
         if is_url(path):
             from msal_cli.storage import objects as remote
 
-            head, size = remote.beginning(path, LOOKED_AT)
+            head, size = remote.read_beginning(path, LOOKED_AT)
         else:
             with open_regular(path) as file:
                 head = file.read(LOOKED_AT)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
+import re
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -24,28 +25,15 @@ from msal_cli.storage.regular import Buffer, largest_bytes, too_large
 _EXTRA = "cloud"
 
 # Stores whose put is whole or nothing; of all others that is not known.
-_OBJECT_STORES = (
-    "s3",
-    "s3a",
-    "gs",
-    "gcs",
-    "az",
-    "abfs",
-    "abfss",
-    "adl",
-    "oss",
-    "memory",
-    "http",
-    "https",
-)
+_OBJECT_STORES = re.compile("s3a?|gs|gcs|az|abfss?|adl|oss|memory|https?")
 
 # s3fs tries again what botocore has tried again, and both around each other: without a bound
 # a store that cannot be reached costs minutes a file.
 _TRIES_AROUND_BOTOCORE = 2
 
-_PIECE = 1 << 20
-_AT_THE_SAME_TIME = 16
-_MOST_IN_ONE_REMOVAL = 1000
+_PIECE_BYTES = 1 << 20
+_MAX_THREADS = 16
+_MAX_REMOVED = 1000
 
 _TAGS = ("ETag", "etag", "md5Hash", "content_md5", "md5", "checksum", "generation")
 _TIMES = ("LastModified", "last_modified", "mtime", "modified", "updated", "created")
@@ -84,7 +72,10 @@ def read_whole(url: str, size: int | None = None) -> bytes:
             size = known.size if known is not None else 0
         if size > largest_bytes():
             raise too_large(size)
-        data: bytes = system.cat_file(path, **_in_one_request(system))
+        # Parts that are fetched at the same time may be of two versions of the object.
+        cat = getattr(system, "_cat_file", None)
+        takes_limit = cat is not None and "max_concurrency" in inspect.signature(cat).parameters
+        data: bytes = system.cat_file(path, **({"max_concurrency": 1} if takes_limit else {}))
     return data
 
 
@@ -109,7 +100,7 @@ def _read_from_web(system: Any, path: str) -> bytes:
     pieces, size = [], 0
     # Without blocks it is one stream.
     with system.open(path, "rb", block_size=0) as stream:
-        while piece := stream.read(_PIECE):
+        while piece := stream.read(_PIECE_BYTES):
             pieces.append(piece)
             size += len(piece)
             if size > largest_bytes():
@@ -117,7 +108,7 @@ def _read_from_web(system: Any, path: str) -> bytes:
     return b"".join(pieces)
 
 
-def beginning(url: str, length: int) -> tuple[bytes, int]:
+def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     """At most ``length`` bytes of an object's beginning, and its size; two requests.
 
     Raises InputError (``E_READ``) if there is none; UsageError if a package is missing.
@@ -139,27 +130,25 @@ def beginning(url: str, length: int) -> tuple[bytes, int]:
     return data, max(there.size, len(data))
 
 
-def read_many(some: Mapping[str, Mark]) -> list[bytes]:
+def read_many(marks: Mapping[str, Mark]) -> list[bytes]:
     """The bytes of several objects, with the marks of a listing, some at the same time.
 
     The errors are those of ``read_whole``; all together may have half of the machine's memory.
     """
-    if not some:
+    if not marks:
         return []
     from concurrent.futures import ThreadPoolExecutor
 
-    sizes = [one.size for one in some.values()]
+    sizes = [mark.size for mark in marks.values()]
     together = sum(max(size, 0) for size in sizes)
     if together > largest_bytes():
         raise too_large(together)
-    with ThreadPoolExecutor(min(_AT_THE_SAME_TIME, len(some))) as pool:
-        return list(pool.map(read_whole, some, sizes))
+    with ThreadPoolExecutor(min(_MAX_THREADS, len(marks))) as pool:
+        return list(pool.map(read_whole, marks, sizes))
 
 
 def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
-    """Write an object so that it is seen whole or not at all, and give its mark.
-
-    Size and tag are requested from the store afterwards.
+    """Write an object so that it is seen whole or not at all; its mark, as the store gives it.
 
     Raises OutputError if the store does not take it; UsageError if a package is missing.
     """
@@ -168,10 +157,10 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
     data = b"".join(buffers)
     try:
         system, path = _open(url)
-        if urls.split(url)[0] in _OBJECT_STORES:
+        if _OBJECT_STORES.fullmatch(urls.split(url)[0]):
             system.pipe_file(path, data)
         else:
-            _moved_into_place(system, path, data)
+            _write_and_move(system, path, data)
         there = _mark(system, path)
     except (MsalError, MemoryError):
         raise
@@ -191,7 +180,7 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
     return there
 
 
-def _moved_into_place(system: Any, path: str, data: bytes) -> None:
+def _write_and_move(system: Any, path: str, data: bytes) -> None:
     parent, _, name = path.rpartition("/")
     if parent:
         system.makedirs(parent, exist_ok=True)
@@ -218,20 +207,11 @@ def mark(url: str) -> Mark | None:
 
 
 def list_objects(url: str, depth: int | None = None) -> dict[str, Mark]:
-    """Every object below a folder by its name there, written with ``/``; empty if there is none.
+    """Every object below a folder by its name there, written with ``/``, or only names of at most
+    ``depth`` parts.
 
-    On object stores that is one request for a thousand objects, however deep they lie.
-
-    Parameters
-    ----------
-    depth : only names of at most so many parts; None for all.
-
-    Raises
-    ------
-    InputError
-        with code ``E_READ`` if the store does not answer.
-    UsageError
-        if a package is missing.
+    On object stores that is one request for a thousand objects, however deep they lie.  The errors
+    are those of ``mark``.
     """
     with _input_errors(url, "the folder cannot be listed"):
         system, path = _open(url)
@@ -248,17 +228,17 @@ def list_objects(url: str, depth: int | None = None) -> dict[str, Mark]:
     }
 
 
-def remove_object(some: Sequence[str]) -> None:
+def remove_objects(object_urls: Sequence[str]) -> None:
     """Remove objects of one store, as far as it lets us; what stays is no error."""
-    if not some:
+    if not object_urls:
         return
     with contextlib.suppress(Exception):
-        opened = [_open(url) for url in some]
+        opened = [_open(url) for url in object_urls]
         system = opened[0][0]
         paths = [path for _, path in opened]
         if hasattr(system, "bulk_delete"):
-            for start in range(0, len(paths), _MOST_IN_ONE_REMOVAL):
-                system.bulk_delete(paths[start : start + _MOST_IN_ONE_REMOVAL])
+            for start in range(0, len(paths), _MAX_REMOVED):
+                system.bulk_delete(paths[start : start + _MAX_REMOVED])
             return
         for path in paths:
             system.rm_file(path)
@@ -268,14 +248,14 @@ def _open(url: str) -> tuple[Any, str]:
     """The file system of a URL and the path in it."""
     protocol = urls.split(url)[0]
     kind = _kind(protocol)
-    full = urls.opened_as(url)
+    full = urls.restore_secrets(url)
     is_s3 = protocol in ("s3", "s3a")
     if is_s3 and "?versionId=" in url:
         # s3fs would cut the name there, and read or replace another object.
         raise ValueError("a name with ?versionId= in it cannot be distinguished from a version")
     options = {} if is_s3 else dict(kind._get_kwargs_from_urls(full))
     path: str = kind._strip_protocol(full)
-    if full != url and protocol in _OBJECT_STORES and not protocol.startswith("http"):
+    if full != url and _OBJECT_STORES.fullmatch(protocol) and not protocol.startswith("http"):
         raise UsageError(
             f"{url!r}: {protocol} URLs take no password",
             hint="give credentials by the environment or the store's own configuration",
@@ -324,14 +304,6 @@ def _kind(protocol: str) -> Any:
             f"the protocol of {protocol}:// is not known",
             hint="URLs are those of fsspec, such as s3://bucket/scans",
         ) from None
-
-
-def _in_one_request(system: Any) -> dict[str, int]:
-    # Parts that are fetched at the same time may be of two versions of the object.
-    asynchronous = getattr(system, "_cat_file", None)
-    if asynchronous is None or "max_concurrency" not in inspect.signature(asynchronous).parameters:
-        return {}
-    return {"max_concurrency": 1}
 
 
 def _mark(system: Any, path: str) -> Mark | None:
@@ -392,9 +364,9 @@ def _explain(failure: BaseException) -> tuple[str, str]:
     """The reason of a failure in words, and a hint, for any file system."""
     kinds = {
         kind.__name__
-        for one in (failure, failure.__cause__)
-        if one is not None
-        for kind in type(one).__mro__
+        for error in (failure, failure.__cause__)
+        if error is not None
+        for kind in type(error).__mro__
     }
     said = urls.redact(_one_line(failure))
     if "FileNotFoundError" in kinds:

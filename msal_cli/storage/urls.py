@@ -51,15 +51,15 @@ def normalize_url(text: str) -> str:
     name, colon, password = user.partition(":")
     if at and colon:
         place = f"{name}@{host}"
-        _keep(f"{protocol}://{place}", password)
+        _store_secret(f"{protocol}://{place}", password)
     if protocol in WEB and "?" in path:
         path, _, query = path.partition("?")
-        _keep(f"{protocol}://{place}/{path}", query)
+        _store_secret(f"{protocol}://{place}/{path}", query)
     return f"{protocol}://{place}{slash}{path}"
 
 
-def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
-    """``options`` with every path or URL under these names, alone or in a tuple, ``settled``."""
+def normalize_options(options: dict[str, Any], *names: str) -> dict[str, Any]:
+    """``options`` with every path or URL under these names, alone or in a tuple, normalized."""
 
     def of(value: Any) -> Any:
         if isinstance(value, tuple):
@@ -72,15 +72,15 @@ def settled_in(options: dict[str, Any], *names: str) -> dict[str, Any]:
 def redact(text: str) -> str:
     """``text``, such as a word of a command line or a message, without what is secret in it."""
     text = _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
-    for secret in _kept().values():
+    for secret in _load_secrets().values():
         if len(secret) > 3:
             text = text.replace(secret, "***")
     return text
 
 
-def opened_as(url: str) -> str:
+def restore_secrets(url: str) -> str:
     """The URL with its secrets back in it."""
-    secrets = _kept()
+    secrets = _load_secrets()
     if not secrets:
         return url
     query = secrets.get(url)
@@ -102,7 +102,7 @@ def check_secrets() -> None:
         kept = json.loads(text)
     except (ValueError, RecursionError):
         kept = None
-    is_map = isinstance(kept, dict) and all(isinstance(one, str) for one in kept.values())
+    is_map = isinstance(kept, dict) and all(isinstance(secret, str) for secret in kept.values())
     if not is_map:
         # This part is secret, so it is not quoted.
         raise UsageError(
@@ -111,14 +111,14 @@ def check_secrets() -> None:
         )
 
 
-def _kept() -> dict[str, str]:
+def _load_secrets() -> dict[str, str]:
     text = os.environ.get(SECRETS)
     kept: dict[str, str] = json.loads(text) if text else {}
     return kept
 
 
-def _keep(url: str, secret: str) -> None:
-    secrets = _kept()
+def _store_secret(url: str, secret: str) -> None:
+    secrets = _load_secrets()
     if secrets.setdefault(url, secret) != secret:
         raise UsageError(
             f"{url!r} is given twice, with different secrets", hint="give it once, or in two runs"
@@ -156,7 +156,7 @@ def identity(url: str) -> str:
     return f"{_ALIASES.get(protocol, protocol)}://{path.lstrip('/')}"
 
 
-def harmless(relative: str, *, is_local: bool) -> str:
+def escape_name(relative: str, *, is_local: bool) -> str:
     """An object's name below its folder as a name below another folder, never out of it.
 
     An object may be called ``../x`` or ``a//b``, which a file system, and many a server, takes for
@@ -165,12 +165,11 @@ def harmless(relative: str, *, is_local: bool) -> str:
     """
     parts = [_ODD.get(part, part) for part in relative.split("/")]
     if is_local:
-        parts = [_harmless_name(part) for part in parts]
+        parts = [_escape_part(part) for part in parts]
     return "/".join(parts)
 
 
-def _harmless_name(part: str) -> str:
-    """A part of a path without what no file name of this system may hold."""
+def _escape_part(part: str) -> str:
     if os.name != "nt":
         return part.replace("\0", "%00")
     if _DEVICES.match(part):
@@ -178,7 +177,7 @@ def _harmless_name(part: str) -> str:
     # Windows drops dots and spaces at the end, so that two names would be one.
     if part[-1:] in (".", " "):
         part = part[:-1] + _escape(part[-1])
-    return "".join(_escape(one) if one in '\0\\:*?"<>|' or one < " " else one for one in part)
+    return "".join(_escape(c) if c in '\0\\:*?"<>|' or c < " " else c for c in part)
 
 
 def _escape(character: str) -> str:

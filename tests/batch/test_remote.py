@@ -199,7 +199,7 @@ def test_one_object_into_one_object(scans):
 
 def test_an_object_that_vanished_is_a_row(scans):
     plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-    remote.remove_object(["memory://scans/2.obj"])
+    remote.remove_objects(["memory://scans/2.obj"])
     records = run(plan, settings())
     assert sorted(record.status for record in records) == ["failed", "written", "written"]
     (failed,) = [record for record in records if record.error is not None]
@@ -244,7 +244,7 @@ def test_what_changed_is_done_again_and_nothing_else(scans):
     assert states(denoised()) == current | {"2.obj": "written"}
     write_whole("memory://out/a/0.obj", b"x" * len(read_whole("memory://out/a/0.obj")))
     assert states(denoised()) == current | {"a/0.obj": "written"}
-    remote.remove_object(["memory://out/a/b/1.obj"])
+    remote.remove_objects(["memory://out/a/b/1.obj"])
     assert states(denoised()) == current | {"a/b/1.obj": "written"}
     assert states(denoised()) == current
     assert states(denoised(given={"iterations": 2})) == dict.fromkeys(NAMES, "written")
@@ -366,7 +366,7 @@ def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
     def kill(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(remote, "write_whole" if killed == "before" else "remove_object", kill)
+    monkeypatch.setattr(remote, "write_whole" if killed == "before" else "remove_objects", kill)
     with pytest.raises(KeyboardInterrupt):
         ObjectManifest("memory://out").open()
     monkeypatch.undo()

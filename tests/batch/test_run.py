@@ -410,7 +410,7 @@ class TestCancellation:
 
     def test_it_asks_nobody_once_the_run_is_over(self):
         cancellation, asked = Cancellation(), []
-        with cancellation.noticed(lambda: asked.append(1)):
+        with cancellation.notify(lambda: asked.append(1)):
             cancellation.check()
         cancellation.request()
         assert asked == []
@@ -486,8 +486,8 @@ class TestInterrupts:
 
     def test_a_second_signal_does_not_wait(self):
         code = (
-            "import os, signal, time; from msal_cli.batch.interrupts import noticed\n"
-            "with noticed(lambda number: print(number, flush=True)):\n"
+            "import os, signal, time; from msal_cli.batch.interrupts import catch_signals\n"
+            "with catch_signals(lambda number: print(number, flush=True)):\n"
             "    os.kill(os.getpid(), signal.SIGINT)\n"
             "    try: os.kill(os.getpid(), signal.SIGTERM)\n"
             "    finally: print('cleaned up', flush=True)"
@@ -504,7 +504,8 @@ class TestInterrupts:
         code = (
             "import hashlib, os, pathlib, signal, sys, time\n"
             "from msal_cli.batch import interrupts as signals\n"
-            "with signals.noticed(print), signals.ended_late(pathlib.Path(sys.argv[1]).touch):\n"
+            "clean = pathlib.Path(sys.argv[1]).touch\n"
+            "with signals.catch_signals(print), signals.end_if_late(clean):\n"
             "    os.kill(os.getpid(), signal.SIGTERM)\n"
             f"    {hold}\n"
         )
@@ -521,9 +522,9 @@ class TestInterrupts:
 
         seen, cleaned = [], []
         n_threads = threading.active_count()
-        with signals.noticed(seen.append), signals.ended_late(lambda: cleaned.append(1)):
+        with signals.catch_signals(seen.append), signals.end_if_late(lambda: cleaned.append(1)):
             os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1.2 * signals.AT_LATEST_S)
+        time.sleep(1.2 * signals.MAX_DELAY_S)
         assert (seen, cleaned) == ([signal.SIGTERM], [])
         assert threading.active_count() == n_threads
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from msal_cli.batch.inputs import DiscoveredInput
 from msal_cli.batch.plan import build_plan, select_shard
-from msal_cli.batch.shard import MOST, Shard, parse_shard, stable_hash
+from msal_cli.batch.shard import MAX_SHARDS, Shard, parse_shard, stable_hash
 from msal_cli.errors import UsageError
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"])) | st.binary().map(os.fsdecode)
@@ -55,7 +55,7 @@ def test_a_part_of_a_plan_keeps_the_order_and_knows_the_whole():
     assert empty.folders() == ["out"]
 
 
-@pytest.mark.parametrize("text", ["1/1", "2/4", "4/4", f"{MOST}/{MOST}"])
+@pytest.mark.parametrize("text", ["1/1", "2/4", "4/4", f"{MAX_SHARDS}/{MAX_SHARDS}"])
 def test_a_shard_is_what_it_says(text):
     assert str(parse_shard(text, {})) == text
 

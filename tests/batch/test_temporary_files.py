@@ -48,7 +48,7 @@ def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
         (tmp_path / name).touch()
     os.utime(tmp_path / names[1], (0, 0))
     assert sweep([tmp_path]) == 1
-    assert sweep_after(dead, tmp_path) == 0
+    assert sweep_after(dead, [tmp_path]) == 0
     assert [path.name for path in tmp_path.iterdir()] == names[:1]
 
 
@@ -56,7 +56,7 @@ def test_after_a_worker_only_its_own_go(tmp_path, dead):
     names = [of(dead), of(dead + 1), temporary_name("mine")]
     for name in names:
         (tmp_path / name).touch()
-    assert sweep_after(dead, tmp_path) == 1
+    assert sweep_after(dead, [tmp_path]) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
 
 

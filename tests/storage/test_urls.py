@@ -6,7 +6,7 @@ import pytest
 
 from msal_cli.errors import UsageError
 from msal_cli.storage import urls
-from msal_cli.storage.urls import SECRETS, harmless, identity, join_url, normalize_url, redact
+from msal_cli.storage.urls import SECRETS, escape_name, identity, join_url, normalize_url, redact
 
 
 @pytest.fixture(autouse=True)
@@ -39,27 +39,27 @@ def test_names_are_joined_as_they_are():
 def test_odd_names_stay_below_their_folder_and_apart():
     names = ["../x", "..", "a/../../x", "a//b", "a/b", "/x", "./x", "a/%2F/b", "a\0b", "x"]
     for is_local in (True, False):
-        told = [harmless(name, is_local=is_local) for name in names]
+        told = [escape_name(name, is_local=is_local) for name in names]
         for one in told:
             assert not {"", ".", ".."} & set(one.split("/"))
         assert not is_local or all("\0" not in one for one in told)
-    assert harmless("../x", is_local=True) == "%2E%2E/x"
-    assert harmless("a b/ü%41#?.ply", is_local=False) == "a b/ü%41#?.ply"
+    assert escape_name("../x", is_local=True) == "%2E%2E/x"
+    assert escape_name("a b/ü%41#?.ply", is_local=False) == "a b/ü%41#?.ply"
 
 
 def test_a_password_is_put_away_and_comes_back_only_to_open():
     url = normalize_url("sftp://joe:pa:ss@host/a@b:c.ply")
     assert url == "sftp://joe@host/a@b:c.ply"
-    assert urls.opened_as(url) == "sftp://joe:pa:ss@host/a@b:c.ply"
-    assert urls.opened_as("sftp://joe@host/other") == "sftp://joe:pa:ss@host/other"
-    assert urls.opened_as("sftp://joe@elsewhere/x") == "sftp://joe@elsewhere/x"
+    assert urls.restore_secrets(url) == "sftp://joe:pa:ss@host/a@b:c.ply"
+    assert urls.restore_secrets("sftp://joe@host/other") == "sftp://joe:pa:ss@host/other"
+    assert urls.restore_secrets("sftp://joe@elsewhere/x") == "sftp://joe@elsewhere/x"
     assert normalize_url(url) == url
 
 
 def test_a_signature_is_put_away_and_comes_back_only_to_open():
     url = normalize_url("https://host/a.ply?X-Amz-Signature=secret")
     assert url == "https://host/a.ply"
-    assert urls.opened_as(url) == "https://host/a.ply?X-Amz-Signature=secret"
+    assert urls.restore_secrets(url) == "https://host/a.ply?X-Amz-Signature=secret"
     with pytest.raises(UsageError):
         normalize_url("https://host/a.ply?X-Amz-Signature=other")
     # In a store a question mark is part of the name.
