@@ -17,8 +17,8 @@ from typing import Any
 from benchmarks.accuracy_grid import Setting
 from benchmarks.ground_truth import Case
 from msal_cli import methods
-from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
 from msal_cli.analysis.measures import area_and_volume, normal_statistics
+from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
 from msal_cli.auto import NONE, Wishes, choose_method
 from msal_cli.mesh import Mesh
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli import methods
-from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
 from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
 from msal_cli.mesh import Mesh
 
 CLASSES = ("texture 0.1", "texture 0.2", "organic")

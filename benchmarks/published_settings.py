@@ -14,8 +14,8 @@ from typing import Any
 
 from benchmarks import ground_truth
 from msal_cli import methods
-from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
 from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
 from msal_cli.mesh import Mesh
 
 PUBLISHED = (

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
 from msal_cli import codecs, methods
-from msal_cli.analysis.correspondence import (
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.surface_distance import (
     displacement_of_moved,
+    distances_to_surface,
     used_vertices,
     vertex_error_percent,
 )
-from msal_cli.analysis.measures import normal_statistics
-from msal_cli.analysis.surface_distance import distances_to_surface
 from msal_cli.auto import Wishes
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import ADAPTIVE, AUTO, Settings

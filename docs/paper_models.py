@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.correspondence import displacement_of_moved, vertex_error_percent
 from msal_cli.analysis.measures import measure_surface_change, normal_statistics
+from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
 from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh

@@ -1,7 +1,7 @@
 """Measures of a mesh, and of how far and how its surface changed.
 
-Displacements, distances, mean curvature, the local scale of the paper, area, volume, and the angles
-between face normals.
+Displacements, distances, mean curvature, the local scale of the paper, area, volume, the angles
+between face normals, and faces that intersect each other.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from msal_cli.arrays import Flags, Floats
+from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.mesh import Mesh
 
 FLAT = 1e-9
@@ -191,3 +191,52 @@ def relative_volume_change(before: float, after: float, area: float) -> float | 
 
 def _flat_volume(area: float) -> float:
     return FLAT * area * math.sqrt(area)
+
+
+def apply_umbrella(mesh: Mesh, values: Floats) -> Floats:
+    """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value."""
+    from msal_cli.kernels.geometry import ring_means
+
+    moves = np.empty_like(values)
+    for axis in range(3):
+        column = np.ascontiguousarray(values[:, axis])
+        moves[:, axis] = ring_means(column, *mesh.topology.one_ring) - column
+    return moves
+
+
+@dataclass(frozen=True)
+class IntersectionChange:
+    """Pairs of faces that intersect before and after, and those after that did not before."""
+
+    before: int
+    after: int
+    created: int
+
+
+def count_self_intersections(mesh: Mesh) -> int:
+    """How many pairs of faces intersect; see ``kernels.intersections``.
+
+    Faces without area are left out: they touch their neighbours all along an edge.
+    """
+    return len(_pairs(mesh))
+
+
+def self_intersection_change(before: Mesh, after: Mesh) -> IntersectionChange:
+    """The counts for a mesh and the same faces at other positions."""
+    pairs = _pairs(before)
+    if np.array_equal(before.vertices, after.vertices):
+        return IntersectionChange(len(pairs), len(pairs), 0)
+    later = _pairs(after)
+    created = np.setdiff1d(later, pairs, assume_unique=True)
+    return IntersectionChange(len(pairs), len(later), len(created))
+
+
+def _pairs(mesh: Mesh) -> Longs:
+    """A number for each pair of faces that intersect, the same for the same faces."""
+    from msal_cli.kernels.geometry import face_normals
+    from msal_cli.kernels.intersections import intersecting_pairs
+
+    has_area = np.flatnonzero(face_normals(mesh.vertices, mesh.faces).any(axis=1))
+    pairs = has_area[intersecting_pairs(mesh.vertices, mesh.faces[has_area])]
+    numbers: Longs = pairs[:, 0] * len(mesh.faces) + pairs[:, 1]
+    return numbers

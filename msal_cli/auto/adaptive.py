@@ -24,19 +24,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
-from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
 from msal_cli.arrays import Floats
-from msal_cli.auto.blend_weights import FLOOR, hedge
+from msal_cli.auto.blend_weights import (
+    FEWEST_JUDGED,
+    FLOOR,
+    hedge,
+    level_masks,
+    may_follow,
+    spread_levels,
+)
 from msal_cli.auto.candidates import FLATTENER, LEARNED, LINEAR, Candidate, wiener_al
 from msal_cli.auto.choices import build_recipe, describe_noise, describe_rest
-from msal_cli.auto.levels import FEWEST_JUDGED, level_masks, may_follow, spread_levels
 from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
-from msal_cli.auto.risk import SteinRisk
-from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
+from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
 from msal_cli.auto.search import forecast_seconds
-from msal_cli.auto.surface_kind import MACHINED, TEXTURED, surface_kind
-from msal_cli.auto.trials import CandidateRuns, count_relaxing
 from msal_cli.auto.wishes import FAMILY, NONE, Choice, allow_all
 from msal_cli.methods._triangles import even_out
 

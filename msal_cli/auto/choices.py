@@ -1,4 +1,4 @@
-"""Choices in the making: blends as methods with parameters, sentences, and the mildest choice.
+"""Choices in the making: blends as methods with parameters, sentences, milder and stronger choices.
 
 A mesh with hardly any noise is left as it is.  An explicit wish counts all the same: more smoothing
 than the automatic choice means some smoothing, by the mildest setting for the upper end of the
@@ -6,10 +6,12 @@ noise's interval.  A wish that does not mean smoothing gets a reason, and the op
 in spite of it.
 
 Less than a choice is a share of what it moves, which moves less and keeps more by construction.
+More is a stronger filter, mixed in until vertices move farther.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +21,7 @@ import numpy as np
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NoiseLevel
 from msal_cli.arrays import Floats
-from msal_cli.auto.candidates import Candidate, wiener_al
+from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
 from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.methods.blend import format_levels, format_members
 
@@ -155,4 +157,52 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, why: str, surface: str) -> C
         f"{what}; smoothed for noise of {level:.2g} e, as requested; {candidate.label}",
         surface,
         noise,
+    )
+
+
+# More than the choice.  The choice is made once, without the wish.  What is mixed in is weighed by
+# what the mixture moves, so that more strength moves vertices farther, whatever the filters do.
+
+MORE = 0.03
+"""By how much farther each step of ``Wishes.strength`` above 0 moves vertices, in parts of the
+choice.  The noise is nearly gone by then, so it is shape and texture that move: three hundredths
+more is what removing a quarter as much again adds."""
+
+STRONGER_TIMES = (1.5, 2.0, 3.0, 5.0, 8.0)
+"""Levels of the noise that AL with the Wiener schedule is given, in parts of the estimate."""
+
+
+def stronger_candidates(level: float) -> list[Candidate]:
+    """Filters that move vertices farther than any for noise of ``level`` mean edge lengths."""
+    plain = [dataclasses.replace(wiener_al(times * level), times=times) for times in STRONGER_TIMES]
+    return [FARTHER, *plain]
+
+
+def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[int, float]:
+    """Which of ``moves``, (m, 3) each, to mix into ``base`` (m, 3), and by which weight, so that
+    vertices move farther by ``MORE`` of ``base`` for each step of ``strength``.
+
+    Both the mean and the root mean square count.  Of those that reach it, the one that departs
+    least from ``base``; if none does, the one that moves them farthest, by a weight in proportion.
+    """
+    target = (1.0 + MORE * strength) * _mean_and_rms(base)
+    found = []
+    for k, move in enumerate(moves):
+        for percent in range(1, 101):
+            change = 0.01 * percent * (move - base)
+            if (_mean_and_rms(base + change) >= target).all():
+                found.append((float(_mean_and_rms(change)[1]), k, 0.01 * percent))
+                break
+    if found:
+        _, k, weight = min(found)
+        return k, weight
+    k = int(np.argmax([_mean_and_rms(move)[0] for move in moves]))
+    return k, 0.5 * strength
+
+
+def _mean_and_rms(moves: Floats) -> Floats:
+    """Mean and root mean square (2,) of the lengths of ``moves`` (m, 3)."""
+    squares = (moves * moves).sum(axis=1)
+    return (
+        np.array([np.sqrt(squares).mean(), np.sqrt(squares.mean())]) if len(moves) else np.zeros(2)
     )

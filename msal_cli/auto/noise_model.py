@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis.added_noise import share_over_rings
-from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.analysis.noise_estimate import local_levels
 from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:

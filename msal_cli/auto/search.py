@@ -25,10 +25,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
-from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.blend_weights import FLOOR, best_weights, hedge, round_weights
+from msal_cli.auto.blend_weights import (
+    FEWEST_JUDGED,
+    FLOOR,
+    best_weights,
+    hedge,
+    level_masks,
+    may_follow,
+    round_weights,
+    spread_levels,
+)
 from msal_cli.auto.candidates import (
     CANDIDATES,
     FARTHER,
@@ -44,22 +52,30 @@ from msal_cli.auto.choices import (
     choose_least,
     describe_noise,
     describe_rest,
+    strengthen,
+    stronger_candidates,
     wished_share,
 )
-from msal_cli.auto.levels import FEWEST_JUDGED, level_masks, may_follow, spread_levels
 from msal_cli.auto.noise_model import build_model, is_like_draws
-from msal_cli.auto.risk import MIRRORED, PROBES, Risk, SimulatedRisk, SteinRisk
-from msal_cli.auto.sample_patch import Part, select_patch
-from msal_cli.auto.stronger import strengthen, stronger_candidates
-from msal_cli.auto.surface_kind import (
+from msal_cli.auto.risk import (
+    MIRRORED,
+    PROBES,
+    CandidateRuns,
+    Risk,
+    SimulatedRisk,
+    SteinRisk,
+    count_relaxing,
+)
+from msal_cli.auto.sample_patch import (
     CLEAN,
     MACHINED,
     ORGANIC,
     TEXTURED,
+    Part,
     is_seen_from_one_side,
+    select_patch,
     surface_kind,
 )
-from msal_cli.auto.trials import CandidateRuns, count_relaxing
 from msal_cli.auto.wishes import NONE, Choice, Wishes, allow_all
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out

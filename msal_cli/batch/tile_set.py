@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msal_cli.analysis.correspondence import at_other_positions
 from msal_cli.analysis.shared_borders import (
     Border,
     SharedBorders,
@@ -23,6 +22,7 @@ from msal_cli.analysis.shared_borders import (
     find_border,
     share_borders,
 )
+from msal_cli.analysis.surface_distance import at_other_positions
 from msal_cli.batch import interrupts, temporary_files
 from msal_cli.batch.schedule import Progress
 from msal_cli.batch.temporary_files import output_folders

@@ -19,7 +19,7 @@ from msal_cli.cli.view import view_options
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.auto.estimated_errors import Filter
+    from msal_cli.auto.risk import Filter
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Mesh
     from msal_cli.view.pictures import View
@@ -120,7 +120,7 @@ def command(
     written.
     """
     from msal_cli import methods
-    from msal_cli.auto.estimated_errors import estimate_errors
+    from msal_cli.auto.risk import estimate_errors
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import open_surface, opened, surface_of
     from msal_cli.storage import atomic

@@ -216,7 +216,7 @@ def damage_words(harm: Harm) -> str:
 def count_self_intersections(before: Mesh, after: Mesh) -> SelfIntersections:
     """How many pairs of faces intersect before and after, and how many of these are new; the
     meshes have the same faces."""
-    from msal_cli.analysis.self_intersections import self_intersection_change
+    from msal_cli.analysis.measures import self_intersection_change
 
     change = self_intersection_change(before, after)
     return SelfIntersections(change.before, change.after, change.created)

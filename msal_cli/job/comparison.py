@@ -55,7 +55,7 @@ class Surface:
 
     def has_same_faces(self, other: Surface) -> bool:
         """Whether the vertices of both correspond one by one."""
-        from msal_cli.analysis.correspondence import have_same_faces
+        from msal_cli.analysis.surface_distance import have_same_faces
         from msal_cli.codecs.mesh_file import has_same_grid
 
         return has_same_grid(self, other) or have_same_faces(
@@ -169,7 +169,7 @@ def compare_meshes(
     ContentError
         if one of them is no mesh to compute with.
     """
-    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis import surface_distance
 
     first = prepare_surface(before, before_name)
     second = prepare_surface(after, after_name)
@@ -189,7 +189,7 @@ def compare_meshes(
     )
     reference = first.mesh
     if is_same:
-        moved = metrics.at_other_positions(first, after.vertices)
+        moved = surface_distance.at_other_positions(first, after.vertices)
         record = _by_vertex(record, first, moved)
         gap = first.seam_gap(after.vertices)
         record = replace(record, seam_gap=gap)
@@ -213,11 +213,11 @@ def deviations(before: Surface, after: Surface) -> Floats:
 
     A vertex that no face uses counts like any other.
     """
-    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis import surface_distance
     from msal_cli.analysis.surface_distance import distances_to_surface
 
     if before.has_same_faces(after):
-        return metrics.vertex_distances(before.vertices, after.vertices)
+        return surface_distance.vertex_distances(before.vertices, after.vertices)
     reference = prepare_surface(before, "")
     return distances_to_surface(after.vertices - reference.origin, reference.mesh)
 
@@ -274,7 +274,7 @@ def prepare_surface(surface: Surface, name: str) -> PreparedMesh:
 
 
 def _by_vertex(record: ComparisonRecord, first: PreparedMesh, moved: Mesh) -> ComparisonRecord:
-    from msal_cli.analysis import correspondence as metrics
+    from msal_cli.analysis import surface_distance
     from msal_cli.analysis.enclosure import enclosure_of
     from msal_cli.analysis.measures import measure_surface_change
 
@@ -284,7 +284,7 @@ def _by_vertex(record: ComparisonRecord, first: PreparedMesh, moved: Mesh) -> Co
     other = enclosure_of(moved, first.defects, change.area_after, change.volume_after)
     record = _with_orientation(record, own, other)
     change = own.change(reference, moved, change)
-    distances = metrics.displacement_of_moved(reference, moved)
+    distances = surface_distance.displacement_of_moved(reference, moved)
     volume = changes.volume_changed(
         change.volume_before,
         change.volume_after,
@@ -297,7 +297,7 @@ def _by_vertex(record: ComparisonRecord, first: PreparedMesh, moved: Mesh) -> Co
         mean_angular_error_deg=change.normals.mean_angular_error_deg,
         max_angular_error_deg=change.normals.max_angular_error_deg,
         flipped_faces=change.normals.flipped_faces,
-        vertex_error_percent=metrics.vertex_error_percent(reference, distances),
+        vertex_error_percent=surface_distance.vertex_error_percent(reference, distances),
         displacement=changes.displacement_field(distances, reference.mean_edge_length),
         **_change_fields(volume, area),
     )
@@ -342,7 +342,7 @@ def _with_orientation(
 
 def _self_intersections(before: Mesh, after: Mesh, is_same: bool) -> SelfIntersections:
     """The counts of two meshes; which are new is known where their faces are the same."""
-    from msal_cli.analysis.self_intersections import count_self_intersections
+    from msal_cli.analysis.measures import count_self_intersections
 
     if is_same:
         return changes.count_self_intersections(before, after)
@@ -362,13 +362,12 @@ def _change_fields(volume: Volume, area: Area) -> dict[str, Any]:
 
 def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> ComparisonRecord:
     """The record with what is between the surfaces, or with a warning that says why not."""
-    from msal_cli.analysis import correspondence as metrics
     from msal_cli.analysis import surface_distance
 
     if obstacle := surface_distance.find_obstacle():
         words = "no Hausdorff distance and no distances to the surfaces"
         return _warned(record, f"{words}: {obstacle}")
-    to_before, to_after, hausdorff = metrics.surface_distances(reference, moved)
+    to_before, to_after, hausdorff = surface_distance.surface_distances(reference, moved)
     edge = reference.mean_edge_length
     record = replace(
         record,

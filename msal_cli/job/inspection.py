@@ -96,7 +96,7 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
     n_intersections = None
     if with_intersections:
-        from msal_cli.analysis.self_intersections import count_self_intersections
+        from msal_cli.analysis.measures import count_self_intersections
 
         n_intersections = count_self_intersections(ready.mesh)
     winding = "consistent"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.local import apply_umbrella
+from msal_cli.analysis.measures import apply_umbrella
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.local import apply_umbrella
+from msal_cli.analysis.measures import apply_umbrella
 from msal_cli.mesh import Mesh
 
 STEP = 0.5

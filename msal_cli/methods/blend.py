@@ -40,7 +40,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.analysis.noise_estimate import local_levels
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from msal_cli.analysis import correspondence as metrics
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.enclosure import measure_enclosure
 from msal_cli.arrays import Floats, Ints
@@ -107,7 +106,7 @@ def scene_of(
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
     if before.has_same_faces(after):
         record = comparison.compare_meshes(before, after, *names, to_surface=False)
-        moved = metrics.at_other_positions(first, after.vertices)
+        moved = surface_distance.at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
         along *= measure_enclosure(first).outward_signs(first.mesh)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.analysis import correspondence as metrics
+from msal_cli.analysis import surface_distance
 from msal_cli.analysis.enclosure import Enclosure, measure_enclosure
 from msal_cli.analysis.measures import measure_surface_change, normal_statistics
 from msal_cli.arrays import Floats
@@ -176,7 +176,7 @@ def subject(
                 hint="give the mesh from which the noisy one was made",
             )
         prepare_surface(reference, reference_name)
-        truth = metrics.at_other_positions(ready, reference.vertices)
+        truth = surface_distance.at_other_positions(ready, reference.vertices)
     camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
     return Subject(name, ready, truth, camera, measure_enclosure(ready))
 
@@ -193,7 +193,7 @@ def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
 def choice_cell(on: Subject, choice: str, vertices: Floats) -> tuple[Cell, Mesh]:
     """The numbers and the mesh of one of ``CHOICES``, which moved the vertices of the file to
     ``vertices`` (n, 3)."""
-    moved = metrics.at_other_positions(on.ready, vertices)
+    moved = surface_distance.at_other_positions(on.ready, vertices)
     cell = _measure(on, moved, {}, _command(on.name, *CHOICES[choice]))
     return replace(cell, choice=choice), moved
 
@@ -201,7 +201,7 @@ def choice_cell(on: Subject, choice: str, vertices: Floats) -> tuple[Cell, Mesh]
 def _measure(on: Subject, moved: Mesh, parameters: dict[str, Any], command: str) -> Cell:
     mesh = on.ready.mesh
     change = on.enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
-    mean = metrics.displacement_of_moved(mesh, moved).mean
+    mean = surface_distance.displacement_of_moved(mesh, moved).mean
     volume = volume_changed(
         change.volume_before,
         change.volume_after,

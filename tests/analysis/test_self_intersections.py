@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msal_cli.analysis.self_intersections import count_self_intersections, self_intersection_change
+from msal_cli.analysis.measures import count_self_intersections, self_intersection_change
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 

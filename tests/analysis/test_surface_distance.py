@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.correspondence import (
+from msal_cli.analysis.surface_distance import (
     at_other_positions,
+    distances_to_surface,
+    distances_to_triangles,
     surface_distances,
     used_vertices,
 )
-from msal_cli.analysis.surface_distance import distances_to_surface, distances_to_triangles
 from msal_cli.errors import UnsupportedError
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus

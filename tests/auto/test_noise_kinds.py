@@ -13,16 +13,15 @@ from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.measures import normal_statistics
-from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise
-from msal_cli.analysis.noise_estimate.local import local_levels
+from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
 from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
+from msal_cli.auto.blend_weights import level_masks, spread_levels
 from msal_cli.auto.candidates import wiener_al
 from msal_cli.auto.choices import describe_noise
-from msal_cli.auto.levels import level_masks, spread_levels
 from msal_cli.auto.noise_model import NoiseModel, build_model
+from msal_cli.auto.risk import count_relaxing
 from msal_cli.auto.sample_patch import select_patch
 from msal_cli.auto.search import _Search
-from msal_cli.auto.trials import count_relaxing
 from msal_cli.auto.wishes import allow_all
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods.blend import parse_levels

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.auto.stronger import MORE, strengthen
+from msal_cli.auto.choices import MORE, strengthen
 
 
 def mean_length(moves):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.auto.surface_kind import (
+from msal_cli.auto.sample_patch import (
     MACHINED,
     ORGANIC,
     TEXTURED,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from msal_cli.analysis.noise_estimate.colour import FREEDOMS, LEFT
-from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
+from msal_cli.analysis.noise_estimate.spread import FREEDOMS, LEFT
+from msal_cli.analysis.noise_estimate.survey import chi_square_quantile
 from msal_cli.kernels.patch_fits import (
     REACHES,
     TERMS,

@@ -25,8 +25,8 @@ from msal_cli.analysis.noise_estimate.level import (
     Reading,
     to_clean_edges,
 )
+from msal_cli.analysis.noise_estimate.spread import weigh_differences
 from msal_cli.analysis.noise_estimate.survey import SIX, TWO
-from msal_cli.analysis.noise_estimate.unevenness import weigh_differences
 from msal_cli.analysis.noise_estimate.white import NEGLIGIBLE, WhiteEstimate
 from msal_cli.arrays import Floats
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile, quantile
-from msal_cli.analysis.noise_estimate.survey import THREE, Survey
+from msal_cli.analysis.noise_estimate.survey import THREE, Survey, chi_square_quantile, quantile
 from msal_cli.arrays import Floats
 
 MOST_GROUPS = 24

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from msal_cli.analysis.noise_estimate.classifier import MISSING
-from msal_cli.analysis.noise_estimate.colour import Colour, find_colour
 from msal_cli.analysis.noise_estimate.direction import (
     AxisEvidence,
     Groups,
@@ -25,8 +24,14 @@ from msal_cli.analysis.noise_estimate.direction import (
     group_places,
     weigh_axis,
 )
-from msal_cli.analysis.noise_estimate.quantiles import quantiles
-from msal_cli.analysis.noise_estimate.spikes import outlying_share
+from msal_cli.analysis.noise_estimate.spread import (
+    Colour,
+    Differences,
+    find_colour,
+    find_differences,
+    outlying_share,
+    weigh_differences,
+)
 from msal_cli.analysis.noise_estimate.steps import StepEvidence, measure_steps
 from msal_cli.analysis.noise_estimate.survey import (
     FOUR,
@@ -35,12 +40,8 @@ from msal_cli.analysis.noise_estimate.survey import (
     THREE,
     TWO,
     Survey,
+    quantiles,
     take_survey,
-)
-from msal_cli.analysis.noise_estimate.unevenness import (
-    Differences,
-    find_differences,
-    weigh_differences,
 )
 from msal_cli.analysis.noise_estimate.white import FAR, WhiteEstimate
 from msal_cli.arrays import Floats, Longs

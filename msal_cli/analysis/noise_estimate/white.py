@@ -22,7 +22,7 @@ from msal_cli.analysis.noise_estimate.level import (
     are_uneven,
     to_clean_edges,
 )
-from msal_cli.analysis.noise_estimate.regions import count_regions, split_regions
+from msal_cli.analysis.noise_estimate.survey import count_regions, split_regions
 from msal_cli.arrays import Floats, Longs
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Over how many rings neighbours share their noise: its level by scale.
+"""How noise is spread: over the rings of a vertex, over regions, and in single spikes.
 
 White noise leaves the same variance to fits over any number of rings.  Noise that was averaged
 over closed one-rings leaves little to fits over few of them, and more to wider ones; ``LEFT`` says
@@ -10,12 +10,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.quantiles import chi_square_quantile
-from msal_cli.analysis.noise_estimate.survey import FOUR, SIX, THREE, TWO, Survey
-from msal_cli.arrays import Floats
+from msal_cli.analysis.noise_estimate.survey import (
+    FOUR,
+    ONE,
+    SIX,
+    THREE,
+    TWO,
+    Survey,
+    chi_square_quantile,
+    quantile,
+    split_regions,
+)
+from msal_cli.analysis.noise_estimate.white import WhiteEstimate
+from msal_cli.arrays import Floats, Longs
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
 
 LEFT = np.array(
     [
@@ -80,7 +95,7 @@ SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
 texture and shape show less in one of them."""
 
 
-LOUD = 0.12
+LOUD_LEVEL = 0.12
 SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
 """The same for levels from so many mean edges on, which fine texture seldom has."""
 
@@ -190,4 +205,130 @@ def _is_relief(by_scale: Floats, sharpness: Floats, rings: int) -> bool:
 def _is_floor(sharpness: Floats, rings: int, level: float) -> bool:
     """Whether what wide fits leave over is as even as noise, and not as a pattern."""
     is_pattern = rings > 0 and bool((sharpness > PATTERN).any())
-    return bool((sharpness >= (SHARP_LOUD if level > LOUD else SHARP)).all()) and not is_pattern
+    return (
+        bool((sharpness >= (SHARP_LOUD if level > LOUD_LEVEL else SHARP)).all()) and not is_pattern
+    )
+
+
+# Levels by region, where the noise is not the same everywhere
+
+MOST_REGIONS, FEWEST_PLACES = 16, 20
+"""Regions of the survey, and the places that each has on average."""
+
+SHARES = (0.1, 0.3, 0.4, 0.5)
+"""Shares of the places of a region: for the least and the middle for ``PURE``, and between them
+for its level and for its share in the level of all."""
+
+PURE = 0.3
+"""Least ratio of the variances of a tenth and of half of the places in a region that is in one part
+of the mesh only."""
+
+LOUD_SHARE = 0.16
+"""Variance, over the most of all regions, of those whose noise is looked at."""
+
+UNEVEN, LEAST_LOUD = 2.5, 0.05
+"""Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """Variances by region that differ, squared mean edge lengths.
+
+    Attributes
+    ----------
+    middles, labels : places (r,) that are middles, and the region of each place (c,).
+    lows, means : (r,) for the level and for its share in the level of all.
+    is_pure : (r,) whether a region is in one part of the mesh only.
+    scale : (c,) variance of the region of each place; 0 where it is quiet, or between two parts.
+    """
+
+    middles: Longs
+    labels: Longs
+    lows: Floats
+    means: Floats
+    is_pure: NDArray[np.bool_]
+    scale: Floats
+
+
+def find_differences(survey: Survey) -> Differences | None:
+    """Variances by region, if they differ by more than chance makes them."""
+    has = np.isfinite(survey.variances[:, : TWO + 1]).all(axis=1)
+    count = min(MOST_REGIONS, int(has.sum()) // FEWEST_PLACES)
+    if count < 2:
+        return None
+    middles, labels = split_regions(survey.positions, count)
+    # Nearly all places have as many degrees of freedom.
+    freedoms = np.median(survey.freedoms[has, : TWO + 1], axis=0)
+    factors = np.array([chi_square_quantile(freedoms, share) for share in SHARES[1:3]])
+    lows, means = np.zeros(len(middles)), np.zeros(len(middles))
+    is_pure, known = np.zeros(len(middles), dtype=bool), np.zeros(len(middles), dtype=bool)
+    for region in range(len(middles)):
+        among = has & (labels == region)
+        count = int(among.sum())
+        if count < FEWEST_PLACES // 2:
+            continue
+        ranks = (np.array(SHARES) * (count - 1)).astype(int)
+        few, low, some, half = np.sort(survey.variances[among, TWO])[ranks]
+        known[region], is_pure[region] = True, few > PURE * half
+        _, plane_low, plane_some, _ = np.sort(survey.variances[among, ONE])[ranks]
+        # Shape adds more to the wider fit, and the least of both would be too little on average.
+        lows[region] = min(low / factors[0, 1], plane_low / factors[0, 0])
+        means[region] = math.sqrt(some / factors[1, 1] * plane_some / factors[1, 0])
+    if known.sum() < 2:
+        return None
+    lowest, highest = math.sqrt(lows[known].min()), math.sqrt(lows[known].max())
+    if highest < LEAST_LOUD or highest < UNEVEN * lowest:
+        return None
+    middle = float(np.median(lows[known]))
+    lows, means = np.where(known, lows, middle), np.where(known, means, middle)
+    scale = np.where(is_pure & (lows > LOUD_SHARE * highest**2), lows, 0.0)[labels]
+    return Differences(middles, labels, lows, means, is_pure, scale)
+
+
+def weigh_differences(differences: Differences) -> float:
+    """Mean variance over the mesh, squared mean edge lengths."""
+    counts = np.bincount(differences.labels, minlength=len(differences.middles))
+    return float(counts @ differences.means / counts.sum())
+
+
+# Spikes: impulses along the normals, and outliers in any direction
+
+
+FEWEST_OUTLIERS = 0.004
+"""Share of the vertices from which they are outliers."""
+
+OUTLYING, TIMES_MOST, MOST = 0.9, 3.5, 0.7
+"""How far an outlier is off the middle of its ring at least: in mean edge lengths, and compared
+with what this share of the vertices does not exceed."""
+
+
+def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[float, float]:
+    """Share of the vertices that lie far off their neighbours, and the median of their ways within
+    the surface, mean edges; 0 and 0 for too few."""
+    fewest = FEWEST_OUTLIERS * len(white.places)
+    far = white.places[white.far]
+    if len(far) <= fewest:
+        return 0.0, 0.0
+    lengths = np.sqrt((survey.offsets * survey.offsets).sum(axis=1))
+    least = max(OUTLYING, TIMES_MOST * quantile(lengths, MOST))
+    offsets = _ring_offsets(mesh, far) / white.edge
+    squares = (offsets * offsets).sum(axis=1)
+    is_out = squares > least * least
+    if is_out.sum() <= fewest:
+        return 0.0, 0.0
+    along = (offsets * mesh.vertex_normals("uniform", 1)[far]).sum(axis=1)
+    within = np.sqrt(np.maximum(squares - along * along, 0.0))
+    # Among many outliers some are not detected, but they are as far off.
+    share = max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
+    return share, float(np.median(within[is_out]))
+
+
+def _ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
+    """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
+    starts, ring = mesh.topology.ring_start, mesh.topology.ring
+    return np.array(
+        [
+            mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)
+            for vertex in vertices
+        ]
+    ).reshape(-1, 3)
