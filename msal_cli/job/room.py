@@ -271,7 +271,7 @@ _AUTO_S, _AUTO_S_PER_MILLION = 2.2, 28.0
 _FILTER_S_PER_MILLION = 0.13
 _USUAL_COST = 20.0
 
-_IN_FILES_S_PER_MILLION = 2.0
+_IN_FILES_S_PER_MILLION = 1.0
 """What the disk adds where arrays are in files: about 2 kB are read for each vertex."""
 
 _BYTES_PER_VERTEX = 75
