@@ -19,7 +19,7 @@ import numpy as np
 from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
 from msal_cli.kernels.faces import face_centroids, face_rings
-from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.kernels.normal_descriptors import NUMBERS, VECTORS
 from msal_cli.kernels.normal_regression import (
     EARLIER,
@@ -29,6 +29,7 @@ from msal_cli.kernels.normal_regression import (
     NormalDescriber,
     measure_ripples,
 )
+from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.vertex_update import untangle, update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sweeps import free_vertices
@@ -37,6 +38,22 @@ WEIGHTS = Path(__file__).parent / "weights"
 """The folder of the trained weights."""
 
 FORMAT = 1
+
+AROUND = 6
+"""Passes by which powers are averaged around a vertex."""
+
+LEAST_WHITE, MOST_WHITE = 0.5, 2.0
+"""Powers of the finest ripples, over that of white noise: with less, neighbours share the noise,
+with more it is stronger than it is said to be, and nothing tells it from shape."""
+
+UNEVEN = 0.8
+"""Part of the power of the finest ripples around a vertex that is taken for that of the noise."""
+
+CAUTION = 1.0
+"""See ``restoration``."""
+
+DOUBT = 0.01
+"""Power, over the noise's, of which a half is given back; noise alone gives hardly any."""
 
 
 class Cascade:
@@ -83,6 +100,36 @@ class Cascade:
     def untangle(self, positions: Floats, normals: Floats) -> Floats:
         """Positions (n, 3) without the thin and folded faces that cannot take their normals."""
         return untangle(positions, normals, self.mesh.faces, self.mesh.topology, self.free)
+
+
+def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
+    """Positions (n, 3) with what a filter took from ``mesh`` beyond white noise given back.
+
+    What it took along its outcome's normals is ``restoration``'s residual.  ``noise``, in mean edge
+    lengths, counts as greater where the finest ripples of the residual are, compared with those of
+    the whole mesh: there the noise is uneven.  Fine texture everywhere is not.
+    """
+    links = mesh.topology
+    count = np.diff(links.ring_start)
+    normals = mesh.with_vertices(positions).vertex_normals()
+    taken = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
+    taken /= noise * mesh.mean_edge_length
+
+    def average(values: Floats) -> Floats:
+        for _ in range(AROUND):
+            values = (ring_means(values, *links.one_ring) * count + values) / (count + 1.0)
+        return values
+
+    ripples = np.where(count > 0, ring_means(taken, *links.one_ring) - taken, 0.0)
+    power = average(ripples * ripples * (count / (count + 1.0)))
+    mean = float(power.mean())
+    if not LEAST_WHITE < mean < MOST_WHITE:
+        return positions
+    level = np.sqrt(np.maximum(UNEVEN * power / max(mean, 1.0) ** 2, 1.0))
+    back = restoration(taken / level, links.ring_start, links.ring, 1.0, CAUTION).returned
+    shape = average(back * back)
+    back *= level * shape / (shape + DOUBT) * (noise * mesh.mean_edge_length)
+    return positions - back[:, None] * normals
 
 
 @functools.cache

@@ -24,7 +24,9 @@ The vectors are seen along axes of their own, those of the tensor of the normals
 moving or scaling a mesh changes nothing.  Lengths are local: mean distances of centroids, as edges.
 
 The level of the noise decides what is texture and what is noise: a given ``noise`` helps most
-where the texture is as fine as the mesh, and a greater one smooths more.
+where the texture is as fine as the mesh, and a greater one smooths more.  Where the noise is white,
+and noise that is given is taken for white, what the stages took beyond it comes back as in
+``wiener``.
 
 Where the noise is along the normals, which is measured, the way that vertices came sideways is
 undone; see ``guided_normal``.  ``sliding=undone`` and ``sliding=kept`` decide it.
@@ -49,7 +51,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from msal_cli.mesh import Mesh
-from msal_cli.methods._cascade import Cascade, load_networks
+from msal_cli.methods._cascade import Cascade, load_networks, return_texture
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
@@ -100,7 +102,8 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     stages = parameters.iterations
     if not stages:
         return Result(positions, seconds={"normals": 0.0, "sweeps": 0.0})
-    cascade = Cascade(mesh, parameters.boundary, resolve_noise(mesh, parameters.noise))
+    noise, is_white = resolve_noise(mesh, parameters.noise)
+    cascade = Cascade(mesh, parameters.boundary, noise)
     normals = None
     timer.start_sweeps()
     networks = load_networks()
@@ -115,21 +118,23 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     assert normals is not None
     positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     positions = cascade.untangle(positions, normals)
+    if noise and is_white:
+        positions = return_texture(mesh, positions, noise)
     return timer.finish(positions)
 
 
-def resolve_noise(mesh: Mesh, given: float) -> float | None:
-    """The level in mean edge lengths, ``given`` or else estimated.
+def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool]:
+    """The level in mean edge lengths, ``given`` or else estimated, and whether the noise is white.
 
-    None where no level says what is wrong: on staircases, and where the estimate finds hardly any
+    No level where none says what is wrong: on staircases, and where the estimate finds hardly any
     noise and is not sure that there is none.  Where it is unsure it is taken for noise: who names
-    the method wants that.
+    the method wants that.  Noise that is given is taken for white.
     """
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
     if given:
-        return given
+        return given, True
     level = estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length)
     kind = level.character.kind
     is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < LEAST_KNOWN)
-    return None if is_open else level.mean_edges
+    return None if is_open else level.mean_edges, kind == "white"

@@ -15,7 +15,13 @@ from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.errors import InternalError
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import find
-from msal_cli.methods._cascade import WEIGHTS, load_networks, read_networks, write_networks
+from msal_cli.methods._cascade import (
+    WEIGHTS,
+    load_networks,
+    read_networks,
+    return_texture,
+    write_networks,
+)
 from msal_cli.methods.learned import resolve_noise
 from tests.shapes import ball, grid, torus
 
@@ -128,18 +134,36 @@ def test_the_noise_that_is_given_decides_what_is_texture():
     assert away[0.3] > 3.0 * away[0.005]
 
 
+def test_shape_beyond_white_noise_comes_back_and_noise_does_not():
+    true = prepare_mesh(*torus(120, 60)).mesh
+    normals, level = true.vertex_normals(), 0.2 * true.mean_edge_length
+    noise = np.random.default_rng(0).normal(size=len(normals))[:, None] * level * normals
+    scan = true.with_vertices(true.vertices + noise)
+    lost = 2.0 * level * np.sin(9.0 * np.arctan2(true.vertices[:, 1], true.vertices[:, 0]))
+    flat = true.vertices - lost[:, None] * normals
+
+    def off(positions):
+        return np.linalg.norm(positions - true.vertices, axis=1).mean() / level
+
+    assert off(return_texture(scan, true.vertices, 0.2)) < 0.05
+    assert off(return_texture(scan, flat, 0.2)) < 0.5 * off(flat)
+    # Noise that is stronger than it is said to be, or shared by neighbours, does not come back.
+    for given in (0.05, 0.5):
+        assert return_texture(scan, flat, given) is flat
+
+
 def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
     true = smooth()
     noisy = true.with_vertices(add_noise(true, AddedNoise("gaussian-normal", 0.2)))
     level = estimate_noise(noisy)
-    assert resolve_noise(noisy, 0.0) == level.mean_edges
-    assert resolve_noise(noisy, 0.07) == 0.07
+    assert resolve_noise(noisy, 0.0) == (level.mean_edges, True)
+    assert resolve_noise(noisy, 0.07) == (0.07, True)
     stairs = dataclasses.replace(level.character, kind="staircase")
     monkeypatch.setattr(
         "msal_cli.analysis.noise_estimate.estimate_noise",
         lambda mesh: dataclasses.replace(level, character=stairs),
     )
-    assert resolve_noise(noisy, 0.0) is None
+    assert resolve_noise(noisy, 0.0) == (None, False)
     assert np.isfinite(run(noisy)).all()
 
 
