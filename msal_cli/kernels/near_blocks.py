@@ -14,18 +14,15 @@ import numpy as np
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.vectors import ONE, THREE, TWO
 
-LANES = np.uint64(32)
-"""Faces that are worked on at a time."""
+LANES = np.uint64(16)
+"""Faces that are worked on at a time: what belongs to them fits a first-level cache."""
 
 R1, R2, R3, R4, R5, R6, R7, R8, R9, R10, R11, R12, R13, R14, R15, R16 = (
-    np.uint64(32 * rows) for rows in range(1, 17)
+    LANES * np.uint64(rows) for rows in range(1, 17)
 )
 """What so many rows of lanes take."""
 
-RECORD = np.uint64(8)
-"""Numbers of a face in the table that neighbours are read from: centroid, normal, area, 0."""
-
-X, Y, Z, NX, NY, NZ, NARROW_WEIGHT, WIDE_WEIGHT, JUMP = (np.uint64(32 * row) for row in range(9))
+X, Y, Z, NX, NY, NZ, NARROW_WEIGHT, WIDE_WEIGHT, JUMP = (LANES * np.uint64(row) for row in range(9))
 """The rows of lanes that a neighbour has in a block."""
 
 ENTRY = R9
@@ -44,48 +41,41 @@ _RATIO = np.float32((WIDE / NARROW) ** 2)
 
 
 @compiled
-def lay_neighbours(first, last, records, per_reach, near_start, near, block, own):
+def lay_neighbours(first, last, points, marks, per_reach, near_start, near, block, own):
     """Lay the neighbours of the faces ``first`` to ``last`` side by side; return how many rows.
 
-    ``records`` flat, ``per_reach`` (m,) one over WIDE local units.  The first row is the faces
-    themselves.  Lanes without a k-th neighbour have weight zero, and their own normal.  ``own``
-    gets the normals of the lanes.
+    ``points`` are the centroids, ``marks`` normals and areas (m, 4), flat; ``per_reach`` (m,) one
+    over WIDE local units.  The first row is the faces themselves.  Lanes without a k-th neighbour
+    have weight zero, and their own normal.  ``own`` gets the normals of the lanes.
     """
     rows = ONE
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
-        at = RECORD * f
-        block[X + lane], block[Y + lane], block[Z + lane] = _0, _0, _0
-        nx, ny, nz = (
-            np.float32(records[at + THREE]),
-            np.float32(records[at + FOUR]),
-            np.float32(records[at + FIVE]),
-        )
-        own[lane], own[R1 + lane], own[R2 + lane] = nx, ny, nz
-        block[NX + lane], block[NY + lane], block[NZ + lane] = nx, ny, nz
-        block[WIDE_WEIGHT + lane] = np.float32(records[at + SIX])
         rows = max(rows, near_start[f + ONE] - near_start[f] + ONE)
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
-        at = RECORD * f
-        x, y, z, scale = records[at], records[at + ONE], records[at + TWO], per_reach[f]
+        at, mark = THREE * f, FOUR * f
+        x, y, z, scale = points[at], points[at + ONE], points[at + TWO], per_reach[f]
+        nx, ny, nz = marks[mark], marks[mark + ONE], marks[mark + TWO]
+        own[lane], own[R1 + lane], own[R2 + lane] = nx, ny, nz
+        block[X + lane], block[Y + lane], block[Z + lane] = _0, _0, _0
+        block[NX + lane], block[NY + lane], block[NZ + lane] = nx, ny, nz
+        block[WIDE_WEIGHT + lane] = marks[mark + THREE]
         row, end = near_start[f], near_start[f + ONE]
         place = ENTRY + lane
         for entry in range(row, end):
-            k = RECORD * near[entry]
-            block[place + X] = np.float32((records[k] - x) * scale)
-            block[place + Y] = np.float32((records[k + ONE] - y) * scale)
-            block[place + Z] = np.float32((records[k + TWO] - z) * scale)
-            block[place + NX] = np.float32(records[k + THREE])
-            block[place + NY] = np.float32(records[k + FOUR])
-            block[place + NZ] = np.float32(records[k + FIVE])
-            block[place + WIDE_WEIGHT] = np.float32(records[k + SIX])
+            at, mark = THREE * near[entry], FOUR * near[entry]
+            block[place + X] = np.float32((points[at] - x) * scale)
+            block[place + Y] = np.float32((points[at + ONE] - y) * scale)
+            block[place + Z] = np.float32((points[at + TWO] - z) * scale)
+            block[place + NX] = marks[mark]
+            block[place + NY] = marks[mark + ONE]
+            block[place + NZ] = marks[mark + TWO]
+            block[place + WIDE_WEIGHT] = marks[mark + THREE]
             place += ENTRY
         for _ in range(end - row + ONE, rows):
             block[place + X], block[place + Y], block[place + Z] = _0, _0, _0
-            block[place + NX] = own[lane]
-            block[place + NY] = own[R1 + lane]
-            block[place + NZ] = own[R2 + lane]
+            block[place + NX], block[place + NY], block[place + NZ] = nx, ny, nz
             block[place + WIDE_WEIGHT] = _0
             place += ENTRY
     return rows
@@ -93,9 +83,14 @@ def lay_neighbours(first, last, records, per_reach, near_start, near, block, own
 
 @compiled
 def weigh_block(rows, block, own):
-    """Turn areas into the weights of both reaches, and put |n_i - n_j|^2 beside them."""
+    """Turn areas into the weights of both reaches, and put |n_i - n_j|^2 beside them.
+
+    Returns the number of rows after which no narrow weight is above zero.
+    """
+    narrow_rows = ONE
     for k in range(rows):
         row = k * ENTRY
+        near = np.uint32(0)
         for lane in range(LANES):
             at = row + lane
             x, y, z = block[at + X], block[at + Y], block[at + Z]
@@ -106,39 +101,59 @@ def weigh_block(rows, block, own):
             close = close if close > _0 else _0
             area = block[at + WIDE_WEIGHT]
             block[at + WIDE_WEIGHT] = area * wide * wide
-            block[at + NARROW_WEIGHT] = area * close * close
+            close = area * close * close
+            block[at + NARROW_WEIGHT] = close
+            # A sum of integers is vector code; the greatest number would not be.
+            near += np.uint32(close > _0)
             dx = block[at + NX] - own[lane]
             dy = block[at + NY] - own[R1 + lane]
             dz = block[at + NZ] - own[R2 + lane]
             block[at + JUMP] = dx * dx + dy * dy + dz * dz
+        if near > np.uint32(0):
+            narrow_rows = k + ONE
+    return narrow_rows
 
 
 @compiled
-def lay_weights(first, last, records, per_reach, near_start, near, block):
-    """Lay only the wide weights side by side, those of ``weigh_block``."""
-    rows = ONE
+def lay_vectors(first, last, points, marks, per_reach, near_start, near, n_read, read, block):
+    """Lay the wide weights of ``weigh_block`` and the vectors of neighbours side by side.
+
+    ``read`` has ``n_read`` vectors of each face, which take 3 ``n_read`` rows after the weight's.
+    Returns how many rows of neighbours.
+    """
+    rows, numbers = ONE, THREE * n_read
+    entry_size = (numbers + ONE) * R1
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
-        block[WIDE_WEIGHT + lane] = np.float32(records[RECORD * f + SIX])
         rows = max(rows, near_start[f + ONE] - near_start[f] + ONE)
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
-        at = RECORD * f
-        cx, cy, cz, scale = records[at], records[at + ONE], records[at + TWO], per_reach[f]
+        at = THREE * f
+        x, y, z, scale = points[at], points[at + ONE], points[at + TWO], per_reach[f]
+        block[lane] = marks[FOUR * f + THREE]
+        for k in range(numbers):
+            block[lane + R1 + k * R1] = read[numbers * f + k]
         row, end = near_start[f], near_start[f + ONE]
-        place = ENTRY + lane
+        place = entry_size + lane
         for entry in range(row, end):
-            k = RECORD * near[entry]
-            x = np.float32((records[k] - cx) * scale)
-            y = np.float32((records[k + ONE] - cy) * scale)
-            z = np.float32((records[k + TWO] - cz) * scale)
-            wide = _1 - (x * x + y * y + z * z)
+            j = np.uint64(near[entry])
+            at = THREE * j
+            dx = np.float32((points[at] - x) * scale)
+            dy = np.float32((points[at + ONE] - y) * scale)
+            dz = np.float32((points[at + TWO] - z) * scale)
+            wide = _1 - (dx * dx + dy * dy + dz * dz)
             wide = wide if wide > _0 else _0
-            block[place + WIDE_WEIGHT] = np.float32(records[k + SIX]) * wide * wide
-            place += ENTRY
+            block[place] = marks[FOUR * j + THREE] * wide * wide
+            at, to = numbers * j, place + R1
+            for _ in range(n_read):
+                block[to], block[to + R1], block[to + R2] = read[at], read[at + ONE], read[at + TWO]
+                at += THREE
+                to += R3
+            place += entry_size
         for _ in range(end - row + ONE, rows):
-            block[place + WIDE_WEIGHT] = _0
-            place += ENTRY
+            for k in range(numbers + ONE):
+                block[place + k * R1] = _0
+            place += entry_size
     return rows
 
 
@@ -331,16 +346,23 @@ def fit_plane(sums, at, base, vectors, place, to, spread):
 
 
 @compiled
-def add_pair(rows, per_1, per_2, block, sums):
-    """Sums of w n for two ranges: six rows."""
+def add_pair(rows, entry_size, guide, normal, per_1, per_2, block, sums):
+    """Sums of w n for two ranges of the differences of guides: six rows.
+
+    ``guide`` and ``normal`` are the places of their vectors in a block of ``lay_vectors``.
+    """
     for place in range(R6):
         sums[place] = _0
     for k in range(rows):
-        row = k * ENTRY
+        row = k * entry_size
         for lane in range(LANES):
-            at = row + lane
-            nx, ny, nz = block[at + NX], block[at + NY], block[at + NZ]
-            w, jump = block[at + WIDE_WEIGHT], block[at + JUMP]
+            g, n = row + guide + lane, row + normal + lane
+            dx = block[g] - block[guide + lane]
+            dy = block[g + R1] - block[guide + R1 + lane]
+            dz = block[g + R2] - block[guide + R2 + lane]
+            jump = dx * dx + dy * dy + dz * dz
+            nx, ny, nz = block[n], block[n + R1], block[n + R2]
+            w = block[row + lane]
             a, b = _1 - jump * per_1, _1 - jump * per_2
             a = a if a > _0 else _0
             b = b if b > _0 else _0

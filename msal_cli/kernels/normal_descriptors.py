@@ -23,12 +23,8 @@ from msal_cli.kernels.near_blocks import (
     ENTRY,
     FIVE,
     FOUR,
-    JUMP,
     LANES,
     NARROW_WEIGHT,
-    NX,
-    NY,
-    NZ,
     R1,
     R2,
     R3,
@@ -38,7 +34,6 @@ from msal_cli.kernels.near_blocks import (
     R10,
     R12,
     R16,
-    RECORD,
     SIX,
     WIDE_WEIGHT,
     add_pair,
@@ -49,7 +44,7 @@ from msal_cli.kernels.near_blocks import (
     add_tensor,
     fit_plane,
     lay_neighbours,
-    lay_weights,
+    lay_vectors,
     normalise,
     weigh_block,
 )
@@ -96,11 +91,11 @@ _PER_MOST = np.float32(1.0 / 64.0)
 
 
 @compiled
-def describe(start, stop, records, per_reach, near_start, near, width, table, numbers, axes):
+def describe(start, stop, points, marks, per_reach, near_start, near, width, table, numbers, axes):
     """Fill the first vectors (all up to the guide) and the first 15 numbers of each face.
 
     ``table`` has ``width`` vectors of each face, ``numbers`` NUMBERS, ``axes`` three vectors; all
-    are flat and in single precision, as are ``records`` (double) otherwise; see ``lay_neighbours``.
+    are flat and in single precision, but for ``points``; see ``lay_neighbours``.
     """
     widest = most_neighbours(start, stop, near_start) + ONE
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
@@ -116,14 +111,14 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
     narrow, wide, tensor = ZERO, R16, R16 + R16
     planes = tensor + R9
     for first in range(np.uint64(start), last, LANES):
-        rows = lay_neighbours(first, last, records, per_reach, near_start, near, block, own)
-        weigh_block(rows, block, own)
-        add_ranges(rows, NARROW_WEIGHT, _NARROW_1, _NARROW_2, _NARROW_3, _0, block, sums, narrow)
+        rows = lay_neighbours(first, last, points, marks, per_reach, near_start, near, block, own)
+        close = weigh_block(rows, block, own)
+        add_ranges(close, NARROW_WEIGHT, _NARROW_1, _NARROW_2, _NARROW_3, _0, block, sums, narrow)
         add_ranges(rows, WIDE_WEIGHT, _WIDE_1, _WIDE_2, _WIDE_3, _WIDE_4, block, sums, wide)
         add_tensor(rows, block, sums, tensor)
         add_plane(rows, WIDE_WEIGHT, _0, block, sums, planes)
         add_plane(rows, WIDE_WEIGHT, _WIDE_3, block, sums, planes + R10)
-        add_plane(rows, NARROW_WEIGHT, _0, block, sums, planes + R10 + R10)
+        add_plane(close, NARROW_WEIGHT, _0, block, sums, planes + R10 + R10)
         for at in range(R3):
             vectors[at] = own[at]
         for k in range(np.uint64(4)):
@@ -140,7 +135,7 @@ def describe(start, stop, records, per_reach, near_start, near, width, table, nu
         turn_axes(skews, own_axes)
         for at in range(R3):
             skews[at] = vectors[R3 * np.uint64(NARROW_MEAN) + at]
-        add_scatter(rows, skews, block, scatter)
+        add_scatter(close, skews, block, scatter)
         for lane in range(LANES):
             if first + lane >= last:
                 break
@@ -179,7 +174,7 @@ def _write_numbers(lane, sums, values, spread, scatter, numbers, to):
 
 
 @compiled
-def pick_guides(start, stop, records, near_start, near, ripples, width, table, numbers):
+def pick_guides(start, stop, marks, near_start, near, ripples, width, table, numbers):
     """Fill the guide of each face and the numbers that it takes from those near.
 
     The guide is the narrow mean of the face with the least scatter among the first ``PATCHES``
@@ -193,7 +188,7 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
         best, least = np.uint64(f), ripples[own]
         total, first, second = least, ripples[own + ONE], ripples[own + TWO]
         third, sideways = ripples[own + THREE], ripples[own + FOUR]
-        area = records[RECORD * f + SIX]
+        area = marks[FOUR * f + THREE]
         row, end = near_start[f], near_start[f + ONE]
         for entry in range(row, end):
             j = np.uint64(near[entry])
@@ -204,7 +199,7 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
             second += ripples[at + TWO]
             third += ripples[at + THREE]
             sideways += ripples[at + FOUR]
-            area += records[RECORD * j + SIX]
+            area += marks[FOUR * j + THREE]
             if entry - row < PATCHES and value < least:
                 best, least = j, value
         for axis in range(THREE):
@@ -215,8 +210,8 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
         numbers[to + np.uint64(15)] = least
         numbers[to + np.uint64(16)] = total * per_count
         mean = area / np.float64(end - row + ONE)
-        both = records[RECORD * f + SIX] + mean
-        share = records[RECORD * f + SIX] / both if both > 0.0 else 0.5
+        both = marks[FOUR * f + THREE] + mean
+        share = marks[FOUR * f + THREE] / both if both > 0.0 else 0.5
         numbers[to + np.uint64(18)] = np.float32(share)
         for k in range(FOUR):
             numbers[to + np.uint64(19) + k] = ripples[own + ONE + k]
@@ -228,7 +223,19 @@ def pick_guides(start, stop, records, near_start, near, ripples, width, table, n
 
 @compiled
 def filter_jointly(
-    start, stop, records, per_reach, near_start, near, tasks, ranges, n_read, width, read, table
+    start,
+    stop,
+    points,
+    marks,
+    per_reach,
+    near_start,
+    near,
+    tasks,
+    ranges,
+    n_read,
+    width,
+    read,
+    table,
 ):
     """Fill two vectors for each task: filtered normals of two ranges.
 
@@ -236,25 +243,25 @@ def filter_jointly(
     ``n_read`` vectors of each face, and that of the first outcome in ``table``, which has
     ``width``.  Its row of ``ranges`` has 1 / s^2 of both.
     """
+    width, n_read = THREE * np.uint64(width), np.uint64(n_read)
+    entry_size = (THREE * n_read + ONE) * R1
     widest = most_neighbours(start, stop, near_start) + ONE
-    block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
+    block = np.empty(np.int64(widest * entry_size), dtype=np.float32)
     sums = np.empty(np.int64(R6), dtype=np.float32)
     vectors = np.empty(np.int64(R6), dtype=np.float32)
     own = np.empty(np.int64(R3), dtype=np.float32)
-    width, n_read = THREE * np.uint64(width), THREE * np.uint64(n_read)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        rows = lay_weights(first, last, records, per_reach, near_start, near, block)
+        rows = lay_vectors(
+            first, last, points, marks, per_reach, near_start, near, n_read, read, block
+        )
         for task in range(len(tasks)):
-            guide, normal, to = (
-                THREE * np.uint64(tasks[task, 0]),
-                THREE * np.uint64(tasks[task, 1]),
-                THREE * np.uint64(tasks[task, 2]),
-            )
-            _lay_normals(
-                first, last, rows, near_start, near, guide, normal, n_read, read, block, own
-            )
-            add_pair(rows, ranges[task, 0], ranges[task, 1], block, sums)
+            guide = R1 + R3 * np.uint64(tasks[task, 0])
+            normal = R1 + R3 * np.uint64(tasks[task, 1])
+            to = THREE * np.uint64(tasks[task, 2])
+            add_pair(rows, entry_size, guide, normal, ranges[task, 0], ranges[task, 1], block, sums)
+            for at in range(R3):
+                own[at] = block[normal + at]
             normalise(sums, ZERO, own, vectors, ZERO)
             normalise(sums, R3, own, vectors, ONE)
             for lane in range(LANES):
@@ -263,31 +270,3 @@ def filter_jointly(
                 place = width * (first + lane) + to
                 for k in range(SIX):
                     table[place + k] = vectors[k * R1 + lane]
-
-
-@compiled
-def _lay_normals(first, last, rows, near_start, near, guide, normal, width, table, block, own):
-    """Put other normals into a block, and the squares of the differences of their guides."""
-    for lane in range(LANES):
-        f = first + lane if first + lane < last else last - ONE
-        at = width * f
-        gx, gy, gz = table[at + guide], table[at + guide + ONE], table[at + guide + TWO]
-        nx, ny, nz = table[at + normal], table[at + normal + ONE], table[at + normal + TWO]
-        own[lane], own[R1 + lane], own[R2 + lane] = nx, ny, nz
-        block[lane + NX], block[lane + NY], block[lane + NZ] = nx, ny, nz
-        block[lane + JUMP] = _0
-        place = ENTRY + lane
-        for entry in range(near_start[f], near_start[f + ONE]):
-            at = width * near[entry]
-            dx = table[at + guide] - gx
-            dy = table[at + guide + ONE] - gy
-            dz = table[at + guide + TWO] - gz
-            block[place + JUMP] = dx * dx + dy * dy + dz * dz
-            block[place + NX] = table[at + normal]
-            block[place + NY] = table[at + normal + ONE]
-            block[place + NZ] = table[at + normal + TWO]
-            place += ENTRY
-        for _ in range(near_start[f + ONE] - near_start[f] + ONE, rows):
-            block[place + JUMP] = _0
-            block[place + NX], block[place + NY], block[place + NZ] = _0, _0, _0
-            place += ENTRY

@@ -12,7 +12,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import faces_within
 from msal_cli.kernels.geometry import ring_means
-from msal_cli.kernels.near_blocks import RECORD, WIDE
+from msal_cli.kernels.near_blocks import WIDE
 from msal_cli.kernels.normal_descriptors import (
     GUIDE,
     GUIDED,
@@ -54,8 +54,7 @@ SAMPLED = 1 << 15
 GLOBALS = 10
 """Inputs that are the same for all faces of a mesh."""
 
-_FIVE, _SIX, _SEVEN = np.uint64(5), np.uint64(6), np.uint64(7)
-_FOUR = np.uint64(4)
+_FOUR, _FIVE = np.uint64(4), np.uint64(5)
 
 
 @compiled
@@ -85,42 +84,28 @@ def _average_units(start, stop, distances, ring_start, ring, units):
 
 
 @compiled
-def _fill_records(start, stop, c, normals, areas, per_unit, per_area, records):
-    """Centroid, normal and area of each face in one row; lengths in the unit, areas in the mean."""
+def _fill_marks(start, stop, normals, areas, per_area, ring_start, ring, marks):
+    """Normal and area, in the mean, of each face in one row, flat.
+
+    Faces without a normal have no area, and get the mean of those around, weighted by area.
+    """
     for f in range(np.uint64(start), np.uint64(stop)):
-        own, to = THREE * f, RECORD * f
+        own, to = THREE * f, _FOUR * f
         nx, ny, nz = normals[own], normals[own + ONE], normals[own + TWO]
-        records[to] = c[own] * per_unit
-        records[to + ONE] = c[own + ONE] * per_unit
-        records[to + TWO] = c[own + TWO] * per_unit
-        records[to + THREE] = nx
-        records[to + _FOUR] = ny
-        records[to + _FIVE] = nz
-        has_normal = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
-        records[to + _SIX] = areas[f] * per_area if has_normal else 0.0
-        records[to + _SEVEN] = 0.0
-
-
-@compiled
-def _fill_missing(start, stop, ring_start, ring, normals, records):
-    """Give faces without a normal the mean of those around, weighted by area."""
-    for f in range(np.uint64(start), np.uint64(stop)):
-        own = THREE * f
-        if normals[own] != 0.0 or normals[own + ONE] != 0.0 or normals[own + TWO] != 0.0:
-            continue
-        x = y = z = 0.0
-        for entry in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
-            k = THREE * ring[entry]
-            area = records[RECORD * ring[entry] + _SIX]
-            x += area * normals[k]
-            y += area * normals[k + ONE]
-            z += area * normals[k + TWO]
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            to = RECORD * f
-            records[to + THREE] = x / length
-            records[to + _FOUR] = y / length
-            records[to + _FIVE] = z / length
+        area = areas[f] * per_area
+        if nx == 0.0 and ny == 0.0 and nz == 0.0:
+            area = 0.0
+            for entry in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+                k = THREE * ring[entry]
+                weight = areas[ring[entry]] * per_area
+                nx += weight * normals[k]
+                ny += weight * normals[k + ONE]
+                nz += weight * normals[k + TWO]
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if length > 0.0:
+                nx, ny, nz = nx / length, ny / length, nz / length
+        marks[to], marks[to + ONE] = np.float32(nx), np.float32(ny)
+        marks[to + TWO], marks[to + THREE] = np.float32(nz), np.float32(area)
 
 
 @compiled
@@ -296,12 +281,12 @@ class NormalDescriber:
         self.around = find_neighbourhoods(centroids, ring_start, ring)
         self.noise = noise
         self._corners = faces.reshape(-1).view(np.uint32)
-        self._records = np.empty(m * int(RECORD))
+        self._marks = np.empty(4 * m, dtype=np.float32)
         self._table = np.empty(m * 3 * (VECTORS + EARLIER), dtype=np.float32)
         self._numbers = np.empty((m, NUMBERS), dtype=np.float32)
         self._axes = np.empty((m, 3, 3), dtype=np.float32)
         self._ripples = np.empty((m, 5), dtype=np.float32)
-        self._exchange = np.empty((m, EXCHANGED, 3), dtype=np.float32)
+        self._exchange = np.empty(m * 3 * EXCHANGED, dtype=np.float32)
 
     def describe(
         self,
@@ -324,45 +309,34 @@ class NormalDescriber:
         width = VECTORS + (EARLIER if earlier else 0)
         table = self._table[: 3 * m * width].reshape(m, width, 3)
         numbers, ripples, around = self._numbers, self._ripples, self.around
-        units = self._record(normals, areas, centroids)
+        rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
+        units = _find_units(centroids, around.ring_start, around.ring)
+        per_area = 1.0 / (float(areas.mean()) or 1.0)
+        over_ranges(_fill_marks, m, normals.reshape(-1), areas, per_area, *rows, self._marks)
         unit = float(units.mean()) or 1.0
-        per_reach = unit / (WIDE * np.where(units > 0.0, units, unit))
+        per_reach = 1.0 / (WIDE * np.where(units > 0.0, units, unit))
         near = around.near_start.view(np.uint64), around.near.view(np.uint32)
-        of = self._records, per_reach, *near
+        of = centroids.reshape(-1), self._marks, per_reach, *near
         to = width, table.reshape(-1), numbers.reshape(-1)
         over_ranges(describe, m, *of, *to, self._axes.reshape(-1))
         numbers[:, 17] = units / (units + unit)
         scatter = np.ascontiguousarray(numbers[:, 14])
         flat = ripples.reshape(-1)
         over_ranges(_gather_ripples, m, self._corners, heights.reshape(-1), units, scatter, flat)
-        over_ranges(pick_guides, m, self._records, *near, flat, *to)
+        over_ranges(pick_guides, m, self._marks, *near, flat, *to)
         self._filter_jointly(of, table, earlier)
         values = _find_globals(table, numbers, ripples, self.noise)
         return Descriptors(table, numbers, self._axes, values)
 
-    def _record(self, normals: Floats, areas: Floats, centroids: Floats) -> Floats:
-        """Fill the table that neighbours are read from; the local units (m,) of the faces."""
-        m, around = len(normals), self.around
-        units = _find_units(centroids, around.ring_start, around.ring)
-        per_unit = 1.0 / (float(units.mean()) or 1.0)
-        per_area = 1.0 / (float(areas.mean()) or 1.0)
-        flat = normals.reshape(-1), areas
-        over_ranges(
-            _fill_records, m, centroids.reshape(-1), *flat, per_unit, per_area, self._records
-        )
-        if not normals.any(axis=1).all():
-            rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
-            over_ranges(_fill_missing, m, *rows, flat[0], self._records)
-        return units
-
     def _filter_jointly(
         self,
-        of: tuple[Floats, Floats, NDArray[np.uint64], NDArray[np.uint32]],
+        of: tuple[Floats, Floats32, Floats, NDArray[np.uint64], NDArray[np.uint32]],
         table: Floats32,
         earlier: tuple[Floats, Floats] | None,
     ) -> None:
         """Fill the vectors that are filtered by others."""
-        exchange = self._exchange
+        m, n_read = len(table), EXCHANGED if earlier else EXCHANGED - 2
+        exchange = self._exchange[: 3 * m * n_read].reshape(m, n_read, 3)
         for place, slot in enumerate((NORMAL, WIDE_FILTERED, WIDE_MEAN, GUIDE)):
             exchange[:, place] = table[:, slot]
         tasks = [(3, 0, GUIDED), (1, 0, REFINED), (1, 1, TWICE), (2, 2, WIDER)]
@@ -375,9 +349,7 @@ class NormalDescriber:
             ranges.append((0.3, 0.6))
         per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
         width, flat = table.shape[1], (exchange.reshape(-1), table.reshape(-1))
-        over_ranges(
-            filter_jointly, len(table), *of, np.array(tasks), per_range, EXCHANGED, width, *flat
-        )
+        over_ranges(filter_jointly, m, *of, np.array(tasks), per_range, n_read, width, *flat)
 
 
 def _find_globals(
