@@ -231,12 +231,12 @@ def renewed_normals(mesh: MemoryMesh, vertices: Array, entries: Array, normals: 
 
     ``entries`` (m, 3) is the normal that each corner of a triangle uses.
     """
-    from msal_cli.kernels.geometry import regrouped_normals
+    from msal_cli.kernels.geometry import regroup_normals
 
     values = np.ascontiguousarray(normals, dtype=np.float64)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
     after = np.ascontiguousarray(vertices, dtype=np.float64)
-    renewed, _ = regrouped_normals(mesh.vertices, after, faces, entries.astype(np.int32), values)
+    renewed, _ = regroup_normals(mesh.vertices, after, faces, entries.astype(np.int32), values)
     return renewed.astype(normals.dtype)
 
 

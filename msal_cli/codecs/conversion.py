@@ -320,16 +320,16 @@ def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> bytes:
     number, of float32 where they are ``single``."""
     from msal_cli.kernels import text
 
-    digits, stops = text.printed_shortest(values.reshape(-1), single)
+    digits, stops = text.print_shortest(values.reshape(-1), single)
     ends = values.shape[1] * np.arange(1, len(values) + 1, dtype=np.int64)
-    return text.lines(digits, stops, ends, prefix).tobytes()
+    return text.format_lines(digits, stops, ends, prefix).tobytes()
 
 
 def integer_lines(
     values: Longs, sizes: Longs, prefix: bytes = b"", *, doubled: bool = False
 ) -> bytes:
-    """Whole numbers (c,) in lines of ``sizes`` (p,); ``doubled`` as of ``text.lines``."""
+    """Whole numbers (c,) in lines of ``sizes`` (p,); ``doubled`` as of ``text.format_lines``."""
     from msal_cli.kernels import text
 
-    digits, stops = text.printed(values.astype(np.float64), 0)
-    return text.lines(digits, stops, np.cumsum(sizes), prefix, doubled).tobytes()
+    digits, stops = text.print_numbers(values.astype(np.float64), 0)
+    return text.format_lines(digits, stops, np.cumsum(sizes), prefix, doubled).tobytes()

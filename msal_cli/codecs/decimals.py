@@ -105,12 +105,12 @@ def print_numbers(values: Floats, decimals: int | Bytes) -> tuple[Bytes, Longs]:
     ``decimals``, for all or for each (k,), are digits behind the point, ``SHORTEST`` or
     ``SHORTEST_SINGLE``.
     """
-    from msal_cli.kernels.text import printed
+    from msal_cli.kernels.text import print_numbers
 
     if isinstance(decimals, int):
-        return printed(values, decimals)
+        return print_numbers(values, decimals)
     if not len(decimals) or (decimals == decimals[0]).all():
-        return printed(values, int(decimals[0]) if len(decimals) else 0)
+        return print_numbers(values, int(decimals[0]) if len(decimals) else 0)
     pieces, ends, size = [], [], 0
     for at in range(0, len(values), _BLOCK):
         text, stops = _print_mixed(values[at : at + _BLOCK], decimals[at : at + _BLOCK])

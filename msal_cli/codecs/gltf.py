@@ -175,13 +175,13 @@ def _renew_normals(
 ) -> tuple[Floats, Flags]:
     """The normals (n, 3) of a part, which ``linear`` (3, 3) takes into the scene, and which of them
     changed; ``old`` and ``new`` begin with its vertices."""
-    from msal_cli.kernels.geometry import regrouped_normals
+    from msal_cli.kernels.geometry import regroup_normals
 
     count = len(stored)
     faces = part.faces.astype(np.int32)
     # A stored normal may be anything.
     with np.errstate(over="ignore", invalid="ignore"):
-        normals, is_changed = regrouped_normals(
+        normals, is_changed = regroup_normals(
             old[:count], new[:count], faces, faces, stored @ np.linalg.inv(linear)
         )
         normals = normals @ linear

@@ -139,10 +139,10 @@ def _parse_layout(data: Buffer) -> _ObjLayout:
 
 
 def _renew_normals(content: Content, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
-    from msal_cli.kernels.geometry import regrouped_normals
+    from msal_cli.kernels.geometry import regroup_normals
 
     assert content.face_normals is not None
-    return [regrouped_normals(old, new, content.faces, content.face_normals, content.normals)]
+    return [regroup_normals(old, new, content.faces, content.face_normals, content.normals)]
 
 
 class ObjFile(SlotFile):
@@ -217,13 +217,13 @@ class _Positions(Statements):
     @functools.cached_property
     def decimals(self) -> int:
         """Decimals of new numbers: as many as are usual, or as the extent asks for."""
-        from msal_cli.kernels.numbers import FIXED_BELOW, MOST_DECIMALS
+        from msal_cli.kernels.numbers import FIXED_BELOW, MAX_DECIMALS
 
         needed = extent_decimals(self.values) or 0
         largest = max(float(self.values.max()), -float(self.values.min()))
-        if needed > MOST_DECIMALS or largest >= FIXED_BELOW:
+        if needed > MAX_DECIMALS or largest >= FIXED_BELOW:
             return SHORTEST
-        return max(min(usual_decimals(self.used), MOST_DECIMALS), needed)
+        return max(min(usual_decimals(self.used), MAX_DECIMALS), needed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,8 +318,8 @@ class _Reading:
         self.corner_normals = np.empty(len(self.corners) if has_normals else 0, dtype=np.int32)
         self.sizes = np.empty(self._n_faces, dtype=np.int32)
         self.undecided = np.empty((64, 2), dtype=np.int64)
-        self.keywords = np.empty((obj_scan.MOST_KEYWORDS, 4), dtype=np.int64)
-        self.libraries = np.empty(obj_scan.MOST_LIBRARIES, dtype=np.int64)
+        self.keywords = np.empty((obj_scan.MAX_KEYWORDS, 4), dtype=np.int64)
+        self.libraries = np.empty(obj_scan.MAX_LIBRARIES, dtype=np.int64)
         self.state = self._begun()
 
     def _begun(self) -> Longs:
@@ -382,14 +382,14 @@ class _Reading:
         )
 
     def _walk(self, state: Longs, n_faces: int) -> int:
-        """Go on until ``n_faces`` faces are read; what ``scanned`` says."""
+        """Go on until ``n_faces`` faces are read; what ``scan`` says."""
         outputs = (
             *(self.vertices, self.vertex_at, self.decimals),
             *(self.normals, self.normal_at, self.normal_decimals),
             *(self.corners, self.corner_normals, self.sizes),
             *(self.undecided, self.keywords, self.libraries),
         )
-        return int(self._scan.scanned(self._buf, state, n_faces, *outputs))
+        return int(self._scan.scan(self._buf, state, n_faces, *outputs))
 
     def _grow(self) -> None:
         """Make room in the arrays that are full."""
@@ -435,7 +435,7 @@ class _Reading:
         at = int(state[scan.WORD])
         place = self._place(at)
         statement = bytes(self._buf[int(state[scan.AT]) : int(state[scan.AT]) + 2])
-        stop = int(scan.past_word(self._buf, at))
+        stop = int(scan.skip_word(self._buf, at))
         word = self._buf[at:stop].tobytes()
         shown = word[:40].decode("ascii", "backslashreplace")
         next_face = f"face {int(state[scan.FACES]) + int(state[scan.SHORT]) + 1}"

@@ -126,7 +126,7 @@ def _renew_normals(
     surface: Surface, normals: Mapping[str, Slots], old: Floats, new: Floats
 ) -> list[tuple[Floats, Flags]]:
     """The normals of each element for new vertices, and which rows changed."""
-    from msal_cli.kernels.geometry import regrouped_normals
+    from msal_cli.kernels.geometry import regroup_normals
 
     result = []
     for element, slots in normals.items():
@@ -135,7 +135,7 @@ def _renew_normals(
             result.append(surface.face_normals(old, new, moved, slots.values))
         else:
             faces = surface.triangles
-            result.append(regrouped_normals(old, new, faces, faces, slots.values))
+            result.append(regroup_normals(old, new, faces, faces, slots.values))
     return result
 
 

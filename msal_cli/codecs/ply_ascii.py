@@ -151,11 +151,11 @@ class Lines:
 
     def _values(self, names: Sequence[str], starts: Longs, stops: Longs) -> Floats:
         """The scalars of ``names``, whose tokens are there, as (count, len(names))."""
-        from msal_cli.kernels.text import numbers_at
+        from msal_cli.kernels.text import read_numbers
 
         if self.read is not None and set(names) <= set(self.read.names):
             return self._read_values(names)
-        values, bad = numbers_at(self.data, starts, stops)
+        values, bad = read_numbers(self.data, starts, stops)
         if bad >= 0:
             raise self.not_a_number(int(starts[bad]), "a number")
         return values.reshape(self.element.count, len(names))
@@ -163,13 +163,13 @@ class Lines:
     def items(self, name: str) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]:
         """All items of a list of whole numbers, and each record's number (count,)."""
         from msal_cli.kernels.ply_scan import read_integers
-        from msal_cli.kernels.text import numbers_at
+        from msal_cli.kernels.text import read_numbers
 
         if self.read is not None and name == self.read.list_name:
             return self.read.items, self.read.lengths
         starts, stops, lengths = self.item_spans(name)
         if self.is_stream:
-            values, bad = numbers_at(self.data, starts, stops)
+            values, bad = read_numbers(self.data, starts, stops)
             if bad < 0:
                 # Beyond this a double does not tell whole numbers apart.
                 is_whole = (np.rint(values) == values) & (np.abs(values) < 2.0**53)

@@ -273,7 +273,7 @@ def _polygon_triangles(
 
 
 def _strip_triangles(section: Section, name: str, n_vertices: int) -> Triangles:
-    from msal_cli.kernels.ply_scan import unrolled_strips
+    from msal_cli.kernels.ply_scan import unroll_strips
 
     items, lengths = section.items(name)
     corners = _as_indices(items, section, name)
@@ -282,7 +282,7 @@ def _strip_triangles(section: Section, name: str, n_vertices: int) -> Triangles:
     if beyond.any():
         raise bad_index(section, name, int(np.argmax(beyond)), n_vertices)
     triangles = np.empty((len(corners), 3), dtype=np.int32)
-    count = unrolled_strips(corners, lengths, triangles)
+    count = unroll_strips(corners, lengths, triangles)
     return triangles[:count].copy()
 
 

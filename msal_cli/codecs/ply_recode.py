@@ -183,7 +183,7 @@ def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
     Raises FormatError for a token that is no number, ContentError (``E_RANGE``) for one that the
     type cannot hold.
     """
-    from msal_cli.kernels.text import numbers_at
+    from msal_cli.kernels.text import read_numbers
 
     lengths: Longs | None = None
     if one.is_list:
@@ -191,7 +191,7 @@ def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
         _require_all(lengths <= np.iinfo(one.count_code).max, section, one)
     else:
         starts, stops = section.spans([one.name])
-    values, bad = numbers_at(section.data, starts, stops)
+    values, bad = read_numbers(section.data, starts, stops)
     if bad >= 0:
         raise section.not_a_number(int(starts[bad]), "a number")
     column: NDArray[Any]
@@ -315,12 +315,12 @@ def _as_float64(values: NDArray[Any]) -> NDArray[np.float64]:
 def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
     """The texts of numbers one behind another and the end of each: whole numbers plain, others
     as the shortest text that reads back as the same value of their type."""
-    from msal_cli.kernels.text import printed, printed_shortest
+    from msal_cli.kernels.text import print_numbers, print_shortest
 
     if values.dtype.kind == "f":
-        return printed_shortest(_as_float64(values), values.itemsize == 4)
+        return print_shortest(_as_float64(values), values.itemsize == 4)
     if values.itemsize < 8 or (np.abs(values.astype(np.float64)) < 2.0**53).all():
-        return printed(values.astype(np.float64), 0)
+        return print_numbers(values.astype(np.float64), 0)
     tokens = [b"%d" % one for one in values.tolist()]
     stops = np.cumsum([len(one) for one in tokens], dtype=np.int64)
     return np.frombuffer(b"".join(tokens), dtype=np.uint8), stops

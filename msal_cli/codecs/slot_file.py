@@ -230,9 +230,9 @@ class SlotFile:
                 )
             before.append(_span(one))
             after.append(_span(now))
-        from msal_cli.kernels.text import same_outside
+        from msal_cli.kernels.text import is_same_outside
 
-        if not same_outside(as_bytes(self._data), *_in_order(before), result, *_in_order(after)):
+        if not is_same_outside(as_bytes(self._data), *_in_order(before), result, *_in_order(after)):
             raise InternalError(
                 f"the {self.format} file that was made differs in more than positions and normals"
             )
@@ -311,7 +311,7 @@ class SlotFile:
     def _renew_normals(self, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
         """The normals of each array, those of faces that did not move as they are stored, and
         which rows changed."""
-        from msal_cli.kernels.geometry import regrouped_normals
+        from msal_cli.kernels.geometry import regroup_normals
 
         layout = self._layout
         arrays = [one.values for one in layout.normals]
@@ -325,7 +325,7 @@ class SlotFile:
             first = 0
             for slots, own_new in zip(layout.positions, self._to_file(new), strict=True):
                 is_own = (self.faces[:, 0] >= first) & (self.faces[:, 0] < first + len(own_new))
-                own, is_changed = regrouped_normals(
+                own, is_changed = regroup_normals(
                     slots.values,
                     own_new,
                     self.faces[is_own] - np.int32(first),
@@ -336,7 +336,7 @@ class SlotFile:
                 rows |= is_changed
                 first += len(own_new)
         else:
-            normals, rows = regrouped_normals(old, new, self.faces, entries, normals)
+            normals, rows = regroup_normals(old, new, self.faces, entries, normals)
         cuts = np.cumsum([len(one) for one in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
 

@@ -86,9 +86,9 @@ class TextSlots(UnitSlots):
 
     def used_decimals(self) -> Bytes:
         """Decimals that each of the file's numbers, or the finest of a row, has."""
-        from msal_cli.kernels.text import decimals_used
+        from msal_cli.kernels.text import count_decimals
 
-        return decimals_used(self.data, self.starts, self.stops)
+        return count_decimals(self.data, self.starts, self.stops)
 
     @functools.cached_property
     def decimals(self) -> int:
@@ -203,9 +203,9 @@ def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
 
     Raises FormatError with the line of a word that is no number.
     """
-    from msal_cli.kernels.text import numbers_at
+    from msal_cli.kernels.text import read_numbers
 
-    values, bad = numbers_at(data, starts, stops)
+    values, bad = read_numbers(data, starts, stops)
     while bad >= 0:
         word = data[starts[bad] : stops[bad]].tobytes()
         if len(starts) > 1 and not _has_fortran_exponents(data, starts, stops, bad):
@@ -258,7 +258,7 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
 
     starts = np.concatenate([edit[0] for edit in edits])
     if len(edits) == 1 and (starts[1:] > starts[:-1]).all():
-        return text.spliced(data, *edits[0]).data
+        return text.splice(data, *edits[0]).data
     stops = np.concatenate([edit[1] for edit in edits])
     sizes = np.concatenate([np.diff(edit[3], prepend=0) for edit in edits])
     words = np.concatenate([edit[2] for edit in edits])
@@ -268,4 +268,4 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
         sizes = sizes[order]
         inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         words = words[np.repeat(first, sizes) + inside]
-    return text.spliced(data, starts[order], stops[order], words, np.cumsum(sizes)).data
+    return text.splice(data, starts[order], stops[order], words, np.cumsum(sizes)).data

@@ -136,7 +136,7 @@ def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
     facet_at = np.empty(room, dtype=np.int64)
     offsets = np.empty((room, 12), dtype=np.int32)
     numbers = np.empty((room, 12))
-    solid_at = np.zeros(stl_facets.MOST_SOLIDS, dtype=np.int64)
+    solid_at = np.zeros(stl_facets.MAX_SOLIDS, dtype=np.int64)
     while True:
         status, stop, word = stl_facets.scan(
             buf, state, facet_at, offsets, numbers, solid_at, decimals
@@ -276,7 +276,7 @@ def choose_decimals(decimals: Longs, low: Floats, high: Floats) -> tuple[int, in
     mean something beside the size of the mesh.  ``decimals`` (4,) as of ``stl_facets.scan``,
     ``low`` and ``high`` (3,) are the corners of the box of all vertices.
     """
-    from msal_cli.kernels.numbers import MOST_DECIMALS
+    from msal_cli.kernels.numbers import MAX_DECIMALS
 
     plain_normal, plain, exponent_normal, exponent = (int(d) for d in decimals)
     span = high - low
@@ -285,7 +285,7 @@ def choose_decimals(decimals: Longs, low: Floats, high: Floats) -> tuple[int, in
     meant = int(np.ceil(-np.log10(extent * _NOISE)))
     normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
     corner = max(plain, min(exponent, meant), needed, 0)
-    return min(normal, MOST_DECIMALS), min(corner, MOST_DECIMALS)
+    return min(normal, MAX_DECIMALS), min(corner, MAX_DECIMALS)
 
 
 class StlTextFile(FacetFile):

@@ -97,11 +97,11 @@ def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> B
 
     ``single`` writes what float32 holds.
     """
-    from msal_cli.kernels.text import fill_rows, printed_shortest
+    from msal_cli.kernels.text import fill_rows, print_shortest
 
     numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
     numbers[:, :3] = numbers[:, :3].astype(np.float32)
-    digits, stops = printed_shortest(numbers.reshape(-1), single)
+    digits, stops = print_shortest(numbers.reshape(-1), single)
     corner = (b"\n      vertex ", b" ", b" ")
     pieces: tuple[bytes, ...] = (
         b"  facet normal ",

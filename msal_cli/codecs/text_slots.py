@@ -95,7 +95,7 @@ class _Block(NamedTuple):
 def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
     """The file with its statements' changed numbers replaced."""
     from msal_cli.kernels.statements import replace
-    from msal_cli.kernels.text import shortest
+    from msal_cli.kernels.text import format_shortest
 
     out = np.empty(len(data) + sum(map(_room, patches)) + 8, dtype=np.uint8)
     done = to = 0
@@ -106,7 +106,7 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
             if row == len(block.begins):
                 break
             is_single = block.decimals[row] == SHORTEST_SINGLE
-            text = shortest(float(block.new[row, axis]), is_single).encode()
+            text = format_shortest(float(block.new[row, axis]), is_single).encode()
             out[to : to + len(text)] = np.frombuffer(text, dtype=np.uint8)
             to, axis = to + len(text), axis + 1
     size = to + len(data) - done

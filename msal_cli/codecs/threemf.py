@@ -241,12 +241,12 @@ class _Coordinates(Tokens):
 
     def _decimals(self, values: Floats) -> Bytes:
         """Decimals (3 n,) of new ``values`` (n, 3), those that changed, or ``SHORTEST``."""
-        from msal_cli.kernels.numbers import MOST_DECIMALS
+        from msal_cli.kernels.numbers import MAX_DECIMALS
 
         needed = extent_decimals(self.values) or 0
         largest = float(np.abs(values[values != self.values]).max(initial=0.0))
         whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
-        most = min(SIGNIFICANT_DIGITS - whole, MOST_DECIMALS)
+        most = min(SIGNIFICANT_DIGITS - whole, MAX_DECIMALS)
         if needed > most or most < 0:
             return np.full(values.size, SHORTEST, dtype=np.uint8)
         least = min(max(usual_decimals(self._used), needed), most)
@@ -447,9 +447,9 @@ def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
     from msal_cli.kernels import text
     from msal_cli.kernels.text import fill_rows
 
-    digits, stops = text.printed_shortest(vertices.reshape(-1), single)
+    digits, stops = text.print_shortest(vertices.reshape(-1), single)
     rows = fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)
-    digits, stops = text.printed(faces.reshape(-1).astype(np.float64), 0)
+    digits, stops = text.print_numbers(faces.reshape(-1).astype(np.float64), 0)
     triangles = fill_rows((b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'), digits, stops)
     model = b"".join([_HEAD, *rows, _MIDDLE, *triangles, _TAIL])
     file = io.BytesIO()

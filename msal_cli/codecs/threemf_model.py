@@ -372,7 +372,7 @@ class _Reader:
         from msal_cli.kernels import text
 
         buffer = text.as_bytes(self._text)
-        values, bad = text.numbers_at(buffer, starts.reshape(-1), stops.reshape(-1))
+        values, bad = text.read_numbers(buffer, starts.reshape(-1), stops.reshape(-1))
         if bad >= 0:
             at = int(starts.reshape(-1)[bad])
             word = self._text[at : int(stops.reshape(-1)[bad])]

@@ -16,21 +16,21 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import exponentials
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vertex_normals
-from msal_cli.kernels.operators import SMALLEST_SIGMA, Step
+from msal_cli.kernels.operators import MIN_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vectors import longest_row
 
-MOST_FOUND = 2048
+MAX_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
 
-MOST_LOOKS = 4 * MOST_FOUND
+MAX_LOOKS = 4 * MAX_FOUND
 """Neighbours that a flood looks at beyond the first row: those of a hub would be too many."""
 
 
 @compiled
 def room(start, stop, row_start):
     """Items that a flood from any of these vertices can find: first rows are taken whole."""
-    return np.int64(max(MOST_FOUND, longest_row(start, stop, row_start)) + 1)
+    return np.int64(max(MAX_FOUND, longest_row(start, stop, row_start)) + 1)
 
 
 @compiled
@@ -45,7 +45,7 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
     squares[0] = 0.0
     count = 1
     at = 0
-    looks = MOST_LOOKS
+    looks = MAX_LOOKS
     while at < count:
         j = found[at]
         row = ring_start[j]
@@ -62,7 +62,7 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
             dx, dy, dz = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
             square = dx * dx + dy * dy + dz * dz
             if square <= square_radius:
-                if at > 1 and count >= MOST_FOUND:
+                if at > 1 and count >= MAX_FOUND:
                     return count
                 found[count] = k
                 squares[count] = square
@@ -96,7 +96,7 @@ def faces_around(
     waiting = 1
     count = 0
     at = 0
-    looks = MOST_LOOKS
+    looks = MAX_LOOKS
     while at < waiting:
         j = corners[at]
         row = face_start[j]
@@ -116,7 +116,7 @@ def faces_around(
             square = dx * dx + dy * dy + dz * dz
             if square > square_radius:
                 continue
-            if at > 1 and count >= MOST_FOUND:
+            if at > 1 and count >= MAX_FOUND:
                 return count
             found[count] = f
             squares[count] = square
@@ -234,14 +234,14 @@ class BallBilateral:
             self.radius,
             self.closeness,
             self.similarity,
-            SMALLEST_SIGMA * self.mean_edge_length,
+            MIN_SIGMA * self.mean_edge_length,
         )
         return Step(fill_array(_ball_bilateral, positions.shape, *around, *widths))
 
 
 _CENTROIDS, _PROJECTIONS = range(2)
 
-SMALLEST_AREA = 1e-12
+MIN_AREA = 1e-12
 """Area of a mollified face, in squared mean edge lengths, up to which its normal is rounding: a
 triangle that no other touches shrinks to a point."""
 
@@ -367,7 +367,7 @@ class ProjectionAverage:
             positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS
         )
         normals, smooth_areas = face_normals_and_areas(smooth, self.faces)
-        has_normal = smooth_areas > SMALLEST_AREA * self.mean_edge_length**2
+        has_normal = smooth_areas > MIN_AREA * self.mean_edge_length**2
         has_normal &= (normals != 0.0).any(axis=1)
         normals = np.where(has_normal[:, None], normals, own)
         return Step(
@@ -388,7 +388,7 @@ class ProjectionAverage:
     ) -> Floats:
         """Moves (n, 3) of the vertices to the average of the centroids or the projections."""
         widths = 2.0 * self.closeness, closeness, self.similarity
-        floor = SMALLEST_SIGMA * self.mean_edge_length
+        floor = MIN_SIGMA * self.mean_edge_length
         planes = centroids, areas, normals, self.faces, *self.links.incidence
         known = positions, *planes, free, *widths, floor, averaged
         return fill_array(_project, positions.shape, *known)
@@ -418,7 +418,7 @@ def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: 
 
 
 @compiled
-def _towards_planes(start, stop, x, normals, ring_start, ring, moves):
+def _step_towards_planes(start, stop, x, normals, ring_start, ring, moves):
     for i in range(start, stop):
         mx = my = mz = 0.0
         m = ring_start[i + 1] - ring_start[i]
@@ -433,11 +433,11 @@ def _towards_planes(start, stop, x, normals, ring_start, ring, moves):
         moves[i, 0], moves[i, 1], moves[i, 2] = share * mx, share * my, share * mz
 
 
-def towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
+def step_towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:
     """Mean of the steps (n, 3) that take each vertex to the tangent planes of its one-ring.
 
     A gradient step on the sum of squared distances from these planes, the quadric of the
     neighbourhood: between two flat sides its least place is the edge, between three the corner.
     Neighbours with a zero normal count as planes on which the vertex lies already.
     """
-    return fill_array(_towards_planes, positions.shape, positions, normals, ring_start, ring)
+    return fill_array(_step_towards_planes, positions.shape, positions, normals, ring_start, ring)

@@ -342,7 +342,7 @@ def boundary_curves(faces: Ints, links: Connectivity) -> tuple[Ints, Ints]:
     return row_start, row
 
 
-def averaged_ring(faces: Ints, links: Connectivity, boundary: str) -> tuple[Ints, Ints]:
+def averaging_ring(faces: Ints, links: Connectivity, boundary: str) -> tuple[Ints, Ints]:
     """One-rings (n + 1,) and (...,) to average over, for a rule at open edges.
 
     ``boundary`` is ``"free"``: all neighbours that a vertex has; ``"fixed"``: a boundary vertex has

@@ -159,7 +159,7 @@ AREAS = ("mixed", "ring")
 TOLERANCE = 1e-8
 """Of the implicit step's solution, in mean edge lengths: far below the rounding of any scan."""
 
-MOST_ITERATIONS = 10_000
+MAX_ITERATIONS = 10_000
 """Of the conjugate gradients, for steps so long that they are hopeless to solve well."""
 
 
@@ -273,7 +273,7 @@ class ImplicitMeanCurvature:
             np.zeros_like(positions),
             tolerance=TOLERANCE,
             unit=self.mean_edge_length,
-            most_iterations=MOST_ITERATIONS,
+            most_iterations=MAX_ITERATIONS,
             held=~self.free,
             on_iteration=None if on_iteration is None else lambda *_: on_iteration(),
         )
@@ -286,10 +286,10 @@ class ImplicitMeanCurvature:
 # of length 2 |e| sin(phi / 2) for the angle phi between m and n.  Half the sum of H(e) around a
 # vertex is the gradient of the surface's area.  Symbols as in Hildebrandt and Polthier 2004.
 
-LONGEST = 0.5
+MAX_SHARE = 0.5
 """Share of the way to where H_A would vanish that a vertex may go in one step."""
 
-LEAST = 0.25
+MIN_SLOPE = 0.25
 """Least slope: beyond a right angle a bent flap pulls, though a flat one would not begin to."""
 
 
@@ -317,8 +317,8 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
             qx, qy, qz = nx / n - mx / m, ny / n - my / m, nz / n - mz / m
             hx, hy, hz = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
             m, n = 1.0 / m, 1.0 / n
-            slope_1 = max(abs(ee - be) * m, LEAST) + max(abs(ee - de) * n, LEAST)
-            slope_3 = max(abs(be) * m, LEAST) + max(abs(de) * n, LEAST)
+            slope_1 = max(abs(ee - be) * m, MIN_SLOPE) + max(abs(ee - de) * n, MIN_SLOPE)
+            slope_3 = max(abs(be) * m, MIN_SLOPE) + max(abs(de) * n, MIN_SLOPE)
         size = np.sqrt(hx * hx + hy * hy + hz * hz)
         bent[e] = size > threshold
         if bent[e]:
@@ -416,7 +416,7 @@ def _gather(
         # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
         rate[i] = 0.0
         if free[i] and stiffness > 0.0:
-            rate[i] = 2.0 * LONGEST / stiffness
+            rate[i] = 2.0 * MAX_SHARE / stiffness
             if 6.0 * time_step < rate[i] * area:
                 rate[i] = 6.0 * time_step / area
 

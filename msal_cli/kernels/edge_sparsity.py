@@ -20,7 +20,7 @@ from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.vectors import edges_and_normal
 
-LARGEST = 100.0
+MAX_COEFFICIENT = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
 
 
@@ -47,8 +47,8 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         c3 = -(c2 * at_two + c4 * at_four)
         c1 = -1.0 - c3
         largest = max(abs(c1), abs(c3))
-        if largest > LARGEST:
-            scale = LARGEST / largest
+        if largest > MAX_COEFFICIENT:
+            scale = MAX_COEFFICIENT / largest
             c1 *= scale
             c2 *= scale
             c3 *= scale

@@ -17,7 +17,7 @@ _LN2_LOW = 1.42860682030941723212e-6
 # Added to a number it leaves the nearest integer in the lowest bits of the sum.
 _ROUND = 6755399441055744.0  # 1.5 * 2^52
 
-SMALLEST_ARGUMENT = -700.0
+MIN_ARGUMENT = -700.0
 """Arguments below are taken as this: exp(-700) is 1e-304, nothing beside a weight of 1."""
 
 
@@ -33,7 +33,7 @@ def exponentials(values, scratch, scratch_bits, count):
     """
     bits = values.view(np.int64)
     for at in range(count):
-        value = values[at] if values[at] > SMALLEST_ARGUMENT else SMALLEST_ARGUMENT
+        value = values[at] if values[at] > MIN_ARGUMENT else MIN_ARGUMENT
         values[at] = value
         scratch[at] = value * _PER_LN2 + _ROUND
     for at in range(count):
@@ -65,7 +65,7 @@ _P7, _P8, _P9 = 1.525273382983612e-05, 1.321544258792169e-06, 1.0178062445845774
 _P10, _P11 = 7.072585949269223e-09, 4.4549605981865186e-10
 
 LOG2_E = 1.4426950408889634
-SMALLEST_POWER = -1010.0
+MIN_POWER = -1010.0
 """Exponents below are taken as this: 2^-1010 is 1e-304."""
 
 _TO_EXPONENT = np.int64(52)
@@ -78,7 +78,7 @@ def power_of_two(exponent):
     For use inside loops over contiguous numbers, which then become vector code.  There is nothing
     to reduce by a rounded ln 2: for exp put ``LOG2_E`` into a factor that is there.
     """
-    t = exponent if exponent > SMALLEST_POWER else SMALLEST_POWER
+    t = exponent if exponent > MIN_POWER else MIN_POWER
     rounded = t + _ROUND
     r = t - (rounded - _ROUND)
     # Four short sums beside each other: one long chain would have every step wait for the last.

@@ -5,7 +5,7 @@ Neighbourhoods are kept in compressed rows: the neighbours of face f are
 three edges in turn, then those at its three corners in turn, in ascending order each.
 
 All faces around an edge are neighbours of one another, also where there are more than two.  So
-that hubs cost no more than other parts, an edge or a vertex with more than ``MOST_AROUND`` faces
+that hubs cost no more than other parts, an edge or a vertex with more than ``MAX_AROUND`` faces
 makes no neighbours: the faces of a wide fan still neighbour the next ones across their edges.
 
 The faces near a face are found by a flood through the connectivity, not in a ball in space: the
@@ -32,21 +32,21 @@ from msal_cli.kernels.geometry import VANISHED, mean_edge_length, usable_areas
 from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, edges_and_normal, longest_row, most_neighbours
 
-MOST_AROUND = 64
+MAX_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
 
-_MOST = np.uint64(MOST_AROUND)
+_MAX_AROUND = np.uint64(MAX_AROUND)
 
-MOST_PAIRS = 2**31 - 1
+MAX_PAIRS = 2**31 - 1
 """Entries that 32-bit rows can number."""
 
-PARTS = 8
+MAX_PARTS = 8
 """Parts of the items, at most: the rows of one are in memory twice."""
 
-SMALLEST_PART = 1 << 17
+MIN_PART = 1 << 17
 """Items in a part, at least, unless their rows may be very long."""
 
-MOST_ROOM = 1 << 26
+MAX_ROOM = 1 << 26
 """Indices that there is room for in a part: a limit on memory counts it, even if unused."""
 
 
@@ -61,8 +61,8 @@ def find_rows(
     returns the places where they begin and end.
     """
     sizes = np.empty(count, dtype=np.int32)
-    part = max(SMALLEST_PART, -(-count // PARTS))
-    part = max(1, min(part, MOST_ROOM // max(most, 1)))
+    part = max(MIN_PART, -(-count // MAX_PARTS))
+    part = max(1, min(part, MAX_ROOM // max(most, 1)))
     pieces = []
     for first in range(0, count, part):
         items = min(part, count - first)
@@ -104,10 +104,10 @@ def _neighbours(
         for side in range(THREE * f, THREE * f + THREE):
             around = ONE
             at = np.uint64(following[side])
-            while at != side and around <= _MOST:
+            while at != side and around <= _MAX_AROUND:
                 around += ONE
                 at = np.uint64(following[at])
-            if around > _MOST:
+            if around > _MAX_AROUND:
                 continue
             for _ in range(around - ONE):
                 at = np.uint64(following[at])
@@ -119,7 +119,7 @@ def _neighbours(
             for corner in range(THREE * f, THREE * f + THREE):
                 i = np.uint64(faces[corner])
                 entry, end = np.uint64(face_start[i]), np.uint64(face_start[i + ONE])
-                if end - entry > _MOST:
+                if end - entry > _MAX_AROUND:
                     continue
                 while entry < end:
                     g = np.uint64(incident[entry])
@@ -142,7 +142,7 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     Raises
     ------
     TooLargeError
-        where the faces have more than ``MOST_PAIRS`` neighbours in all.
+        where the faces have more than ``MAX_PAIRS`` neighbours in all.
     """
     return links.kept(f"face rings, {sharing}", lambda: _find_face_rings(faces, links, sharing))
 
@@ -155,9 +155,9 @@ def _find_face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[In
     # A row has fewer than MOST_AROUND faces for each corner: around it, or around the edges
     # between corners where there are too many.
     widest = int(np.diff(face_start).max())
-    most = 3 * min(widest, MOST_AROUND) + 1
+    most = 3 * min(widest, MAX_AROUND) + 1
     sizes, ring = find_rows(_neighbours, m, most, *around, following, sharing == "vertex", most)
-    if len(ring) > MOST_PAIRS:
+    if len(ring) > MAX_PAIRS:
         raise TooLargeError(
             f"the {m} faces have {len(ring)} neighbours, too many to number",
             hint="cut the mesh into parts",
@@ -189,7 +189,7 @@ def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> f
 
 
 @compiled
-def _reached(start, stop, first, c, ring_start, ring, radii, most, sizes, near):
+def _find_near(start, stop, first, c, ring_start, ring, radii, most, sizes, near):
     """Find rows as ``find_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
     has_own = len(radii) > 1
     seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
@@ -247,7 +247,7 @@ def faces_within(
     A face is not in its own row.  Rows begin with the nearest neighbours, in steps along ``ring``.
     """
     sizes, near = find_rows(
-        _reached,
+        _find_near,
         len(centroids),
         most,
         centroids.reshape(-1),

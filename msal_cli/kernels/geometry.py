@@ -14,10 +14,10 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import arctangents
-from msal_cli.kernels.parallel import SMALLEST_RANGE, fill_array, over_ranges, threads
+from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, threads
 from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
-MOST_PARTS = 8
+MAX_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
 
 LENGTHS_AT_ONCE = 1024
@@ -151,7 +151,7 @@ def normals_and_flat_faces(vertices: Floats, faces: Ints, weighting: str) -> tup
     n = len(vertices)
     sums, weights = np.zeros((n, 3)), np.zeros(n)
     # Every part looks at all faces.
-    parts = max(1, min(threads(), n // SMALLEST_RANGE, MOST_PARTS))
+    parts = max(1, min(threads(), n // MIN_RANGE, MAX_PARTS))
     flat = np.zeros(parts, dtype=np.int64)
     by_area = weighting == "area"
     results = sums, weights, flat
@@ -287,7 +287,7 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
     It is the float64 next to the mean of their lengths as they are computed, in whatever order: the
     sum is a whole number of 2^-1075, which does not depend on the number of threads.
     """
-    rows = max(1, min(len(vertices) // SMALLEST_RANGE, threads()))
+    rows = max(1, min(len(vertices) // MIN_RANGE, threads()))
     bins, counts = np.zeros((rows, 2 * POWERS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
     over_ranges(_add_edge_lengths, rows, vertices, ring_start, ring, bins, counts, smallest=1)
     total, count = 0, int(counts.sum())
@@ -346,7 +346,7 @@ def _usable_rows(rows, usable):
         usable[i] = is_finite & ((x != 0.0) | (y != 0.0) | (z != 0.0))
 
 
-def regrouped_normals(
+def regroup_normals(
     old_vertices: Floats,
     new_vertices: Floats,
     faces: Ints,
@@ -445,7 +445,7 @@ def _volume_moment(vertices, faces, moment):
     return 4.0 * volume
 
 
-def with_volume_of(original: Floats, vertices: Floats, faces: Ints) -> Floats:
+def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
     """``vertices`` (n, 3) scaled so that the closed surface has the volume of ``original`` (n, 3).
 
     The factor is the cube root of the ratio of the volumes (Desbrun et al. 1999), the fixed point

@@ -291,10 +291,10 @@ def threshold_averages(
 # passes between two of them is proportional to the length of their edge and to the difference of
 # their normals, and to one over the way between their centroids.
 
-LONGEST = 0.75
+MAX_SHARE = 0.75
 """Share of a normal that one step may replace by those beside it: with 1 chequered noise stays."""
 
-LEAST_SIMILARITY = 1e-6
+MIN_SIMILARITY = 1e-6
 """Floor of the width mu: differences of normals below it are rounding."""
 
 
@@ -337,7 +337,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
             total += share
         step = 0.0
         if total > 0.0:
-            step = LONGEST / total
+            step = MAX_SHARE / total
             if time_step < step * areas[f]:
                 step = time_step / areas[f]
         for at in range(row, end):
@@ -445,7 +445,7 @@ def diffused_normals(
     corners = faces.reshape(-1).view(np.uint32)
     shares = np.empty(len(ring))
     over_ranges(_shares, count, vertices.reshape(-1), corners, areas, *rows, time_step, shares)
-    inverse = 0.5 * LOG2_E / max(similarity, LEAST_SIMILARITY) ** 2
+    inverse = 0.5 * LOG2_E / max(similarity, MIN_SIMILARITY) ** 2
     spare = np.empty_like(normals)
     for _ in range(steps):
         flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)

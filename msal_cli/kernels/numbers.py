@@ -382,7 +382,7 @@ def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
     return _read_any(buf, start, stop)
 
 
-MOST_DECIMALS = 17
+MAX_DECIMALS = 17
 """Decimals beyond which fixed-point text is not used."""
 
 SHORTEST, SHORTEST_SINGLE = 18, 19
@@ -392,7 +392,7 @@ float32."""
 FIXED_BELOW = 2.0**63
 """Magnitude from which on fixed-point text is not used."""
 
-WIDEST_SHORTEST = 26
+MAX_SHORTEST_WIDTH = 26
 """Bytes that hold every ``repr`` of a float: ``-1.2345678901234567e-308`` has 24."""
 
 

@@ -61,10 +61,10 @@ NO_CORNERS = 6
     N_STATE,
 ) = range(22)
 
-MOST_KEYWORDS = 64
+MAX_KEYWORDS = 64
 """Different other keywords that are distinguished; the last row takes the rest."""
 
-MOST_LIBRARIES = 1024
+MAX_LIBRARIES = 1024
 """Statements ``mtllib`` that are looked at."""
 
 _BLOCK = 16_384
@@ -100,7 +100,7 @@ def count_statements(buf):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def past_blanks(buf, at):  # type: ignore[no-untyped-def]
+def skip_blanks(buf, at):  # type: ignore[no-untyped-def]
     """The next byte that is no blank; a continued line goes on behind its end."""
     while at < len(buf):
         c = buf[at]
@@ -129,7 +129,7 @@ def is_word_end(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def past_word(buf, at):  # type: ignore[no-untyped-def]
+def skip_word(buf, at):  # type: ignore[no-untyped-def]
     """The end of the word at ``at``."""
     while True:
         while at < len(buf) and buf[at] > 32 and buf[at] != 92:
@@ -146,7 +146,7 @@ def _is_statement_end(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _past_line(buf, at):  # type: ignore[no-untyped-def]
+def _skip_line(buf, at):  # type: ignore[no-untyped-def]
     """The end of the line, or of the lines that continue it; ``at`` lies behind a word."""
     is_comment = False
     while at < len(buf):
@@ -156,14 +156,14 @@ def _past_line(buf, at):  # type: ignore[no-untyped-def]
         elif c == 10 or c == 13:
             if is_comment or buf[at - 1] != 92:
                 break
-            at = past_blanks(buf, at - 1)
+            at = skip_blanks(buf, at - 1)
             continue
         at += 1
     return at
 
 
 @compiled
-def _past_comment(buf, at):  # type: ignore[no-untyped-def]
+def _skip_comment(buf, at):  # type: ignore[no-untyped-def]
     """The end of the line, whatever precedes it."""
     while at < len(buf) and buf[at] != 10 and buf[at] != 13:
         at += 1
@@ -179,7 +179,7 @@ def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
     value, status, end, decimals = read_number(buf, at, len(buf))
     if not is_word_end(buf, end):
         if status != NOT_A_NUMBER and buf[end] == 35 and buf[end - 1] == 46:
-            return np.nan, EXACT, past_word(buf, end), 0
+            return np.nan, EXACT, skip_word(buf, end), 0
         return value, NOT_A_NUMBER, end, 0
     return value, status, end, decimals
 
@@ -194,7 +194,7 @@ def _read_three(buf, at):  # type: ignore[no-untyped-def]
     most_decimals = np.int64(0)
     is_undecided = False
     for _ in range(3):
-        at = past_blanks(buf, at)
+        at = skip_blanks(buf, at)
         value, status, end, decimals = read_coordinate(buf, at)
         if status == NOT_A_NUMBER:
             result = FEW_NUMBERS if _is_statement_end(buf, at) else BAD_NUMBER
@@ -233,7 +233,7 @@ def _read_index(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _resolved(number, count):  # type: ignore[no-untyped-def]
+def _resolve_index(number, count):  # type: ignore[no-untyped-def]
     """The index, from zero, that a face means by ``number`` behind ``count`` entries; or -1."""
     if number > 0:
         return min(number, 1 << 31) - 1
@@ -243,7 +243,7 @@ def _resolved(number, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def packed(buf, at, stop):  # type: ignore[no-untyped-def]
+def pack_word(buf, at, stop):  # type: ignore[no-untyped-def]
     """The first eight bytes of a keyword as one number."""
     word = np.uint64(0)
     for k in range(at, min(stop, at + 8)):
@@ -254,7 +254,7 @@ def packed(buf, at, stop):  # type: ignore[no-untyped-def]
 @compiled
 def note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyped-def]
     """Count a keyword in its row (word, times, first byte, size); returns the rows in use."""
-    word = np.int64(packed(buf, at, stop))
+    word = np.int64(pack_word(buf, at, stop))
     row = 0
     while row < n_keywords and (keywords[row, 0] != word or keywords[row, 3] != stop - at):
         row += 1
@@ -272,7 +272,7 @@ def note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untype
 
 
 @compiled
-def scanned(  # type: ignore[no-untyped-def]
+def scan(  # type: ignore[no-untyped-def]
     buf,
     state,
     n_faces_wanted,
@@ -322,7 +322,7 @@ def scanned(  # type: ignore[no-untyped-def]
         statement = at
         first = buf[at]
         if first == 35:
-            at = _past_comment(buf, at)
+            at = _skip_comment(buf, at)
             continue
         second = buf[at + 1] if first == 118 and at + 1 < len(buf) else np.uint8(32)
         is_normal = second == 110 and is_word_end(buf, at + 2)
@@ -334,10 +334,10 @@ def scanned(  # type: ignore[no-untyped-def]
             at += 2 if is_normal else 1
             x, y, z, result, at, most, is_undecided = _read_three(buf, at)
             if result == WHOLE and not is_normal:
-                at = past_blanks(buf, at)
+                at = skip_blanks(buf, at)
                 if not _is_statement_end(buf, at):
                     value, status, end, _ = read_coordinate(buf, at)
-                    more = past_blanks(buf, end)
+                    more = skip_blanks(buf, end)
                     if status == NOT_A_NUMBER:
                         result = BAD_NUMBER
                     elif not _is_statement_end(buf, more):
@@ -368,7 +368,7 @@ def scanned(  # type: ignore[no-untyped-def]
                 vertex_at[n_vertices] = statement
                 decimals[n_vertices] = min(most, 255)
                 n_vertices += 1
-            at = _past_line(buf, at)
+            at = _skip_line(buf, at)
         elif first == 102 and (
             is_word_end(buf, at + 1) or (buf[at + 1] == 111 and is_word_end(buf, at + 2))
         ):
@@ -395,7 +395,7 @@ def scanned(  # type: ignore[no-untyped-def]
                     # Ten digits at most, so that nothing has overflowed.
                     if number > 0 and end - at <= 11 and end < len(buf) and buf[end] in (32, 10):
                         largest = max(largest, number - 1)
-                        corners[n_corners] = _resolved(number, n_vertices)
+                        corners[n_corners] = _resolve_index(number, n_vertices)
                         if len(corner_normals):
                             corner_normals[n_corners] = -1
                         n_corners += 1
@@ -404,7 +404,7 @@ def scanned(  # type: ignore[no-untyped-def]
                 if at + 1 < len(buf) and buf[at] == 32 and 48 <= buf[at + 1] <= 57:
                     at += 1
                 else:
-                    at = past_blanks(buf, at)
+                    at = skip_blanks(buf, at)
                     if _is_statement_end(buf, at):
                         break
                 if n_corners == len(corners):
@@ -422,7 +422,7 @@ def scanned(  # type: ignore[no-untyped-def]
                     if at > begin:
                         if number_t > state[LARGEST_TEXTURE]:
                             state[LARGEST_TEXTURE] = number_t
-                        if _resolved(number_t, state[TEXTURE]) < 0:
+                        if _resolve_index(number_t, state[TEXTURE]) < 0:
                             state[BEFORE_FIRST] += 1
                     if at < len(buf) and buf[at] == 47:
                         begin = at + 1
@@ -430,13 +430,13 @@ def scanned(  # type: ignore[no-untyped-def]
                         if at > begin:
                             if number_n > state[LARGEST_NORMAL]:
                                 state[LARGEST_NORMAL] = number_n
-                            normal = _resolved(number_n, n_normals)
+                            normal = _resolve_index(number_n, n_normals)
                             if normal < 0:
                                 state[BEFORE_FIRST] += 1
                 if not is_word_end(buf, at):
                     result = BAD_CORNER
                     break
-                vertex = _resolved(number, n_vertices)
+                vertex = _resolve_index(number, n_vertices)
                 if vertex < 0:
                     result = BAD_INDEX
                     break
@@ -464,18 +464,18 @@ def scanned(  # type: ignore[no-untyped-def]
                 face_sizes[n_faces] = size
                 n_faces += 1
                 last_face = statement
-            at = _past_line(buf, at)
+            at = _skip_line(buf, at)
         elif second == 116 and is_word_end(buf, at + 2):
             state[TEXTURE] += 1
-            at = _past_line(buf, at)
+            at = _skip_line(buf, at)
         else:
-            end = past_word(buf, at)
+            end = skip_word(buf, at)
             state[KEYWORDS] = note_keyword(buf, at, end, keywords, state[KEYWORDS])
-            is_library = end - at == 6 and packed(buf, at, end) == MTLLIB
+            is_library = end - at == 6 and pack_word(buf, at, end) == MTLLIB
             if is_library and state[LIBRARIES] < len(libraries):
                 libraries[state[LIBRARIES]] = statement
                 state[LIBRARIES] += 1
-            at = _past_line(buf, end)
+            at = _skip_line(buf, end)
     state[AT] = at
     state[VERTICES], state[NORMALS] = n_vertices, n_normals
     state[FACES], state[CORNERS] = n_faces, n_corners

@@ -89,10 +89,10 @@ def block(first, stop, ring_start, widest, origin, table):
     return last, fewest, most
 
 
-SMALLEST_SIGMA = 1e-9
+MIN_SIGMA = 1e-9
 """Floor of sigma in the exponent, in mean edge lengths: far below the rounding of any scan."""
 
-SMALLEST_LENGTH = np.finfo(np.float64).tiny ** 0.5
+MIN_LENGTH = np.finfo(np.float64).tiny ** 0.5
 """Its square is still a number: the floor on a mesh of no size."""
 
 
@@ -350,7 +350,7 @@ class RingOperator:
         self._run(positions, none, none, v, offsets, time_step, constant, moved.reshape(-1))
 
     def _run(self, positions: Floats, *outcome: Floats | float) -> float:
-        floor = max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH)
+        floor = max(MIN_SIGMA * self.mean_edge_length, MIN_LENGTH)
         widths = floor, self.closeness, self.similarity
         rings = self.normals.reshape(-1), self.ring_start, self.ring, self.free
         flat = positions.reshape(-1)
@@ -571,7 +571,7 @@ class RobustLaplacian:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
         n = len(positions)
         heights, sigma = np.empty(n), np.empty(n)
-        floor = max(SMALLEST_SIGMA * self.mean_edge_length, SMALLEST_LENGTH)
+        floor = max(MIN_SIGMA * self.mean_edge_length, MIN_LENGTH)
         choices = (
             WEIGHTS.index(self.weights),
             DEVIATIONS.index(self.deviation),

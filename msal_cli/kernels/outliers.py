@@ -12,12 +12,12 @@ from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.patch_fits import MOST_VERTICES, SLOTS, collect_patch, find_tangents
+from msal_cli.kernels.patch_fits import MAX_VERTICES, SLOTS, collect_patch, find_tangents
 
-MOST_FACES = 24
+MAX_FACES = 24
 """Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
 
-FEWEST_VERTICES = 10
+MIN_VERTICES = 10
 """Vertices of a patch, without its middle one, from which a surface of degree 2 can be fitted."""
 
 FITS = 4
@@ -32,7 +32,7 @@ STIFFNESS = 0.5
 WIDTH = 2.0
 """Of the weights, in medians of what a fit leaves over."""
 
-SMALLEST_WIDTH = 1e-3
+MIN_WIDTH = 1e-3
 """Of the weights, local edges: where all others are on one plane."""
 
 KEPT_WAY = 0.35
@@ -43,19 +43,19 @@ QUIET = 0.7
 """Share of the patch, from the roughest on, whose corners are rougher than what counts as its
 noise: creases and other outliers are rough, and noise is everywhere."""
 
-FEWEST_PER_THREAD = 256
+MIN_PER_THREAD = 256
 """Vertices to be judged for which a thread of its own is worth starting."""
 
-LEAST_WAY = 0.75
+MIN_WAY = 0.75
 """Local edges from its place on the fit from which a vertex can be an outlier."""
 
 NEAR = 0.5
 """Local edges from the middle of its neighbours up to which it is none, and no fit is made."""
 
-LEAST_EDGES = 0.65
+MIN_EDGES = 0.65
 """The same in mean edges of the mesh: folds of tiny faces are none."""
 
-LEAST_GAIN = 0.05
+MIN_GAIN = 0.05
 """Difference of normals, on average, by which its place on the fit has to be smoother."""
 
 ALONG, ROUGH, SMOOTH, NOISE, TEXTURE = 1.2, 0.8, 1.4, 1.0, 2.2
@@ -64,7 +64,7 @@ the fit, what the fit leaves over at the others, and the roughness of the corner
 across the surface has 1.  By logistic regression over outliers, noise and clean meshes; a score of
 1 more is about 300 times the odds."""
 
-LEAST_SCORE = 0.4
+MIN_SCORE = 0.4
 """Scores up to which no vertex is ever an outlier, and it is not asked whether it is designed."""
 
 FLAT = 1e-4
@@ -82,7 +82,7 @@ UNLIKE_EDGES = 6.0
 """Ratio of the longest tenth to the shortest tenth of the edges around, above which no fit says
 what is off: meshes from scanners have 1.5 to 4, coarse exports of designs up to 1,000."""
 
-MOST_LENGTHS = 512
+MAX_LENGTHS = 512
 """Edges around a vertex that are compared."""
 
 NOT_JUDGED = -np.inf
@@ -228,7 +228,7 @@ def _fit(count, local, weights, rests, ranking, matrix, coefficients):
         for at in range(1, count):
             rests[at] = abs(local[at, 2] - _height(local[at, 0], local[at, 1], coefficients))
         median = _rank(rests, count, 0.5, ranking)
-        width = WIDTH * median + SMALLEST_WIDTH
+        width = WIDTH * median + MIN_WIDTH
         for at in range(1, count):
             share = width * width / (width * width + rests[at] * rests[at])
             weights[at] = share * share
@@ -290,7 +290,7 @@ def _spread(i, x, found, count, ring_start, ring, lengths, ranking):
         k = found[near]
         for place in range(ring_start[k], ring_start[k + 1]):
             j = ring[place]
-            if j != i and n < MOST_LENGTHS:
+            if j != i and n < MAX_LENGTHS:
                 dx, dy, dz = x[j, 0] - x[k, 0], x[j, 1] - x[k, 1], x[j, 2] - x[k, 2]
                 lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
                 n += 1
@@ -316,14 +316,14 @@ def _judge(
     scores,
     targets,
 ):
-    found, ends = np.empty(MOST_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
+    found, ends = np.empty(MAX_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
     slots = np.empty(SLOTS, dtype=np.int64)
-    after, before = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
-    following, outer = np.empty(MOST_FACES, dtype=np.int64), np.empty(MOST_FACES, dtype=np.int64)
-    normals, outer_normals = np.empty((MOST_FACES, 3)), np.empty((MOST_FACES, 3))
-    normal, local = np.empty(3), np.empty((MOST_VERTICES, 3))
-    weights, rests = np.empty(MOST_VERTICES), np.empty(MOST_VERTICES)
-    ranking, lengths = np.empty(MOST_LENGTHS), np.empty(MOST_LENGTHS)
+    after, before = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
+    following, outer = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
+    normals, outer_normals = np.empty((MAX_FACES, 3)), np.empty((MAX_FACES, 3))
+    normal, local = np.empty(3), np.empty((MAX_VERTICES, 3))
+    weights, rests = np.empty(MAX_VERTICES), np.empty(MAX_VERTICES)
+    ranking, lengths = np.empty(MAX_LENGTHS), np.empty(MAX_LENGTHS)
     matrix, coefficients = np.empty((TERMS, TERMS)), np.empty(TERMS)
     for at in range(start, stop):
         i = chosen[at]
@@ -331,7 +331,7 @@ def _judge(
         for axis in range(3):
             targets[at, axis] = places[at, axis]
         n = face_start[i + 1] - face_start[i]
-        if n < 3 or n > MOST_FACES:
+        if n < 3 or n > MAX_FACES:
             continue
         _around(i, faces, face_start, incident, after, before)
         # The local edge, and the middle of the neighbours; those that stick out count little.
@@ -357,7 +357,7 @@ def _judge(
         if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
             continue
         count = collect_patch(i, ring_start, ring, found, ends, slots)
-        if count <= FEWEST_VERTICES:
+        if count <= MIN_VERTICES:
             continue
         # The direction of the neighbours' other faces.
         nx = ny = nz = 0.0
@@ -401,11 +401,11 @@ def _judge(
         tz = cz + size * (u * uz + w * wz + height * nz)
         targets[at, 0], targets[at, 1], targets[at, 2] = tx, ty, tz
         way = np.sqrt(across * across + along * along)
-        if way < LEAST_WAY or way * size < LEAST_EDGES * edge:
+        if way < MIN_WAY or way * size < MIN_EDGES * edge:
             continue
         now = _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
         then = _roughness(tx, ty, tz, n, x, after, following, outer, outer_normals, normals)
-        if now - then < LEAST_GAIN:
+        if now - then < MIN_GAIN:
             continue
         for near in range(1, count):
             rests[near] = agreements[found[near]]
@@ -413,7 +413,7 @@ def _judge(
         texture = np.sqrt(max(1.0 - quiet, 0.0))
         score = across + ALONG * along + ROUGH * now
         score -= SMOOTH * then + NOISE * noise + TEXTURE * texture
-        if score <= LEAST_SCORE:
+        if score <= MIN_SCORE:
             scores[at] = score
             continue
         nearest = np.inf
@@ -490,7 +490,7 @@ def judge(
     scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
     around = faces, *links.incidence, *links.one_ring
     known = chosen, places, x, *around, agreements, edge, is_known, scores, targets
-    over_ranges(_judge, len(chosen), *known, smallest=FEWEST_PER_THREAD)
+    over_ranges(_judge, len(chosen), *known, smallest=MIN_PER_THREAD)
     return scores, targets
 
 

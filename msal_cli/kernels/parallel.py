@@ -13,10 +13,10 @@ import numpy as np
 from msal_cli.arrays import Floats
 from msal_cli.machine import usable_cores
 
-SMALLEST_RANGE = 32_768
+MIN_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
 
-SMALLEST_COUNT = 100_000
+MIN_COUNT = 100_000
 """Items below which different work on them is not worth a thread each."""
 
 MARKING_THREADS = 4
@@ -44,10 +44,10 @@ def over_ranges(
 
     The kernel must release the interpreter lock and write only to items of its own range; then
     the result cannot depend on the number of threads.  No range has fewer than ``smallest`` items,
-    by default ``SMALLEST_RANGE``; there are no more than ``most`` ranges.  An exception of any
+    by default ``MIN_RANGE``; there are no more than ``most`` ranges.  An exception of any
     range is raised here.
     """
-    least = SMALLEST_RANGE if smallest is None else smallest
+    least = MIN_RANGE if smallest is None else smallest
     parts = min(count // least, count if most is None else most)
     # Small meshes call kernels by the thousand: they need not ask how many threads there are.
     parts = min(parts, threads()) if parts > 1 else 1
@@ -71,7 +71,7 @@ def fill_array(
 
 def is_worth_it(count: int) -> bool:
     """Whether different work on ``count`` items should be shared between threads."""
-    return count >= SMALLEST_COUNT and threads() > 1
+    return count >= MIN_COUNT and threads() > 1
 
 
 def at_once(count: int, *tasks: Callable[[], Any]) -> list[Any]:

@@ -14,14 +14,14 @@ from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
-MOST_VERTICES, MOST_WIDE_VERTICES = 40, 200
+MAX_VERTICES, MAX_WIDE_VERTICES = 40, 200
 """Vertices of a patch of two rings at most, those further out are left out; and of a wide one,
 where a fit that would need more is left out."""
 
 SLOTS, WIDE_SLOTS, EMPTY = 128, 512, -1
 """Places of the tables in which a patch looks up its vertices, powers of two."""
 
-FEWEST_PATCHES, FEWEST_WIDE_PATCHES = 256, 64
+MIN_PATCHES, MIN_WIDE_PATCHES = 256, 64
 """Patches for which a thread of its own is worth starting."""
 
 PLANE_TERMS, QUADRIC_TERMS, CUBIC_TERMS, SEXTIC_TERMS = 3, 6, 10, 28
@@ -39,10 +39,10 @@ ROUNDING, WIDE_ROUNDING = 1e-13, 1e-12
 """What is left of the heights' sum of squares, relative to all of it, at and below which it is
 rounding; where the heights themselves are, 1e-22 of the patch's."""
 
-FEWEST_FREEDOMS = 5
+MIN_FREEDOMS = 5
 """Degrees of freedom above which a single vertex can be compared with the others."""
 
-MOST_LEVERAGE = 0.95
+MAX_LEVERAGE = 0.95
 """Pull of a vertex on its own fit above which nothing is left of its noise to judge it by."""
 
 REACHES = (1, 2, 3, 4, 6)
@@ -51,7 +51,7 @@ REACHES = (1, 2, 3, 4, 6)
 TERMS = (3, 6, 10, 10, 10)
 """Their coefficients: a plane, degree 2, and degree 3."""
 
-N_FITS, MOST_RINGS, PLANE_FITS, QUADRIC_FITS, FRAME_RINGS = 5, 6, 1, 2, 2
+N_FITS, MAX_RINGS, PLANE_FITS, QUADRIC_FITS, FRAME_RINGS = 5, 6, 1, 2, 2
 """How many fits there are, the widest of them, those of degree 1 and of at most 2, and over which
 rings the direction of the heights is an average."""
 
@@ -231,7 +231,7 @@ def _left_over(equations, along, rows, rounding):
 def _fit_patches(
     start, stop, chosen, vertices, normals, ring_start, ring, variances, freedoms, gaps, ratios
 ):
-    found, ends = np.empty(MOST_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
+    found, ends = np.empty(MAX_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
     slots, frame = np.empty(SLOTS, dtype=np.int64), np.empty(12)
     terms, own = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
@@ -269,7 +269,7 @@ def _fit_patches(
             freedoms[at, fit] = rows - rank
             variances[at, fit] = rest / (rows - rank) * size * size
             leverage = -equations[VERTEX, VERTEX]
-            if fit == 2 and rows - rank > FEWEST_FREEDOMS and leverage < MOST_LEVERAGE:
+            if fit == 2 and rows - rank > MIN_FREEDOMS and leverage < MAX_LEVERAGE:
                 left = equations[HEIGHT, VERTEX]
                 alone = left * left / (1.0 - leverage)
                 gaps[at] = left / (1.0 - leverage) * size
@@ -300,7 +300,7 @@ def fit_patches(
     gaps, ratios = np.empty(count), np.empty(count)
     known = chosen, vertices, normals, ring_start, ring
     results = variances, freedoms, gaps, ratios
-    over_ranges(_fit_patches, count, *known, *results, smallest=FEWEST_PATCHES)
+    over_ranges(_fit_patches, count, *known, *results, smallest=MIN_PATCHES)
     return results
 
 
@@ -308,8 +308,8 @@ def fit_patches(
 def _fit_scales(
     start, stop, chosen, vertices, normals, ring_start, ring, rests, rows, ranks, frames, offsets
 ):
-    found = np.empty(MOST_WIDE_VERTICES, dtype=np.int64)
-    ends = np.empty(MOST_RINGS + 1, dtype=np.int64)
+    found = np.empty(MAX_WIDE_VERTICES, dtype=np.int64)
+    ends = np.empty(MAX_RINGS + 1, dtype=np.int64)
     slots, frame = np.empty(WIDE_SLOTS, dtype=np.int64), np.empty(12)
     terms, own = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
@@ -323,7 +323,7 @@ def _fit_scales(
             frames[at, axis] = offsets[at, axis] = 0.0
         i = chosen[at]
         collect_patch(i, ring_start, ring, found, ends, slots)
-        widest = MOST_RINGS
+        widest = MAX_RINGS
         while widest > 0 and ends[widest] == 0:
             widest -= 1
         inner = ends[min(FRAME_RINGS, widest)]
@@ -384,5 +384,5 @@ def fit_scales(
     frames, offsets = np.empty((count, 3)), np.empty((count, 3))
     known = chosen, vertices, normals, ring_start, ring
     results = rests, rows, ranks, frames, offsets
-    over_ranges(_fit_scales, count, *known, *results, smallest=FEWEST_WIDE_PATCHES)
+    over_ranges(_fit_scales, count, *known, *results, smallest=MIN_WIDE_PATCHES)
     return results

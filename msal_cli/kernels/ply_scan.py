@@ -357,7 +357,7 @@ def fans(items, lengths, triangles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def unrolled_strips(items, lengths, triangles):  # type: ignore[no-untyped-def]
+def unroll_strips(items, lengths, triangles):  # type: ignore[no-untyped-def]
     """Triangles of strips: -1 restarts a strip, every second triangle is turned round, and
     those that name a vertex twice are dropped.  Returns the number of triangles."""
     first = t = 0

@@ -86,7 +86,7 @@ def quantile_above_zero(values: Floats, share: float) -> float:
     return select_ranks(values, len(values) - above + math.ceil(share * above) - 1)[0]
 
 
-MOST_ROUNDS = 100
+MAX_ROUNDS = 100
 """Rounds after which the clusters are taken as they are; a dozen is usual."""
 
 
@@ -102,7 +102,7 @@ def clusters(values: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     seeds = (2 * np.arange(count) + 1) * len(order) // (2 * count)
     centres = order[seeds]
     bounds = 0.5 * (centres[1:] + centres[:-1])
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         cuts = np.concatenate([[0], np.searchsorted(order, bounds, side="right"), [len(order)]])
         sizes = np.diff(cuts)
         means = np.diff(sums[cuts]) / np.maximum(sizes, 1)
@@ -113,7 +113,7 @@ def clusters(values: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     return np.searchsorted(bounds, values, side="left")
 
 
-MOST_FREEDOMS = 40
+MAX_FREEDOMS = 40
 
 _NORMAL = {0.2: -0.8416212, 0.5: 0.0}
 _FEW_FREEDOMS = {
@@ -126,8 +126,8 @@ _FEW_FREEDOMS = {
 @functools.cache
 def chi_square(share: float) -> Floats:
     """Quantiles of chi square over its degrees of freedom, by those, from 0 (which has none) to
-    ``MOST_FREEDOMS``; ``share`` is 0.2 or 0.5.  Right within 0.6 %."""
-    freedoms = np.arange(1.0, MOST_FREEDOMS + 1.0)
+    ``MAX_FREEDOMS``; ``share`` is 0.2 or 0.5.  Right within 0.6 %."""
+    freedoms = np.arange(1.0, MAX_FREEDOMS + 1.0)
     # Wilson and Hilferty 1931, which does for five and more.
     scale = 2.0 / (9.0 * freedoms)
     ratios = (1.0 - scale + _NORMAL[share] * np.sqrt(scale)) ** 3

@@ -123,15 +123,15 @@ def _second_look(start, stop, levels, powers, noise, returned, share):
 
 
 @compiled
-def _given_back(start, stop, normals, pulls, x):
+def _move_back(start, stop, normals, pulls, x):
     for i in range(start, stop):
         for axis in range(3):
             x[i, axis] -= pulls[i] * normals[i, axis]
 
 
-def given_back(positions: Floats, normals: Floats, pulls: Floats) -> Floats:
+def move_back(positions: Floats, normals: Floats, pulls: Floats) -> Floats:
     """``positions`` (n, 3), in their own memory, moved back along ``normals`` by ``pulls`` (n,)."""
-    over_ranges(_given_back, len(positions), normals, pulls, positions)
+    over_ranges(_move_back, len(positions), normals, pulls, positions)
     return positions
 
 

@@ -44,7 +44,7 @@ _LENGTHS = np.array([len(word) for word in WORDS])
 AT, FACETS, SOLIDS, INSIDE, WITHOUT_NORMAL, N_STATE = range(6)
 """Places in the state of a walk, see ``scan``."""
 
-MOST_SOLIDS = 16
+MAX_SOLIDS = 16
 """Solids whose names are looked at."""
 
 

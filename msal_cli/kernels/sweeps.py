@@ -133,7 +133,7 @@ OnSweep = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Swept:
+class SweepResult:
     """Result of a run of sweeps.
 
     Attributes
@@ -147,7 +147,7 @@ class Swept:
 
 
 @compiled
-def _moved_along_normals(
+def _move_along_normals(
     start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, fidelity, x
 ):
     for i in range(start, stop):
@@ -163,7 +163,7 @@ def _moved_along_normals(
 
 
 @compiled
-def _moved_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):
+def _move_freely(start, stop, v, moves, sigma, tau, constant, per_sigma, x):
     for i in range(start, stop):
         fidelity = min(constant + per_sigma * sigma[i], 1.0)
         for axis in range(3):
@@ -179,7 +179,7 @@ def run_sweeps(
     on_sweep: OnSweep | None = None,
     scale: Callable[[Floats], Floats] | None = None,
     trust: Floats | None = None,
-) -> Swept:
+) -> SweepResult:
     """``iterations`` sweeps of eq. (2) from ``vertices`` (n, 3), which are not changed.
 
     Under an operator that moves along fixed normals n the fidelity pulls back along n too, so each
@@ -194,7 +194,7 @@ def run_sweeps(
     trust : (n,) from 0 to 1, the part of lambda that each vertex gets; None for all of it.
     """
     if isinstance(operator, RingOperator) and iterations:
-        return _swept_over_rings(vertices, operator, schedule, iterations, on_sweep, trust)
+        return _sweep_over_rings(vertices, operator, schedule, iterations, on_sweep, trust)
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
@@ -216,13 +216,13 @@ def run_sweeps(
         if sweep == 0:
             fidelity = _pulls(pace, sigma)
         if operator.normals is None:
-            over_ranges(_moved_freely, n, vertices, move, sigma, *pace, x)
+            over_ranges(_move_freely, n, vertices, move, sigma, *pace, x)
         else:
             known = vertices, operator.normals, move, sigma, *pace
-            over_ranges(_moved_along_normals, n, *known, offsets, np.empty(0), x)
+            over_ranges(_move_along_normals, n, *known, offsets, np.empty(0), x)
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
-    return Swept(x, fidelity)
+    return SweepResult(x, fidelity)
 
 
 def _pace(schedule: Schedule, sweep: int, sigma: Floats | None, largest: float | None) -> Pace:
@@ -248,14 +248,14 @@ def _trust(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
     return Pace(pace.time_step, per_sigma=1.0), pulls
 
 
-def _swept_over_rings(
+def _sweep_over_rings(
     vertices: Floats,
     operator: RingOperator,
     schedule: Schedule,
     iterations: int,
     on_sweep: OnSweep | None,
     trust: Floats | None,
-) -> Swept:
+) -> SweepResult:
     """The same, with no arrays made anew for every sweep, and as few passes as can be.
 
     Without sigma a sweep is one pass, from one array of positions to another.  lambda by sigma
@@ -277,7 +277,7 @@ def _swept_over_rings(
                 pace, pulls = _trust(pace, sigma, trust)
             first = none if sweep else fidelity
             known = vertices, operator.normals, heights, pulls, *pace
-            over_ranges(_moved_along_normals, n, *known, offsets, first, moved)
+            over_ranges(_move_along_normals, n, *known, offsets, first, moved)
             x = moved
         else:
             pace = schedule(sweep, None)
@@ -288,4 +288,4 @@ def _swept_over_rings(
             x, moved = moved, spare
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
-    return Swept(x, fidelity)
+    return SweepResult(x, fidelity)

@@ -17,12 +17,12 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.numbers import (
     EXACT,
     FIXED_BELOW,
-    MOST_DECIMALS,
+    MAX_DECIMALS,
+    MAX_SHORTEST_WIDTH,
     NOT_A_NUMBER,
     SHORTEST,
     SHORTEST_SINGLE,
     UNDECIDED,
-    WIDEST_SHORTEST,
     read_number,
     write_number,
 )
@@ -79,7 +79,7 @@ def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _numbers_at(buf, starts, stops, values, undecided):  # type: ignore[no-untyped-def]
+def _read_numbers(buf, starts, stops, values, undecided):  # type: ignore[no-untyped-def]
     n_undecided = 0
     for i in range(len(starts)):
         value, status = parse_number(buf, starts[i], stops[i])
@@ -91,7 +91,7 @@ def _numbers_at(buf, starts, stops, values, undecided):  # type: ignore[no-untyp
     return -1, n_undecided
 
 
-def numbers_at(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
+def read_numbers(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
     """The values (k,) of k tokens, correctly rounded, and the first that is no number, or -1.
 
     Behind such a token the values are undefined.
@@ -99,7 +99,7 @@ def numbers_at(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
     values = np.empty(len(starts))
     undecided = np.zeros(len(starts), dtype=np.bool_)
     starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
-    bad, n_undecided = _numbers_at(as_bytes(buf), starts, stops, values, undecided)
+    bad, n_undecided = _read_numbers(as_bytes(buf), starts, stops, values, undecided)
     if n_undecided:
         for i in np.flatnonzero(undecided):
             values[i] = float(buf[starts[i] : stops[i]].tobytes())
@@ -107,20 +107,20 @@ def numbers_at(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
 
 
 @compiled
-def _decimals_used(buf, starts, stops, decimals):  # type: ignore[no-untyped-def]
+def _count_decimals(buf, starts, stops, decimals):  # type: ignore[no-untyped-def]
     for i in range(len(starts)):
         _, _, _, used = read_number(buf, starts[i], stops[i])
         decimals[i] = min(used, 255)
 
 
-def decimals_used(buf: Bytes, starts: Longs, stops: Longs) -> Bytes:
+def count_decimals(buf: Bytes, starts: Longs, stops: Longs) -> Bytes:
     """Decimals behind the point of each of these tokens, exponents counted in, at most 255.
 
     ``1.5e-3`` has four.
     """
     starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
     decimals = np.empty(len(starts), dtype=np.uint8)
-    _decimals_used(as_bytes(buf), starts, stops, decimals)
+    _count_decimals(as_bytes(buf), starts, stops, decimals)
     return decimals
 
 
@@ -128,7 +128,7 @@ def decimals_used(buf: Bytes, starts: Longs, stops: Longs) -> Bytes:
 
 
 @compiled
-def _printed(values, first, decimals, out, at, stops):  # type: ignore[no-untyped-def]
+def _print_numbers(values, first, decimals, out, at, stops):  # type: ignore[no-untyped-def]
     for i in range(first, len(values)):
         end = write_number(values[i], decimals, out, at)
         if end < 0:
@@ -138,15 +138,15 @@ def _printed(values, first, decimals, out, at, stops):  # type: ignore[no-untype
 
 
 def fixed_width(largest: float, decimals: int) -> int:
-    """Most bytes that any number up to ``largest`` takes in ``printed``, its fallback included."""
-    if decimals > MOST_DECIMALS:
-        return WIDEST_SHORTEST
+    """Most bytes that ``print_numbers`` takes for any number up to ``largest``."""
+    if decimals > MAX_DECIMALS:
+        return MAX_SHORTEST_WIDTH
     if largest < FIXED_BELOW:
         return len(str(int(largest))) + decimals + 3
-    return max(decimals + 22, WIDEST_SHORTEST)
+    return max(decimals + 22, MAX_SHORTEST_WIDTH)
 
 
-def printed(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
+def print_numbers(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
     """Text of k numbers: fixed-point with ``decimals`` (0 to 17) digits behind the point, or the
     shortest that is read back as the same number (SHORTEST) or the same float32 (SHORTEST_SINGLE).
 
@@ -162,23 +162,23 @@ def printed(values: Floats, decimals: int) -> tuple[Bytes, Longs]:
     stops = np.empty(len(values), dtype=np.int64)
     largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
     out = np.empty(len(values) * fixed_width(largest, decimals), dtype=np.uint8)
-    done, at = _printed(values, 0, decimals, out, 0, stops)
+    done, at = _print_numbers(values, 0, decimals, out, 0, stops)
     while done < len(values):
-        text = shortest(values[done], decimals == SHORTEST_SINGLE).encode()
+        text = format_shortest(values[done], decimals == SHORTEST_SINGLE).encode()
         out[at : at + len(text)] = np.frombuffer(text, dtype=np.uint8)
         at = stops[done] = at + len(text)
-        done, at = _printed(values, done + 1, decimals, out, at, stops)
+        done, at = _print_numbers(values, done + 1, decimals, out, at, stops)
     return out[:at], stops
 
 
-def shortest(value: float, single: bool) -> str:
+def format_shortest(value: float, single: bool) -> str:
     """The shortest decimal that is read back as the same float64 (or float32)."""
     return str(np.float32(value)) if single else repr(float(value))
 
 
-def printed_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
-    """``printed`` with SHORTEST_SINGLE or SHORTEST."""
-    return printed(values, SHORTEST_SINGLE if single else SHORTEST)
+def print_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
+    """``print_numbers`` with SHORTEST_SINGLE or SHORTEST."""
+    return print_numbers(values, SHORTEST_SINGLE if single else SHORTEST)
 
 
 # Tokens
@@ -210,7 +210,7 @@ def skip_token(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
+def _copy(source, start, stop, target, at):  # type: ignore[no-untyped-def]
     """Copy source[start:stop] to target at ``at``; returns the end."""
     for k in range(stop - start):
         target[at + k] = source[start + k]
@@ -218,22 +218,22 @@ def _copied(source, start, stop, target, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _spliced(buf, starts, stops, text, text_stops, out):  # type: ignore[no-untyped-def]
+def _splice(buf, starts, stops, text, text_stops, out):  # type: ignore[no-untyped-def]
     done = at = text_start = 0
     for i in range(len(starts)):
-        at = _copied(buf, done, starts[i], out, at)
-        at = _copied(text, text_start, text_stops[i], out, at)
+        at = _copy(buf, done, starts[i], out, at)
+        at = _copy(text, text_start, text_stops[i], out, at)
         text_start = text_stops[i]
         done = stops[i]
-    _copied(buf, done, len(buf), out, at)
+    _copy(buf, done, len(buf), out, at)
 
 
-def spliced(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Longs) -> Bytes:
+def splice(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Longs) -> Bytes:
     """``buf`` with k tokens replaced by k texts that lie one behind the other in ``text``."""
     starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
     size = len(buf) - int((stops - starts).sum()) + (int(text_stops[-1]) if len(text_stops) else 0)
     out = np.empty(size, dtype=np.uint8)
-    _spliced(as_bytes(buf), starts, stops, as_bytes(text), text_stops, out)
+    _splice(as_bytes(buf), starts, stops, as_bytes(text), text_stops, out)
     return out
 
 
@@ -256,7 +256,7 @@ def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[no-untyped-def]
+def _is_same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[no-untyped-def]
     a_done = b_done = 0
     for i in range(len(a_starts)):
         count = a_starts[i] - a_done
@@ -273,7 +273,7 @@ def _same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[n
     return count >= 0 and len(b) - b_done == count and is_same(a, a_done, b, b_done, count)
 
 
-def same_outside(
+def is_same_outside(
     a: Bytes, a_starts: Longs, a_stops: Longs, b: Bytes, b_starts: Longs, b_stops: Longs
 ) -> bool:
     """Whether two texts are equal byte for byte outside their k tokens."""
@@ -281,7 +281,7 @@ def same_outside(
         return False
     a_starts, a_stops = np.ascontiguousarray(a_starts), np.ascontiguousarray(a_stops)
     b_starts, b_stops = np.ascontiguousarray(b_starts), np.ascontiguousarray(b_stops)
-    return bool(_same_outside(as_bytes(a), a_starts, a_stops, as_bytes(b), b_starts, b_stops))
+    return bool(_is_same_outside(as_bytes(a), a_starts, a_stops, as_bytes(b), b_starts, b_stops))
 
 
 _BLOCK = 1 << 14
@@ -289,7 +289,7 @@ _BLOCK = 1 << 14
 
 
 @compiled
-def _lines(text, stops, row_stops, prefix, doubled, out):  # type: ignore[no-untyped-def]
+def _format_lines(text, stops, row_stops, prefix, doubled, out):  # type: ignore[no-untyped-def]
     to = 0
     start = 0
     token = 0
@@ -312,7 +312,7 @@ def _lines(text, stops, row_stops, prefix, doubled, out):  # type: ignore[no-unt
     return to
 
 
-def lines(
+def format_lines(
     text: Bytes,
     stops: NDArray[np.int64],
     row_stops: NDArray[np.int64],
@@ -323,14 +323,14 @@ def lines(
 
     Parameters
     ----------
-    text, stops : (size,) and (k,), k tokens one behind the other, as ``text.printed`` gives them.
+    text, stops : (size,) and (k,), k tokens one behind the other, as of ``print_numbers``.
     row_stops : (r,), ascending, the tokens up to and with each row; no row is empty.
     doubled : write each token as ``t//t``, as OBJ names a corner with a normal.
     """
     size = len(text) * (2 if doubled else 1) + len(stops) * (3 if doubled else 1)
     out = np.empty(size + len(row_stops) * len(prefix), dtype=np.uint8)
     fixed = np.frombuffer(prefix, dtype=np.uint8)
-    return out[: _lines(as_bytes(text), stops, row_stops, as_bytes(fixed), doubled, out)]
+    return out[: _format_lines(as_bytes(text), stops, row_stops, as_bytes(fixed), doubled, out)]
 
 
 def fill_rows(
@@ -338,8 +338,7 @@ def fill_rows(
 ) -> Iterator[memoryview]:
     """Rows of tokens between ``pieces``, of which there is one more than tokens in a row.
 
-    ``text`` (size,) and ``stops`` (k,) are the tokens of all rows one behind the other, as
-    ``text.printed`` gives them.
+    ``text`` (size,) and ``stops`` (k,) are the tokens of all rows, as of ``print_numbers``.
     """
     row = b"".join(pieces)
     places = np.cumsum([len(piece) for piece in pieces[:-1]])
@@ -349,5 +348,5 @@ def fill_rows(
         count = len(ends) // len(places)
         at = (len(row) * np.arange(count)[:, None] + places).reshape(-1)
         tokens = text[begin : ends[-1]]
-        yield spliced(as_bytes(row * count), at, at, tokens, ends - begin).data
+        yield splice(as_bytes(row * count), at, at, tokens, ends - begin).data
         begin = int(ends[-1])

@@ -1,6 +1,6 @@
 """Filters by the umbrella operator: means of x_k - x_i over rows of neighbours, from edges alone.
 
-All take the rows to average over as they come; ``averaged_ring`` makes them for a rule at open
+All take the rows to average over as they come; ``averaging_ring`` makes them for a rule at open
 edges.  A vertex with an empty row does not move.
 
 With the umbrella U a wave of frequency k, U x = -k x with 0 <= k <= 2, is multiplied by the
@@ -142,7 +142,7 @@ def _push_back(start, stop, p, b, ring_start, ring, beta, q):
         q[i, 2] = p[i, 2] - (beta * b[i, 2] + share * sz)
 
 
-def pushed_back(
+def hc_sweep(
     original: Floats, positions: Floats, ring_start: Ints, ring: Ints, alpha: float, beta: float
 ) -> Floats:
     """Positions (n, 3) after one sweep from ``positions`` (n, 3); a new array.

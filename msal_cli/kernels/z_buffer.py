@@ -20,7 +20,7 @@ NOTHING = -1
 ROUNDING = 1e-9
 """How far outside a face a sample may be: one on the edge of two faces must be in one of them."""
 
-FEWEST_ROWS = 64
+MIN_ROWS = 64
 """Rows per thread: each thread looks at all faces."""
 
 
@@ -68,7 +68,7 @@ def nearest_faces(points: Floats, faces: Ints, height: int, width: int) -> tuple
     and the face's number, ``NOTHING`` where there is none."""
     nearness = np.full((height, width), -np.inf, dtype=np.float32)
     front = np.full((height, width), NOTHING, dtype=np.int32)
-    over_ranges(_nearest_faces, height, points, faces, nearness, front, smallest=FEWEST_ROWS)
+    over_ranges(_nearest_faces, height, points, faces, nearness, front, smallest=MIN_ROWS)
     return nearness, front
 
 
@@ -123,7 +123,7 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
 
 
 @compiled
-def _lit(
+def _light_samples(
     start, stop, side, points, faces, nearness, front, normals, paint, back, lights, sums, depths
 ):
     """Add up light and coverage of the samples of pixel rows ``start`` to ``stop``."""
@@ -195,7 +195,7 @@ def _lit(
             depths[row, column] = depth / covered if covered > 0.0 else 0.0
 
 
-def lit(
+def light_samples(
     side: int,
     points: Floats,
     faces: Ints,
@@ -226,5 +226,5 @@ def lit(
     sums = np.empty((height, width, 4), dtype=np.float32)
     depths = np.empty((height, width), dtype=np.float32)
     known = side, points, faces, nearness, front, normals, paint, back, lights
-    over_ranges(_lit, height, *known, sums, depths, smallest=FEWEST_ROWS)
+    over_ranges(_light_samples, height, *known, sums, depths, smallest=MIN_ROWS)
     return sums, depths

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from msal_cli.arrays import Ints
-from msal_cli.kernels.connectivity import averaged_ring
+from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import ScaleParameters
@@ -29,7 +29,7 @@ def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
 
     The rows of fixed vertices are empty: a vertex without neighbours does not move.
     """
-    starts, ring = averaged_ring(mesh.faces, mesh.topology, boundary)
+    starts, ring = averaging_ring(mesh.faces, mesh.topology, boundary)
     if mesh.fixed_vertices is None:
         return starts, ring
     counts = np.diff(starts)

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
-from msal_cli.kernels.sweeps import Constant, Multiscale, Plain, Schedule, Swept, Wiener, run_sweeps
+from msal_cli.kernels.sweeps import (
+    Constant,
+    Multiscale,
+    Plain,
+    Schedule,
+    SweepResult,
+    Wiener,
+    run_sweeps,
+)
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 
@@ -259,12 +267,14 @@ def resolve_noise_level(mesh: Mesh, noise: float) -> float:
     return estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length).file_units
 
 
-def _restore(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener) -> Swept:
+def _restore(
+    mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule: Wiener
+) -> SweepResult:
     """Positions from which the sweeps came to ``smooth`` (n, 3), as far as more than noise went.
 
     What comes back comes along the mesh's normals.
     """
-    from msal_cli.kernels.restoration import given_back, restoration
+    from msal_cli.kernels.restoration import move_back, restoration
 
     noise = resolve_noise_level(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
@@ -273,4 +283,4 @@ def _restore(mesh: Mesh, parameters: NormalParameters, smooth: Floats, schedule:
     found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
     pull = found.returned if mesh.trust is None else mesh.trust * found.returned
     share = found.share if mesh.trust is None else mesh.trust * found.share
-    return Swept(given_back(smooth, normals, pull), share)
+    return SweepResult(move_back(smooth, normals, pull), share)

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.umbrellas import pushed_back
+from msal_cli.kernels.umbrellas import hc_sweep
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
@@ -70,7 +70,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     timer.start_sweeps()
     positions = mesh.vertices.copy()
     for sweep in range(parameters.iterations):
-        positions = pushed_back(
+        positions = hc_sweep(
             mesh.vertices, positions, ring_start, ring, parameters.alpha, parameters.beta
         )
         on_sweep(sweep + 1, parameters.iterations)

@@ -49,7 +49,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
-from msal_cli.kernels.bilateral import normal_spread, towards_planes
+from msal_cli.kernels.bilateral import normal_spread, step_towards_planes
 from msal_cli.kernels.geometry import ring_means, vertex_normals
 from msal_cli.kernels.operators import Operator
 from msal_cli.kernels.quantiles import clusters
@@ -178,7 +178,7 @@ def _compute_moves(
     aside[links.boundary] = 0.0
     heights -= PUSHED_BACK * ring_means(heights, links.ring_start, links.ring)
     flat = 0.5 * (heights[:, None] * normals + aside)
-    edge = share * towards_planes(x, normals, links.ring_start, links.ring)
+    edge = share * step_towards_planes(x, normals, links.ring_start, links.ring)
     moves: Floats = np.where(feature[:, None], edge, flat)
     moves[~free | (normals == 0.0).all(axis=1)] = 0.0
     return moves

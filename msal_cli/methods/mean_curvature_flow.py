@@ -48,7 +48,7 @@ from msal_cli.kernels.curvature import (
     MeanCurvature,
     cotangent_weights,
 )
-from msal_cli.kernels.geometry import with_volume_of
+from msal_cli.kernels.geometry import restore_volume
 from msal_cli.kernels.operators import Operator
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
@@ -134,6 +134,6 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     )
     closed = not (mesh.topology.boundary_edges or mesh.topology.non_manifold_edges)
     if parameters.volume == "restore" and parameters.iterations and closed:
-        vertices = with_volume_of(mesh.vertices, result.vertices, mesh.faces)
+        vertices = restore_volume(mesh.vertices, result.vertices, mesh.faces)
         result = dataclasses.replace(result, vertices=vertices)
     return result

@@ -118,7 +118,7 @@ def shade(
     points[:, 1] = 0.5 * SAMPLES * height - seen[:, 1] * scale
     points[:, 2] = seen[:, 2] * scale
     nearness, front = z_buffer.nearest_faces(points, faces, SAMPLES * height, SAMPLES * width)
-    sums, depth = z_buffer.lit(
+    sums, depth = z_buffer.light_samples(
         SAMPLES, points, faces, nearness, front, normals, paint, inside, lights
     )
     # Colours 0 to 255 times the share of each pixel that shows the mesh, and that share.

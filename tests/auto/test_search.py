@@ -106,8 +106,8 @@ def members_of(choice):
 
 def test_it_is_the_same_with_any_number_of_threads(mesh, monkeypatch):
     # Small meshes are not shared between threads, unless they are made to be.
-    monkeypatch.setattr(parallel, "SMALLEST_RANGE", 100)
-    monkeypatch.setattr(parallel, "SMALLEST_COUNT", 100)
+    monkeypatch.setattr(parallel, "MIN_RANGE", 100)
+    monkeypatch.setattr(parallel, "MIN_COUNT", 100)
     made = []
     for threads in ("1", "2"):
         monkeypatch.setenv("MSAL_THREADS", threads)

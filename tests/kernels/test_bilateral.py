@@ -58,8 +58,8 @@ def test_a_hub_has_its_whole_row_and_its_rim_a_bounded_part():
     x, faces = fan(np.zeros(6000))
     assert len(vertices_around(0, x, faces, 10.0)[0]) == 6001
     assert len(faces_around(0, x, faces, 10.0)[0]) == 6000
-    assert len(vertices_around(1, x, faces, 10.0)[0]) == reach.MOST_FOUND
-    assert len(faces_around(1, x, faces, 10.0)[0]) == reach.MOST_FOUND
+    assert len(vertices_around(1, x, faces, 10.0)[0]) == reach.MAX_FOUND
+    assert len(faces_around(1, x, faces, 10.0)[0]) == reach.MAX_FOUND
 
 
 def test_looks_into_a_hub_are_bounded():
@@ -68,6 +68,6 @@ def test_looks_into_a_hub_are_bounded():
     x, faces = fan(np.zeros(40_000))
     x[1:] *= 0.5
     x[1:12001] *= 3.0
-    assert reach.MOST_LOOKS < 12_000
+    assert reach.MAX_LOOKS < 12_000
     found, _ = vertices_around(12_500, x, faces, 0.51)
     assert sorted(found) == [0, 12499, 12500, 12501]

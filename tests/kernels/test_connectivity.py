@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.kernels.connectivity import (
-    averaged_ring,
+    averaging_ring,
     boundary_curves,
     connectivity,
     count_components,
@@ -185,9 +185,9 @@ def test_the_rim_of_a_grid_worked_by_hand():
     assert listed(*boundary_curves(faces, links)) == rim
     middle = [0, 1, 3, 5, 7, 8]
     rim[4] = middle
-    assert listed(*averaged_ring(faces, links, "curve")) == rim
+    assert listed(*averaging_ring(faces, links, "curve")) == rim
     fixed = [[]] * 4 + [middle] + [[]] * 4
-    assert listed(*averaged_ring(faces, links, "fixed")) == fixed
+    assert listed(*averaging_ring(faces, links, "fixed")) == fixed
 
 
 @settings(max_examples=60, deadline=None)
@@ -207,4 +207,4 @@ def test_any_set_of_faces_gives_the_rows_of_the_plain_twin(chosen, boundary):
     faces = np.array(chosen, dtype=np.int32)
     links = connectivity(10, faces)
     expected = [sorted(row) for row in rows(10, faces, boundary)]
-    assert listed(*averaged_ring(faces, links, boundary)) == expected
+    assert listed(*averaging_ring(faces, links, boundary)) == expected

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.kernels.elementary import (
-    SMALLEST_ARGUMENT,
-    SMALLEST_POWER,
+    MIN_ARGUMENT,
+    MIN_POWER,
     arctangents,
     exponentials,
     power_of_two,
@@ -23,7 +23,7 @@ def computed(values):
     return values
 
 
-@pytest.mark.parametrize("low", [-1e-8, -1.0, -30.0, SMALLEST_ARGUMENT])
+@pytest.mark.parametrize("low", [-1e-8, -1.0, -30.0, MIN_ARGUMENT])
 def test_within_two_ulp(low):
     values = np.random.default_rng(0).uniform(low, 0.0, 100_000)
     exact = np.exp(values)
@@ -47,11 +47,11 @@ def powers(exponents):
 
 
 def test_whole_powers_of_two_are_exact():
-    whole = np.arange(SMALLEST_POWER, 1.0)
+    whole = np.arange(MIN_POWER, 1.0)
     assert (powers(whole) == np.ldexp(1.0, whole.astype(int))).all()
 
 
-@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, SMALLEST_POWER])
+@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, MIN_POWER])
 def test_powers_of_two_are_within_two_ulp(low):
     exponents = np.random.default_rng(0).uniform(low, 0.0, 10_000)
     exact = np.exp2(exponents)

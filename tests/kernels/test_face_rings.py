@@ -11,7 +11,7 @@ from msal_cli.errors import TooLargeError
 from msal_cli.kernels import faces as module
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.faces import (
-    MOST_AROUND,
+    MAX_AROUND,
     face_centroids,
     face_rings,
     faces_within,
@@ -48,8 +48,8 @@ SHAPES = {
     "fan": fan([0.0] * 9)[1],
     "every third": torus(8, 5)[1][::3],
     "book": book(7),
-    "full book": book(MOST_AROUND),
-    "full fan": fan([0.0] * MOST_AROUND)[1],
+    "full book": book(MAX_AROUND),
+    "full fan": fan([0.0] * MAX_AROUND)[1],
     "bow ties": bow_ties(),
     "one": [[0, 1, 2]],
     "wound both ways": [[0, 1, 2], [0, 1, 3], [1, 2, 3]],
@@ -73,8 +73,8 @@ def test_the_order_is_side_by_side_then_corner_by_corner():
 
 def test_threads_do_not_change_the_rows(monkeypatch):
     _, faces = torus(40, 20)
-    monkeypatch.setattr("msal_cli.kernels.parallel.SMALLEST_RANGE", 100)
-    monkeypatch.setattr("msal_cli.kernels.faces.SMALLEST_PART", 1)
+    monkeypatch.setattr("msal_cli.kernels.parallel.MIN_RANGE", 100)
+    monkeypatch.setattr("msal_cli.kernels.faces.MIN_PART", 1)
     results = []
     for count in ("1", "2", "5"):
         monkeypatch.setenv("MSAL_THREADS", count)
@@ -85,11 +85,11 @@ def test_threads_do_not_change_the_rows(monkeypatch):
 
 
 def test_an_edge_with_too_many_faces_makes_no_neighbours():
-    assert rows(book(MOST_AROUND + 1), "vertex") == [[] for _ in range(MOST_AROUND + 1)]
+    assert rows(book(MAX_AROUND + 1), "vertex") == [[] for _ in range(MAX_AROUND + 1)]
 
 
 def test_around_a_hub_the_neighbours_are_those_across_edges():
-    count = MOST_AROUND + 1
+    count = MAX_AROUND + 1
     found = rows(fan([0.0] * count)[1], "vertex")
     # The rim's vertices have two faces each, which share an edge anyway.
     assert [sorted(row) for row in found] == [
@@ -128,9 +128,9 @@ def test_too_many_neighbours_are_refused(monkeypatch):
     _, faces = grid(5, 4)
     links = connectivity(20, faces)
     _, ring = face_rings(faces, links, "vertex")
-    monkeypatch.setattr(module, "MOST_PAIRS", len(ring))
+    monkeypatch.setattr(module, "MAX_PAIRS", len(ring))
     face_rings(faces, connectivity(20, faces), "vertex")
-    monkeypatch.setattr(module, "MOST_PAIRS", len(ring) - 1)
+    monkeypatch.setattr(module, "MAX_PAIRS", len(ring) - 1)
     links = connectivity(20, faces)  # the others keep their rings
     with pytest.raises(TooLargeError, match=f"{len(ring)} neighbours"):
         face_rings(faces, links, "vertex")

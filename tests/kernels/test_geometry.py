@@ -13,7 +13,7 @@ from msal_cli.kernels.geometry import (
     face_normals_and_areas,
     mean_edge_length,
     normals_and_flat_faces,
-    regrouped_normals,
+    regroup_normals,
     ring_means,
     surface_figures,
     vertex_normals,
@@ -117,7 +117,7 @@ def test_stored_vertex_normals_follow_the_surface():
     vertices, faces = torus()
     before = stored(vertices, faces)
     moved = noisy(vertices, 2, 0.05)
-    normals, changed = regrouped_normals(vertices, moved, faces, faces, before)
+    normals, changed = regroup_normals(vertices, moved, faces, faces, before)
     assert changed.all()
     assert np.allclose(normals, stored(moved, faces), atol=1e-12)
 
@@ -127,7 +127,7 @@ def test_stored_normals_keep_their_sense_and_far_ones_their_bytes():
     before = -stored(vertices, faces)
     moved = vertices.copy()
     moved[0, 2] = 0.2
-    normals, changed = regrouped_normals(vertices, moved, faces, faces, before)
+    normals, changed = regroup_normals(vertices, moved, faces, faces, before)
     assert changed.sum() == 4
     assert (normals[~changed] == before[~changed]).all()
     assert (normals[changed][:, 2] < 0).all()
@@ -139,7 +139,7 @@ def test_zero_and_unused_and_broken_entries_stay():
     before[4] = 0.0
     before[3] = np.nan
     before = np.concatenate([before, [[0.0, 0.0, 2.0]]])
-    normals, changed = regrouped_normals(vertices, noisy(vertices, 1, 0.1), faces, faces, before)
+    normals, changed = regroup_normals(vertices, noisy(vertices, 1, 0.1), faces, faces, before)
     assert not changed[[3, 4, 9]].any()
     assert np.isnan(normals[3]).all()
     assert (normals[4] == 0).all()
@@ -156,12 +156,12 @@ def test_a_seam_with_equal_normals_stays_smooth_and_a_crease_stays_sharp():
     moved = vertices.copy()
     moved[6:, 2] = 1.0
     smooth = np.tile([0.0, 0.0, 1.0], (8, 1))
-    normals, _ = regrouped_normals(vertices, moved, faces, faces, smooth)
+    normals, _ = regroup_normals(vertices, moved, faces, faces, smooth)
     assert np.allclose(normals[2], normals[4])
     assert np.allclose(normals[3], normals[5])
     crease = smooth.copy()
     crease[4:] = [0.1, 0.0, 1.0]
-    normals, _ = regrouped_normals(vertices, moved, faces, faces, crease)
+    normals, _ = regroup_normals(vertices, moved, faces, faces, crease)
     assert np.allclose(normals[2], [0, 0, 1])
     assert np.allclose(normals[4], np.array([-1, 0, 1]) / np.sqrt(2))
 
@@ -172,10 +172,10 @@ def test_entries_shared_by_corners():
     moved = vertices.copy()
     moved[4, 2] = 0.5
     entry = np.zeros_like(faces)
-    normals, changed = regrouped_normals(vertices, moved, faces, entry, np.array([[0.0, 0.0, 1.0]]))
+    normals, changed = regroup_normals(vertices, moved, faces, entry, np.array([[0.0, 0.0, 1.0]]))
     assert changed.all()
     total = face_normals(moved, faces).sum(axis=0)
     assert np.allclose(normals[0], total / np.linalg.norm(total))
     none = np.full_like(faces, -1)
-    _, changed = regrouped_normals(vertices, moved, faces, none, np.array([[0.0, 0.0, 1.0]]))
+    _, changed = regroup_normals(vertices, moved, faces, none, np.array([[0.0, 0.0, 1.0]]))
     assert not changed.any()

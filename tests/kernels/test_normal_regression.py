@@ -138,7 +138,7 @@ def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
     results = []
     for count in ("1", "3"):
         monkeypatch.setenv("MSAL_THREADS", count)
-        monkeypatch.setattr(parallel, "SMALLEST_RANGE", 37 if count == "3" else 10**6)
+        monkeypatch.setattr(parallel, "MIN_RANGE", 37 if count == "3" else 10**6)
         descriptors = described(scan)[0]
         results.append((descriptors.inputs(), descriptors.predict(network)))
     assert (results[0][0] == results[1][0]).all()

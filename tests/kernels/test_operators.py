@@ -78,7 +78,7 @@ def test_ranges_do_not_change_a_bit(kind, of, schedule, monkeypatch):
     made, x = operator(kind, of)
     whole = run_sweeps(x, made, schedule, 3)
     monkeypatch.setenv("MSAL_THREADS", "7")
-    monkeypatch.setattr(parallel, "SMALLEST_RANGE", 10)
+    monkeypatch.setattr(parallel, "MIN_RANGE", 10)
     cut = run_sweeps(x, made, schedule, 3)
     assert (cut.vertices == whole.vertices).all()
     assert (cut.fidelity == whole.fidelity).all()

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from msal_cli.kernels.patch_fits import MOST_VERTICES
+from msal_cli.kernels.patch_fits import MAX_VERTICES
 from msal_cli.kernels.quantiles import (
     MANY,
-    MOST_FREEDOMS,
+    MAX_FREEDOMS,
     chi_square,
     clusters,
     median,
@@ -98,7 +98,7 @@ def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed)
     assert (np.abs(values - own) <= nearest + 1e-9).all()
 
 
-FREEDOMS = np.arange(1, MOST_FREEDOMS + 1)
+FREEDOMS = np.arange(1, MAX_FREEDOMS + 1)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5])
@@ -114,4 +114,4 @@ def test_student():
 
 
 def test_there_is_a_quantile_for_every_patch():
-    assert MOST_FREEDOMS >= MOST_VERTICES - 1
+    assert MAX_FREEDOMS >= MAX_VERTICES - 1

@@ -35,7 +35,7 @@ def same_bits(a: float, b: float) -> bool:
 
 
 def value_of(word: bytes) -> float:
-    values, bad = text.numbers_at(*tokens([word]))
+    values, bad = text.read_numbers(*tokens([word]))
     assert bad == -1, word
     return float(values[0])
 
@@ -106,7 +106,7 @@ def test_what_is_no_number(word: bytes) -> None:
     buffer = np.frombuffer(b"7 " + word + b" 8", dtype=np.uint8)
     starts = np.array([0, 2, len(buffer) - 1])
     stops = np.array([1, 2 + len(word), len(buffer)])
-    assert text.numbers_at(buffer, starts, stops)[1] == 1
+    assert text.read_numbers(buffer, starts, stops)[1] == 1
 
 
 @given(st.integers(-(2**80), 2**80), st.sampled_from(["", "+", "00"]))
@@ -139,7 +139,7 @@ def test_what_is_no_integer(word: bytes) -> None:
     ],
 )  # fmt: skip
 def test_decimals_used(words: list[bytes], decimals: list[int]) -> None:
-    assert text.decimals_used(*tokens(words)).tolist() == decimals
+    assert text.count_decimals(*tokens(words)).tolist() == decimals
 
 
 # Printing
@@ -157,12 +157,12 @@ def fixed(value: float, decimals: int) -> str:
 @example([2.0**63, -(2.0**64), 1e300, 3.0], 3)
 @settings(max_examples=300, deadline=None)
 def test_printed_is_correctly_rounded(values: list[float], decimals: int) -> None:
-    got = split(*text.printed(np.array(values), decimals))
+    got = split(*text.print_numbers(np.array(values), decimals))
     assert got == [fixed(v, decimals) if abs(v) < 2.0**63 else repr(v) for v in values]
 
 
 def test_printed_where_a_number_is_not_finite() -> None:
-    got = split(*text.printed(np.array([1.0, math.nan, -math.inf, 2.0]), 1))
+    got = split(*text.print_numbers(np.array([1.0, math.nan, -math.inf, 2.0]), 1))
     assert got == ["1.0", "nan", "-inf", "2.0"]
 
 
@@ -203,7 +203,7 @@ def n_digits(word: str) -> int:
 @settings(max_examples=300, deadline=None)
 def test_shortest_double(values: list[float]) -> None:
     for value, word in zip(
-        values, split(*text.printed_shortest(np.array(values), False)), strict=True
+        values, split(*text.print_shortest(np.array(values), False)), strict=True
     ):
         assert same_bits(float(word), value)
         assert n_digits(word) == n_digits(repr(value)), (word, value)
@@ -216,7 +216,7 @@ def test_shortest_double(values: list[float]) -> None:
 def test_shortest_single(values: list[float]) -> None:
     singles = np.array(values, dtype=np.float32)
     for value, word in zip(
-        singles, split(*text.printed_shortest(singles.astype(np.float64), True)), strict=True
+        singles, split(*text.print_shortest(singles.astype(np.float64), True)), strict=True
     ):
         assert np.float32(word).tobytes() == value.tobytes()
         assert n_digits(word) == digits_of_single(value), (word, value)
@@ -225,12 +225,12 @@ def test_shortest_single(values: list[float]) -> None:
 def test_shortest_single_keeps_clear_of_the_middle() -> None:
     # 6.034581e7 is the middle of two float32, and so is 9.995e8: right only for readers that take
     # the even one.
-    words = split(*text.printed_shortest(np.array([60345808.0, 999500032.0]), True))
+    words = split(*text.print_shortest(np.array([60345808.0, 999500032.0]), True))
     assert words == ["60345808", "999500030"]
 
 
 def test_shortest_beyond_float32_is_infinite() -> None:
-    assert split(*text.printed_shortest(np.array([1e39, 1.0]), True)) == ["inf", "1"]
+    assert split(*text.print_shortest(np.array([1e39, 1.0]), True)) == ["inf", "1"]
 
 
 # Tokens replaced inside a text
@@ -247,9 +247,9 @@ def test_spliced_and_compared(old: list[bytes], new: list[bytes], between: bytes
     expected, b_starts, b_stops = tokens(new[:count], between)
     joined = np.frombuffer(b"".join(new[:count]), dtype=np.uint8)
     stops = np.cumsum([len(word) for word in new[:count]]).astype(np.int64)
-    b = text.spliced(a, a_starts, a_stops, joined, stops)
+    b = text.splice(a, a_starts, a_stops, joined, stops)
     assert b.tobytes() == expected.tobytes()
-    assert text.same_outside(a, a_starts, a_stops, b, b_starts, b_stops)
+    assert text.is_same_outside(a, a_starts, a_stops, b, b_starts, b_stops)
 
 
 def test_a_difference_outside_is_seen_wherever_it_is() -> None:
@@ -259,11 +259,11 @@ def test_a_difference_outside_is_seen_wherever_it_is() -> None:
     for at in (0, 4, 9, 70, 4999, 5010, len(body) - 1):
         b = a.copy()
         b[at] ^= 1
-        assert not text.same_outside(a, starts, stops, b, starts, stops), at
+        assert not text.is_same_outside(a, starts, stops, b, starts, stops), at
     for at in (5, 8, 5000, 5009):
         b = a.copy()
         b[at] ^= 1
-        assert text.same_outside(a, starts, stops, b, starts, stops), at
-    assert not text.same_outside(a, starts, stops, a[:-1], starts, stops)
-    assert not text.same_outside(a, starts, stops, a[:100], starts, stops)
-    assert not text.same_outside(a, starts, stops, a, starts + 1, stops)
+        assert text.is_same_outside(a, starts, stops, b, starts, stops), at
+    assert not text.is_same_outside(a, starts, stops, a[:-1], starts, stops)
+    assert not text.is_same_outside(a, starts, stops, a[:100], starts, stops)
+    assert not text.is_same_outside(a, starts, stops, a, starts + 1, stops)

@@ -121,7 +121,7 @@ def test_a_flat_sheet_stays_flat(run):
 
 def test_threads_do_not_change_a_bit(run, monkeypatch):
     # Small ranges let a small mesh be shared between threads.
-    monkeypatch.setattr(parallel, "SMALLEST_RANGE", 100)
+    monkeypatch.setattr(parallel, "MIN_RANGE", 100)
     mesh = scan(around=28, across=18)
     results = []
     for count in ("1", "2", "3"):

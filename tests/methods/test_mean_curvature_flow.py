@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.kernels.geometry import area_and_volume, with_volume_of
+from msal_cli.kernels.geometry import area_and_volume, restore_volume
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
@@ -163,7 +163,7 @@ def test_the_fixed_point_of_the_scaling_is_the_centre_of_mass():
     split = [f for f in faces if set(f.tolist()) != {0, 1, 2} and set(f.tolist()) != {0, 2, 3}]
     split += [f for f in faces.tolist() if set(f) in ({0, 2, 3}, {0, 1, 2})]
     split = np.array(split, dtype=np.int32)
-    out = with_volume_of(np.concatenate([original, pyramid[8:]]), pyramid, split)
+    out = restore_volume(np.concatenate([original, pyramid[8:]]), pyramid, split)
     assert np.allclose(out[:8], 0.5 + 2.0 * (vertices - 0.5), atol=1e-14)
     assert (out[8:] == pyramid[8:]).all()  # no face has them
 
@@ -174,7 +174,7 @@ def test_an_open_surface_is_not_scaled():
     assert (flowed(mesh, volume="restore") == flowed(mesh)).all()
     # Nor is one that passed through itself.
     vertices, faces = cube()
-    assert (with_volume_of(-2.0 * vertices, vertices, faces) == vertices).all()
+    assert (restore_volume(-2.0 * vertices, vertices, faces) == vertices).all()
 
 
 def test_a_long_solve_reports_and_can_be_ended():
