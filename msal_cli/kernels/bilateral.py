@@ -202,26 +202,17 @@ class BallBilateral:
 
     w = exp(-t^2 / 2 sigma_c^2 - h^2 / 2 sigma_s^2) with h the heights over the tangent plane and t
     the distances of the vertices, the vertex itself among them, that edges join to it within
-    ``radius`` (Fleishman, Drori and Cohen-Or 2003).
+    ``radius`` (Fleishman, Drori and Cohen-Or 2003)."""
 
-    Attributes
-    ----------
-    faces, links : (m, 3) and its neighbourhoods.
-    free : (n,) bool, False for vertices that must stay.
-    mean_edge_length : file units; sets the floor of sigma_c and sigma_s.
-    radius : file units; 0 takes 2 sigma_c.
-    closeness : sigma_c, file units; 0 takes the length of each vertex's shortest edge.
-    similarity : sigma_s, file units; 0 takes the standard deviation of |h| in each neighbourhood.
-    weighting : of the face normals in a vertex normal, as in ``kernels.geometry.vertex_normals``.
-    """
-
-    faces: Ints
+    faces: Ints  # faces, links: (m, 3) and its neighbourhoods
     links: Connectivity
-    free: Flags
-    mean_edge_length: float
-    radius: float = 0.0
-    closeness: float = 0.0
+    free: Flags  # (n,) bool, False for vertices that must stay
+    mean_edge_length: float  # file units; sets the floor of sigma_c and sigma_s
+    radius: float = 0.0  # file units; 0 takes 2 sigma_c
+    closeness: float = 0.0  # sigma_c, file units; 0 takes the length of each vertex's shortest edge
+    # sigma_s, file units; 0 takes the standard deviation of |h| in each neighbourhood
     similarity: float = 0.0
+    # of the face normals in a vertex normal, as in ``kernels.geometry.vertex_normals``
     weighting: str = "uniform"
     normals: None = None
 
@@ -337,22 +328,14 @@ class ProjectionAverage:
     Durand and Desbrun 2003).  Mollified normals are those of the faces after every vertex went to
     the average of the centroids, with weights A f, f half as wide; where that leaves nothing of a
     face its own normal is taken.  The faces are those with a centroid within 2 closeness
-    that such faces join to the vertex; one without any does not move.
+    that such faces join to the vertex; one without any does not move."""
 
-    Attributes
-    ----------
-    faces, links : (m, 3) and its neighbourhoods.
-    free : (n,) bool, False for vertices that must stay.
-    mean_edge_length : file units; areas are taken in squares of it, and it sets the floor of the
-        widths.
-    closeness, similarity : sigma_f and sigma_g, file units.
-    """
-
-    faces: Ints
+    faces: Ints  # faces, links: (m, 3) and its neighbourhoods
     links: Connectivity
-    free: Flags
+    free: Flags  # (n,) bool, False for vertices that must stay
+    # file units; areas are taken in squares of it, and it sets the floor of the widths
     mean_edge_length: float
-    closeness: float
+    closeness: float  # closeness, similarity: sigma_f and sigma_g, file units
     similarity: float
     normals: None = None
 

@@ -54,17 +54,12 @@ def _product(start, stop, diagonal, row_start, columns, values, x, product):
 
 @dataclass(frozen=True, eq=False)
 class RowMatrix:
-    """A sparse matrix in compressed rows, its diagonal apart, so that one-rings can be its rows.
+    """A sparse matrix in compressed rows, its diagonal apart, so that one-rings can be its rows."""
 
-    Attributes
-    ----------
-    diagonal : (n,).
-    row_start, columns, values : the rest, (n + 1,), (e,) and (e,); row i has the ``values`` from
-        ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may be there as
-        well; it is added.
-    """
-
-    diagonal: Floats
+    diagonal: Floats  # (n,)
+    # row_start, columns, values: the rest, (n + 1,), (e,) and (e,); row i has the ``values`` from
+    # ``row_start[i]`` to ``row_start[i + 1]``.  An entry of the diagonal may be there as well; it
+    # is added
     row_start: Ints
     columns: Ints
     values: Floats
@@ -113,20 +108,12 @@ def _turn(start, stop, share, r, inverse, p):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the conjugate gradients ended.
+    """Where the conjugate gradients ended."""
 
-    Attributes
-    ----------
-    values : X, (n, 3).
-    iterations : number of products with A, but for the first.
-    residual : of X, in the measure and unit that ``conjugate_gradients`` stops by.
-    converged : whether that is small enough.
-    """
-
-    values: Floats
-    iterations: int
-    residual: float
-    converged: bool
+    values: Floats  # X, (n, 3)
+    iterations: int  # number of products with A, but for the first
+    residual: float  # of X, in the measure and unit that ``conjugate_gradients`` stops by
+    converged: bool  # whether that is small enough
 
 
 def conjugate_gradients(

@@ -56,11 +56,6 @@ def index_rows(count: int, keys: Ints, per_row: int = 1, per_column: int = 0) ->
     return starts, places
 
 
-def incidence(n_vertices: int, faces: Ints) -> tuple[Ints, Ints]:
-    """Rows of the faces around each vertex, (n + 1,) and (3 m,), for ``faces`` (m, 3)."""
-    return index_rows(n_vertices, faces)
-
-
 @compiled
 def _neighbours_in_face(faces, f, i):
     """The vertex after i and the vertex before i in face f."""
@@ -168,25 +163,15 @@ def _open_rings(faces, face_start, incident, opened, closed, ring_start, ring, b
 
 @dataclass(frozen=True, eq=False)
 class Connectivity:
-    """Neighbourhoods of a triangle mesh.
+    """Neighbourhoods of a triangle mesh."""
 
-    Attributes
-    ----------
-    faces : (m, 3), the triangles themselves.
-    ring_start, ring : rows of the one-rings, (n + 1,) and (sum of valences,).
-    boundary : (n,) bool, True at the ends of an edge that has one face only.
-    boundary_edges : edges with one face.
-    inconsistent_edges : edges with two faces that run through it in the same direction.
-    non_manifold_edges : edges with more than two faces.
-    """
-
-    faces: Ints
-    ring_start: Ints
+    faces: Ints  # (m, 3), the triangles themselves
+    ring_start: Ints  # ring_start, ring: rows of the one-rings, (n + 1,) and (sum of valences,)
     ring: Ints
-    boundary: Flags
-    boundary_edges: int
-    inconsistent_edges: int
-    non_manifold_edges: int
+    boundary: Flags  # (n,) bool, True at the ends of an edge that has one face only
+    boundary_edges: int  # edges with one face
+    inconsistent_edges: int  # edges with two faces that run through it in the same direction
+    non_manifold_edges: int  # edges with more than two faces
 
     @property
     def has_ring(self) -> Flags:
@@ -202,7 +187,7 @@ class Connectivity:
     @functools.cached_property
     def incidence(self) -> tuple[Ints, Ints]:
         """Rows of the faces around each vertex: where they start (n + 1,), and the faces (3 m,)."""
-        return incidence(len(self.ring_start) - 1, self.faces)
+        return index_rows(len(self.ring_start) - 1, self.faces)
 
     def kept(self, name: str, made: Callable[[], Kept]) -> Kept:
         """What ``made`` gives, from the first such call on; but only for small meshes.
@@ -222,20 +207,10 @@ class Connectivity:
     def _kept(self) -> dict[str, Any]:
         return {}
 
-    @property
-    def face_start(self) -> Ints:
-        """(n + 1,), where the row of each vertex starts in ``incident_faces``."""
-        return self.incidence[0]
-
-    @property
-    def incident_faces(self) -> Ints:
-        """(3 m,), the faces around each vertex, row by row."""
-        return self.incidence[1]
-
 
 def connectivity(n_vertices: int, faces: Ints) -> Connectivity:
     """Neighbourhoods of ``faces`` (m, 3), which must name three different vertices each."""
-    face_start, incident = incidence(n_vertices, faces)
+    face_start, incident = index_rows(n_vertices, faces)
     ring = np.empty(len(incident), dtype=np.int32)
     opened = np.empty(n_vertices, dtype=bool)
     rows = faces, face_start, incident, ring, opened
@@ -291,7 +266,7 @@ def _circles(start, stop, faces, face_start, incident, following):
 def side_circles(faces: Ints, links: Connectivity) -> NDArray[np.uint32]:
     """The next side along the same edge, for each side of ``faces`` (m, 3), (3 m,); see above."""
     following = np.empty(3 * len(faces), dtype=np.uint32)
-    around = [one.reshape(-1).view(np.uint32) for one in (faces, *links.incidence)]
+    around = [array.reshape(-1).view(np.uint32) for array in (faces, *links.incidence)]
     over_ranges(_circles, len(links.boundary), *around, following, most=MARKING_THREADS)
     return following
 
@@ -432,9 +407,9 @@ def root_and_parity(parent, parity, face):
 
 
 @compiled
-def join_patches(parent, parity, twisted, one, other, opposed):
+def join_patches(parent, parity, twisted, item, other, opposed):
     """Join the patches of two items, which are ``opposed`` or not; the lower root stays."""
-    a, a_against = root_and_parity(parent, parity, one)
+    a, a_against = root_and_parity(parent, parity, item)
     b, b_against = root_and_parity(parent, parity, other)
     if a == b:
         if (a_against ^ b_against) != opposed:

@@ -198,21 +198,13 @@ class MeanCurvature:
     """min(tau, limit_i) / (2 A_i) sum(w (x_k - x_i)), w = cot alpha + cot beta, A vertex areas.
 
     limit_i = 2 A_i / sum|w| is the time step at which a vertex with positive weights reaches the
-    weighted mean of its neighbours; beyond it the explicit iteration would overshoot.
+    weighted mean of its neighbours; beyond it the explicit iteration would overshoot."""
 
-    Attributes
-    ----------
-    faces : (m, 3), the faces that ``links`` were made from.
-    free : (n,) bool, False for vertices that must stay.
-    time_step : tau, in squared file units.
-    areas : ``"mixed"`` or ``"ring"``.
-    """
-
-    faces: Ints
+    faces: Ints  # (m, 3), the faces that ``links`` were made from
     links: Connectivity
-    free: Flags
-    time_step: float
-    areas: str = "mixed"
+    free: Flags  # (n,) bool, False for vertices that must stay
+    time_step: float  # tau, in squared file units
+    areas: str = "mixed"  # ``"mixed"`` or ``"ring"``
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
@@ -230,26 +222,16 @@ class ImplicitMeanCurvature:
 
     L = grad(area) has the weights w / 2 of the input for good: the flow that keeps them has no
     singularities, where the one that measures them anew pinches thin parts off (Kazhdan, Solomon
-    and Ben-Chen 2012).  M has the vertex areas, measured anew at every call.
+    and Ben-Chen 2012).  M has the vertex areas, measured anew at every call."""
 
-    Attributes
-    ----------
-    faces : (m, 3), the faces that ``links`` were made from.
-    weights : (e,), one for each entry of ``links.ring``.
-    free : (n,) bool, False for vertices that must stay.
-    time_step : tau, in squared file units.
-    mean_edge_length : file units; sets the accuracy of the solution.
-    areas : ``"mixed"`` or ``"ring"``.
-    on_iteration : called after every iteration of the solver; what it raises ends the run.
-    """
-
-    faces: Ints
+    faces: Ints  # (m, 3), the faces that ``links`` were made from
     links: Connectivity
-    weights: Floats
-    free: Flags
-    time_step: float
-    mean_edge_length: float
-    areas: str = "mixed"
+    weights: Floats  # (e,), one for each entry of ``links.ring``
+    free: Flags  # (n,) bool, False for vertices that must stay
+    time_step: float  # tau, in squared file units
+    mean_edge_length: float  # file units; sets the accuracy of the solution
+    areas: str = "mixed"  # ``"mixed"`` or ``"ring"``
+    # called after every iteration of the solver; what it raises ends the run
     on_iteration: Callable[[], object] | None = None
     normals: None = None
 
@@ -477,25 +459,15 @@ class AnisotropicCurvature:
     mean H_A of the neighbours.  f = sum(H_A . V_A / |V_A|) / sum |V_A| over the neighbours, of a
     feature over those that are features.
 
-    A vertex where tau / M is so long that it would overshoot takes a shorter step.
+    A vertex where tau / M is so long that it would overshoot takes a shorter step."""
 
-    Attributes
-    ----------
-    faces : (m, 3), the faces that ``links`` were made from.
-    corners : (e, 4), their ``flaps``; other edges count not.
-    free : (n,) bool, False for vertices that must stay.
-    threshold : lambda, in file units.
-    falloff : r, above zero.
-    time_step : tau, in squared file units.
-    """
-
-    faces: Ints
+    faces: Ints  # (m, 3), the faces that ``links`` were made from
     links: Connectivity
-    corners: Ints
-    free: Flags
-    threshold: float
-    falloff: float
-    time_step: float
+    corners: Ints  # (e, 4), their ``flaps``; other edges count not
+    free: Flags  # (n,) bool, False for vertices that must stay
+    threshold: float  # lambda, in file units
+    falloff: float  # r, above zero
+    time_step: float  # tau, in squared file units
     prescribed: bool
     normals: None = None
 

@@ -129,23 +129,17 @@ def _assemble(
 
 @dataclass(frozen=True, eq=False)
 class EdgeSparsity:
-    """The quadratic part |p - p*|^2 + alpha |R|^2 + beta |D - delta|^2 over the flaps of a mesh.
+    """The quadratic part |p - p*|^2 + alpha |R|^2 + beta |D - delta|^2 over the flaps of a mesh."""
 
-    Attributes
-    ----------
-    corners : (e, 4), p1 to p4 of every flap.
-    flap_start, incident : rows of the flaps around each vertex, (n + 1,) and (4 e,), as 4 times
-        the number of the flap plus the place of the vertex in it.
-    row_start, columns : pattern of the matrix, (n + 1,) and (k,).
-    slots : (4 e, 4), for each entry of ``incident`` where the four corners of the flap are in
-        ``columns``; -1 for the vertex itself.
-    """
-
-    corners: Ints
+    corners: Ints  # (e, 4), p1 to p4 of every flap
+    # flap_start, incident: rows of the flaps around each vertex, (n + 1,) and (4 e,), as 4 times
+    # the number of the flap plus the place of the vertex in it
     flap_start: Ints
     incident: Ints
-    row_start: Ints
+    row_start: Ints  # row_start, columns: pattern of the matrix, (n + 1,) and (k,)
     columns: Ints
+    # (4 e, 4), for each entry of ``incident`` where the four corners of the flap are in
+    # ``columns``; -1 for the vertex itself
     slots: Ints
 
     def bent(self, positions: Floats, threshold: float) -> tuple[Floats, Floats]:

@@ -149,12 +149,11 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
 
 def _find_face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, Ints]:
     m = len(faces)
-    face_start = links.face_start.view(np.uint32)
-    around = faces.reshape(-1).view(np.uint32), face_start, links.incident_faces.view(np.uint32)
+    around = [array.reshape(-1).view(np.uint32) for array in (faces, *links.incidence)]
     following = side_circles(faces, links)
     # A row has fewer than MOST_AROUND faces for each corner: around it, or around the edges
     # between corners where there are too many.
-    widest = int(np.diff(face_start).max())
+    widest = int(np.diff(links.incidence[0]).max())
     most = 3 * min(widest, MAX_AROUND) + 1
     sizes, ring = find_rows(_neighbours, m, most, *around, following, sharing == "vertex", most)
     if len(ring) > MAX_PAIRS:
@@ -437,10 +436,10 @@ def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums
         sums[place + THREE] = weight
         counts[f - first] = filled - own
         if filled > own:
-            for one in range(own, own + half):
-                x[filled] = x[one]
-                y[filled] = y[one]
-                z[filled] = z[one]
+            for place in range(own, own + half):
+                x[filled] = x[place]
+                y[filled] = y[place]
+                z[filled] = z[place]
                 filled += ONE
     return filled
 
@@ -523,21 +522,15 @@ def _choose(start, stop, n, ring_start, ring, scores, means, guides):
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """The patches of a mesh.
+    """The patches of a mesh."""
 
-    Attributes
-    ----------
-    ring_start, ring : rows of the faces of each patch but for its own, (m + 1,) and (k,).
-    edge_start, edge_ring : rows of the faces that share an edge with each face.
-    pairs : (e, 2), the faces that share an edge, each pair once, the lower number first.
-    inner_start, inner : rows of the pairs both of whose faces are in the patch, (m + 1,).
-    """
-
+    # ring_start, ring: rows of the faces of each patch but for its own, (m + 1,) and (k,)
     ring_start: Ints
     ring: Ints
-    edge_start: Ints
+    edge_start: Ints  # edge_start, edge_ring: rows of the faces that share an edge with each face
     edge_ring: Ints
-    pairs: Ints
+    pairs: Ints  # (e, 2), the faces that share an edge, each pair once, the lower number first
+    # inner_start, inner: rows of the pairs both of whose faces are in the patch, (m + 1,)
     inner_start: Longs
     inner: Ints
 

@@ -128,8 +128,8 @@ def _leaf_pairs(
         children = [(2 * first + a, 2 * second + b) for a in (0, 1) for b in (0, 1)]
         below = _overlapping(
             levels[level + 1],
-            np.concatenate([one for one, _ in children]),
-            np.concatenate([one for _, one in children]),
+            np.concatenate([i for i, _ in children]),
+            np.concatenate([j for _, j in children]),
         )
         yield from _leaf_pairs(levels, level + 1, *below)
 
@@ -190,9 +190,9 @@ def _intersecting(vertices: Floats, faces: Ints, pairs: Longs) -> Iterator[Longs
         which = np.flatnonzero(shared == count)
         if not len(which):
             continue
-        one = _turn(first[which], in_second[which], count)
+        turned = _turn(first[which], in_second[which], count)
         other = _turn(second[which], in_first[which], count)
-        yield which[decide(vertices, one, other)]
+        yield which[decide(vertices, turned, other)]
     # Faces with three common vertices lie on each other.
     yield np.flatnonzero(shared == 3)
 
@@ -235,7 +235,7 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
     size = np.maximum(size, np.abs(edge).max(axis=1))
     kept = np.flatnonzero(~(opening < -_MARGIN * size**4))
     kept = kept[space_signs(p[kept], q[kept], a[kept], b[kept]) == 0]
-    p, q, a, b = (_flatten(one[kept], _drop(p, q, a, kept)) for one in (p, q, a, b))
+    p, q, a, b = (_flatten(points[kept], _drop(p, q, a, kept)) for points in (p, q, a, b))
     folded: Longs = kept[plane_signs(p, q, a) == plane_signs(p, q, b)]
     return folded
 
@@ -243,11 +243,11 @@ def _at_an_edge(vertices: Floats, first: Ints, second: Ints) -> Longs:
 def _edges_meet(a: list[Floats], b: list[Floats], edges: Sequence[tuple[int, int]]) -> Flags:
     """Of which triangles of either list any of the edges, by their corners, meet the other's."""
     meets = np.zeros(len(a[0]), dtype=np.bool_)
-    for one, other in ((a, b), (b, a)):
+    for moving, other in ((a, b), (b, a)):
         for start, end in edges:
             rest = np.flatnonzero(~meets)
             triangle = [corner[rest] for corner in other]
-            meets[rest] = _segments_meet(one[start][rest], one[end][rest], triangle)
+            meets[rest] = _segments_meet(moving[start][rest], moving[end][rest], triangle)
     return meets
 
 
@@ -265,7 +265,7 @@ def _segments_meet(p: Floats, q: Floats, triangle: list[Floats]) -> Flags:
     within = np.flatnonzero(is_within)
     if len(within):
         axes = _drop(a, b, c, within)
-        flat = [_flatten(one[within], axes) for one in (p, q, a, b, c)]
+        flat = [_flatten(points[within], axes) for points in (p, q, a, b, c)]
         meets[within] = _flat_segments_meet(flat[0], flat[1], flat[2:])
     return meets
 
@@ -333,24 +333,24 @@ def _minus(u: Vectors, v: Vectors) -> Vectors:
     return u[0] - v[0], u[1] - v[1], u[2] - v[2]
 
 
-def _normals(one: Triangle, other: Triangle) -> Axes:
+def _normals(left: Triangle, right: Triangle) -> Axes:
     """Along the normals, which have the square of a length."""
-    yield _normal(one), 2
-    yield _normal(other), 2
+    yield _normal(left), 2
+    yield _normal(right), 2
 
 
-def _normals_of_edges(one: Triangle, other: Triangle) -> Axes:
+def _normals_of_edges(left: Triangle, right: Triangle) -> Axes:
     """In the planes, across the edges."""
-    for triangle in (one, other):
+    for triangle in (left, right):
         normal = _normal(triangle)
         for edge in _edges(triangle):
             yield _cross(normal, edge), 3
 
 
-def _normals_of_both(one: Triangle, other: Triangle) -> Axes:
+def _normals_of_both(left: Triangle, right: Triangle) -> Axes:
     """Across an edge of each."""
-    for edge in _edges(one):
-        for across in _edges(other):
+    for edge in _edges(left):
+        for across in _edges(right):
             yield _cross(edge, across), 2
 
 
@@ -366,12 +366,12 @@ def _separate(
     axes: Callable[[Triangle, Triangle], Axes], vertices: Floats, first: Ints, second: Ints
 ) -> Flags:
     """Which triangles any of the axes separates for sure."""
-    one, other, size = _from_a_corner(vertices, first, second)
+    left, right, size = _from_a_corner(vertices, first, second)
     apart = np.zeros(len(first), dtype=np.bool_)
-    for axis, power in axes(one, other):
+    for axis, power in axes(left, right):
         margin = _margin(size, power + 1)
-        low, high = _extent(axis, one)
-        least, most = _extent(axis, other)
+        low, high = _extent(axis, left)
+        least, most = _extent(axis, right)
         apart |= (least - high > margin) | (low - most > margin)
     return apart
 
@@ -382,9 +382,9 @@ def _separated_at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Flags
     A plane through the corner either has one triangle on one side and the other in it, or holds an
     edge of one, or of both, and has all else of the two on its two sides.
     """
-    (_, *one), (_, *other), size = _from_a_corner(vertices, first, second)
+    (_, *left), (_, *right), size = _from_a_corner(vertices, first, second)
     apart = np.zeros(len(first), dtype=np.bool_)
-    for (u, v), (s, t) in ((one, other), (other, one)):
+    for (u, v), (s, t) in ((left, right), (right, left)):
         normal = _cross(u, v)
         margin = _margin(size, 3)
         low, high = np.sort((_dot(normal, s), _dot(normal, t)), axis=0)
@@ -394,8 +394,8 @@ def _separated_at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Flags
             # The triangle itself is where sign times the projection is not negative.
             apart |= (sign * _dot(axis, s) < -margin) & (sign * _dot(axis, t) < -margin)
     margin = _margin(size, 3)
-    for u, v in (one, one[::-1]):
-        for s, t in (other, other[::-1]):
+    for u, v in (left, left[::-1]):
+        for s, t in (right, right[::-1]):
             axis = _cross(u, s)
             here, there = _dot(axis, v), _dot(axis, t)
             apart |= (here > margin) & (there < -margin) | (here < -margin) & (there > margin)
@@ -407,12 +407,12 @@ def _from_a_corner(
 ) -> tuple[Triangle, Triangle, Floats]:
     """Triangles as seen from the first corner of the first, and their largest coordinate (n,)."""
     origin = _vectors(vertices[first[:, 0]])
-    one, other = (
+    left, right = (
         [_minus(_vectors(points), origin) for points in _points(vertices, corners)]
         for corners in (first, second)
     )
-    size = np.maximum.reduce([np.abs(part) for vector in (*one, *other) for part in vector])
-    return one, other, size
+    size = np.maximum.reduce([np.abs(part) for vector in (*left, *right) for part in vector])
+    return left, right, size
 
 
 def _extent(axis: Vectors, triangle: Triangle) -> tuple[Floats, Floats]:

@@ -93,13 +93,13 @@ def load(kernel: Compiled, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]
 
 def signature(name: str, arg_types: tuple[ArgType, ...]) -> str:
     """A kernel with its argument types in words, as in the table."""
-    return f"{name}({', '.join([_type_text(one) for one in arg_types])})"
+    return f"{name}({', '.join([_type_text(arg_type) for arg_type in arg_types])})"
 
 
-def _type_text(one: ArgType) -> str:
-    if isinstance(one, str):
-        return one
-    code, ndim, layout = one
+def _type_text(arg_type: ArgType) -> str:
+    if isinstance(arg_type, str):
+        return arg_type
+    code, ndim, layout = arg_type
     steps = [":"] * ndim
     if ndim and layout != "A":
         steps[-1 if layout == "C" else 0] = "::1"
@@ -112,7 +112,7 @@ def read_table(text: str) -> dict[str, Entry]:
     entries = {}
     for line in text.splitlines():
         key, symbol, results, written, source_hash = line.split("\t")
-        positions = frozenset([int(one) for one in written.split()])
+        positions = frozenset([int(at) for at in written.split()])
         entries[key] = Entry(symbol, results, positions, source_hash)
     return entries
 
@@ -199,7 +199,7 @@ def bind(library: ctypes.CDLL, entry: Entry, arg_types: tuple[ArgType, ...]) -> 
     result_struct = _structure(tuple(result_types))
     fields = [f"r{at}" for at in range(len(result_types))]
     is_tuple = entry.results.startswith("(")
-    are_arrays = [not isinstance(one, str) for one in arg_types]
+    are_arrays = [not isinstance(arg_type, str) for arg_type in arg_types]
     written = [at for at in sorted(entry.written) if are_arrays[at]]
 
     def call(*arguments: Any) -> Any:
@@ -234,12 +234,12 @@ def _prototype(arg_types: tuple[ArgType, ...]) -> Any:
     """
     size = ctypes.c_ssize_t
     slots: list[Any] = [ctypes.c_void_p, ctypes.c_void_p]
-    for one in arg_types:
-        if isinstance(one, str):
-            slots.append(_C_TYPES[one])
+    for arg_type in arg_types:
+        if isinstance(arg_type, str):
+            slots.append(_C_TYPES[arg_type])
         else:
             slots += [ctypes.c_void_p, ctypes.c_void_p, size, size, ctypes.c_void_p]
-            slots += [size] * (2 * one[1])
+            slots += [size] * (2 * arg_type[1])
     return ctypes.CFUNCTYPE(ctypes.c_int32, *slots)
 
 

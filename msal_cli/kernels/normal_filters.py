@@ -521,27 +521,19 @@ def _differences(
 
 @dataclass(frozen=True, eq=False)
 class NormalSystem:
-    """The matrix (1 - lambda) M^T M + lambda I, symmetric and positive definite.
+    """The matrix (1 - lambda) M^T M + lambda I, symmetric and positive definite."""
 
-    Attributes
-    ----------
-    ring_start, ring : rows of neighbouring faces, j among those of i where i is among those of j.
-    values : (pairs,), w_ij / A_j.
-    areas, inverse : (m,), A_j and 1 / sum_j w_ij, both zero for a face without a normal; the second
-        is zero for a face without neighbours as well, for which M n' is zero.
-    own : (m,), 1 where ``inverse`` is not zero, else 0: the diagonal of M.
-    fidelity : lambda, 0 < lambda <= 1.
-    diagonal : (m,).
-    """
-
+    # ring_start, ring: rows of neighbouring faces, j among those of i where i is among those of j
     ring_start: Ints
     ring: Ints
-    values: Floats
+    values: Floats  # (pairs,), w_ij / A_j
+    # areas, inverse: (m,), A_j and 1 / sum_j w_ij, both zero for a face without a normal; the
+    # second is zero for a face without neighbours as well, for which M n' is zero
     areas: Floats
     inverse: Floats
-    own: Floats
-    fidelity: float
-    diagonal: Floats
+    own: Floats  # (m,), 1 where ``inverse`` is not zero, else 0: the diagonal of M
+    fidelity: float  # lambda, 0 < lambda <= 1
+    diagonal: Floats  # (m,)
 
     def times(self, x: Floats, product: Floats) -> None:
         """Write A x into ``product``; both (m, 3), not the same array."""

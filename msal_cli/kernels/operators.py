@@ -98,20 +98,15 @@ MIN_LENGTH = np.finfo(np.float64).tiny ** 0.5
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one operator call found.
+    """What one operator call found."""
 
-    Attributes
-    ----------
-    move : the displacement dx before time step and fidelity, file units: (n,) heights along each
-        vertex's normal, or (n, 3).
-    sigma : (n,), the local scale of eq. (4), file units, zero where the one-ring is planar; None
-        from an operator that does not compute it.
-    largest_sigma : its maximum, where it was found on the way.
-    """
-
+    # the displacement dx before time step and fidelity, file units: (n,) heights along each
+    # vertex's normal, or (n, 3)
     move: Floats
+    # (n,), the local scale of eq. (4), file units, zero where the one-ring is planar; None from an
+    # operator that does not compute it
     sigma: Floats | None = None
-    largest_sigma: float | None = None
+    largest_sigma: float | None = None  # its maximum, where it was found on the way
 
 
 class Operator(Protocol):
@@ -303,23 +298,15 @@ def _filter_rings(
 
 @dataclass(frozen=True, eq=False)
 class RingOperator:
-    """What operators along fixed normals over one-rings share: a sweep with no arrays of its own.
+    """Operators along fixed normals over one-rings share a sweep with no arrays of its own."""
 
-    Attributes
-    ----------
-    normals : (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion.
-    ring_start, ring : the one-rings; an empty one means no motion.
-    free : (n,) bool, False for vertices that must stay (they still have a sigma).
-    mean_edge_length : file units; sets the floor of sigma and of widths.
-    closeness, similarity : see ``RingBilateral``.
-    """
-
+    # (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion
     normals: Floats
-    ring_start: Ints
+    ring_start: Ints  # ring_start, ring: the one-rings; an empty one means no motion
     ring: Ints
-    free: Flags
-    mean_edge_length: float
-    closeness: float = 0.0
+    free: Flags  # (n,) bool, False for vertices that must stay (they still have a sigma)
+    mean_edge_length: float  # file units; sets the floor of sigma and of widths
+    closeness: float = 0.0  # closeness, similarity: see ``RingBilateral``
     similarity: float = 0.0
 
     def __call__(self, positions: Floats) -> Step:
@@ -545,27 +532,19 @@ class RobustLaplacian:
     Scaling by ``mass`` gives min(tau, A/3) d / (A/3) with A the area of the one-ring; by ``edge``
     min(tau, sum(g l) / sum(g / l)) sum(g h / l) / sum(g l) with l the edge lengths, those of
     length zero left out.  The minima are each vertex's limit of stability: there it reaches a
-    weighted mean of its neighbours' heights, beyond it the explicit step overshoots.
+    weighted mean of its neighbours' heights, beyond it the explicit step overshoots."""
 
-    Attributes
-    ----------
-    normals : (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion.
-    faces, links : (m, 3) and its neighbourhoods.
-    free : (n,) bool, False for vertices that must stay (they still have a sigma).
-    mean_edge_length : file units; sets the floor of sigma.
-    weights, deviation, scaling : of ``WEIGHTS``, ``DEVIATIONS`` and ``SCALINGS``.
-    time_step : tau of a scaled operator, squared file units.
-    """
-
+    # (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion
     normals: Floats
-    faces: Ints
+    faces: Ints  # faces, links: (m, 3) and its neighbourhoods
     links: Connectivity
-    free: Flags
-    mean_edge_length: float
+    free: Flags  # (n,) bool, False for vertices that must stay (they still have a sigma)
+    mean_edge_length: float  # file units; sets the floor of sigma
+    # weights, deviation, scaling: of ``WEIGHTS``, ``DEVIATIONS`` and ``SCALINGS``
     weights: str = "gauss"
     deviation: str = "mean"
     scaling: str = "none"
-    time_step: float = 0.0
+    time_step: float = 0.0  # tau of a scaled operator, squared file units
 
     def __call__(self, positions: Floats) -> Step:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""

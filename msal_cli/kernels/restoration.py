@@ -137,16 +137,11 @@ def move_back(positions: Floats, normals: Floats, pulls: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Restoration:
-    """What a residual holds beside noise.
+    """What a residual holds beside noise."""
 
-    Attributes
-    ----------
-    returned : (n,) the part of the residual that is to be taken back, its unit; 0 where it is 0.
-    share : (n,) from 0 to 1, the share of the residual's power at each vertex that this is.
-    """
-
+    # (n,) the part of the residual that is to be taken back, its unit; 0 where it is 0
     returned: Floats
-    share: Floats
+    share: Floats  # (n,) from 0 to 1, the share of the residual's power at each vertex that this is
 
 
 def restoration(

@@ -61,7 +61,7 @@ def find_users(vertices: Floats, faces: Ints, corner_entry: Ints, n_entries: int
     one_corner = np.zeros(n_entries, dtype=np.int64)
     one_corner[entry] = corner
     other_corner = one_corner[entry]
-    position, other_position = (vertices[faces.reshape(-1)[one]] for one in (corner, other_corner))
+    position, other_position = (vertices[faces.reshape(-1)[c]] for c in (corner, other_corner))
     is_apart = (position != other_position).any(axis=1) & (corner // 3 != other_corner // 3)
     shared[entry[is_apart]] = True
     if not shared.any():

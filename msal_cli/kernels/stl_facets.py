@@ -20,6 +20,7 @@ from msal_cli.kernels.geometry import DEGENERATE
 from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number, write_fixed
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.text import is_same, skip_token
+from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 WHOLE = 0
 """All of the text is read."""
@@ -350,17 +351,8 @@ _NEW, _OLD, _STORED = range(3)
 @compiled
 def _cross(vertices, a, b, c):  # type: ignore[no-untyped-def]
     """Cross product of two edges of a triangle, and its longest edge squared."""
-    ux = vertices[b, 0] - vertices[a, 0]
-    uy = vertices[b, 1] - vertices[a, 1]
-    uz = vertices[b, 2] - vertices[a, 2]
-    wx = vertices[c, 0] - vertices[a, 0]
-    wy = vertices[c, 1] - vertices[a, 1]
-    wz = vertices[c, 2] - vertices[a, 2]
-    vx, vy, vz = wx - ux, wy - uy, wz - uz
-    longest = max(
-        ux * ux + uy * uy + uz * uz, wx * wx + wy * wy + wz * wz, vx * vx + vy * vy + vz * vz
-    )
-    return uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx, longest
+    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
+    return nx, ny, nz, longest_square(ux, uy, uz, wx, wy, wz)
 
 
 @compiled

@@ -134,16 +134,10 @@ OnSweep = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """Result of a run of sweeps.
+    """Result of a run of sweeps."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) final positions.
-    fidelity : (n,), lambda of the first sweep (Fig. 5 of the paper).
-    """
-
-    vertices: Floats
-    fidelity: Floats
+    vertices: Floats  # (n, 3) final positions
+    fidelity: Floats  # (n,), lambda of the first sweep (Fig. 5 of the paper)
 
 
 @compiled

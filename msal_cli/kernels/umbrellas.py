@@ -41,14 +41,9 @@ def _umbrella(start, stop, x, ring_start, ring, moves):
 
 @dataclass(frozen=True, eq=False)
 class Umbrella:
-    """dx_i = mean of x_k - x_i over the row of i; eq. (3) of Huang and Ascher.
+    """dx_i = mean of x_k - x_i over the row of i; eq. (3) of Huang and Ascher."""
 
-    Attributes
-    ----------
-    ring_start, ring : rows to average over, (n + 1,) and (...,).
-    """
-
-    ring_start: Ints
+    ring_start: Ints  # ring_start, ring: rows to average over, (n + 1,) and (...,)
     ring: Ints
     normals: None = None
 
@@ -82,17 +77,11 @@ class ScaleDependentUmbrella:
     """min(tau, limit_i) times 2/E sum(e/l), E = sum(l), over edges e of length l (Fujiwara).
 
     limit_i = E / (2 sum(1/l)) is the time step at which the vertex reaches the mean of its
-    neighbours with weights 1/l; beyond it the explicit iteration would overshoot.
+    neighbours with weights 1/l; beyond it the explicit iteration would overshoot."""
 
-    Attributes
-    ----------
-    ring_start, ring : rows to average over, (n + 1,) and (...,).
-    time_step : tau, in squared file units.
-    """
-
-    ring_start: Ints
+    ring_start: Ints  # ring_start, ring: rows to average over, (n + 1,) and (...,)
     ring: Ints
-    time_step: float
+    time_step: float  # tau, in squared file units
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:

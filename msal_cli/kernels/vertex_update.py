@@ -115,7 +115,7 @@ def update_vertices(
     n, m = len(vertices), len(faces)
     planes = np.empty(4 * m)
     over_ranges(_planes, m, normals, planes.reshape(-1, 4))
-    around = planes, links.face_start.view(np.uint32), links.incident_faces.view(np.uint32)
+    around = planes, *[rows.view(np.uint32) for rows in links.incidence]
     share = np.empty(n)
     over_ranges(_shares, n, *around, free, share)
     corners = faces.reshape(-1).view(np.uint32)
@@ -216,8 +216,7 @@ def untangle(
     """
     n, m = len(vertices), len(faces)
     inner = links.has_ring & ~links.boundary
-    around = links.face_start.view(np.uint32), links.incident_faces.view(np.uint32)
-    rings = links.ring_start.view(np.uint32), links.ring.view(np.uint32)
+    rows = [part.view(np.uint32) for part in (*links.incidence, *links.one_ring)]
     strains, chosen = np.empty(m), np.empty(n, dtype=np.bool_)
     flat = wanted.reshape(-1)
     for _ in range(ROUNDS):
@@ -225,7 +224,7 @@ def untangle(
         if not strains.any():
             break
         moved = np.empty_like(vertices)
-        of = vertices.reshape(-1), flat, strains, *around, *rings
+        of = vertices.reshape(-1), flat, strains, *rows
         over_ranges(_even_out, n, *of, free, inner, moved.reshape(-1), chosen)
         vertices = update_vertices(moved, wanted, faces, links, chosen, PASSES)
     return vertices

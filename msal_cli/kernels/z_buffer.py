@@ -108,7 +108,7 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
     less than half of it count in full, and those between in part: a bound alone would show the
     triangles along every rounded edge.  0 gives flat faces.
     """
-    from msal_cli.kernels.connectivity import incidence
+    from msal_cli.kernels.connectivity import index_rows
     from msal_cli.kernels.geometry import face_normals_and_areas
 
     normals, areas = face_normals_and_areas(vertices, faces)
@@ -117,7 +117,7 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
         result[:] = normals[:, None, :]
         return result
     cosines = float(np.cos(crease)), float(np.cos(0.5 * crease))
-    rows = faces, *incidence(len(vertices), faces)
+    rows = faces, *index_rows(len(vertices), faces)
     over_ranges(_corner_normals, len(faces), *rows, normals, areas, *cosines, result)
     return result
 

@@ -23,7 +23,7 @@ def vertices_around(i, x, faces, radius):
 def faces_around(i, x, faces, radius):
     links = connectivity(len(x), faces)
     centroids = x[faces].mean(axis=1)
-    room = reach.room(0, len(x), links.face_start)
+    room = reach.room(0, len(x), links.incidence[0])
     vertex_mark = np.full(len(x), -1, dtype=np.int32)
     face_mark = np.full(len(faces), -1, dtype=np.int32)
     corners, found = np.empty(3 * room + 1, dtype=np.int32), np.empty(room, dtype=np.int32)
@@ -33,8 +33,7 @@ def faces_around(i, x, faces, radius):
         x,
         centroids,
         faces,
-        links.face_start,
-        links.incident_faces,
+        *links.incidence,
         radius**2,
         vertex_mark,
         face_mark,

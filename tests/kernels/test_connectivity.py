@@ -54,10 +54,8 @@ def test_rings_and_edges_of_any_triangle_set(case):
     )
     ends = {i for edge, uses in around.items() if len(uses) == 1 for i in edge}
     assert set(np.flatnonzero(links.boundary)) == ends
-    incident = [
-        sorted(links.incident_faces[links.face_start[i] : links.face_start[i + 1]].tolist())
-        for i in range(n)
-    ]
+    face_start, entries = links.incidence
+    incident = [sorted(entries[face_start[i] : face_start[i + 1]].tolist()) for i in range(n)]
     assert incident == [[f for f, face in enumerate(faces.tolist()) if i in face] for i in range(n)]
 
 
