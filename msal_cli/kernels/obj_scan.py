@@ -304,7 +304,7 @@ def scan(  # type: ignore[no-untyped-def]
     face_sizes : (m,) int32, corners of each face.
     undecided : (u, 2) int64, statements whose numbers ``float`` must read: 0 for a position or 1
         for a normal, and its row.
-    keywords : (MOST_KEYWORDS, 4) int64, see ``note_keyword``.
+    keywords : (MAX_KEYWORDS, 4) int64, see ``note_keyword``.
     libraries : (MOST_LIBRARIES,) int64, where the mtllib statements begin.
     """
     at = state[AT]

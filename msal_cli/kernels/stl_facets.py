@@ -161,7 +161,7 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
     state (N_STATE,) int64 : next byte, facets read, solids read, 1 within a solid, and facets
         without a normal; carried on.
     numbers (n, 12) float64 : the tokens' values; see ``_number``.
-    solid_at (MOST_SOLIDS,) int64 : where the first solids' names begin.
+    solid_at (MAX_SOLIDS,) int64 : where the first solids' names begin.
     decimals (4,) int64 : most decimals of normals and of corners, in plain numbers, and in
         numbers with an exponent.
 
