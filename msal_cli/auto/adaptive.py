@@ -34,7 +34,7 @@ from msal_cli.auto.blend_weights import (
     may_follow,
     spread_levels,
 )
-from msal_cli.auto.candidates import FLATTENER, LEARNED, LINEAR, Candidate, wiener_al
+from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.choices import build_recipe, describe_noise, describe_rest
 from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
 from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
@@ -171,7 +171,7 @@ def _choose_by_risk(
     edges = case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length
     runs = CandidateRuns(part, model, count, edges)
     is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
-    is_rough = not is_drawn and surface_kind(runs.result(LEARNED)) == TEXTURED
+    is_rough = not is_drawn and surface_kind(runs.result(ROBUST_LEARNED)) == TEXTURED
     candidates = _candidates(case, is_drawn, is_allowed)
     total = len(candidates) * (2 if is_drawn else 1) + 1
     shares = np.ones(len(candidates))
@@ -182,7 +182,7 @@ def _choose_by_risk(
         places, tilts = risk.log_errors(FLOOR)
         errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * model.height(part.judged)
     else:
-        pilots = [LEARNED, LINEAR[0]] if is_rough else [LEARNED]
+        pilots = [ROBUST_LEARNED, LINEAR[0]] if is_rough else [ROBUST_LEARNED]
         true = runs.positions(pilots, np.full(len(pilots), 1.0 / len(pilots)))
         places, tilts, errors = runs.compare(candidates, part.mesh.with_vertices(true))
     # 0 is the error of the input.

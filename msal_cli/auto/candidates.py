@@ -130,7 +130,10 @@ def _sinc(iterations: int, pass_band: float, cost: float) -> Candidate:
 LEARNED = Candidate("learned", dict(_SLIDING), 115.0, takes_noise=True)
 """Errs in another way than all others, and is always worth a longer look."""
 
-FARTHER = dataclasses.replace(LEARNED, times=2.0)
+ROBUST_LEARNED = dataclasses.replace(LEARNED, given={**_SLIDING, "texture": "lost"})
+"""The same for noise that is not white, which looks like texture in part."""
+
+FARTHER = dataclasses.replace(ROBUST_LEARNED, times=2.0)
 """The same for noise that reaches farther than the estimate sees: neighbours share it, or a scanner
 has smoothed it."""
 

@@ -43,6 +43,7 @@ from msal_cli.auto.candidates import (
     LEARNED,
     LINEAR,
     ROBUST,
+    ROBUST_LEARNED,
     SMOOTHER,
     Candidate,
 )
@@ -225,7 +226,7 @@ class _Search:
         last = [one for one in usable if one.is_last_resort]
         at_first = [one for one in usable if one not in (*later, *last)] or usable
         if later and not (self.is_unsure or self._is_drawn):
-            return self._choose_by_mirror(surface_kind(self._trials(PART).result(LEARNED)))
+            return self._choose_by_mirror(surface_kind(self._trials(PART).result(ROBUST_LEARNED)))
         self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
         glance = self._trials(GLANCE)
         risk = self._look(glance, at_first)
@@ -267,9 +268,9 @@ class _Search:
         self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
         self.model, self._whole = self.model.at_level(self.level), None
         study = self._trials(PART)
-        members = [one for one in (LEARNED, FARTHER, *LINEAR) if self._is_usable(one)]
+        members = [one for one in (ROBUST_LEARNED, FARTHER, *LINEAR) if self._is_usable(one)]
         self._total = 3 * len(members)
-        pilots = [LEARNED]
+        pilots = [ROBUST_LEARNED]
         if surface == TEXTURED:
             pilots.append(LINEAR[0])
         elif surface == ORGANIC:

@@ -26,7 +26,7 @@ moving or scaling a mesh changes nothing.  Lengths are local: mean distances of 
 The level of the noise decides what is texture and what is noise: a given ``noise`` helps most
 where the texture is as fine as the mesh, and a greater one smooths more.  Where the noise is white,
 and noise that is given is taken for white, what the stages took beyond it comes back as in
-``wiener``.
+``wiener``; ``texture`` decides it.
 
 Where the noise is along the normals, which is measured, the way that vertices came sideways is
 undone; see ``guided_normal``.  ``sliding=undone`` and ``sliding=kept`` decide it.
@@ -93,6 +93,11 @@ class Parameters:
         choices=("free", "fixed"),
     )
     sliding: str = sliding_parameter("auto")
+    texture: str = parameter(
+        "auto",
+        "what the stages took beyond white noise: returned, lost, or by the noise (auto)",
+        choices=("auto", "returned", "lost"),
+    )
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
@@ -118,7 +123,8 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     assert normals is not None
     positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     positions = cascade.untangle(positions, normals)
-    if noise and is_white:
+    is_returned = is_white if parameters.texture == "auto" else parameters.texture == "returned"
+    if noise and is_returned:
         positions = return_texture(mesh, positions, noise)
     return timer.finish(positions)
 

@@ -173,3 +173,14 @@ def test_stages_beyond_the_third_go_on():
     three, four = run(noisy, iterations=3), run(noisy, iterations=4)
     assert (three != four).any()
     assert error_deg(true, four) < 1.5 * error_deg(true, three) + 1.0
+
+
+def test_texture_is_returned_for_white_noise_or_when_it_is_asked_for():
+    true = smooth()
+    numbers = np.random.default_rng(1).standard_normal((len(true.vertices), 1))
+    level = 0.2 * true.mean_edge_length
+    scan = true.with_vertices(true.vertices + level * numbers * true.vertex_normals())
+    usual, returned, lost = (
+        run(scan, noise=0.2, **given) for given in ({}, {"texture": "returned"}, {"texture": "lost"})
+    )
+    assert (usual == returned).all() and (usual != lost).any()
