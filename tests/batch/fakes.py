@@ -52,6 +52,18 @@ def pool(tasks, *, files_per_worker=1000, growth_bytes=512 << 20, **options):
     return WorkerPool(orders, files_per_worker=files_per_worker, growth_bytes=growth_bytes)
 
 
+def heard(some):
+    return [message for batch in some.batches() for message in batch]
+
+
+def results(messages):
+    return {one.index: one.result for one in messages if isinstance(one, Returned)}
+
+
+def lost(messages):
+    return {one.index: one for one in messages if isinstance(one, Failed)}
+
+
 class InProcess:
     """An engine that does one task after the other in this process."""
 

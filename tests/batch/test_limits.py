@@ -11,7 +11,6 @@ import sys
 import pytest
 
 from msal_cli.batch import worker_pool
-from msal_cli.batch import worker_pool as workers
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import _warn_of_memory, run
@@ -20,6 +19,7 @@ from msal_cli.codecs.forecast import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
+from tests.batch.fakes import lost, results
 from tests.batch.test_whole import obj
 from tests.report.made import written
 
@@ -28,15 +28,7 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs L
 
 
 def heard(tasks, **options):
-    return [message for batch in fakes.pool(tasks, **options).batches() for message in batch]
-
-
-def lost(messages):
-    return {one.index: one for one in messages if isinstance(one, Failed)}
-
-
-def results(messages):
-    return {one.index: one.result for one in messages if isinstance(one, Returned)}
+    return fakes.heard(fakes.pool(tasks, **options))
 
 
 class TestTime:
@@ -65,9 +57,9 @@ class TestTime:
         assert [type(one) for one in messages] == [Started, Failed]
 
     def test_a_worker_that_never_gets_ready_is_given_up(self, monkeypatch):
-        monkeypatch.setattr(workers, "_READY_WITHIN_S", 0.2)
+        monkeypatch.setattr(worker_pool, "_READY_WITHIN_S", 0.2)
         monkeypatch.setattr(worker_pool, "_BOOT", "import time; time.sleep(60)")
-        with pytest.raises(workers.ResourceError, match="end before they start"):
+        with pytest.raises(worker_pool.ResourceError, match="end before they start"):
             heard([("double", 1)])
 
 
@@ -88,7 +80,7 @@ class TestRetries:
 @posix
 def test_a_kill_by_the_system_for_want_of_memory_is_told_apart(monkeypatch):
     counts = iter([4, 4, 4, 5])
-    monkeypatch.setattr(workers, "oom_kills", lambda: next(counts))
+    monkeypatch.setattr(worker_pool, "oom_kills", lambda: next(counts))
     messages = heard([("kill", 0)])
     assert [one.reason for one in messages if isinstance(one, Retried)] == [
         "the worker was killed by SIGKILL"
@@ -190,6 +182,8 @@ class TestRun:
             {"limits": Limits(memory_bytes=BASE_BYTES - 1)},
             {"limits": Limits(max_faces=0)},
             {"retries": -1},
+            {"jobs": 0},
+            {"stop_after_failures": 0},
         ):
             with pytest.raises(UsageError):
                 ran(tmp_path, {"a": "x", "b": "y"}, **options)

@@ -183,19 +183,6 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     assert read_whole("s3://out/x/2.obj") == expected["2.obj"]
 
 
-def test_objects_and_files_in_one_process(server, expected, tmp_path):
-    assert msal("denoise", "s3://scans/2.obj", "-o", "s3://out/one/b.obj", *PAPER).exit_code == 0
-    assert list(list_objects("s3://out/one")) == ["b.obj"]
-    assert read_whole("s3://out/one/b.obj") == expected["2.obj"]
-    assert msal("denoise", "s3://scans/*.obj", "-o", tmp_path, *PAPER).exit_code == 0
-    assert (tmp_path / "2.obj").read_bytes() == expected["2.obj"]
-    assert msal("denoise", tmp_path / "2.obj", "-o", "s3://out/one/c.obj", "-q").exit_code == 0
-    assert len(list_objects("s3://out/one")) == 2
-    told = msal("info", "s3://scans/a", "--json")
-    assert told.exit_code == 0
-    assert [one["vertices"] for one in json.loads(told.stdout)["records"]] == [288, 288]
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [

@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 
 import msal_cli
-from msal_cli.batch import resume
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import build_plan
+from msal_cli.batch.plan import build_plan, select_shard
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Finished, Progress, Started
+from msal_cli.batch.shard import Shard, parse_shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job import room
 from msal_cli.job.records import SCHEMA
@@ -115,14 +115,6 @@ def test_a_finished_file_is_noted_before_it_is_told(folders):
     assert len(names) == 5
 
 
-def test_wrong_numbers_are_refused(folders):
-    fill(folders, 2)
-    for options in ({"jobs": 0}, {"stop_after_failures": 0}):
-        with pytest.raises(UsageError):
-            ran(folders, **options)
-    assert not (folders / "out").exists()
-
-
 class TestOneTask:
     def test_it_runs_here_and_without_starting_a_process(self, folders, monkeypatch):
         fill(folders, 1)
@@ -178,56 +170,30 @@ class TestRerun:
         after = {path: path.stat().st_mtime_ns for path in (folders / "out").glob("*.ply")}
         assert after == before
 
-    def test_touching_is_not_changing(self, folders):
-        fill(folders, 3)
-        ran(folders)
-        os.utime(folders / "in/01.ply", (0, 0))
-        os.utime(folders / "out/01.ply", (0, 0))
-        assert statuses(ran(folders)) == ["up-to-date"] * 3
-
     @pytest.mark.parametrize(
         "change",
         [
-            lambda f: (f / "in/01.ply").write_text("other"),
             lambda f: (f / "in/01.ply").write_text("mesh X"),
-            lambda f: (f / "out/01.ply").write_bytes(b"tampered with"),
             lambda f: (f / "out/01.ply").write_bytes(b"fake MESH X"),
             lambda f: (f / "out/01.ply").unlink(),
         ],
-        ids=["input", "input of same size", "output", "output of same size", "no output"],
+        ids=["input of same size", "output of same size", "no output"],
     )
     def test_what_changed_is_done_again_and_nothing_else(self, folders, change):
         fill(folders, 4)
         ran(folders)
         sizes = {path.name: path.stat() for path in (folders / "in").iterdir()}
         change(folders)
-        for path in (folders / "in").iterdir():
-            os.utime(path, ns=(0, sizes[path.name].st_mtime_ns))
+        # Touching is not changing, and a change may leave the time as it was.
+        os.utime(folders / "in/00.ply", (0, 0))
+        os.utime(folders / "out/00.ply", (0, 0))
+        os.utime(folders / "in/01.ply", ns=(0, sizes["01.ply"].st_mtime_ns))
         names, on_event = tried(folders)
         records = ran(folders, on_event=on_event)
         assert names == ["01"]
         assert statuses(records) == ["up-to-date", "written", "up-to-date", "up-to-date"]
         expected = "fake " + (folders / "in/01.ply").read_text().upper()
         assert (folders / "out/01.ply").read_text() == expected
-
-    def test_other_settings_and_fresh_do_all_again(self, folders):
-        fill(folders, 3)
-        ran(folders)
-        assert statuses(ran(folders, Settings("fake", {"n": 2}))) == ["written"] * 3
-        assert statuses(ran(folders, Settings("fake", {"n": 2}))) == ["up-to-date"] * 3
-        assert statuses(ran(folders, plan=plan_of(folders, fresh=True))) == ["written"] * 3
-
-    def test_a_torn_manifest_costs_its_last_file(self, folders):
-        fill(folders, 4)
-        ran(folders, jobs=1)
-        path = folders / "out" / NAME
-        *lines, end = path.read_bytes().splitlines(keepends=True)
-        assert b'"end"' in end
-        path.write_bytes(b"".join(lines)[:-30])
-        names, on_event = tried(folders)
-        ran(folders, on_event=on_event)
-        assert names == ["03"]
-        assert statuses(ran(folders)) == ["up-to-date"] * 4
 
     def test_a_file_written_but_not_noted_is_ours(self, folders):
         """Killed between the move of an output and its line: the rerun must not call it foreign."""
@@ -320,41 +286,22 @@ class TestInPlace:
         assert statuses(self.run(folders, ".2", settings=Settings("other"))) == ["written"] * 3
         assert (folders / "in/00.ply.2").read_text() == "fake MESH 0"
 
-    def test_a_backup_that_is_the_file_is_no_obstacle(self, folders):
-        fill(folders, 2)
-        (folders / "in/00.ply.orig").write_text("mesh 0")
-        assert statuses(self.run(folders)) == ["written"] * 2
-
-    def test_a_run_killed_after_the_move_is_taken_up_from_the_backup(self, folders):
+    @pytest.mark.parametrize("backup", [".orig", None])
+    def test_a_run_killed_after_the_move(self, folders, backup):
         fill(folders, 3)
-        self.run(folders)
+        self.run(folders, backup)
         expected = tree(folders)
         path = folders / "in" / NAME
         lines = path.read_text().splitlines(keepends=True)
         path.write_text("".join(one for one in lines if not ("done" in one and "01.ply" in one)))
-        assert statuses(self.run(folders)) == ["up-to-date", "written", "up-to-date"]
+        records = self.run(folders, backup)
+        # From its backup a file is taken up; without one it is left alone.
+        state = "failed" if backup is None else "written"
+        assert statuses(records) == ["up-to-date", state, "up-to-date"]
         assert tree(folders) == expected
-
-    def test_without_a_backup_such_a_file_is_left_alone(self, folders):
-        fill(folders, 3)
-        self.run(folders, None)
-        expected = tree(folders)
-        path = folders / "in" / NAME
-        lines = path.read_text().splitlines(keepends=True)
-        path.write_text("".join(one for one in lines if not ("done" in one and "01.ply" in one)))
-        records = self.run(folders, None)
-        assert statuses(records) == ["up-to-date", "failed", "up-to-date"]
-        assert records[1].error.code == "E_CHANGED" and "--fresh" in records[1].error.hint
-        assert tree(folders) == expected
-        assert statuses(self.run(folders, None, fresh=True)) == ["written"] * 3
-
-    def test_a_restore_that_fails_harms_nothing(self, folders, monkeypatch):
-        fill(folders, 1)
-        (task,) = plan_of(folders, in_place=True).tasks
-        before = tree(folders)
-        with pytest.raises(OutputError, match="cannot be restored"):
-            resume.restore_backup(task)
-        assert tree(folders) == before
+        if backup is None:
+            assert records[1].error.code == "E_CHANGED" and "--fresh" in records[1].error.hint
+            assert statuses(self.run(folders, None, fresh=True)) == ["written"] * 3
 
 
 DRIVER = """
@@ -539,3 +486,132 @@ def test_a_scene_whose_mesh_is_in_another_file_is_never_current(folders):
 
     assert again() == ["written", "written"]
     assert again() == ["written", "up-to-date"]
+
+
+# Runs after others, or beside them
+
+FAULTS = (
+    "E_FORMAT", "E_TRUNCATED", "E_CONTENT", "E_NONFINITE", "E_INDEX", "E_NO_FACES", "E_RANGE",
+    "E_LOSS",
+)  # fmt: skip
+CIRCUMSTANCES = (
+    "E_CRASH", "E_TIMEOUT", "E_WRITE", "E_READ", "E_UNSUPPORTED", "E_TOO_LARGE", "E_INTERNAL"
+)  # fmt: skip
+
+
+def rerun(folders, settings=SETTINGS, **options):
+    names, on_event = tried(folders)
+    records = ran(folders, settings, plan_of(folders, **options), on_event=on_event)
+    return sorted(names), records
+
+
+class TestRememberedFailures:
+    def test_only_what_may_go_away_by_itself_is_tried_again(self, folders):
+        codes = (*FAULTS, *CIRCUMSTANCES)
+        fill(folders, 1, **{f"f{code}": f"fail {code}" for code in codes})
+        first = ran(folders)
+        assert not any(record.remembered for record in first)
+        names, second = rerun(folders)
+        assert names == sorted(CIRCUMSTANCES)
+        for one, two in zip(first, second, strict=True):
+            assert one.error == two.error
+            assert two.remembered == (Path(two.input).stem in FAULTS)
+        assert statuses(second).count("failed") == len(codes)
+
+    def test_what_changed_or_is_asked_for_is_tried_again(self, folders):
+        fill(folders, 1, f01="fail E_INDEX", f02="fail E_INDEX")
+        ran(folders)
+        assert rerun(folders)[0] == []
+        assert rerun(folders, retry_failed=True)[0] == ["01", "02"]
+        assert rerun(folders)[0] == []
+        assert rerun(folders, fresh=True)[0] == ["00", "01", "02"]
+        assert rerun(folders, Settings("other"))[0] == ["00", "01", "02"]
+        assert rerun(folders)[0] == ["00", "01", "02"]
+        (folders / "in/02.ply").write_text("fail E_RANGE")
+        (folders / "in/01.ply").write_text("well again")
+        names, records = rerun(folders)
+        assert names == ["01", "02"] and statuses(records) == ["up-to-date", "written", "failed"]
+
+    def test_what_could_not_be_read_is_tried_again(self, folders):
+        fill(folders, 1, f01="fail")
+        ran(folders)
+        assert rerun(folders)[0] == ["01"]
+
+    def test_a_dry_run_tells_it_too(self, folders):
+        fill(folders, 1, f01="fail E_INDEX")
+        ran(folders)
+        assert statuses(ran(folders, dry_run=True)) == ["up-to-date", "failed"]
+
+
+class TestShards:
+    def ran(self, folders, text, settings=SETTINGS, **options):
+        return ran(
+            folders, settings, select_shard(plan_of(folders), parse_shard(text, {})), **options
+        )
+
+    def test_whoever_did_it_it_is_done(self, folders):
+        fill(folders, 8, f03="fail E_INDEX")
+        names, on_event = tried(folders)
+        for k in (1, 2):
+            self.ran(folders, f"{k}/2")
+        assert statuses(ran(folders, on_event=on_event)).count("up-to-date") == 7
+        for k in (1, 2, 3):
+            self.ran(folders, f"{k}/3", on_event=on_event)
+        assert names == []
+        (folders / "in/07.ply").write_text("changed")
+        ran(folders, on_event=on_event)
+        for k in (1, 2):
+            self.ran(folders, f"{k}/2", on_event=on_event)
+        assert names == ["07"]
+        other = Settings("other")
+        self.ran(folders, "1/1", other)
+        # The newest lines are those of 1/1 and not what the older manifests say.
+        assert statuses(ran(folders, other, on_event=on_event)).count("up-to-date") == 7
+        assert names == ["07"]
+
+    def test_an_empty_shard_leaves_word_that_it_ran(self, folders):
+        fill(folders, 1)
+        k = next(k for k in (1, 2) if not Shard(k, 2).has("00.ply"))
+        assert self.ran(folders, f"{k}/2") == []
+        path = folders / f"out/.msal-manifest-{k}-of-2.jsonl"
+        lines = [json.loads(line)["kind"] for line in path.read_text().splitlines()]
+        assert lines == ["run", "end"]
+
+    def test_the_temporaries_of_live_shards_stay(self, folders):
+        fill(folders, 4)
+        (folders / "out").mkdir()
+        with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
+            own = f"-{os.getpid()}-"
+            live = fakes.temporary_name("00.ply").replace(own, f"-{other.pid}-")
+            (folders / "out" / live).touch()
+            self.ran(folders, "1/2")
+            assert (folders / "out" / live).exists()
+            other.kill()
+        self.ran(folders, "2/2")
+        assert not (folders / "out" / live).exists()
+
+
+class TestRunLines:
+    def lines(self, folders, kind):
+        lines = map(json.loads, (folders / "out" / NAME).read_text().splitlines())
+        return [line for line in lines if line["kind"] == kind]
+
+    def test_a_run_says_when_it_began_and_ended(self, folders):
+        fill(folders, 2)
+        ran(folders, command=("msal", "denoise", "\udcff"))
+        (run,), (end,) = self.lines(folders, "run"), self.lines(folders, "end")
+        assert run["command"] == ["msal", "denoise", "\udcff"] and run["pid"] == os.getpid()
+        assert run["settings"]["method"] == "fake" and run["version"] == msal_cli.__version__
+        assert run["files"] == 2 and run["shard"] is None and run["host"]
+        assert run["started"] <= end["finished"] and end["interrupted"] is False
+        assert 0.0 <= end["seconds"] < 60.0 and run["at"] < end["at"]
+
+    def test_a_run_that_is_broken_off_says_so(self, folders):
+        fill(folders, 2)
+
+        def on_event(event):
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            ran(folders, on_event=on_event)
+        assert self.lines(folders, "end")[0]["interrupted"] is True

@@ -26,7 +26,6 @@ from tests.batch.tile_files import (
 )
 
 MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
-ADAPTIVE = Settings("adaptive", tile_set=True)
 
 
 def denoise_set(tasks, settings, **more):
@@ -41,14 +40,13 @@ def plies(parts, code="<f4"):
 
 
 @pytest.mark.parametrize("code", ["<f4", "<f8"])
-@pytest.mark.parametrize("settings", [MSAL], ids=["msal"])
-def test_the_set_is_the_joined_mesh(tmp_path, code, settings):
+def test_the_set_is_the_joined_mesh(tmp_path, code):
     parts = in_tiles(*noisy_ball(single=code == "<f4"), 2)
-    records = denoise_set(tasks_of(tmp_path, plies(parts, code)), settings)
+    records = denoise_set(tasks_of(tmp_path, plies(parts, code)), MSAL)
     assert [one.status for one in records] == ["written"] * 4
     assert [one.tile_gap for one in records] == [0.0] * 4
     (task,) = tasks_of(tmp_path / "joined", {"a.ply": ply(*joined(parts), code)})
-    whole = denoise_file(task, replace(settings, tile_set=False))
+    whole = denoise_file(task, replace(MSAL, tile_set=False))
     assert all(one.method == whole.method and one.choice == whole.choice for one in records)
     ours = np.concatenate([read(one.output).vertices for one in records])
     assert ours.tobytes() == read(whole.output).vertices.tobytes()
@@ -210,15 +208,6 @@ def test_locks_and_trust_come_from_all_files(tmp_path):
     records = denoise_set(tasks_of(tmp_path, contents), replace(MSAL, weights="trust"))
     assert [one.status for one in records] == ["written"] * 3 + ["failed"]
     assert records[3].error.code == "E_PROPERTY"
-
-
-def test_a_survey_touches_nothing(tmp_path):
-    tasks = tasks_of(tmp_path, mixed(in_tiles(*noisy_terrain(), 3)))
-    plan = Plan(tuple(tasks), (None,) * len(tasks), is_set=True)
-    records = tile_set.survey_set(plan, MSAL)
-    assert [one.status for one in records.values()] == ["planned"] * 9
-    assert records[0].tile_set.neighbours == ("1.obj", "3.ply", "4.off")
-    assert not list((tmp_path / "out").iterdir())
 
 
 def test_seconds_add_up(tmp_path):

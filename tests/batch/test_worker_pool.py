@@ -19,21 +19,9 @@ from msal_cli.batch.worker import read_message, write_message
 from msal_cli.batch.worker_pool import WorkerPool
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
-from tests.batch.fakes import pool
+from tests.batch.fakes import heard, lost, pool, results
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-
-
-def heard(some):
-    return [message for batch in some.batches() for message in batch]
-
-
-def results(messages):
-    return {one.index: one.result for one in messages if isinstance(one, Returned)}
-
-
-def lost(messages):
-    return {one.index: one for one in messages if isinstance(one, Failed)}
 
 
 STRANGERS = set()
