@@ -249,14 +249,8 @@ def denoise(
 
 
 def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> Settings:
-    """The settings for the arguments of a function of the API.
-
-    Raises
-    ------
-    UsageError
-        as ``job.settings.parse``; for a parameter that is given twice, and for a keyword that
-        neither ``function`` nor any method has.
-    """
+    """The settings for the arguments of a function of the API; UsageError also for a parameter that
+    is given twice, and for a keyword that neither ``function`` nor any method has."""
     parameters, more = given["parameters"] or {}, given["more"]
     own = inspect.signature(function).parameters
     known = {name.casefold(): name for name in (*own, *MethodParameters.__annotations__)}

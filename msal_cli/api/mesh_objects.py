@@ -99,13 +99,8 @@ def from_arrays(
     properties: Mapping[str, Array] | None = None,
     copy_with: Callable[[Array], Any] = lambda vertices: vertices,
 ) -> MemoryMesh:
-    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers.
-
-    Raises
-    ------
-    ContentError
-        for other shapes and types, and where there are no faces (``E_NO_FACES``).
-    """
+    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers;
+    ContentError for other shapes and types, and where there are no faces (``E_NO_FACES``)."""
     positions, corners = as_array(vertices, "vertices"), as_array(faces, "faces")
     if positions.dtype.kind not in "fiu":
         raise ContentError(
@@ -353,10 +348,8 @@ def _renew(data: dict[str, Any], mesh: MemoryMesh, vertices: Array, triangles: A
 
 def _read_open3d(mesh: Any) -> MemoryMesh:
     """The mesh; the copy keeps colours, UVs and textures, and normals follow the surface."""
-    return _read_tensors(mesh) if hasattr(mesh, "vertex") else _read_legacy(mesh)
-
-
-def _read_legacy(mesh: Any) -> MemoryMesh:
+    if hasattr(mesh, "vertex"):
+        return _read_tensors(mesh)
     triangles = np.asarray(mesh.triangles)
 
     def copy_with(vertices: Array) -> Any:
@@ -416,15 +409,8 @@ _READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {
 
 
 def read_object(mesh: Any) -> MemoryMesh:
-    """The mesh of an object of trimesh, pyvista, meshio or open3d.
-
-    Raises
-    ------
-    UnsupportedError
-        for another class of these packages, or cells that are no faces.
-    UsageError
-        for anything else.
-    """
+    """The mesh of an object of trimesh, pyvista, meshio or open3d; UnsupportedError for another
+    class of these packages, or cells that are no faces, UsageError for anything else."""
     names = [(base.__module__.partition(".")[0], base.__name__) for base in type(mesh).__mro__]
     for name in names:
         if name in _READERS:

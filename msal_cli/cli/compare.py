@@ -134,7 +134,9 @@ def command(
     """
     from msal_cli.batch.inputs import discover_inputs
     from msal_cli.job.comparison import compare_files
+    from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.gates import names_field
+    from msal_cli.version import __version__
 
     refuse_conflicts(find_given(context))
     gates = build_checks(fail_on, baseline, tolerance, unit)
@@ -151,7 +153,13 @@ def command(
         raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
     if are_folders == [False, False]:
         if heatmap is not None:
-            _refuse_target(before, after, heatmap)
+            from msal_cli.cli.report_files import refuse_target
+
+            if not heatmap.lower().endswith(".ply"):
+                raise UsageError(
+                    f"the heat map {heatmap!r} must be a PLY", hint="name it with the suffix .ply"
+                )
+            refuse_target(heatmap, "the heat map", (before, after), replaces=_HEAT_MAP)
         return _compare_two(before, after, heatmap, format, as_json, gates, compare)
     if any(are_folders) and are_folders != [True, True]:
         raise UsageError(
@@ -173,7 +181,11 @@ def command(
             first.get(name, f"{before.rstrip('/')}/{name}"),
             second.get(name, f"{after.rstrip('/')}/{name}"),
         )
-        records[name] = compare(*paths) if missing is None else _no_partner(name, *paths, missing)
+        if missing is None:
+            records[name] = compare(*paths)
+        else:
+            failure = Failure(_NO_PARTNER, f"there is no {name!r} in {missing!r}")
+            records[name] = ComparisonRecord(*paths, version=__version__, error=failure)
     # Files that were left out on purpose are not missed.
     is_all = not include and not exclude and not ignore_missing
     return _print_table(records, gates, as_json, is_all=is_all)
@@ -192,14 +204,6 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
             files = "file has" if n_left == 1 else "files have"
             console.say(f"{n_left:,} {files} no partner, only in {folder}: left out")
     return [{name: side[name] for name in side if name in shared} for side in (first, second)]
-
-
-def _no_partner(name: str, before: str, after: str, folder: str) -> ComparisonRecord:
-    from msal_cli.job.records import ComparisonRecord, Failure
-    from msal_cli.version import __version__
-
-    failure = Failure(_NO_PARTNER, f"there is no {name!r} in {folder!r}")
-    return ComparisonRecord(before, after, version=__version__, error=failure)
 
 
 def _compare_two(
@@ -236,17 +240,6 @@ def _compare_two(
     return console.status_of_files(1, 0, is_gate_failed=is_any_broken([record]))
 
 
-def _refuse_target(before: str, after: str, target: str) -> None:
-    """Refuse a heat map that is no PLY, or would replace anything but another heat map."""
-    from msal_cli.cli.report_files import refuse_target
-
-    if not target.lower().endswith(".ply"):
-        raise UsageError(
-            f"the heat map {target!r} must be a PLY", hint="name it with the suffix .ply"
-        )
-    refuse_target(target, "the heat map", (before, after), replaces=_HEAT_MAP)
-
-
 def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
     from msal_cli.batch import interrupts
     from msal_cli.job import comparison
@@ -276,7 +269,11 @@ def _print_table(
     from msal_cli.report.gates import is_any_broken
 
     records = checks.judge(pairs)
-    present = [name for name, record in pairs.items() if not _is_without_partner(record)]
+    present = [
+        name
+        for name, record in pairs.items()
+        if record.error is None or record.error.code != _NO_PARTNER
+    ]
     vanished = comparison.list_missing(present, checks.earlier or {}) if is_all else []
     if as_json:
         console.put_json(ComparisonRecord.schema, records=[as_data(record) for record in records])
@@ -297,10 +294,6 @@ def _print_table(
     return console.status_of_files(len(records), n_failed)
 
 
-def _is_without_partner(record: ComparisonRecord) -> bool:
-    return record.error is not None and record.error.code == _NO_PARTNER
-
-
 def _say_failure(record: ComparisonRecord) -> None:
     """Say why two files could not be compared, under the name of the one that is at fault."""
     error = record.error
@@ -311,9 +304,6 @@ def _say_failure(record: ComparisonRecord) -> None:
             console.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
             return
     console.say_failure(record.after, error)
-
-
-DEFAULT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -363,4 +353,4 @@ def build_checks(
     if baseline is None:
         return Checks(gates, None, 0.0)
     earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
-    return Checks(gates, earlier, DEFAULT_TOLERANCE if tolerance is None else tolerance)
+    return Checks(gates, earlier, 0.01 if tolerance is None else tolerance)

@@ -112,7 +112,11 @@ def read_config(
             several = words if isinstance(words, list) else [words]
             if not is_named:
                 _refuse_outside(below, several, place)
-            several = [_relative_to(below, path) for path in several]
+            # From the current folder; URLs and - stay.
+            several = [
+                word if "://" in word or word == "-" else os.path.join(below, word)
+                for word in several
+            ]
             words = several if option.multiple else several[0]
         values[option.name] = words
     return Config(path, values, is_named)
@@ -185,11 +189,6 @@ def _refuse_outside(folder: str, paths: Iterable[str], place: str) -> None:
                 "file that --config names",
                 hint="give the file with --config if you trust it, or --no-config",
             )
-
-
-def _relative_to(folder: str, path: str) -> str:
-    """A path of a file in ``folder``, from the current folder; URLs and ``-`` stay."""
-    return path if "://" in path or path == "-" else os.path.join(folder, path)
 
 
 def describe(
@@ -345,10 +344,9 @@ def _rows(
     command: click.Command, ctx: click.Context, given: dict[str, Any], config: Config | None
 ) -> Iterator[tuple[click.Option, Any, str]]:
     """The options in force: each with its value, and where that comes from."""
-    hidden = (CONFIG, NO_CONFIG, SHOW_CONFIG)
     for option in command.params:
         name = str(option.name)
-        if not isinstance(option, click.Option) or option.is_eager or name in hidden:
+        if not isinstance(option, click.Option) or option.is_eager or name in _NEVER:
             continue
         in_force = ctx.default_map or {}
         if name in given:

@@ -18,19 +18,8 @@ BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
 """Options that give a method and its parameters."""
 
 _FOR_FILES = (
-    "in_place",
-    "include",
-    "exclude",
-    "dry_run",
-    "shard",
-    "retry_failed",
-    "dask",
-    "fail_fast",
-    "fields",
-    "retries",
-    "max_failures",
-    "scratch",
-    "tile_set",
+    *("in_place", "include", "exclude", "dry_run", "shard", "retry_failed", "dask"),
+    *("fail_fast", "fields", "retries", "max_failures", "scratch", "tile_set"),
 )
 
 _AUTO_HINT = (
@@ -133,11 +122,7 @@ _NEEDS = (
 
 
 # The parameters that ``find_given`` has by other names.
-_PARAMETERS = {
-    "automatic": "method",
-    "adaptive": "method",
-    "dask": "engine",
-}
+_PARAMETERS = {"automatic": "method", "adaptive": "method", "dask": "engine"}
 
 
 def find_given(context: click.Context) -> dict[str, str]:
@@ -163,15 +148,12 @@ def find_given(context: click.Context) -> dict[str, str]:
 def _is_given(parameter: click.Parameter, context: click.Context) -> bool:
     value: Any = context.params.get(str(parameter.name))
     # 0 is given, too.
-    is_empty = value is None or value is False or value == ()
-    return not is_empty and value != _default(parameter, context)
-
-
-def _default(parameter: click.Parameter, context: click.Context) -> Any:
-    """The default of the program, whatever a configuration file gives."""
+    if value is None or value is False or value == ():
+        return False
+    # The default of the program counts, whatever a configuration file gives.
     from_file, context.default_map = context.default_map, None
     try:
-        return parameter.get_default(context)
+        return bool(value != parameter.get_default(context))
     finally:
         context.default_map = from_file
 

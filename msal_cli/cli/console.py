@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
@@ -71,10 +72,9 @@ def say_error(error: MsalError) -> None:
 
 def say_failure(name: str, failure: Failure) -> None:
     """The failure of a single file, in the words of an error."""
-    from msal_cli.report.facts import file_name, reason
+    from msal_cli.report.facts import failure_text, file_name
 
-    why = reason(failure.where, failure.message, failure.code)
-    _say_error_words(f"{file_name(name)}: {why}", failure.hint)
+    _say_error_words(f"{file_name(name)}: {failure_text(failure)}", failure.hint)
 
 
 def _say_error_words(words: str, hint: str) -> None:
@@ -95,12 +95,7 @@ def say_written(path: str) -> None:
 def put(text: str) -> None:
     """Text as data to standard output, with what its encoding lacks escaped.
 
-    Raises
-    ------
-    OutputError
-        if standard output is closed, or its disk is full.
-    BrokenPipeError
-        if its reader is gone.
+    OutputError if it is closed or its disk is full, BrokenPipeError if its reader is gone.
     """
     stream = _standard_output()
     encoding = stream.encoding or "ascii"
@@ -126,16 +121,11 @@ def put_bytes(data: bytes | bytearray | memoryview) -> None:
             # With PYTHONUNBUFFERED this is the bare stream, which may take a part only: less than
             # 2 GB at once, and what a pipe has room for when its reader goes.
             taken = stream.buffer.write(rest)
-            rest = rest[taken:] if taken else _after_a_pause(rest)
+            if not taken:
+                # A stream that does not wait, and has no room now.
+                time.sleep(0.01)
+            rest = rest[taken or 0 :]
         stream.buffer.flush()
-
-
-def _after_a_pause(rest: memoryview) -> memoryview:
-    """For a stream that does not wait and has no room now."""
-    import time
-
-    time.sleep(0.01)
-    return rest
 
 
 def put_json(schema: str, **data: Any) -> None:
@@ -155,13 +145,8 @@ def flush() -> None:
 
 @contextmanager
 def finish_work() -> Iterator[None]:
-    """A block that is done to its end, although nothing may read standard output any more.
-
-    Raises
-    ------
-    BrokenPipeError
-        at the end of the block, if the reader has gone away within it.
-    """
+    """A block that is done to its end, although nothing may read standard output any more;
+    BrokenPipeError comes at its end."""
     _lost.append(None)
     try:
         yield
@@ -199,7 +184,7 @@ def width(stream: TextIO | None) -> int:
 
 
 def is_terminal(stream: TextIO | None) -> bool:
-    """Whether somebody is looking at ``stream``."""
+    """Whether ``stream`` is a terminal."""
     try:
         return stream is not None and stream.isatty()
     except ValueError:

@@ -16,6 +16,7 @@ from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord
+    from msal_cli.report.info import InfoTable
 
 
 @grouped_command("info", epilog="Exit status: see msal --help.")
@@ -62,6 +63,7 @@ def command(
     Lengths are in file units.
     """
     from msal_cli.cli import logs
+    from msal_cli.report.info import InfoTable
 
     with logs.log_to_console(verbose):
         known = options.resolve_format(format)
@@ -70,7 +72,8 @@ def command(
         if as_json:
             return _print_json(records)
         is_table = len(paths) > 1 and not verbose
-        return _print_table(records, paths) if is_table else _print_text(records)
+        table = InfoTable(paths, console.width(sys.stdout)) if is_table else None
+        return _print_lines(records, table)
 
 
 def _find_paths(
@@ -100,8 +103,9 @@ def _inspect(
         )
 
 
-def _print_text(records: Iterator[InfoRecord]) -> int:
-    """Print each file as soon as it is known, failures to standard error; the exit status."""
+def _print_lines(records: Iterator[InfoRecord], table: InfoTable | None) -> int:
+    """Print each file as soon as it is known, as a row of ``table`` if there is one, failures to
+    standard error; the exit status."""
     from msal_cli.report.info import describe_info
 
     n_printed = n_failed = 0
@@ -110,32 +114,16 @@ def _print_text(records: Iterator[InfoRecord]) -> int:
             n_failed += 1
             console.say_failure(record.input, record.error)
             continue
-        if n_printed:
-            console.put("\n")
+        if table is None:
+            console.put("\n" if n_printed else "")
+            console.put_lines(describe_info(record))
+        else:
+            console.put_lines(
+                [table.row(record)] if n_printed else [table.head(), table.row(record)]
+            )
         n_printed += 1
-        console.put_lines(describe_info(record))
         console.flush()
-    return console.status_of_files(n_printed + n_failed, n_failed)
-
-
-def _print_table(records: Iterator[InfoRecord], paths: tuple[str, ...]) -> int:
-    """Print a line for each file as soon as it is known, failures to standard error; the exit
-    status."""
-    from msal_cli.report.info import InfoTable
-
-    table = InfoTable(paths, console.width(sys.stdout))
-    n_printed = n_failed = 0
-    for record in records:
-        if record.error is not None:
-            n_failed += 1
-            console.say_failure(record.input, record.error)
-            continue
-        if not n_printed:
-            console.put_lines([table.head()])
-        n_printed += 1
-        console.put_lines([table.row(record)])
-        console.flush()
-    if n_printed:
+    if table is not None and n_printed:
         console.put_lines([table.foot()])
     return console.status_of_files(n_printed + n_failed, n_failed)
 

@@ -117,7 +117,10 @@ def _end(status: object) -> None:
 
     Freeing all modules and arrays, one by one, takes a tenth of the time of a small mesh.
     """
-    if not isinstance(status, int) or _is_observed() or _waits_for_threads():
+    # A debugger or a profiler has something to print at the end.
+    is_observed = sys.gettrace() is not None or sys.getprofile() is not None
+    others = (thread for thread in threading.enumerate() if thread is not threading.main_thread())
+    if not isinstance(status, int) or is_observed or any(not thread.daemon for thread in others):
         return
     # A stream that cannot be flushed is for Python to deal with.
     with contextlib.suppress(OSError, ValueError):
@@ -126,16 +129,6 @@ def _end(status: object) -> None:
                 stream.flush()
         atexit._run_exitfuncs()
         os._exit(status)
-
-
-def _is_observed() -> bool:
-    """Whether a debugger or a profiler, which has something to say at the end, looks on."""
-    return sys.gettrace() is not None or sys.getprofile() is not None
-
-
-def _waits_for_threads() -> bool:
-    main_thread = threading.main_thread()
-    return any(not thread.daemon for thread in threading.enumerate() if thread is not main_thread)
 
 
 def _status(group: Msal, arguments: tuple[str, ...]) -> int:
@@ -150,7 +143,10 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
             if not arguments:
                 console.say(context.get_help())
                 return console.USAGE
-            _check_environment()
+            if "MSAL_URL_SECRETS" in os.environ:
+                from msal_cli.storage import urls
+
+                urls.check_secrets()
             return int(group.invoke(context) or console.SUCCESS)
     except Exit as finish:
         return finish.exit_code
@@ -174,14 +170,6 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         return console.FATAL
     except Exception as error:
         return _internal_error(error)
-
-
-def _check_environment() -> None:
-    """Refuse what no command could work with; UsageError."""
-    if "MSAL_URL_SECRETS" in os.environ:
-        from msal_cli.storage import urls
-
-        urls.check_secrets()
 
 
 def _say_usage(error: click.UsageError) -> None:

@@ -56,21 +56,14 @@ def _page(method: Method) -> Iterator[str]:
     yield ""
     yield "Parameters (--set NAME=VALUE):"
     for spec in method.parameters:
+        symbol = f"--set {spec.symbol}=" if spec.symbol not in ("", spec.name) else ""
+        also = ", ".join(filter(None, (SHORTCUTS.get(spec.name), symbol)))
         yield ""
-        yield from _parameter(spec)
-
-
-def _parameter(spec: ParameterSpec) -> Iterator[str]:
-    also = [word for word in (SHORTCUTS.get(spec.name), _other_symbol(spec)) if word]
-    yield f"  {spec.name} = {spec.default}" + (f"   (also {', '.join(also)})" if also else "")
-    yield f"      {spec.help}"
-    yield f"      allowed: {spec.range_text}" + (f"; unit: {spec.unit}" if spec.unit else "")
-    if spec.more:
-        yield f"      more is {spec.more}"
-
-
-def _other_symbol(spec: ParameterSpec) -> str:
-    return f"--set {spec.symbol}=" if spec.symbol and spec.symbol != spec.name else ""
+        yield f"  {spec.name} = {spec.default}" + (f"   (also {also})" if also else "")
+        yield f"      {spec.help}"
+        yield f"      allowed: {spec.range_text}" + (f"; unit: {spec.unit}" if spec.unit else "")
+        if spec.more:
+            yield f"      more is {spec.more}"
 
 
 def _print_json(chosen: list[Method]) -> None:

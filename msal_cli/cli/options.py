@@ -30,12 +30,7 @@ _BYTES = {
     **{f"{letter}ib": 1024**n for n, letter in enumerate("kmgt", 1)},
 }
 
-SHORTCUTS = {
-    "iterations": "-n",
-    "K": "-K",
-    "mollify": "--mollify",
-    "schedule": "--schedule",
-}
+SHORTCUTS = {"iterations": "-n", "K": "-K", "mollify": "--mollify", "schedule": "--schedule"}
 """Options of ``msal denoise`` that set a parameter of the method."""
 
 # Types.  A function as a type gets the text of the option; its BadParameter names the option.
@@ -125,15 +120,6 @@ def parse_percentage(text: str) -> float:
     return float(match[1]) / 100.0
 
 
-def _parse_three(text: str) -> tuple[float, float, float]:
-    """Three numbers between commas; three times NaN for anything else."""
-    try:
-        x, y, z = map(float, text.split(","))
-    except ValueError:
-        return math.nan, math.nan, math.nan
-    return x, y, z
-
-
 def parse_direction(text: str) -> tuple[float, float, float]:
     """Three numbers between commas, or an axis such as ``z`` or ``-z``."""
     axis = _AXES.get(text.lower().removeprefix("-").removeprefix("+"))
@@ -142,7 +128,10 @@ def parse_direction(text: str) -> tuple[float, float, float]:
         # Not -0.0, which would be shown.
         x, y, z = (sign * component + 0.0 for component in axis)
         return x, y, z
-    x, y, z = _parse_three(text)
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        x = y = z = math.nan
     if math.isnan(x + y + z):
         raise click.BadParameter(
             f"{text!r} is neither an axis such as z or -z nor three numbers such as 0,-1,0.5"

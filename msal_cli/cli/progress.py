@@ -209,12 +209,12 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         return
     shown = _bar(desc="pictures", bar_format=_FORMAT, delay=_DELAY_S)
 
-    def tell(done: int, total: int) -> None:
+    def show(done: int, total: int) -> None:
         shown.total = total
         shown.update(done - shown.n)
 
     try:
-        yield tell
+        yield show
     finally:
         shown.close()
 

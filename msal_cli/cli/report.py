@@ -164,11 +164,8 @@ def summarize(names: Sequence[str]) -> RunSummary:
     counts.  The run is the newest one; its times span all runs of the same version and settings,
     and its seconds are those in which any of them was at work.
 
-    Raises
-    ------
-    UsageError : there is no such file or folder, or no manifest in the folder.
-    FormatError : a file is neither a manifest nor a report.
-    OutputError, InputError : a file cannot be read.
+    UsageError for a name without a file, a folder or a manifest in it; FormatError for a file that
+    is neither a manifest nor a report; OutputError or InputError where a file cannot be read.
     """
     from msal_cli.batch.manifest import list_manifests
 

@@ -28,18 +28,14 @@ if TYPE_CHECKING:
 
 def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = None) -> None:
     """Refuse reports that cannot be written, or that would replace one of the paths ``taken``,
-    another mesh or a file of msal's own.
-
-    Raises
-    ------
-    UsageError
-        for an unknown suffix, a name given twice, a place that cannot be written, or
-        columns without a report in .csv.
-    """
+    another mesh or a file of msal's own; also an unknown suffix, a name given twice, a place that
+    cannot be written, and columns without a report in .csv.  UsageError."""
     if csv_columns is not None and not any(name.lower().endswith(".csv") for name in names):
         raise UsageError(
             f"--csv-columns {csv_columns}: there is no report in .csv", hint="name one, or leave it"
         )
+    from msal_cli.storage import urls
+
     taken = tuple(taken)
     seen: set[str] = set()
     for name in names:
@@ -49,7 +45,9 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             )
         if not is_step_summary(name):
             report.writer(name)
-        path = _resolve(name)
+        path = os.path.normcase(os.path.realpath(name))
+        if urls.is_url(name):
+            path = urls.identity(name)
         if path in seen:
             raise UsageError(f"the report {name!r} is given twice")
         seen.add(path)
@@ -82,15 +80,13 @@ def write(
         return
     from msal_cli.batch import interrupts
     from msal_cli.job.output import write_output
-    from msal_cli.report import markdown
 
     first: OutputError | None = None
     # Pages take longest: after Ctrl-C the other reports are there.
     for name in sorted(names, key=_is_page):
         try:
             if is_step_summary(name):
-                data = markdown.render(run, records, most_bytes=room_in_summary(name))
-                append_to_summary(name, data)
+                _append_to_summary(name, run, records)
                 continue
             if _is_page(name):
                 data = _render_page(name, run, records, backup, without_pictures, quiet)
@@ -163,12 +159,6 @@ def _refuse_unwritable(name: str) -> None:
         )
 
 
-def _resolve(name: str) -> str:
-    from msal_cli.storage import urls
-
-    return urls.identity(name) if urls.is_url(name) else os.path.normcase(os.path.realpath(name))
-
-
 _LOG_LINE = rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} "
 """How every line of a log begins."""
 
@@ -194,11 +184,8 @@ def refuse_target(
     replaces : a pattern of how files begin that it may replace, although they may be meshes; by
         default all that are no mesh.
 
-    Raises
-    ------
-    UsageError
-        for the name of a mesh that may not be one, of a file of msal's own, of a folder, a device
-        or a pipe; for one of ``taken``, and for another mesh that is there.
+    UsageError for the name of a mesh that may not be one, of a file of msal's own, of a folder, a
+    device or a pipe; for one of ``taken``, and for another mesh that is there.
     """
     from msal_cli.batch.plan import identify_file
     from msal_cli.job.settings import is_mesh_name
@@ -261,14 +248,9 @@ def _refuse_mesh(name: str, what: str, replaces: str | None) -> None:
 def open_log(name: str) -> io.TextIOWrapper:
     """Open a log to append to it: a new file, an empty one, or what begins as a log of msal does.
 
-    A terminal, /dev/null and a pipe with a reader will do, too.
-
-    Raises
-    ------
-    UsageError
-        for any other file, which might be a mesh, an input or a file of msal's own.
-    OSError, ValueError
-        if it cannot be opened.
+    A terminal, /dev/null and a pipe with a reader will do, too.  UsageError for any other file,
+    which might be a mesh, an input or a file of msal's own; OSError and ValueError if it cannot be
+    opened.
     """
     from msal_cli.job.settings import is_mesh_name
     from msal_cli.storage.regular import open_regular
@@ -322,22 +304,15 @@ def is_step_summary(name: str) -> bool:
     return bool(summary) and os.path.realpath(name) == os.path.realpath(str(summary))
 
 
-def room_in_summary(name: str) -> int:
-    """Bytes that may be added to the summary of the step."""
+def _append_to_summary(name: str, run: Run, records: Sequence[MeshRecord]) -> None:
+    """Add to what earlier commands of the step have put there as much as fits; OutputError."""
+    from msal_cli.report import markdown
+
     try:
-        return max(0, _MAX_SUMMARY_BYTES - Path(name).stat().st_size)
+        size = Path(name).stat().st_size
     except OSError:
-        return _MAX_SUMMARY_BYTES
-
-
-def append_to_summary(name: str, data: bytes) -> None:
-    """Add to what earlier commands of the step have put there.
-
-    Raises
-    ------
-    OutputError
-        if that cannot be done.
-    """
+        size = 0
+    data = markdown.render(run, records, max_bytes=max(0, _MAX_SUMMARY_BYTES - size))
     try:
         with Path(name).open("ab") as file:
             file.write(b"\n" + data if file.tell() else data)

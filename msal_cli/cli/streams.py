@@ -100,14 +100,8 @@ def choose_format(stream: Stream, to: str | None) -> str | None:
 def read_stream() -> Buffer:
     """All of standard input.
 
-    Raises
-    ------
-    InputError
-        with code ``E_READ`` if it cannot be read.
-    TooLargeError
-        as soon as it has more than half of the machine's memory.
-    ResourceError
-        with code ``E_MEMORY`` as soon as it has more than is left of the memory.
+    InputError (``E_READ``) if it cannot be read; as soon as it has more than half of the machine's
+    memory TooLargeError, more than is left of it ResourceError (``E_MEMORY``).
     """
     limit, error = _find_limit()
     # Joining a list of pieces would need twice the memory.
@@ -123,15 +117,8 @@ def read_stream() -> Buffer:
 def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) -> float | None:
     """Write all of standard input to a new file; the seconds that are left of ``timeout_s``.
 
-    Raises
-    ------
-    ResourceError
-        with code ``E_TIMEOUT`` if it does not end in time, with code ``E_MEMORY`` as soon as it
-        has more than ``memory_bytes``.
-    OutputError
-        if the file cannot be written.
-    InputError, TooLargeError
-        as ``read_stream``.
+    ResourceError with ``E_TIMEOUT`` if it does not end in time, with ``E_MEMORY`` as soon as it has
+    more than ``memory_bytes``; OutputError if the file cannot be written; else as ``read_stream``.
     """
     begun = time.monotonic()
     limit, too_large = _find_limit(memory_bytes)
@@ -238,14 +225,8 @@ def denoise_stream(
 ) -> MeshRecord:
     """Read, denoise and write one mesh; nothing is written unless all went well.
 
-    With a limit of time or memory a supervised worker does it, which can be ended.
-
-    Raises
-    ------
-    UsageError
-        if no file can be denoised within ``limits``.
-    BrokenPipeError
-        if standard output is no longer read.
+    With a limit of time or memory a supervised worker does it, which can be ended.  UsageError if
+    no file can be denoised within ``limits``; BrokenPipeError if standard output is not read.
     """
     from msal_cli.job.pipeline import start_record
     from msal_cli.job.records import Failure

@@ -19,7 +19,7 @@ from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from msal_cli.view.pictures import Scene, View
+    from msal_cli.view.pictures import View
 
 _VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 _COLOURS = ("auto", "file", "deviation", "none")
@@ -156,11 +156,14 @@ def command(
     each vertex moved along its normal, else how far it is from A's surface. Neither a display nor
     a graphics card is needed.
     """
+    import shlex
+
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
     from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
-    from msal_cli.view import pictures
+    from msal_cli.view import pages, pictures
+    from msal_cli.view.colours import open_coloured_surface
     from msal_cli.view.panels import png_bytes
 
     kind = "html" if output is None else _find_kind(output)
@@ -172,12 +175,15 @@ def command(
         refuse_target(output, "the picture", names)
     view = dataclasses.replace(view, colours=colours)
     with room_for_files(names, format):
-        scene = _build_scene(names, format)
+        first, *second = (open_coloured_surface(name, format) for name in names)
+        scene = pictures.scene_of(first, second[0] if second else None, names)
         if view.shows_file_colours and not quiet:
             for note in scene.notes:
                 console.say(f"msal: {escape_for_display(note)}", "warn")
         if kind == "html":
-            data = _build_page(output, scene, view)
+            default = ("view", *names, *(("-o", output) if output else ()))
+            arguments = click.get_current_context().find_root().obj or default
+            data = pages.page_of(scene, view, shlex.join(("msal", *arguments)))
         else:
             data = png_bytes(pictures.draw_picture(scene, view))
     if output is None:
@@ -193,14 +199,6 @@ def command(
     if not quiet:
         console.say_written(output)
     return console.SUCCESS
-
-
-def _build_scene(names: tuple[str, ...], format: str | None) -> Scene:
-    from msal_cli.view import pictures
-    from msal_cli.view.colours import open_coloured_surface
-
-    surfaces = [open_coloured_surface(name, format) for name in names]
-    return pictures.scene_of(surfaces[0], surfaces[1] if len(surfaces) > 1 else None, names)
 
 
 def _find_kind(output: str) -> str:
@@ -250,13 +248,3 @@ def _show_in_browser(page: str) -> None:
         import webbrowser
 
         webbrowser.open(Path(page).absolute().as_uri())
-
-
-def _build_page(output: str | None, scene: Scene, view: View) -> bytes:
-    import shlex
-
-    from msal_cli.view import pages
-
-    default = ("view", *scene.names, *(("-o", output) if output else ()))
-    arguments = click.get_current_context().find_root().obj or default
-    return pages.page_of(scene, view, shlex.join(("msal", *arguments)))

@@ -205,6 +205,8 @@ class _Watch:
 
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
         """One plan of all files, or a plan of each that can be done if some cannot."""
+        from msal_cli.job.records import Failure
+
         try:
             plan = plan_files(self._request, self._settings, files)
             for task in plan.tasks:
@@ -221,7 +223,8 @@ class _Watch:
                 for file in files:
                     yield from self._plan([file])
                 return
-            console.say_failure(files[0].relative, _failure_of(error))
+            failure = Failure(error.code, error.message, error.hint or "")
+            console.say_failure(files[0].relative, failure)
             self._note(files[0].path, is_failed=True)
         else:
             yield plan
@@ -279,12 +282,6 @@ class _Watch:
 
     def _is_given_up(self) -> bool:
         return self._max_failures is not None and self._n_new_failures >= self._max_failures
-
-
-def _failure_of(error: UsageError) -> Any:
-    from msal_cli.job.records import Failure
-
-    return Failure(error.code, error.message, error.hint or "")
 
 
 def _check_folders(folder: str, output: str) -> None:

@@ -32,14 +32,9 @@ def suffixes() -> tuple[str, ...]:
 
 
 def writer(name: str, *, has_all_columns: bool = False) -> Writer:
-    """The function that makes the bytes of a report of this name.
+    """The function that makes the bytes of a report of this name; UsageError for another suffix.
 
     ``has_all_columns`` is for CSV, which else has ``data.COMMON_COLUMNS``.
-
-    Raises
-    ------
-    UsageError
-        for another suffix.
     """
     suffix = os.path.splitext(name)[1].lower()
     if suffix not in _WRITERS:

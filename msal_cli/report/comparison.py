@@ -13,7 +13,7 @@ from typing import Any
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import figure
 from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference, SurfaceDistance
+from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference
 from msal_cli.report.data import parse_json, read_json, read_record
 from msal_cli.report.facts import (
     Line,
@@ -110,13 +110,16 @@ def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
         yield "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
     if record.vertex_error_percent is not None:
         yield "vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge"
-    for word, distance in (
+    for title, distance in (
         ("displacement", record.displacement),
         ("after to before", record.distance_to_before),
         ("before to after", record.distance_to_after),
     ):
         if distance is not None:
-            yield word, _distance_text(distance)
+            words = ("mean", "rms", "p95", "max")
+            pairs = [(getattr(distance, w), getattr(distance, f"{w}_edges")) for w in words]
+            parts = zip(words, pairs, strict=True)
+            yield title, ", ".join(f"{w} {size:.4g} ({edges:.4g} e)" for w, (size, edges) in parts)
     if record.hausdorff is not None and record.hausdorff_edges is not None:
         yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)"
     volume = record.volume
@@ -131,25 +134,14 @@ def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
         yield "intersecting", self_intersections_text(record.self_intersections)
 
 
-def _distance_text(distance: SurfaceDistance) -> str:
-    return ", ".join(
-        f"{word} {getattr(distance, word):.4g} ({getattr(distance, f'{word}_edges'):.4g} e)"
-        for word in ("mean", "rms", "p95", "max")
-    )
-
-
 # Baseline
 
 
 def read_comparisons(data: bytes, name: str) -> dict[str, ComparisonRecord | Reference]:
     """What was measured, by the path of the mesh that was measured; failures are left out.
 
-    ``data`` is what ``msal compare --json`` printed, or a report of ``msal denoise --reference``.
-
-    Raises
-    ------
-    FormatError
-        if it is neither; ``name`` is for the error.
+    ``data`` is what ``msal compare --json`` printed, or a report of ``msal denoise --reference``;
+    FormatError, with ``name``, if it is neither.
     """
     content = parse_json(data, name, _not_a_baseline)
     schema = content.get("schema") if isinstance(content, dict) else None

@@ -203,12 +203,7 @@ def plain(value: Any) -> Any:
     """``value`` with nothing in it that strict JSON lacks.
 
     A number that is not finite becomes None, text becomes ``portable``, a tuple a list, and a
-    number of another library a number.
-
-    Raises
-    ------
-    TypeError
-        for anything that is not data.
+    number of another library a number; TypeError for anything that is not data.
     """
     if value is None or isinstance(value, bool | int):
         return value
@@ -268,13 +263,7 @@ def _indented(data: Any) -> str:
 
 
 def read_json(data: bytes, name: str) -> tuple[Run, list[MeshRecord]]:
-    """The run and the records of a JSON report; ``name`` is for errors.
-
-    Raises
-    ------
-    FormatError
-        if it is no report of this schema.
-    """
+    """The run and the records of a JSON report; FormatError, with ``name``, if it is none."""
     content = parse_json(data, name, _not_a_report)
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise _not_a_report(name, f"missing or unsupported schema (expected {SCHEMA})")

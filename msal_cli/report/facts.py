@@ -527,19 +527,20 @@ def auto_text(records: Sequence[MeshRecord]) -> str:
 
 def tile_set_text(records: Sequence[MeshRecord]) -> str:
     """What came of the files of a tile set that are written; empty if there is none."""
-    parts = [one.tile_set for one in records if one.tile_set is not None]
+    tiles = [record for record in records if record.tile_set is not None]
+    parts = known_values(tiles, "tile_set")
     if not parts:
         return ""
-    gaps = [one.tile_gap for one in records if one.tile_set is not None]
-    known = [one for one in gaps if one is not None]
+    gaps = [record.tile_gap for record in tiles]
+    known = [gap for gap in gaps if gap is not None]
     gap = f"{max(known):.3g}" if known and len(known) == len(gaps) else "not known"
     texts = [f"{format_count(len(parts), 'file')} as one mesh"]
     texts.append(f"largest gap between shared vertices {gap}")
-    if n_welded := sum(one.welded_vertices for one in parts):
-        widest = max(one.largest_weld for one in parts)
+    if n_welded := sum(part.welded_vertices for part in parts):
+        widest = max(part.largest_weld for part in parts)
         welded = format_count(n_welded, "border vertex", "border vertices")
         texts.append(f"{welded} welded, which closed gaps of up to {widest:.3g}")
-    if n_fixed := sum(one.fixed_border_vertices for one in parts):
+    if n_fixed := sum(part.fixed_border_vertices for part in parts):
         texts.append(f"{format_count(n_fixed, 'border vertex', 'border vertices')} held fixed")
     return "; ".join(texts)
 

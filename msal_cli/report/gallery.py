@@ -152,7 +152,13 @@ def build_gallery(
     scenes: dict[int, str] = {}
     n_left = n_bytes = 0
     is_decimated = False
-    candidates = [record for record in worst_first(records) if _is_shown(record)]
+    # Both meshes may be found again on this machine's disks.
+    candidates = [
+        record
+        for record in worst_first(records)
+        if record.status in WITH_OUTPUT
+        and not any(name == "-" or "://" in name for name in (record.input, record.output or "-"))
+    ]
     for done, record in enumerate(candidates):
         if on_file is not None:
             on_file(done, len(candidates))
@@ -198,12 +204,6 @@ def build_gallery(
         style=viewer.style() if scenes else "",
         remarks=tuple(remarks),
     )
-
-
-def _is_shown(record: MeshRecord) -> bool:
-    """Whether both meshes may be found again on this machine's disks."""
-    names = (record.input, record.output or "-")
-    return record.status in WITH_OUTPUT and not any(name == "-" or "://" in name for name in names)
 
 
 def _draw(

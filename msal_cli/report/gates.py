@@ -103,19 +103,10 @@ class Quantity:
     fields: tuple[str, ...]
     unit: Unit
 
-    def value_in(self, record: Any) -> float | bool | None:
+    def value_in(self, record: Any) -> Any:
         """The value in a record; None if it is not known there."""
-        for path in self.fields:
-            value = value_at(record, path)
-            if value is not None and value - value == 0.0:
-                number: float | bool = value
-                return number
-        return None
-
-    def number_in(self, record: Any) -> Value:
-        """The value for computing: counts, too, are floating numbers then."""
-        value = self.value_in(record)
-        return value if value is None or isinstance(value, bool) else float(value)
+        values = (value_at(record, path) for path in self.fields)
+        return next((v for v in values if v is not None and v - v == 0.0), None)
 
     def describe(self, record: Any) -> str:
         """The value with its unit: ``max_displacement is 0.0123 (0.62e)``."""
@@ -132,26 +123,26 @@ class Quantity:
     @property
     def needs_reference(self) -> bool:
         """Whether it is measured against a reference mesh, and against nothing else."""
-        return all(one.startswith("reference.") for one in self.fields)
+        return all(path.startswith("reference.") for path in self.fields)
 
     def why_unknown(self, record: Any) -> str:
         """Why there is no value in a record, in words."""
         volume = getattr(record, "volume", None)
-        reference = getattr(record, "reference", None)
-        why = "is not known for this file"
-        if volume is not None and not volume.valid and any("volume" in one for one in self.fields):
-            why = f"is not known: {volume.reason or 'the volume means nothing'}"
+        reference: Any = getattr(record, "reference", None)
+        why = ""
+        if volume is not None and not volume.valid and any("volume" in p for p in self.fields):
+            why = volume.reason or "the volume means nothing"
         elif self.needs_reference and reference is None:
-            why = "is not known: nothing was measured against a reference"
-        elif self.needs_reference and reference is not None and reference.error is not None:
-            why = f"is not known: {reference.error.message}"
-        elif any(one.startswith("self_intersections.") for one in self.fields):
-            why = "is not known: count them with --check self-intersections"
+            why = "nothing was measured against a reference"
+        elif self.needs_reference and reference.error is not None:
+            why = reference.error.message
+        elif any(path.startswith("self_intersections.") for path in self.fields):
+            why = "count them with --check self-intersections"
         elif self.name == "tile_gap" or self.fields[0].startswith("tile_set."):
-            why = "is not known: files are denoised as one with --tile-set"
+            why = "files are denoised as one with --tile-set"
         elif self.name == "despiked":
-            why = "is not known: outliers were not looked for, as --despike does"
-        return f"{self.name} {why}"
+            why = "outliers were not looked for, as --despike does"
+        return f"{self.name} is not known{f': {why}' if why else ' for this file'}"
 
 
 @functools.cache
@@ -169,16 +160,14 @@ def quantities(kind: Hashable) -> Mapping[str, Quantity]:
 def _fields(kind: type[Any], prefix: str) -> Iterator[tuple[str, Unit]]:
     """The numbers and truths of a kind of record, dotted, with their units."""
     hints = typing.get_type_hints(kind)
-    for one in dataclasses.fields(kind):
-        hint = hints[one.name]
+    for item in dataclasses.fields(kind):
+        hint, path = hints[item.name], prefix + item.name
         is_union = typing.get_origin(hint) in (typing.Union, types.UnionType)
-        for each in typing.get_args(hint) if is_union else (hint,):
-            if dataclasses.is_dataclass(each):
-                yield from _fields(typing.cast("type[Any]", each), f"{prefix}{one.name}.")
-            elif each is bool:
-                yield prefix + one.name, TRUTH
-            elif each in (int, float):
-                yield prefix + one.name, _unit(prefix + one.name)
+        for part in typing.get_args(hint) if is_union else (hint,):
+            if dataclasses.is_dataclass(part):
+                yield from _fields(typing.cast("type[Any]", part), f"{path}.")
+            elif part in (bool, int, float):
+                yield path, TRUTH if part is bool else _unit(path)
 
 
 def _unit(path: str) -> Unit:
@@ -186,9 +175,8 @@ def _unit(path: str) -> Unit:
     group = parent.rpartition(".")[2]
     if name.endswith("_percent"):
         return PERCENT
-    if name.endswith("_edges") and not name.startswith(
-        ("boundary", "non_manifold", "inconsistent")
-    ):
+    is_count = name.startswith(("boundary", "non_manifold", "inconsistent"))
+    if name.endswith("_edges") and not is_count:
         return EDGES
     if name in _LENGTHS or (name in _STATISTICS and group):
         return LENGTH
@@ -204,16 +192,12 @@ def _edge_length(record: Any) -> float | None:
 
 _HINT = "write what breaks the gate, such as 'abs(volume_change) > 1%'; see docs/gates.md"
 _HINTS = {"=": "equal is ==", "&": "write and", "|": "write or", "!": "write not, or != "}
-_MANY = {"abs": 1, "known": 1, "min": 9, "max": 9}
+_MAX_PARTS = {"abs": 1, "known": 1, "min": 9, "max": 9}
 _PRECEDENCE = {"or": 1, "and": 2, "not": 3, **dict.fromkeys(COMPARISONS, 4)}
 _PRECEDENCE |= {"+": 5, "-": 5, "*": 6, "/": 6}
 _UNARY = 7
-_JOINED: dict[str, Callable[..., float]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "min": min,
-    "max": max,
-}
+_JOINED: dict[str, Callable[..., float]]
+_JOINED = {"+": operator.add, "-": operator.sub, "min": min, "max": max}
 _LITERALS = {"": CONSTANT, "%": PERCENT, "e": EDGES}
 _PLAIN = (CONSTANT, NUMBER, QUOTIENT)
 _BARE = (CONSTANT, QUOTIENT)
@@ -282,18 +266,13 @@ class _Parser:
             match = _TOKEN.match(text, at)
             if match is None:
                 at = len(text) - len(text[at:].lstrip())
-                raise self._error(
-                    at + 1, f"{text[at]!r} means nothing here", _HINTS.get(text[at], _HINT)
-                )
+                why = f"{text[at]!r} means nothing here"
+                raise self._error(at + 1, why, _HINTS.get(text[at], _HINT))
             at = match.end()
-            kind = next(one for one in ("number", "name", "sign") if match[one])
-            word = match[kind]
-            is_sign = word in ("and", "or", "not")
-            found.append(
-                _Token(
-                    "sign" if is_sign else kind, word, match.start(kind) + 1, match["unit"] or ""
-                )
-            )
+            group = next(name for name in ("number", "name", "sign") if match[name])
+            word = match[group]
+            kind = "sign" if word in ("and", "or", "not") else group
+            found.append(_Token(kind, word, match.start(group) + 1, match["unit"] or ""))
         return [*found, _Token("end", "", len(text) + 1)][::-1]
 
     def _misplaced(self, token: _Token, before: str = "") -> UsageError:
@@ -324,9 +303,8 @@ class _Parser:
             if token.text == "not":
                 raise self._misplaced(token)
             if token.text in COMPARISONS and is_compared:
-                raise self._error(
-                    token.at, "it compares a third time", "join two comparisons with and"
-                )
+                why = "it compares a third time"
+                raise self._error(token.at, why, "join two comparisons with and")
             is_compared = token.text in COMPARISONS
             left = self._combine(token, left, self._read(_PRECEDENCE[token.text]))
         return left
@@ -340,16 +318,16 @@ class _Parser:
             return self._name(token)
         if token.text != "(":
             raise self._misplaced(token)
-        (found,) = self._read_parts(token, 1)
+        (found,) = self._read_parts(token, several=False)
         return found
 
-    def _read_parts(self, opening: _Token, most: int) -> list[_Meaning]:
+    def _read_parts(self, opening: _Token, *, several: bool) -> list[_Meaning]:
         """What is between parentheses, of which the first has been read."""
         self._depth += 1
         if self._depth > _MAX_DEPTH:
             raise self._error(opening.at + 1, f"parentheses go deeper than {_MAX_DEPTH} levels")
         found = [self._read(0)]
-        while most > 1 and self._tokens[-1].text == ",":
+        while several and self._tokens[-1].text == ",":
             self._tokens.pop()
             found.append(self._read(0))
         self._require(")")
@@ -357,13 +335,13 @@ class _Parser:
         return found
 
     def _call(self, token: _Token) -> _Meaning:
-        if token.text not in _MANY:
+        if token.text not in _MAX_PARTS:
             why = f"there is no function {token.text}"
-            raise self._error(token.at, why, f"known are: {', '.join(_MANY)}")
-        most = _MANY[token.text]
-        parts = self._read_parts(self._tokens.pop(), MAX_LENGTH)
-        if len(parts) > most:
-            many = "one value" if most == 1 else f"1 to {most} values"
+            raise self._error(token.at, why, f"known are: {', '.join(_MAX_PARTS)}")
+        max_parts = _MAX_PARTS[token.text]
+        parts = self._read_parts(self._tokens.pop(), several=True)
+        if len(parts) > max_parts:
+            many = "one value" if max_parts == 1 else f"1 to {max_parts} values"
             raise self._error(token.at, f"{token.text} takes {many}")
         first = parts[0]
         if token.text == "known":
@@ -394,10 +372,14 @@ class _Parser:
         name = token.text
         if name in self._known:
             quantity = self.names[name] = self._known[name]
-            return _Meaning(quantity.unit, quantity.number_in, token.at, name)
+            # Counts, too, are floating numbers in computations.
+            value: Callable[[Any], Value] = quantity.value_in
+            if quantity.unit != TRUTH:
+                value = _apply(float, value)
+            return _Meaning(quantity.unit, value, token.at, name)
         close = difflib.get_close_matches(name, self._known, n=2, cutoff=0.6)
-        inner = sorted(one for one in self._known if one.startswith(f"{name}."))
-        short = ", ".join(one for one in SHORT_NAMES if one in self._known)
+        inner = sorted(known for known in self._known if known.startswith(f"{name}."))
+        short = ", ".join(known for known in SHORT_NAMES if known in self._known)
         hint = f"known are {short}, and all other numbers of the report"
         if close or inner:
             hint = f"did you mean {' or '.join(inner[:3] or close)}?"
@@ -418,7 +400,7 @@ class _Parser:
     def _combine(self, token: _Token, left: _Meaning, right: _Meaning) -> _Meaning:
         sign = token.text
         if sign in ("and", "or"):
-            values = [self._truth(one, sign).value for one in (left, right)]
+            values = [self._truth(part, sign).value for part in (left, right)]
             return _Meaning(TRUTH, _decide(values, deciding=sign == "or"), token.at)
         self._quantity(left), self._quantity(right)
         if sign in COMPARISONS:
@@ -494,8 +476,8 @@ def _apply(effect: Callable[..., Any], *inner: Callable[[Any], Value]) -> Callab
     """``effect`` over several values; None if one is not known, or the result is not finite."""
 
     def value(record: Any) -> Value:
-        found = [one(record) for one in inner]
-        if any(one is None for one in found):
+        found = [function(record) for function in inner]
+        if None in found:
             return None
         result: Value = effect(*found)
         return result if result is not None and result - result == 0.0 else None
@@ -507,7 +489,7 @@ def _decide(inner: list[Callable[[Any], Value]], deciding: bool) -> Callable[[An
     """``or``, if True is deciding, or ``and``: one value that decides is enough."""
 
     def value(record: Any) -> Value:
-        found = [one(record) for one in inner]
+        found = [function(record) for function in inner]
         if deciding in found:
             return deciding
         return None if None in found else not deciding
@@ -534,13 +516,9 @@ def parse_gates(
 ) -> tuple[Gate, ...]:
     """The gates of several expressions over records of one kind.
 
-    ``file_unit`` is the unit of the files' lengths, such as ``mm``, where it is known.
-
-    Raises
-    ------
-    UsageError
-        for what is no comparison, a name that no such record has, or units that do not go together;
-        it names the column.
+    ``file_unit`` is the unit of the files' lengths, such as ``mm``, where it is known.  UsageError
+    for what is no comparison, a name that no such record has, or units that do not go together; it
+    names the column.
     """
     gates = []
     for text in expressions:
@@ -569,7 +547,7 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
 
 def names_field(gates: Sequence[Gate], field: str) -> bool:
     """Whether any gate depends on a field of the record, or on one within it."""
-    paths = {path for gate in gates for one in gate.quantities.values() for path in one.fields}
+    paths = {path for gate in gates for item in gate.quantities.values() for path in item.fields}
     return any(path == field or path.startswith(f"{field}.") for path in paths)
 
 
@@ -579,27 +557,20 @@ def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]
     What is not known decides nothing: ``volume.valid and abs(volume_change) > 1%`` holds for an
     open mesh, and ``abs(volume_change) > 1%`` cannot be decided, which counts as broken.
     """
-    return tuple(_evaluate(gate, record) for gate in gates)
-
-
-def _evaluate(gate: Gate, record: Any) -> GateResult:
-    verdict = gate.verdict(record)
-    known = {name: one.value_in(record) for name, one in gate.quantities.items()}
-    words = ", ".join(one.describe(record) for one in gate.quantities.values())
-    words = words or "it names nothing of the file"
-    if verdict is None:
-        unknown = [
-            gate.quantities[name].why_unknown(record) for name, one in known.items() if one is None
-        ]
-        words = "; ".join(unknown) or f"it cannot be computed: {words}"
-    return GateResult(
-        expression=gate.expression,
-        broken=verdict is not False,
-        decided=verdict is not None,
+    results = []
+    for gate in gates:
+        verdict, items = gate.verdict(record), gate.quantities.values()
+        known = {item.name: item.value_in(record) for item in items}
+        reason = ", ".join(item.describe(record) for item in items)
+        reason = reason or "it names nothing of the file"
+        if verdict is None:
+            unknown = [item.why_unknown(record) for item in items if known[item.name] is None]
+            reason = "; ".join(unknown) or f"it cannot be computed: {reason}"
         # Of data, true is 1.
-        values={name: value if value is None else value + 0 for name, value in known.items()},
-        reason=words,
-    )
+        values = {name: value if value is None else value + 0 for name, value in known.items()}
+        is_broken, is_decided = verdict is not False, verdict is not None
+        results.append(GateResult(gate.expression, is_broken, is_decided, values, reason))
+    return tuple(results)
 
 
 def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]:

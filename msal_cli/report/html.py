@@ -96,7 +96,7 @@ def render(
     records: Sequence[MeshRecord],
     gallery: Gallery = EMPTY_GALLERY,
     *,
-    most_bytes: int = MAX_BYTES,
+    max_bytes: int = MAX_BYTES,
 ) -> bytes:
     """The page as UTF-8."""
     numbers = {id(record): at for at, record in enumerate(records)}
@@ -106,14 +106,14 @@ def render(
     rows = _json(data)
     static = "".join(_static_row(columns, row) for row in data[:STATIC_ROWS])
     # What surrounds it takes some 50 kB.
-    room = most_bytes - len(rows) - len(static) - 200_000 - len(gallery.script)
+    room = max_bytes - len(rows) - len(static) - 200_000 - len(gallery.script)
     scenes, room = _fit_scenes(order, gallery.scenes, room)
     pictures, n_dropped = _fit_pictures(order, gallery.pictures, room)
     remarks = list(gallery.remarks)
     if n_dropped:
         remarks.append(
             f"Pictures of {n_dropped:,} files that are not among the worst were left out, "
-            f"to keep this page below {most_bytes / 1e6:.0f} MB."
+            f"to keep this page below {max_bytes / 1e6:.0f} MB."
         )
     scripts = ([gallery.script] if scenes else []) + [asset(__file__, "report.js")]
     styles = ([gallery.style] if scenes else []) + [asset(__file__, "report.css")]
@@ -495,7 +495,7 @@ def _limits(ranked: Sequence[float]) -> tuple[float, float]:
 
 
 def _bars(bins: Bins, text: Callable[[float], str]) -> str:
-    most = max(*bins.counts, bins.below, bins.beyond, 1)
+    highest = max(*bins.counts, bins.below, bins.beyond, 1)
     slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
     floor, room = _HEIGHT - _BOTTOM, _HEIGHT - _BOTTOM - _TOP
     steps = zip(bins.counts, bins.edges, bins.edges[1:], strict=False)
@@ -508,7 +508,7 @@ def _bars(bins: Bins, text: Callable[[float], str]) -> str:
     for at, (count, where, kind) in enumerate(rows):
         if count:
             # A single file among thousands must still be seen.
-            height = max(2.0, room * count / most)
+            height = max(2.0, room * count / highest)
             parts.append(
                 f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
                 f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
@@ -517,7 +517,7 @@ def _bars(bins: Bins, text: Callable[[float], str]) -> str:
             )
     return (
         f'{"".join(parts)}<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{_TOP}" '
-        f'y2="{_TOP}"/><text x="{_LEFT - 5}" y="{_TOP + 4}" text-anchor="end">{most:,}</text>'
+        f'y2="{_TOP}"/><text x="{_LEFT - 5}" y="{_TOP + 4}" text-anchor="end">{highest:,}</text>'
     )
 
 

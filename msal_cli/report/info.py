@@ -44,7 +44,12 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     parts = [f"{count:,} {_SHAPES.get(size, f'with {size} corners')}" for size, count in sizes]
     yield "faces", _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
     yield "components", _count(record.components)
-    yield "surface", _surface_text(record)
+    surface = "closed"
+    if not record.closed:
+        surface = f"open, {_count(record.boundary_edges)} boundary edges"
+    if record.non_manifold_edges:
+        surface += f", {_count(record.non_manifold_edges)} non-manifold edges"
+    yield "surface", surface
     yield "winding", (record.winding or "-") + (", inside out" if record.inside_out else "")
     for word, count, unit in (
         ("degenerate", record.degenerate_faces, "faces"),
@@ -73,13 +78,6 @@ def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
     yield "carried along", ", ".join(record.properties) or "nothing else"
     if record.references:
         yield "refers to", ", ".join(record.references)
-
-
-def _surface_text(record: InfoRecord) -> str:
-    kind = "closed" if record.closed else f"open, {_count(record.boundary_edges)} boundary edges"
-    if record.non_manifold_edges:
-        kind += f", {_count(record.non_manifold_edges)} non-manifold edges"
-    return kind
 
 
 def _count(number: int | None) -> str:

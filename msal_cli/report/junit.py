@@ -63,16 +63,14 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
     for name, value in _properties(run):
         properties.append(_element("property", name=name, value=value))
     suite.extend(cases)
-    Xml.SubElement(suite, "system-out").text = _characters(
-        "\n".join(text for record in records if (text := _facts_text(record)))
-    )
-    Xml.SubElement(suite, "system-err").text = _characters(
-        "\n".join(
-            f"{_name(record)}: {escape_for_display(warning)}"
-            for record in records
-            for warning in record.warnings
-        )
-    )
+    texts, warnings = [], []
+    for record in records:
+        parts = [f"{fact.word}: {fact.text}" for fact in facts(record) if fact.level == SHORT]
+        if parts and record.error is None:
+            texts.append(f"{_name(record)}: {record.status}; {'; '.join(parts)}")
+        warnings += [f"{_name(record)}: {escape_for_display(text)}" for text in record.warnings]
+    Xml.SubElement(suite, "system-out").text = _characters("\n".join(texts))
+    Xml.SubElement(suite, "system-err").text = _characters("\n".join(warnings))
     return suite
 
 
@@ -111,16 +109,6 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
     elif value is not None and value != ():
         # Words that a build service knows: true, and not True.
         yield name, value if isinstance(value, str) else json.dumps(plain(value))
-
-
-def _facts_text(record: MeshRecord) -> str:
-    """One line with what a summary has of a file; empty if there is nothing."""
-    parts = [
-        f"{fact.word}: {fact.text}"
-        for fact in facts(record)
-        if fact.level == SHORT and record.error is None
-    ]
-    return f"{_name(record)}: {record.status}; {'; '.join(parts)}" if parts else ""
 
 
 def _folder(name: str) -> str:

@@ -45,11 +45,11 @@ _MARKUP = re.compile(
 )
 
 
-def render(run: Run, records: Sequence[MeshRecord], *, most_bytes: int = MAX_BYTES) -> bytes:
-    """The report as UTF-8, in at most ``most_bytes`` (or what the page takes without rows)."""
+def render(run: Run, records: Sequence[MeshRecord], *, max_bytes: int = MAX_BYTES) -> bytes:
+    """The report as UTF-8, in at most ``max_bytes`` (or what the page takes without rows)."""
     sums = totals(records)
     parts = [_heading(run, sums), _totals(run, records, sums), _settings(run)]
-    left = most_bytes - sum(len(part.encode()) for part in parts)
+    left = max_bytes - sum(len(part.encode()) for part in parts)
     worst = worst_first(records)
     for table in problem_tables(worst):
         codes = Counter(cells[1] for _, cells in table.rows) if table.title == "Failed" else {}
@@ -89,7 +89,7 @@ def _settings(run: Run) -> str:
     return f"<details><summary>Command and settings</summary>\n\n{inside}\n\n</details>\n"
 
 
-def _file_section(worst: Sequence[MeshRecord], most_bytes: int) -> str:
+def _file_section(worst: Sequence[MeshRecord], max_bytes: int) -> str:
     done = [record for record in worst if record.status not in ("failed", "planned")]
     figures = list_figures(done, DETAIL)
     has_choice = any(record.choice is not None for record in done)
@@ -103,7 +103,7 @@ def _file_section(worst: Sequence[MeshRecord], most_bytes: int) -> str:
         status += ", inside out" if record.inside_out else ""
         cells = [figure.text(record) for figure in figures]
         rows.append((_name(record), status, *[_text(chosen)] * has_choice, *cells))
-    return _section("Files", ORDER_TEXT, heads, rows, len(done), most_bytes, len(figures))
+    return _section("Files", ORDER_TEXT, heads, rows, len(done), max_bytes, len(figures))
 
 
 def _section(
@@ -112,10 +112,10 @@ def _section(
     heads: Sequence[str],
     rows: Sequence[Sequence[str]],
     n_rows: int,
-    most_bytes: int,
+    max_bytes: int,
     n_figures: int = 0,
 ) -> str:
-    """A title and a table in about ``most_bytes``, its last columns figures; nothing for a table
+    """A title and a table in about ``max_bytes``, its last columns figures; nothing for a table
     without rows.  ``n_rows`` is the number of all rows, of which ``rows`` are the first."""
     if not rows:
         return ""
@@ -123,7 +123,7 @@ def _section(
     head = f"{_line(heads)}{_line(rule)}"
     text = f"### {title}: {n_rows:,}\n\n" + (f"{remark}\n\n" if remark else "")
     lines: list[str] = []
-    left = most_bytes - len(text.encode()) - 2 * len(head.encode()) - 200
+    left = max_bytes - len(text.encode()) - 2 * len(head.encode()) - 200
     for row in rows:
         line = _line(row)
         left -= len(line.encode())

@@ -157,7 +157,7 @@ def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
 
 
 def remembered_text(count: int = 1) -> str:
-    """What is said of files that failed in an earlier run."""
+    """What summaries say of files that failed in an earlier run."""
     pronoun = "it" if count == 1 else "them"
     return f"failed in an earlier run and would fail again; --retry-failed tries {pronoun} anyway"
 
@@ -346,5 +346,5 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
             is_named = where == reference.path or where.startswith(f"{reference.path}: ")
             name = "" if is_named else f"{file_name(reference.path)}: "
             items.append([Line(f"  {name}{failure_text(reference.error)}", "bad")])
-    most = None if verbose else MAX_FAILURES
-    yield from _section("no comparison with the reference", items, most)
+    max_items = None if verbose else MAX_FAILURES
+    yield from _section("no comparison with the reference", items, max_items)

@@ -102,7 +102,7 @@ def shade(
 
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int32)
-    clay, inside = (np.array(one, dtype=np.float32) for one in (style.clay, style.inside))
+    clay, inside = (np.array(colour, dtype=np.float32) for colour in (style.clay, style.inside))
     if colours is None:
         if _is_inside_out(vertices, faces):
             clay, inside = inside, clay

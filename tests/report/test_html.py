@@ -129,7 +129,7 @@ def test_pictures_stand_in_the_order_of_the_rows():
 def test_pictures_that_do_not_fit_are_left_out_from_the_best_files():
     records = [written(f"{at}") for at in range(100)] + [failed()]
     gallery = Gallery(pictures={at: Pictures(jpeg(9_000), jpeg(9_000)) for at in range(100)})
-    data = as_html.render(RUN, records, gallery, most_bytes=1_000_000)
+    data = as_html.render(RUN, records, gallery, max_bytes=1_000_000)
     assert len(data) < 1_000_000
     reader = Reader(data.decode())
     kept = json.loads(reader.ids["pictures"])

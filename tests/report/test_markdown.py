@@ -80,7 +80,7 @@ def test_ten_thousand_files_fit_into_a_summary():
 
 def test_the_room_is_kept_and_every_table_gets_some():
     records = [failed(f"{at}.ply") for at in range(500)] + [written(f"{at}") for at in range(500)]
-    page = text(records, most_bytes=20_000)
+    page = text(records, max_bytes=20_000)
     assert len(page.encode()) <= 20_000
     assert "### Files: 500" in page and "more are not shown here" in page
 
