@@ -191,7 +191,7 @@ def lies() -> Iterator[Lie]:
 CHILD = """
 import sys, time
 from msal_cli import codecs
-from msal_cli.codecs.header_check import read_input
+from msal_cli.codecs.header import read_input
 from msal_cli.storage.gzip_streams import expand
 from msal_cli.errors import MsalError
 

@@ -12,7 +12,7 @@ import pytest
 
 from msal_cli.batch import interrupts, plan, worker_pool
 from msal_cli.batch.inputs import discover_inputs
-from msal_cli.codecs import header_check
+from msal_cli.codecs import header
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.storage import atomic, urls
 from tests.cli.scans import closed_scan, folder_of, msal
@@ -210,10 +210,10 @@ def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
 
 
 def test_holes_are_not_looked_for_without_seek_hole_and_pread(tmp_path, monkeypatch):
-    monkeypatch.setattr(header_check, "os", OtherOs("SEEK_HOLE", "pread"))
+    monkeypatch.setattr(header, "os", OtherOs("SEEK_HOLE", "pread"))
     (tmp_path / "a").write_bytes(b"x" * 10)
     with (tmp_path / "a").open("rb") as file:
-        assert header_check._hole(file, 10) == 10
+        assert header._hole(file, 10) == 10
 
 
 @pytest.mark.parametrize("module", ["fcntl", "resource", "pwd", "grp", "termios"])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.layout import fans
+from msal_cli.codecs.mesh_file import fans
 from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
 from msal_cli.job.inspection import to_known_error
 

@@ -222,12 +222,12 @@ def _find_inputs(
 def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | None) -> MadeFile:
     """Write one output, whole or not at all."""
     from msal_cli.cli.streams import read_stream
-    from msal_cli.codecs import header_check
+    from msal_cli.codecs import header
     from msal_cli.codecs.companions import list_sources
     from msal_cli.job.output import add_noise_to_file, write_output
 
     try:
-        data = read_stream() if source == STREAM else header_check.read_input(source, format)
+        data = read_stream() if source == STREAM else header.read_input(source, format)
         made = add_noise_to_file(data, source, path, noise, format)
         if path == STREAM:
             console.put_bytes(made.output)

@@ -253,11 +253,11 @@ def _denoise_here(
     stream: Stream, settings: Settings, on_progress: OnProgress, limits: Limits
 ) -> tuple[Buffer | None, MeshRecord]:
     """The bytes of the output, None if it failed, and the record; made in this process."""
-    from msal_cli.codecs import header_check
+    from msal_cli.codecs import header
     from msal_cli.job.pipeline import denoise_bytes
 
     name = stream.source
-    data = read_stream() if name == STREAM else header_check.read_input(name, settings.format)
+    data = read_stream() if name == STREAM else header.read_input(name, settings.format)
     return denoise_bytes(data, name, settings, on_progress, limits)
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots
 from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
 

@@ -74,8 +74,8 @@ def _to_bytes(colours: Floats, scale: float = 1.0) -> Colours:
 
 
 def _of_ply(mesh_file: MeshFile) -> Colours | None:
+    from msal_cli.codecs.ply_body import located
     from msal_cli.codecs.ply_header import parsed
-    from msal_cli.codecs.ply_sections import located
     from msal_cli.kernels.text import as_bytes
 
     # With no vertex moved every codec gives back its very input.

@@ -16,7 +16,7 @@ from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.codecs.ply_writer import Column, corners_of, write_ply
+from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.regular import Buffer
 
@@ -279,7 +279,7 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
 
     positions: NDArray[Any] = as_float32(mesh.vertices) if single else mesh.vertices
     real = "<f4" if single else "<f8"
-    columns: list[Column] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
+    columns: list[VertexColumn] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
     if mesh.normals is not None:
         normals = mesh.normals
         columns += [(f"n{name}", "<f4", normals[:, k]) for k, name in enumerate("xyz")]

@@ -21,7 +21,6 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
-from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable
 from msal_cli.codecs.gltf_scene import (
     Part,
     Scene,
@@ -34,8 +33,14 @@ from msal_cli.codecs.gltf_scene import (
     require_short,
     write_bound,
 )
-from msal_cli.codecs.layout import Layout, require_finite
-from msal_cli.codecs.mesh_file import Companion
+from msal_cli.codecs.mesh_file import (
+    PLACEMENT,
+    Companion,
+    Layout,
+    is_placed,
+    is_usable,
+    require_finite,
+)
 from msal_cli.codecs.slot_file import Change, SlotFile
 from msal_cli.errors import (
     EXPORT_AGAIN,

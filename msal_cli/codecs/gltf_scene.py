@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Longs
-from msal_cli.codecs.record_slots import Strided
+from msal_cli.codecs.slots import Strided
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,

@@ -30,12 +30,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
-from msal_cli.codecs.decimals import SHORTEST, SHORTEST_SINGLE, extent_decimals, usual_decimals
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.layout import Layout
+from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slot_file import Change, SlotFile, require_finite_result
-from msal_cli.codecs.slots import line_of, number_hint, require_range
-from msal_cli.codecs.text_slots import Patch, Statements, replace_statements
+from msal_cli.codecs.slots import require_range
+from msal_cli.codecs.text_slots import (
+    SHORTEST,
+    SHORTEST_SINGLE,
+    Patch,
+    Statements,
+    extent_decimals,
+    line_of,
+    number_hint,
+    replace_statements,
+    usual_decimals,
+)
 from msal_cli.errors import (
     ContentError,
     FormatError,

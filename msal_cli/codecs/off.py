@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.slots import Tokens
+from msal_cli.codecs.mesh_file import Layout
+from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
 from msal_cli.storage.regular import Buffer

@@ -14,19 +14,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.frames import transform
-from msal_cli.codecs.layout import (
+from msal_cli.codecs.mesh_file import (
     Dependent,
     Parse,
     Shift,
     build_triangles,
     build_vertices,
+    transform,
 )
-from msal_cli.codecs.record_slots import Overwrite, RecordSlots, check_overwritten, overwrite
-from msal_cli.codecs.slots import Slots, TextSlots, UnitSlots, require_range, splice
+from msal_cli.codecs.slots import (
+    Overwrite,
+    RecordSlots,
+    Slots,
+    UnitSlots,
+    check_overwritten,
+    overwrite,
+    require_range,
+    splice,
+)
 from msal_cli.codecs.text_slots import (
     Patch,
     Statements,
+    TextSlots,
     is_interleaved,
     replace_statements,
     require_replaced,

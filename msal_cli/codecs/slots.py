@@ -1,31 +1,21 @@
-"""Where a file stores an array of numbers, and the bytes that take their place.
+"""Where a file stores an array of numbers, and binary records, overwritten in place.
 
-An array of shape (n, k) lies in *units*: ranges of bytes that are replaced as a whole.  In a text
-each number is a unit, in binary data each row, in encoded data (base64) the whole block.  The
-module ``record_slots`` has arrays whose numbers are overwritten in place, without units, and
-``text_slots`` those of a text.
+An array of shape (n, k) lies in *units*, ranges of bytes that are replaced as a whole (in a text
+each number, in encoded data (base64) the whole block; see ``text_slots``), or in records, whose
+numbers keep their places.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.decimals import (
-    SIGNIFICANT_DIGITS,
-    print_numbers,
-    tolerance,
-    uniform_decimals,
-)
-from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError
-from msal_cli.storage.regular import Buffer
-
-_UNREAD = np.empty((0, 0))
+from msal_cli.errors import ContentError, InternalError
 
 
 class Slots:
@@ -63,80 +53,6 @@ class UnitSlots(Slots):
     def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
         """The bytes of these units with new values (n, k), one behind the other, and their ends."""
         raise NotImplementedError
-
-
-@dataclass(eq=False)
-class TextSlots(UnitSlots):
-    """What all numbers in a text have in common.
-
-    Attributes
-    ----------
-    data : (size,) uint8, the file.
-    values : (n, k) float64; read from the text where they are not given.
-    unit_length : the numbers are normals.
-    significant : digits that the file may ask for before the shortest text is written instead.
-    """
-
-    data: Bytes = field(repr=False)
-    values: Floats = field(default_factory=lambda: _UNREAD, repr=False, kw_only=True)
-    unit_length: bool = field(default=False, kw_only=True)
-    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
-    codes: tuple[str, ...] = field(default=(), kw_only=True)
-    whole_rows: bool = field(default=False, kw_only=True)
-
-    def used_decimals(self) -> Bytes:
-        """Decimals that each of the file's numbers, or the finest of a row, has."""
-        from msal_cli.kernels.text import count_decimals
-
-        return count_decimals(self.data, self.starts, self.stops)
-
-    @functools.cached_property
-    def decimals(self) -> int:
-        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
-        return uniform_decimals(
-            self.used_decimals(),
-            self.values,
-            unit_length=self.unit_length,
-            significant=self.significant,
-        )
-
-    @property
-    def _is_whole(self) -> Flags:
-        """Which columns hold whole numbers."""
-        return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
-
-    @property
-    def has_whole_numbers(self) -> bool:
-        """Whether a column holds whole numbers."""
-        return bool(self._is_whole.any())
-
-    def units(self, is_changed: Flags) -> Flags:
-        return is_changed.reshape(-1)
-
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        decimals: int | Bytes = self.decimals
-        if self.has_whole_numbers:
-            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
-            decimals = np.tile(columns, len(values))[units]
-        return print_numbers(values.reshape(-1)[units], decimals)
-
-    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
-        if self.has_whole_numbers:
-            values = np.where(self._is_whole, np.rint(values), values)
-        return values, tolerance(self.decimals)
-
-
-@dataclass(eq=False)
-class Tokens(TextSlots):
-    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
-
-    starts: Longs = field(repr=False)
-    stops: Longs = field(repr=False)
-    width: int = 3
-
-    def __post_init__(self) -> None:
-        if self.values is _UNREAD:
-            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
 
 
 def to_type(values: Floats, code: str) -> NDArray[np.generic]:
@@ -198,60 +114,6 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first
             )
 
 
-def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
-    """The values (q,) of words; the exponent may be written with D, as Fortran does.
-
-    Raises FormatError with the line of a word that is no number.
-    """
-    from msal_cli.kernels.text import read_numbers
-
-    values, bad = read_numbers(data, starts, stops)
-    while bad >= 0:
-        word = data[starts[bad] : stops[bad]].tobytes()
-        if len(starts) > 1 and not _has_fortran_exponents(data, starts, stops, bad):
-            raise _no_number(data, int(starts[bad]), word)
-        values = _fortran_floats(data, starts, stops)
-        bad = -1
-    return values
-
-
-def _has_fortran_exponents(data: Bytes, starts: Longs, stops: Longs, bad: int) -> bool:
-    word = data[starts[bad] : stops[bad]].tobytes()
-    return b"d" in word.lower()
-
-
-def _fortran_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
-    values = np.empty(len(starts))
-    for i, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-        word = data[start:stop].tobytes()
-        try:
-            values[i] = float(word.replace(b"d", b"e").replace(b"D", b"e"))
-        except ValueError:
-            raise _no_number(data, start, word) from None
-    return values
-
-
-def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
-    shown = word[:40].decode("ascii", "backslashreplace")
-    return FormatError(
-        f"{shown!r} is not a number", where=f"line {line_of(data, at)}", hint=number_hint(word)
-    )
-
-
-def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
-    """What to do about a word that is no number: it may have the comma of another language."""
-    return "numbers need a decimal point, not a comma" if b"," in word else otherwise
-
-
-def line_of(data: Buffer | Bytes, at: int) -> int:
-    """The line, from one, that byte ``at`` is in; lines may end with LF, CR LF or CR."""
-    from msal_cli.kernels.text import as_bytes
-
-    before = as_bytes(data)[:at].tobytes()
-    # A CR LF that is cut in two by ``at`` has been counted by its CR.
-    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
-
-
 def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> memoryview:
     """A file with units replaced: their starts, stops, new bytes and the ends of these."""
     from msal_cli.kernels import text
@@ -269,3 +131,274 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
         inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         words = words[np.repeat(first, sizes) + inside]
     return text.splice(data, starts[order], stops[order], words, np.cumsum(sizes)).data
+
+
+_RECORDS = 1 << 14
+"""Records that are worked on at a time, so that they stay in the cache."""
+
+_PARTS = 8
+"""Parts of an array that are worth a thread of their own."""
+
+_CHUNK = 1 << 20
+"""Bytes compared at a time, so that a comparison needs no temporary as large as the file."""
+
+
+class RecordSlots(Slots):
+    """An array whose numbers have a place and a size of their own in binary data.
+
+    Attributes
+    ----------
+    data : (size,) uint8, the file.
+    codes : numpy's type of each column, byte order included.
+    span : the first byte of the records, and the end of the last one.
+    """
+
+    data: Bytes
+
+    @property
+    def span(self) -> tuple[int, int]:
+        raise NotImplementedError
+
+    def read(self, data: Bytes, origin: int = 0) -> Floats:
+        """The numbers (n, k) that ``data``, from byte ``origin`` of the file on, holds."""
+        raise NotImplementedError
+
+    def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
+        """Store ``values`` (n, k) where ``where`` (n, k)."""
+        raise NotImplementedError
+
+    def restore(self, out: Bytes, where: Flags, origin: int = 0) -> None:
+        """Store the file's own bytes where ``where`` (n, k).
+
+        Bytes, not values: 64-bit whole numbers need not fit a double.
+        """
+        raise NotImplementedError
+
+    def parts(self) -> Iterator[tuple[RecordSlots, slice]]:
+        """Arrays of some records each that make up this one, and which rows they have."""
+        yield self, slice(None)
+
+    @property
+    def values(self) -> Floats:  # type: ignore[override]
+        """The numbers (n, k), read anew each time: it takes as long as a copy."""
+        return self.read(self.data)
+
+    def rounded(self, values: Floats) -> tuple[Floats, float]:
+        result = np.empty(values.shape)
+        if len(set(self.codes)) == 1:
+            result[:] = to_type(values, self.codes[0])
+        else:
+            for k, code in enumerate(self.codes):
+                result[:, k] = to_type(values[:, k], code)
+        return result, 0.0
+
+
+@dataclass(eq=False)
+class Strided(RecordSlots):
+    """Columns of records of one size: record i begins at byte ``start`` + i * ``stride``.
+
+    ``places`` are the first bytes of the columns within a record.
+    """
+
+    data: Bytes = field(repr=False)
+    start: int
+    count: int
+    stride: int
+    places: tuple[int, ...]
+    codes: tuple[str, ...]
+    whole_rows: bool = False
+
+    @property
+    def span(self) -> tuple[int, int]:
+        return self.start, self.start + self.count * self.stride
+
+    def _views(self, data: Bytes, origin: int) -> Iterator[tuple[slice, NDArray[np.generic]]]:
+        """Columns and the views (n, k) of them in ``data``: all in one where the records hold
+        nothing else, which is much quicker."""
+        if not self.count:
+            return
+        dtypes = [np.dtype(code) for code in self.codes]
+        first, size = self.start - origin, dtypes[0].itemsize
+        if self.places == tuple(range(0, self.stride, size)) and len(set(dtypes)) == 1:
+            yield slice(None), np.ndarray((self.count, len(dtypes)), dtypes[0], data, first)
+            return
+        for k, (place, dtype) in enumerate(zip(self.places, dtypes, strict=True)):
+            strides = (self.stride, dtype.itemsize)
+            view = np.ndarray((self.count, 1), dtype, data, first + place, strides)
+            yield slice(k, k + 1), view
+
+    def read(self, data: Bytes, origin: int = 0) -> Floats:
+        values = np.empty((self.count, len(self.codes)))
+        self.read_into(data, values, origin)
+        return values
+
+    def read_into(self, data: Bytes, values: NDArray[Any], origin: int = 0) -> None:
+        """Store what ``read`` returns in ``values`` (n, k), of any type."""
+        # A signalling NaN is reported elsewhere, as what it is.
+        with np.errstate(invalid="ignore"):
+            for columns, view in self._views(data, origin):
+                values[:, columns] = view
+
+    def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
+        for columns, view in self._views(out, origin):
+            np.copyto(view, to_type(values[:, columns], view.dtype.str), where=where[:, columns])
+
+    def restore(self, out: Bytes, where: Flags, origin: int = 0) -> None:
+        for (columns, view), (_, own) in zip(
+            self._views(out, origin), self._views(self.data, 0), strict=True
+        ):
+            np.copyto(view, own, where=where[:, columns])
+
+    def parts(self) -> Iterator[tuple[RecordSlots, slice]]:
+        for low in range(0, self.count, _RECORDS):
+            high = min(low + _RECORDS, self.count)
+            part = replace(self, start=self.start + low * self.stride, count=high - low)
+            yield part, slice(low, high)
+
+
+@dataclass(eq=False)
+class Scattered(RecordSlots):
+    """Columns of records that differ in size; ``at`` are the first bytes (n,) of each column."""
+
+    data: Bytes = field(repr=False)
+    at: tuple[Longs, ...] = field(repr=False)
+    codes: tuple[str, ...]
+    whole_rows: bool = False
+
+    @property
+    def span(self) -> tuple[int, int]:
+        ends = [(one, np.dtype(code)) for one, code in zip(self.at, self.codes, strict=True)]
+        if not len(self.at[0]):
+            return 0, 0
+        start = min(int(one.min()) for one, _ in ends)
+        return start, max(int(one.max()) + dtype.itemsize for one, dtype in ends)
+
+    def read(self, data: Bytes, origin: int = 0) -> Floats:
+        values = np.empty((len(self.at[0]), len(self.codes)))
+        with np.errstate(invalid="ignore"):
+            for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
+                values[:, k] = gather(data, at - origin, code)
+        return values
+
+    def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
+        for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
+            chosen = where[:, k]
+            _scatter(out, at[chosen] - origin, to_type(values[chosen, k], code))
+
+    def restore(self, out: Bytes, where: Flags, origin: int = 0) -> None:
+        for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
+            own = at[where[:, k]]
+            _scatter(out, own - origin, gather(self.data, own, code))
+
+
+def gather(data: Bytes, at: Longs, code: str) -> NDArray[np.generic]:
+    """The numbers (n,) of a type that begin at these bytes (n,)."""
+    dtype = np.dtype(code)
+    rows = np.empty((len(at), dtype.itemsize), dtype=np.uint8)
+    for k in range(dtype.itemsize):
+        rows[:, k] = data[at + k]
+    return rows.view(dtype)[:, 0]
+
+
+def _scatter(out: Bytes, at: Longs, numbers: NDArray[np.generic]) -> None:
+    rows = np.ascontiguousarray(numbers).view(np.uint8).reshape(len(at), numbers.itemsize)
+    for k in range(rows.shape[1]):
+        out[at + k] = rows[:, k]
+
+
+class Overwrite(NamedTuple):
+    """New ``values`` (n, k) of an array, written where ``where`` (n, k)."""
+
+    slots: RecordSlots
+    values: Floats
+    where: Flags
+
+    def parts(self) -> list[Overwrite]:
+        """The same in parts that fit a cache."""
+        return [
+            Overwrite(slots, self.values[rows], self.where[rows])
+            for slots, rows in self.slots.parts()
+        ]
+
+
+def overwrite(data: Bytes, changes: Sequence[Overwrite]) -> memoryview:
+    """A copy of the file with its arrays' new numbers."""
+    from msal_cli.kernels.parallel import over_ranges
+
+    # An array of numpy's comes in large pages, where the system has such.
+    copy = data.copy()
+
+    def write(start: int, stop: int) -> None:
+        for slots, values, where in parts[start:stop]:
+            slots.write(copy, values, where)
+
+    for change in changes:
+        parts = change.parts()
+        over_ranges(write, len(parts), smallest=_PARTS)
+    return copy.data
+
+
+def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Overwrite]) -> None:
+    """Raise InternalError unless ``result`` is ``data`` with just these numbers changed."""
+    from msal_cli.kernels.parallel import over_ranges
+
+    if len(data) != len(result):
+        raise InternalError("the output is not as long as the input")
+
+    def check(start: int, stop: int) -> None:
+        for one in parts[start:stop]:
+            _check_part(data, result, one)
+
+    done = 0
+    for group in _overlapping(changes):
+        parts: list[Sequence[Overwrite]] = [group]
+        if len({change.slots.span for change in group}) == 1:
+            parts = list(zip(*(change.parts() for change in group), strict=True))
+        over_ranges(check, len(parts), smallest=_PARTS)
+        start, stop = _span(group)
+        _require_same(data, result, done, start)
+        done = stop
+    _require_same(data, result, done, len(data))
+
+
+def _overlapping(changes: Sequence[Overwrite]) -> Iterator[list[Overwrite]]:
+    """The changes in order, those together whose records hold more than one of the arrays."""
+    group: list[Overwrite] = []
+    for change in sorted(changes, key=lambda one: one.slots.span):
+        if group and change.slots.span[0] >= _span(group)[1]:
+            yield group
+            group = []
+        group.append(change)
+    if group:
+        yield group
+
+
+def _span(group: Sequence[Overwrite]) -> tuple[int, int]:
+    spans = [one.slots.span for one in group]
+    return min(start for start, _ in spans), max(stop for _, stop in spans)
+
+
+def _check_part(data: Bytes, result: Bytes, group: Sequence[Overwrite]) -> None:
+    """Check the arrays of the same records."""
+    start, stop = _span(group)
+    restored = result[start:stop].copy()
+    for slots, values, where in group:
+        is_other = slots.read(restored, start) != slots.rounded(values)[0]
+        if (is_other & where).any():
+            raise InternalError("a number of the output is not the computed one")
+        slots.restore(restored, where, start)
+    _require_same(data, restored, start, stop, start)
+
+
+def _require_same(data: Bytes, result: Bytes, start: int, stop: int, origin: int = 0) -> None:
+    """Raise InternalError unless bytes ``start`` to ``stop`` of the file are the same in
+    ``result``, whose first byte is byte ``origin`` of it."""
+    from msal_cli.kernels.parallel import over_ranges
+
+    def compare(first: int, last: int) -> None:
+        for low in range(start + first * _CHUNK, min(start + last * _CHUNK, stop), _CHUNK):
+            high = min(low + _CHUNK, stop)
+            if not np.array_equal(data[low:high], result[low - origin : high - origin]):
+                raise InternalError("the output differs from the input outside its positions")
+
+    over_ranges(compare, -(-(stop - start) // _CHUNK), smallest=4)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slot_file import require_finite_result, require_shape
-from msal_cli.codecs.slots import as_float32, line_of, number_hint
+from msal_cli.codecs.slots import as_float32
 from msal_cli.codecs.stl_facets import (
     FacetFile,
     binary_stl,
@@ -23,6 +23,7 @@ from msal_cli.codecs.stl_facets import (
     not_finite,
     refuse_float64,
 )
+from msal_cli.codecs.text_slots import line_of, number_hint
 from msal_cli.errors import (
     EXPORT_AGAIN,
     FormatError,

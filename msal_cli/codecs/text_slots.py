@@ -1,11 +1,13 @@
-"""Numbers in a text of which three are one behind the other, as nearly all text meshes have them.
+"""Numbers in a text: the digits that new ones get, and the bytes that take the place of the old.
 
-No place per number is kept, and one walk over the file replaces or compares them.
+In nearly all text meshes three numbers are one behind the other (``Statements``): no place per
+number is kept, and one walk over the file replaces or compares them.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,9 +15,269 @@ from typing import NamedTuple
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.decimals import SHORTEST_SINGLE, row_decimals
-from msal_cli.codecs.slots import TextSlots
-from msal_cli.errors import InternalError
+from msal_cli.codecs.slots import UnitSlots
+from msal_cli.errors import EXPORT_AGAIN, FormatError, InternalError
+from msal_cli.storage.regular import Buffer
+
+SHORTEST = 18
+"""In place of a number of decimals: the shortest text that is read back as the same double."""
+
+SHORTEST_SINGLE = 19
+"""In place of a number of decimals: the shortest text that is read back as the same float32."""
+
+NORMAL_DECIMALS = 6
+"""Decimals that a recomputed unit normal has at the least."""
+
+SIGNIFICANT_DIGITS = 15
+"""Decimal digits that float64 keeps whatever they are."""
+
+_FAR_FINER = 1e-7
+"""Of the bounding box's diagonal: positions are written at least this finely."""
+
+_BLOCK = 1 << 16
+"""Numbers of different decimals that are printed at a time."""
+
+
+def usual_decimals(used: Bytes) -> int:
+    """The fewest decimals that all but one in a hundred of ``used`` (n,) do not exceed.
+
+    A few numbers that some program wrote with all 17 digits say nothing about the others.
+    """
+    return usual_of_counts(np.bincount(used, minlength=256)) if len(used) else 0
+
+
+def usual_of_counts(counts: Longs) -> int:
+    """The same from how often each number of decimals occurs, ``counts`` (256,)."""
+    n = int(counts.sum())
+    return int(np.argmax((n - np.cumsum(counts)) * 100 <= n))
+
+
+def extent_decimals(vertices: Floats) -> int | None:
+    """Decimals with which 1e-7 of the bounding box's diagonal can be written; less than 0 for a
+    large one, None where all positions (n, 3) are the same."""
+    # Column by column: numpy reduces the first of two axes slowly.  Halves cannot overflow.
+    halves = [float(column.max() * 0.5 - column.min() * 0.5) for column in vertices.T]
+    step = min(2.0 * math.hypot(*halves), 1e300) * _FAR_FINER
+    return math.ceil(-math.log10(step)) if step > 0.0 else None
+
+
+def uniform_decimals(
+    used: Bytes, values: Floats, *, unit_length: bool, significant: int = SIGNIFICANT_DIGITS
+) -> int:
+    """Decimals for new numbers of an array: as many as are usual, or as 1e-7 of the extent needs,
+    whichever is more; ``SHORTEST`` where they and the digits before the point are more than
+    ``significant``, or where nothing tells the scale.
+
+    ``used`` are the decimals that the file's numbers have, ``values`` (n, 3) the numbers.
+    """
+    usual = usual_decimals(used)
+    return decimals_for(usual, values, unit_length=unit_length, significant=significant)
+
+
+def decimals_for(usual: int, values: Floats, *, unit_length: bool, significant: int) -> int:
+    """``uniform_decimals`` where ``usual`` decimals are known; of ``values`` only the extremes
+    count."""
+    usual = min(usual, SHORTEST - 1)
+    needed: int | None = NORMAL_DECIMALS
+    largest = 1.0
+    if not unit_length:
+        needed = extent_decimals(values)
+        largest = max(float(values.max()), -float(values.min()))
+    if needed is None:
+        return SHORTEST
+    decimals = max(usual, needed)
+    before = max(0, math.ceil(math.log10(largest))) if largest > 0.0 else 0
+    return SHORTEST if decimals + before > significant else min(decimals, SHORTEST)
+
+
+def row_decimals(used: Bytes, least: int, largest: float) -> Bytes | None:
+    """Decimals (n,) for each new position: those that its line has, and at least ``least``.
+
+    ``used`` (n,) are those that the file has, ``largest`` the largest magnitude of a new
+    number.  They are cut down to what float64 tells apart, about 15 digits in all; None where
+    ``least`` are more than that.
+    """
+    most = 16
+    while most >= 0 and not largest * 10.0**most < 2.0**52:
+        most -= 1
+    if least > most:
+        return None
+    return np.clip(used, least, most).astype(np.uint8)
+
+
+def tolerance(decimals: int) -> float:
+    """How far a number that was printed with so many decimals is off at the most."""
+    return 0.0 if decimals >= SHORTEST else 0.5 * 10.0**-decimals * (1.0 + 1e-9)
+
+
+def print_numbers(values: Floats, decimals: int | Bytes) -> tuple[Bytes, Longs]:
+    """The texts (size,) of numbers (k,) one behind the other, and where each ends (k,).
+
+    ``decimals``, for all or for each (k,), are digits behind the point, ``SHORTEST`` or
+    ``SHORTEST_SINGLE``.
+    """
+    from msal_cli.kernels.text import print_numbers
+
+    if isinstance(decimals, int):
+        return print_numbers(values, decimals)
+    if not len(decimals) or (decimals == decimals[0]).all():
+        return print_numbers(values, int(decimals[0]) if len(decimals) else 0)
+    pieces, ends, size = [], [], 0
+    for at in range(0, len(values), _BLOCK):
+        text, stops = _print_mixed(values[at : at + _BLOCK], decimals[at : at + _BLOCK])
+        pieces.append(text)
+        ends.append(stops + size)
+        size += len(text)
+    return np.concatenate(pieces), np.concatenate(ends)
+
+
+def _print_mixed(values: Floats, decimals: Bytes) -> tuple[Bytes, Longs]:
+    lengths = np.zeros(len(values), dtype=np.int64)
+    groups = []
+    for count in np.unique(decimals).tolist():
+        rows = np.flatnonzero(decimals == count)
+        text, stops = print_numbers(values[rows], count)
+        lengths[rows] = np.diff(stops, prepend=0)
+        groups.append((rows, text))
+    ends = np.cumsum(lengths)
+    out = np.empty(int(ends[-1]), dtype=np.uint8)
+    for rows, text in groups:
+        sizes = lengths[rows]
+        shift = ends[rows] - np.cumsum(sizes)
+        out[np.arange(len(text)) + np.repeat(shift, sizes)] = text
+    return out, ends
+
+
+_UNREAD = np.empty((0, 0))
+
+
+@dataclass(eq=False)
+class TextSlots(UnitSlots):
+    """What all numbers in a text have in common.
+
+    Attributes
+    ----------
+    data : (size,) uint8, the file.
+    values : (n, k) float64; read from the text where they are not given.
+    unit_length : the numbers are normals.
+    significant : digits that the file may ask for before the shortest text is written instead.
+    """
+
+    data: Bytes = field(repr=False)
+    values: Floats = field(default_factory=lambda: _UNREAD, repr=False, kw_only=True)
+    unit_length: bool = field(default=False, kw_only=True)
+    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
+    codes: tuple[str, ...] = field(default=(), kw_only=True)
+    whole_rows: bool = field(default=False, kw_only=True)
+
+    def used_decimals(self) -> Bytes:
+        """Decimals that each of the file's numbers, or the finest of a row, has."""
+        from msal_cli.kernels.text import count_decimals
+
+        return count_decimals(self.data, self.starts, self.stops)
+
+    @functools.cached_property
+    def decimals(self) -> int:
+        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
+        return uniform_decimals(
+            self.used_decimals(),
+            self.values,
+            unit_length=self.unit_length,
+            significant=self.significant,
+        )
+
+    @property
+    def _is_whole(self) -> Flags:
+        """Which columns hold whole numbers."""
+        return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
+
+    @property
+    def has_whole_numbers(self) -> bool:
+        """Whether a column holds whole numbers."""
+        return bool(self._is_whole.any())
+
+    def units(self, is_changed: Flags) -> Flags:
+        return is_changed.reshape(-1)
+
+    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+        decimals: int | Bytes = self.decimals
+        if self.has_whole_numbers:
+            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
+            decimals = np.tile(columns, len(values))[units]
+        return print_numbers(values.reshape(-1)[units], decimals)
+
+    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
+        if self.has_whole_numbers:
+            values = np.where(self._is_whole, np.rint(values), values)
+        return values, tolerance(self.decimals)
+
+
+@dataclass(eq=False)
+class Tokens(TextSlots):
+    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
+
+    starts: Longs = field(repr=False)
+    stops: Longs = field(repr=False)
+    width: int = 3
+
+    def __post_init__(self) -> None:
+        if self.values is _UNREAD:
+            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
+
+
+def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
+    """The values (q,) of words; the exponent may be written with D, as Fortran does.
+
+    Raises FormatError with the line of a word that is no number.
+    """
+    from msal_cli.kernels.text import read_numbers
+
+    values, bad = read_numbers(data, starts, stops)
+    while bad >= 0:
+        word = data[starts[bad] : stops[bad]].tobytes()
+        if len(starts) > 1 and not _has_fortran_exponents(data, starts, stops, bad):
+            raise _no_number(data, int(starts[bad]), word)
+        values = _fortran_floats(data, starts, stops)
+        bad = -1
+    return values
+
+
+def _has_fortran_exponents(data: Bytes, starts: Longs, stops: Longs, bad: int) -> bool:
+    word = data[starts[bad] : stops[bad]].tobytes()
+    return b"d" in word.lower()
+
+
+def _fortran_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
+    values = np.empty(len(starts))
+    for i, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+        word = data[start:stop].tobytes()
+        try:
+            values[i] = float(word.replace(b"d", b"e").replace(b"D", b"e"))
+        except ValueError:
+            raise _no_number(data, start, word) from None
+    return values
+
+
+def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
+    shown = word[:40].decode("ascii", "backslashreplace")
+    return FormatError(
+        f"{shown!r} is not a number", where=f"line {line_of(data, at)}", hint=number_hint(word)
+    )
+
+
+def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
+    """What to do about a word that is no number: it may have the comma of another language."""
+    return "numbers need a decimal point, not a comma" if b"," in word else otherwise
+
+
+def line_of(data: Buffer | Bytes, at: int) -> int:
+    """The line, from one, that byte ``at`` is in; lines may end with LF, CR LF or CR."""
+    from msal_cli.kernels.text import as_bytes
+
+    before = as_bytes(data)[:at].tobytes()
+    # A CR LF that is cut in two by ``at`` has been counted by its CR.
+    return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
+
 
 MOST_TURNS = 4096
 """Changes between positions and normals, on the way through a file, from which on all of its new
@@ -24,7 +286,7 @@ numbers have the same decimals."""
 _ROWS = 1 << 16
 """Statements of one kind that are replaced or compared at a time."""
 
-_BLOCK = 1 << 18
+_WINDOW = 1 << 18
 """Bytes compared at a time; what they differ in fits the cache."""
 
 
@@ -158,7 +420,8 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
 def is_same(a: Bytes, b: Bytes) -> bool:
     """Whether two byte strings are equal, without a temporary as large as they are."""
     return len(a) == len(b) and all(
-        np.array_equal(a[at : at + _BLOCK], b[at : at + _BLOCK]) for at in range(0, len(a), _BLOCK)
+        np.array_equal(a[at : at + _WINDOW], b[at : at + _WINDOW])
+        for at in range(0, len(a), _WINDOW)
     )
 
 

@@ -18,18 +18,18 @@ from xml.parsers import expat
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
-from msal_cli.codecs.decimals import (
+from msal_cli.codecs.mesh_file import PLACEMENT, Layout, is_placed, is_usable, transform
+from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slots import require_range, splice
+from msal_cli.codecs.text_slots import (
     SHORTEST,
     SHORTEST_SINGLE,
     SIGNIFICANT_DIGITS,
+    Tokens,
     extent_decimals,
     print_numbers,
     usual_decimals,
 )
-from msal_cli.codecs.frames import PLACEMENT, is_placed, is_usable, transform
-from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.slot_file import SlotFile
-from msal_cli.codecs.slots import Tokens, require_range, splice
 from msal_cli.codecs.threemf_model import (
     Model,
     Use,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Longs
-from msal_cli.codecs.slots import Tokens, line_of, parse_floats
+from msal_cli.codecs.text_slots import Tokens, line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.storage.regular import Buffer
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from msal_cli.arrays import Longs
 from msal_cli.codecs.cells import Cells
-from msal_cli.codecs.layout import Layout
-from msal_cli.codecs.record_slots import Strided
-from msal_cli.codecs.slots import Slots, Tokens, line_of
+from msal_cli.codecs.mesh_file import Layout
+from msal_cli.codecs.slots import Slots, Strided
+from msal_cli.codecs.text_slots import Tokens, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TruncatedError, UnsupportedError
 from msal_cli.storage.regular import Buffer

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.cells import Cells
-from msal_cli.codecs.layout import Dependent, Layout, Shift
-from msal_cli.codecs.slots import Tokens, UnitSlots, to_type
+from msal_cli.codecs.mesh_file import Dependent, Layout, Shift
+from msal_cli.codecs.slots import UnitSlots, to_type
+from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import (

@@ -71,10 +71,10 @@ class Surface:
 
 def opened(path: str, format: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
-    from msal_cli.codecs import header_check
+    from msal_cli.codecs import header
 
     try:
-        return open_mesh(header_check.read_input(path, format), path, format)[0]
+        return open_mesh(header.read_input(path, format), path, format)[0]
     except MsalError as error:
         error.path = error.path or path
         raise
@@ -240,7 +240,7 @@ def build_heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatma
     import numpy as np
 
     from msal_cli.analysis import colour_maps as colours
-    from msal_cli.codecs import ply_fields
+    from msal_cli.codecs import ply_write
 
     values = deviations(surface_of(before), surface_of(after))
     low, high = 0.0, float(np.quantile(values, HEATMAP_QUANTILE))
@@ -250,7 +250,7 @@ def build_heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatma
         f"colours: map sequential, pale to dark for deviation {low:g} to {high:.6g} "
         f"(quantile {HEATMAP_QUANTILE:g}; the largest is {float(values.max()):.6g})",
     )
-    data = ply_fields.with_fields(
+    data = ply_write.with_fields(
         after,
         after.vertices,
         {"deviation": values},

@@ -131,7 +131,7 @@ def build_file(
     import numpy as np
 
     from msal_cli.analysis import colour_maps as colours
-    from msal_cli.codecs import ply_fields
+    from msal_cli.codecs import ply_write
 
     name, shown = next(iter(values.items()))
     kind = KINDS[name]
@@ -148,7 +148,7 @@ def build_file(
         f"colours: map {kind.map}, {ends} for {name} {low:.6g} to {high:.6g} "
         f"(quantile {kind.quantile:g})"
     ]
-    data = ply_fields.with_fields(
+    data = ply_write.with_fields(
         mesh_file, vertices, values, colours.map_colours(shown, low, high, kind.map), comments
     )
     return data, FieldsFile(path, tuple(values), name, kind.map, low, high)

@@ -69,13 +69,13 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, which takes longer than all
     the rest.
     """
-    from msal_cli.codecs import header_check
+    from msal_cli.codecs import header
 
     try:
         if data is not None:
             return _inspect(data, path, format, with_intersections)
         with room_for_files((path,), format):
-            data = header_check.read_input(path, format)
+            data = header.read_input(path, format)
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
         known = to_known_error(error, path)

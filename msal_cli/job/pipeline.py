@@ -101,12 +101,12 @@ def denoise_copy(
     """
     run = FileRun(task.relative, settings, on_progress, limits)
     try:
-        from msal_cli.codecs import header_check
+        from msal_cli.codecs import header
         from msal_cli.storage import atomic
 
         with run.room(task):
             with run.stage("read"):
-                data = header_check.read_input(task.input, settings.format)
+                data = header.read_input(task.input, settings.format)
             made = run.denoise(data, None)
             with run.stage("write"):
                 atomic.write_whole(task.output, [made.data])
@@ -213,11 +213,11 @@ class FileRun:
 
     def read(self, task: Task) -> Buffer:
         """The bytes of the input, unless its header shows that it is no mesh."""
-        from msal_cli.codecs import header_check
+        from msal_cli.codecs import header
 
         with self.stage("read"):
             size = task.input_mark.size if task.input_mark is not None else None
-            return header_check.read_input(task.input, self._settings.format, size)
+            return header.read_input(task.input, self._settings.format, size)
 
     def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""

@@ -36,7 +36,7 @@ from msal_cli.storage.regular import LOOKED_AT, large_files_allowed
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.forecast import Forecast
+    from msal_cli.codecs.header import Forecast
 
 LARGE_BYTES = 4 << 20
 """Files from this size on are looked into; smaller ones fit."""
@@ -92,7 +92,7 @@ def scratch_of_task(task: Task, expected: Forecast, limits: Limits) -> Scratch |
 
 def room_for_files(paths: Sequence[str], format: str | None = None) -> AbstractContextManager[None]:
     """Room for files that are read together; errors as of ``find_scratch``."""
-    from msal_cli.codecs.forecast import forecast
+    from msal_cli.codecs.header import forecast
 
     base = least_memory_bytes()
     needs = [forecast(path, format=format).memory_bytes or base for path in paths]
@@ -327,7 +327,7 @@ def _check_header(path: str, format: str | None) -> int | None:
     """Raise what the reader of a local file would, as far as it is known without all of it; a file
     as small as a header is read as a whole, and its vertices are returned."""
     from msal_cli import codecs
-    from msal_cli.codecs import header_check
+    from msal_cli.codecs import header
     from msal_cli.storage import gzip_streams
 
     try:
@@ -335,9 +335,9 @@ def _check_header(path: str, format: str | None) -> int | None:
     except (OSError, ValueError):
         is_small = True
     if is_small:
-        data, _ = gzip_streams.expand(header_check.read_input(path, format), path)
+        data, _ = gzip_streams.expand(header.read_input(path, format), path)
         return len(codecs.open_mesh(data, path, format).vertices)
-    header_check.check_beginning(path, format)
+    header.check_beginning(path, format)
     return None
 
 

@@ -12,7 +12,7 @@ from msal_cli.errors import UsageError
 from msal_cli.storage.urls import is_url, split
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.forecast import Forecast
+    from msal_cli.codecs.header import Forecast
     from msal_cli.job.records import ObjectMark
     from msal_cli.methods import Method
 
@@ -455,14 +455,14 @@ def refuse_faces(n_faces: int | None, limits: Limits) -> None:
 
 def forecast(task: Task, settings: Settings) -> Forecast:
     """What a file will need, by its size and its first bytes; it never raises for a file."""
-    from msal_cli.codecs import forecast
+    from msal_cli.codecs import header
 
     named = suffix(task.output).lstrip(".") if is_mesh_name(task.output) else None
     to = settings.to or named
     is_same = to in (None, suffix(task.input).lstrip("."))
     if is_same and settings.encoding == "same" and settings.precision == "same":
         to = None
-    told_of = forecast.forecast(
+    told_of = header.forecast(
         task.input,
         format=settings.format,
         to=to,
@@ -501,6 +501,6 @@ def method_bytes_per_face(settings: Settings) -> int:
 
 def least_memory_bytes() -> int:
     """What denoising takes however small the file is: no memory limit can be less."""
-    from msal_cli.codecs.forecast import BASE_BYTES
+    from msal_cli.codecs.header import BASE_BYTES
 
     return BASE_BYTES

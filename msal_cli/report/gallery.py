@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
-from msal_cli.codecs import header_check
+from msal_cli.codecs import header
 from msal_cli.job.comparison import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
@@ -260,7 +260,7 @@ def _surface(path: str, sha256: str | None, format: str | None) -> Surface | Non
     """What the file at ``path`` holds; None if it is not there, or has another SHA-256."""
     if not os.path.isfile(path):
         return None
-    data = header_check.read_input(path, format)
+    data = header.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
     plain, _ = gzip_streams.expand(data, path)

@@ -15,7 +15,7 @@ from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import _warn_of_memory, run
 from msal_cli.batch.schedule import Failed, Retried, Returned, Started
-from msal_cli.codecs.forecast import BASE_BYTES
+from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes

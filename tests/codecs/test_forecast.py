@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
-from msal_cli.codecs import forecast
-from msal_cli.codecs.forecast import BASE_BYTES, LOOKED_AT, of_beginning
+from msal_cli.codecs.header import _PER_BYTE, BASE_BYTES, LOOKED_AT, forecast, of_beginning
 from msal_cli.job.settings import Settings, Task
 from msal_cli.job.settings import forecast as forecast_task
 from msal_cli.storage import gzip_streams
@@ -62,13 +61,13 @@ def test_headers_tell_the_counts(to, encoding, vertices):
 
 def test_the_buffers_of_a_gltf_count(tmp_path):
     path = test_gltf.in_folder(tmp_path)
-    one = forecast.forecast(str(path))
+    one = forecast(str(path))
     assert (one.format, one.vertices, one.faces) == ("gltf", 96, 192)
     with (tmp_path / "scan.bin").open("ab") as file:
         file.truncate(100_000_000)
-    assert forecast.forecast(str(path)).memory_bytes > one.memory_bytes + 100_000_000
+    assert forecast(str(path)).memory_bytes > one.memory_bytes + 100_000_000
     (tmp_path / "scan.bin").unlink()
-    assert forecast.forecast(str(path)).memory_bytes < one.memory_bytes
+    assert forecast(str(path)).memory_bytes < one.memory_bytes
 
 
 @pytest.mark.parametrize(("to", "encoding"), [("obj", "same"), ("off", "same"), ("stl", "ascii")])
@@ -89,7 +88,7 @@ def test_quads_count_as_faces_but_cost_two_triangles():
     triangles = header.format(6000).encode() + bytes(12 * 4000 + 13 * 6000)
     one, two = told(quads, "a.ply"), told(triangles, "a.ply")
     assert (one.faces, two.faces) == (3000, 6000)
-    extra = int(forecast._PER_BYTE["ply"] * (len(triangles) - len(quads)))
+    extra = int(_PER_BYTE["ply"] * (len(triangles) - len(quads)))
     assert one.memory_bytes == pytest.approx(two.memory_bytes - extra, abs=200)
 
 
@@ -174,9 +173,9 @@ def test_no_beginning_of_anything_raises():
 
 
 def test_a_file_that_is_not_there_is_not_told(tmp_path):
-    assert forecast.forecast(str(tmp_path / "none.ply")).memory_bytes is None
-    assert forecast.forecast(str(tmp_path)).memory_bytes is None
-    assert forecast.forecast("a\0b.ply").memory_bytes is None
+    assert forecast(str(tmp_path / "none.ply")).memory_bytes is None
+    assert forecast(str(tmp_path)).memory_bytes is None
+    assert forecast("a\0b.ply").memory_bytes is None
 
 
 _CHILD = """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs import convert, gltf, threemf
-from msal_cli.codecs.frames import PLACEMENT
+from msal_cli.codecs.mesh_file import PLACEMENT
 from tests.codecs import test_glb
 from tests.codecs.plain_3mf import model, package, shape
 from tests.codecs.test_threemf import CUBE

@@ -8,9 +8,9 @@ import tracemalloc
 
 import pytest
 
-from msal_cli.codecs import header_check as first_look
+from msal_cli.codecs import header as first_look
 from msal_cli.codecs import open_mesh
-from msal_cli.codecs.header_check import read_input
+from msal_cli.codecs.header import read_input
 from msal_cli.errors import InputError, MsalError
 from msal_cli.job import inspection
 from tests.codecs import plain_glb, plain_ply, plain_stl

@@ -11,7 +11,7 @@ import pytest
 
 from msal_cli.codecs import convert, open_mesh, writable_formats
 from msal_cli.codecs.detection import content_format, format_of_name
-from msal_cli.codecs.headers import read_header
+from msal_cli.codecs.header import read_header
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron

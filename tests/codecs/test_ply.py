@@ -326,7 +326,7 @@ def test_text_is_the_same_in_chunks_of_any_size(monkeypatch):
     mesh = read(file)
     whole = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
     for size in (1, 5, 12):
-        monkeypatch.setattr("msal_cli.codecs.ply_recode._CHUNK", size)
+        monkeypatch.setattr("msal_cli.codecs.ply_write._CHUNK", size)
         assert bytes(mesh.encoded(mesh.vertices, "ascii", "same")) == whole
     assert plain_ply.read(whole).elements == file.elements
 

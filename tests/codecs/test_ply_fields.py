@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from msal_cli import codecs
-from msal_cli.codecs.ply_fields import with_fields
+from msal_cli.codecs.ply_write import with_fields
 from msal_cli.errors import InternalError
 from tests.cli.scans import closed_scan, ply_text
 from tests.shapes import cube

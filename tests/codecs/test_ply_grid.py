@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from msal_cli.codecs import open_mesh, ply
-from msal_cli.codecs.headers import read_header
+from msal_cli.codecs.header import read_header
 from msal_cli.errors import MsalError
 from tests.codecs import plain_ply
 from tests.codecs.plain_ply import ENCODINGS, Element, Ply

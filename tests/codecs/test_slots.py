@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs.slots import (
-    as_float32,
-    line_of,
-    number_hint,
-    parse_floats,
-    require_range,
-    splice,
-)
+from msal_cli.codecs.slots import as_float32, require_range, splice
+from msal_cli.codecs.text_slots import line_of, number_hint, parse_floats
 from msal_cli.errors import ContentError, FormatError
 
 VALUES = np.arange(12.0).reshape(4, 3)

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from msal_cli.codecs import forecast, stl
+from msal_cli.codecs import header, stl
 from msal_cli.codecs.stl_ascii import SHORTEST_FACET
 from msal_cli.errors import MsalError, TruncatedError
 from tests.codecs import plain_stl
@@ -137,7 +137,7 @@ def test_the_shortest_facets_have_room():
     assert len(facet) == SHORTEST_FACET
     file = stl.read(data, "a.stl")
     assert len(file.faces) == 500
-    assert forecast.of_beginning(data, len(data), "a.stl").memory_bytes
+    assert header.of_beginning(data, len(data), "a.stl").memory_bytes
 
 
 @pytest.mark.parametrize("line", [b"facet", b"facet normal", b"facet normal x y z"])

@@ -38,7 +38,7 @@ import numpy as np
 
 from msal_cli import codecs
 from msal_cli.codecs import normal_warnings, open_mesh, vertex_property, writable_formats
-from msal_cli.codecs.forecast import of_beginning
+from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand
 from tests.frozen.corpus_inputs import formats, mutant, ordinary_files, real_files

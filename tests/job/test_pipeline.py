@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
-from msal_cli.codecs import header_check
+from msal_cli.codecs import header
 from msal_cli.job import inspection, pipeline
 from msal_cli.job.pipeline import denoise_bytes, denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
@@ -474,7 +474,7 @@ class TestLimits:
     def test_a_forecast_beyond_the_limit_is_refused_before_anything_is_read(
         self, path, monkeypatch
     ):
-        monkeypatch.setattr(header_check, "read_whole", None)
+        monkeypatch.setattr(header, "read_whole", None)
         record = self.done(path, memory_bytes=50_000_000)
         assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
         assert "50 MB" in record.error.message and "51 MB" in record.error.message
@@ -490,7 +490,7 @@ class TestLimits:
         opened = codecs.open_mesh(path.read_bytes(), "a.obj")
         as_ply = path.with_suffix(".ply")
         as_ply.write_bytes(codecs.convert(opened, opened.vertices, "ply")[0])
-        monkeypatch.setattr(header_check, "read_whole", None)
+        monkeypatch.setattr(header, "read_whole", None)
         record = self.done(as_ply, max_faces=575)
         assert record.error.code == "E_TOO_LARGE" and record.vertices is None
 

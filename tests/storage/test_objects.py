@@ -11,8 +11,8 @@ import threading
 
 import pytest
 
-from msal_cli.codecs import header_check
-from msal_cli.codecs.forecast import forecast
+from msal_cli.codecs import header
+from msal_cli.codecs.header import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
 from msal_cli.storage import objects as remote
 from msal_cli.storage import regular, sidecars
@@ -338,4 +338,4 @@ class TestBounds:
 
         server.answer = answer
         assert read_whole(server.url) == data
-        assert header_check.read_input(server.url) == data
+        assert header.read_input(server.url) == data

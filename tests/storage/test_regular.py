@@ -7,8 +7,7 @@ import socket
 
 import pytest
 
-from msal_cli.codecs import forecast
-from msal_cli.codecs import header_check as first_look
+from msal_cli.codecs import header
 from msal_cli.errors import InputError, TooLargeError
 from msal_cli.storage import gzip_streams as streams
 from msal_cli.storage import regular
@@ -52,12 +51,12 @@ def test_a_special_file_is_not_opened(special):
 
 
 def test_every_way_to_read_a_mesh_refuses_it(special):
-    for read in (streams.read_whole, streams.read_in_large_pages, first_look.read_input):
+    for read in (streams.read_whole, streams.read_in_large_pages, header.read_input):
         with pytest.raises(InputError, match="not a regular file") as caught:
             read(special)
         assert caught.value.code == "E_READ"
         assert caught.value.hint
-    assert forecast.forecast(str(special)).memory_bytes is None
+    assert header.forecast(str(special)).memory_bytes is None
 
 
 def test_a_file_that_becomes_a_pipe_in_between_is_not_read(tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
-"""A PLY file written anew in another encoding or with other types of positions and normals.
+"""PLY files written: in another encoding or with other types of numbers, and new ones of a mesh.
 
-Every element, property and comment is kept, in its order; of the header only the format line and
-the types of ``x y z nx ny nz`` change.
+Of a file that is re-encoded every element, property and comment is kept, in its order; of the
+header only the format line and the types of ``x y z nx ny nz`` change.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.ply_ascii import Lines
+from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.codecs.ply_body import Lines, Section, section_at
 from msal_cli.codecs.ply_header import Element, Header, Property, retyped
-from msal_cli.codecs.ply_sections import Section, section_at
 from msal_cli.codecs.slots import to_type
-from msal_cli.errors import ContentError, UsageError
+from msal_cli.errors import ContentError, InternalError, UsageError
+from msal_cli.storage.regular import Buffer
 
 _ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
 _CODES = {"float32": "f4", "float64": "f8"}
@@ -324,3 +325,103 @@ def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
     tokens = [b"%d" % one for one in values.tolist()]
     stops = np.cumsum([len(one) for one in tokens], dtype=np.int64)
     return np.frombuffer(b"".join(tokens), dtype=np.uint8), stops
+
+
+VertexColumn = tuple[str, str, NDArray[Any]]
+"""The name of a property, its type in numpy's words, and a number (n,) for each vertex."""
+
+_TYPES = {"<f4": "float", "<f8": "double", "u1": "uchar"}
+
+
+def write_ply(
+    columns: Sequence[VertexColumn], corners: Longs, sizes: Longs, comments: Sequence[str] = ()
+) -> bytes:
+    """A file of vertices with these ``columns``, and polygons of ``sizes`` (p,) with ``corners``
+    (c,) one behind the other.  Comments are printable ASCII."""
+    rows = np.empty(len(columns[0][2]), dtype=[(name, code) for name, code, _ in columns])
+    for name, _, values in columns:
+        rows[name] = values
+    is_long = int(sizes.max()) > 255
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment {one}" for one in comments]
+    header += [f"element vertex {len(rows)}"]
+    header += [f"property {_TYPES[code]} {name}" for name, code, _ in columns]
+    header += [f"element face {len(sizes)}"]
+    header += [f"property list {'uint' if is_long else 'uchar'} int vertex_indices"]
+    head = "\n".join([*header, "end_header", ""]).encode()
+    return b"".join((head, rows.data, _face_bytes(corners, sizes, "<u4" if is_long else "u1")))
+
+
+def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
+    """The corners (c,) of polygons one behind the other, and how many each has (p,)."""
+    if isinstance(polygons, np.ndarray):
+        sizes = np.full(len(polygons), polygons.shape[1], dtype=np.int64)
+        return polygons.reshape(-1).astype(np.int64), sizes
+    sizes = np.array([len(one) for one in polygons], dtype=np.int64)
+    return np.concatenate(polygons).astype(np.int64), sizes
+
+
+def _face_bytes(corners: Longs, sizes: Longs, code: str) -> memoryview:
+    """Lists of corners: a count of type ``code``, then 32-bit indices."""
+    if (sizes == sizes[0]).all():
+        k = int(sizes[0])
+        faces = np.empty(len(sizes), dtype=[("count", code), ("corners", "<i4", (k,))])
+        faces["count"] = k
+        faces["corners"] = corners.reshape(-1, k)
+        return faces.view(np.uint8).data
+    width = np.dtype(code).itemsize
+    starts = np.cumsum(sizes * 4 + width) - (sizes * 4 + width)
+    out = np.empty(int(starts[-1] + sizes[-1] * 4 + width), dtype=np.uint8)
+    counts = sizes.astype(code).view(np.uint8).reshape(-1, width)
+    out[starts[:, None] + np.arange(width)] = counts
+    inside = np.arange(len(corners)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    at = np.repeat(starts + width, sizes) + 4 * inside
+    out[at[:, None] + np.arange(4)] = corners.astype("<i4").view(np.uint8).reshape(-1, 4)
+    return out.data
+
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})
+_LONGEST_COMMENT = 1000
+
+
+def with_fields(
+    mesh_file: MeshFile,
+    vertices: Floats,
+    fields: Mapping[str, Floats],
+    colours: NDArray[np.uint8] | None = None,
+    comments: Sequence[str] = (),
+) -> Buffer:
+    """A binary PLY of the mesh with numbers, and colours, at its vertices.
+
+    Parameters
+    ----------
+    mesh_file : the file whose polygons, and whose precision of positions, are taken.
+    vertices : (n, 3) positions in file order, file units.
+    fields : (n,) numbers by the name of their property; stored as ``float``.
+    colours : (n, 3), stored as ``red``, ``green`` and ``blue``; None for none.
+    comments : lines of the header; what is no printable ASCII in them is escaped.
+    """
+    from msal_cli.codecs.slots import as_float32
+
+    is_single = mesh_file.precision == "float32"
+    positions: NDArray[Any] = as_float32(vertices) if is_single else vertices
+    real = "<f4" if is_single else "<f8"
+    columns: list[VertexColumn] = [(name, real, positions[:, k]) for k, name in enumerate("xyz")]
+    if colours is not None:
+        columns += [(name, "u1", colours[:, k]) for k, name in enumerate(("red", "green", "blue"))]
+    for name, values in fields.items():
+        if not _NAME.fullmatch(name) or name in _TAKEN or len(values) != len(vertices):
+            raise InternalError(f"{name!r} cannot be a field of {len(vertices)} vertices")
+        # What is too large for the type becomes infinite, which readers know.
+        with np.errstate(over="ignore"):
+            columns.append((name, "<f4", values.astype(np.float32)))
+    is_triangulated = mesh_file.n_polygons == len(mesh_file.faces)
+    corners, sizes = corners_of(mesh_file.faces if is_triangulated else mesh_file.polygons())
+    return write_ply(columns, corners, sizes, [_printable(one) for one in comments])
+
+
+def _printable(comment: str) -> str:
+    text = comment.encode("ascii", "backslashreplace").decode()
+    text = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    return text[:_LONGEST_COMMENT]

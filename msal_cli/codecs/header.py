@@ -1,0 +1,509 @@
+"""What the size of a file and its first 64 KB tell: counts, a forecast of memory, and lies.
+
+A header may promise more than the disk holds, and a file may have a hole of a hundred gigabytes
+behind a header that is as it should be.  Whatever is refused here the codec would refuse as well,
+once all was read; only very large files with very much behind their mesh are refused here alone.
+
+A forecast decides who may run beside whom, and refuses a file that cannot fit: it is never below
+what was measured, and at most about twice as much.  It explains nothing: whatever is damaged,
+hostile or not understood has no counts, and the reader says what is wrong with it.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+from msal_cli.codecs import ply_header
+from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name, refuse_utf16
+from msal_cli.errors import FormatError, MsalError, TooLargeError, TruncatedError
+from msal_cli.storage.gzip_streams import (
+    ALWAYS_EXPANDED,
+    GZIP_MAGIC,
+    LARGEST_RATIO,
+    read_in_large_pages,
+    read_whole,
+)
+from msal_cli.storage.regular import (
+    LARGE_BYTES,
+    LOOKED_AT,
+    Buffer,
+    largest_bytes,
+    open_regular,
+    too_large,
+)
+from msal_cli.storage.urls import is_url
+
+_ALWAYS_BELIEVED = 256 << 20
+"""Bytes that the header of a compressed file may always claim."""
+
+_GLB_CHUNK = 20
+_VTK_TEXT = re.compile(rb"[^\n]*\n[^\n]*\n\s*ASCII", re.IGNORECASE)
+_FACET = re.compile(rb"\bfacet\s+(?:normal|outer)\b", re.IGNORECASE)
+
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What the beginning of a file says.
+
+    Attributes
+    ----------
+    flavour : the format, with ``-ascii`` for a text of a format that has both.
+    is_text : whether the file is text, which has no zero bytes; None where that was not looked at.
+    least_bytes, most_bytes : how many bytes the file must and may have; None for no limit.
+    vertices, faces : what the header counts, polygons as the file does; None where it does not.
+    n_vertices, n_triangles : the same, estimated where the header does not count them.
+    error : why the reader will refuse the file.
+    """
+
+    flavour: str
+    is_text: bool | None = None
+    least_bytes: int = 0
+    most_bytes: int | None = None
+    vertices: int | None = None
+    faces: int | None = None
+    n_vertices: int | None = None
+    n_triangles: int | None = None
+    error: MsalError | None = None
+
+
+def read_header(
+    format: str, head: bytes, size: int, *, is_packed: bool = False, beside: int = 0
+) -> Header:
+    """The header of a file of ``size`` bytes that begins with ``head``; never raises.
+
+    ``is_packed`` is set where the file is compressed, so that its size is a guess; ``beside`` are
+    the bytes of other files that hold a part of it.
+    """
+    readers: dict[str, Callable[[], Header]] = {
+        "ply": lambda: _read_ply(head, size, is_packed),
+        "stl": lambda: _read_stl(head, size, is_packed),
+        "glb": lambda: _read_glb(head, size, is_packed),
+        "obj": lambda: _read_obj(head),
+        "vtk": lambda: Header("vtk-ascii" if _VTK_TEXT.match(head) else "vtk"),
+    }
+    if beside:
+        readers["gltf"] = lambda: Header("glb", **_described(head, size + beside))
+    try:
+        refuse_utf16(head)
+        return readers[format]() if format in readers else Header(format)
+    except MsalError as error:
+        return Header(format, error=error)
+
+
+def _believed(size: int, is_packed: bool) -> int:
+    """The bytes that a header may claim."""
+    return max(_ALWAYS_BELIEVED, 4 * size) if is_packed else size
+
+
+def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
+    is_whole = is_packed or len(head) >= size
+    view = memoryview(head)
+    header, error = _try(lambda: ply_header.parsed(view, is_whole))
+    if header is None:
+        # The end of the last line may be all that was not read.
+        header, _ = _try(lambda: ply_header.parsed(view))
+    if header is None:
+        return Header("ply", error=error)
+    vertex, face = header.find("vertex"), header.find("face")
+    strips = header.find("tristrips") if face is None else None
+    grid = header.find("range_grid") if face is None else None
+    n_vertices = vertex.count if vertex is not None else 0
+    n_faces = face.count if face is not None else 0
+    is_text = header.encoding == "ascii"
+    flavour = "ply-ascii" if is_text else "ply"
+    most = None if is_text else header.most_bytes()
+    least = header.least_bytes() + is_text
+    if least > _believed(size, is_packed):
+        if error is None and least - is_text > size:
+            error = _too_short(size, least - is_text)
+        return Header(flavour, is_text, most_bytes=most, error=error)
+    n_triangles: int = n_faces
+    if strips is not None:
+        # Each item of a strip but its first two is a triangle; how many there are, only reading
+        # the strips tells.
+        n_triangles = 4 * strips.count if is_packed else (size - least) // (2 if is_text else 4)
+    elif grid is not None:
+        # Most of its samples may be empty; a vertex has two triangles.
+        n_triangles = 2 * min(grid.count, n_vertices)
+    elif face is not None and not is_text and not is_packed:
+        n_triangles = max(n_faces, _most_triangles(header, face, size - least))
+    elif face is not None and not is_text:
+        # Triangles, as nearly all scans are.
+        items = (int(one.code[1]) for one in face.properties if one.is_list)
+        least += n_faces * 3 * sum(items)
+    faces = None if strips is not None else n_faces
+    counts = n_vertices, faces, n_vertices, n_triangles
+    return Header(flavour, is_text, least, most, *counts, error)
+
+
+def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: int) -> int:
+    """The triangles that the polygons can be cut into, if all list items are their corners."""
+    items = [int(one.code[1]) for one in face.properties if one.is_list]
+    others = (one.properties for one in header.elements if one is not face)
+    if not items or any(one.is_list for properties in others for one in properties):
+        return 0
+    return max(0, rest // sum(items) - 2 * face.count)
+
+
+def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
+    from msal_cli.codecs import stl
+
+    is_text = stl.is_text(head, size)
+    most, error = (None, None) if is_text else _try(lambda: stl.wanted_bytes(head, size))
+    count = int.from_bytes(head[80:84], "little")
+    least = 84 + 50 * count
+    # A text with zeros behind it is forecast as a binary file whose count is not known.
+    if b"\0" in head[:1024] or (len(head) >= 84 and size == least):
+        if len(head) < 84 or least > _believed(size, is_packed):
+            return Header("stl", is_text, error=error)
+        # A closed surface has half as many vertices as facets, once its corners are welded.
+        counts = 3 * count, count, count // 2, count
+        return Header("stl", is_text, least, most, *counts, error)
+    facets = len(_FACET.findall(head))
+    if not facets:
+        return Header("stl-ascii", is_text, most_bytes=most, error=error)
+    # A facet that is cut off at the end of what was read does not count as one.
+    n_facets = int(size * facets / len(head)) + 1
+    return Header(
+        "stl-ascii",
+        is_text,
+        most_bytes=most,
+        n_vertices=n_facets // 2,
+        n_triangles=n_facets,
+        error=error,
+    )
+
+
+def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
+    from msal_cli.codecs import gltf
+
+    most, error = _try(
+        lambda: size if is_packed else gltf.expected_bytes(memoryview(head), size),
+    )
+    stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
+    is_there = head[:4] == b"glTF" and stop <= len(head)
+    counts = _described(head[_GLB_CHUNK:stop], size) if is_there else {}
+    return Header("glb", False, most_bytes=most, error=error, **counts)
+
+
+def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
+    """What ``read`` returns, or its error."""
+    try:
+        return read(), None
+    except MsalError as error:
+        return None, error
+
+
+def _described(text: bytes, size: int) -> dict[str, Any]:
+    """The counts of a glTF scene whose description and buffers have ``size`` bytes; nothing where
+    the description is damaged, as the reader will say."""
+    try:
+        document = json.loads(text)
+        accessors = document["accessors"]
+        parts = [part for mesh in document["meshes"] for part in mesh["primitives"]]
+        # What is shared is read once.
+        corners = {(part["attributes"]["POSITION"], part.get("indices")) for part in parts}
+        n_vertices = sum(int(accessors[each]["count"]) for each in {each for each, _ in corners})
+        n_triangles = sum(
+            int(accessors[position if indices is None else indices]["count"]) // 3
+            for position, indices in corners
+        )
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
+        return {}
+    if not 0 <= n_vertices <= size or not 0 <= n_triangles <= size:
+        return {}
+    counts = {"vertices": n_vertices, "faces": n_triangles}
+    return {**counts, "n_vertices": n_vertices, "n_triangles": n_triangles}
+
+
+def _read_obj(head: bytes) -> Header:
+    from msal_cli.codecs.obj import refuse_binary
+
+    refuse_binary(head)
+    return Header("obj", True)
+
+
+def _too_short(size: int, least: int) -> TruncatedError:
+    return TruncatedError(
+        f"the header counts {least:,} bytes at the least, but the file has {size:,}",
+        where=f"byte {size}",
+        hint="the file was cut short or its header counts are wrong; copy or export it again",
+    )
+
+
+MOST_BEHIND = 256 << 20
+"""Bytes behind the mesh that are carried along whatever the mesh's own size."""
+
+
+def read_input(
+    path: str | os.PathLike[str], format: str | None = None, size: int | None = None
+) -> Buffer:
+    """The bytes of an input file, unless its size and beginning show that it is no mesh.
+
+    ``format`` is the format's name, over the suffix; ``size`` is that of an object behind a URL
+    as far as it is known.
+
+    Raises
+    ------
+    InputError
+        with code ``E_READ`` if the system cannot read it.
+    FormatError, TruncatedError, TooLargeError, UnsupportedError
+        as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
+    """
+    is_large = False
+    try:
+        with open_regular(path) as file:
+            status = os.fstat(file.fileno())
+            is_large = status.st_size >= LARGE_BYTES
+            if status.st_size > LOOKED_AT:
+                _look(file, status.st_size, os.fspath(path), format)
+    except (OSError, ValueError):
+        pass  # reading it all says why
+    # A library would copy what is no ``bytes``.
+    if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
+        return read_in_large_pages(path)
+    return read_whole(path, size)
+
+
+def check_beginning(path: str | os.PathLike[str], format: str | None = None) -> None:
+    """Raise what ``read_input`` would for a large file that cannot be what it says, by its size and
+    its beginning; nothing where the system cannot read it."""
+    try:
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            if size > LOOKED_AT:
+                _look(file, size, os.fspath(path), format)
+    except (OSError, ValueError):
+        return
+
+
+def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
+    """Raise for a file of ``size`` bytes that cannot be what it says."""
+    if size > largest_bytes():
+        raise too_large(size)
+    head = file.read(LOOKED_AT)
+    said = format.lower().removeprefix(".") if format else format_of_name(name)
+    seen = content_format(head, said)
+    wanted = said or seen
+    is_packed = head[:2] == GZIP_MAGIC
+    # Another format than the name says is the codec's to explain.
+    if not is_packed and seen not in ("", wanted):
+        return
+    is_text = True
+    if not is_packed:
+        header = read_header(wanted, head, size)
+        if header.error is not None:
+            raise header.error
+        if header.is_text is None:
+            return
+        is_text = header.is_text
+        if header.most_bytes is not None:
+            _refuse_behind(size, header.most_bytes)
+    # A text has no zero bytes, which a hole is made of, and compressed data have not many; some at
+    # the end may be carried along.
+    hole = _hole(file, size) if is_text else size
+    if size - hole > MOST_BEHIND:
+        raise FormatError(
+            f"a hole full of zeros begins {size - hole:,} bytes before the end",
+            where=f"byte {hole}",
+            hint="the file was not written to its end; copy or export it again",
+        )
+
+
+def _refuse_behind(size: int, most: int) -> None:
+    """Raise TooLargeError for a file much longer than its header asks for."""
+    if size > 2 * most + MOST_BEHIND:
+        raise TooLargeError(
+            f"the header counts {most:,} bytes at the most, but the file has {size:,}",
+            where=f"byte {most}",
+            hint="cut off what follows, or export the mesh again",
+        )
+
+
+def _hole(file: BinaryIO, size: int) -> int:
+    """The first byte of the first hole of a sparse file; ``size`` if it has none that is known."""
+    seek_hole = getattr(os, "SEEK_HOLE", None)
+    if seek_hole is None:
+        return size
+    try:
+        at = os.lseek(file.fileno(), 0, seek_hole)
+        # Believed only if the bytes there are what a hole reads as.
+        return at if at < size and os.pread(file.fileno(), 1, at) == b"\0" else size
+    except OSError as failure:
+        if failure.errno in (errno.EINVAL, errno.ENXIO, errno.ENOTSUP):
+            return size
+        raise
+
+
+BASE_BYTES = 50_000_000
+"""Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
+libraries and the compiled kernels (36 to 46 MB measured)."""
+
+# Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
+# peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
+# the forecast is what was measured plus 8 to 20 %.
+_PER_BYTE = {
+    "ply": 2.1,
+    "ply-ascii": 6.0,
+    "obj": 4.1,
+    "stl": 1.6,
+    "stl-ascii": 4.2,
+    "glb": 4.0,
+    "vtk": 12.0,
+    "vtk-ascii": 13.0,
+    "vtu": 16.0,
+    "vtp": 12.0,
+    "off": 15.0,
+    "gltf": 19.0,
+    "3mf": 52.0,
+    "": 32.0,
+}
+_PER_BYTE_ELSE = 9.2
+_PER_ELEMENT = {"glb": 75.0, "ply": 45.0, "stl": 45.0}
+_PER_ELEMENT_ELSE = 60.0
+
+# Where the counts are not known: a triangle for so many bytes, for what a method adds.  Fewer bytes
+# than files have, that is, more triangles.
+_BYTES_PER_FACE = {"obj": 30.0, "vtk": 24.0, "vtu": 12.0, "glb": 16.0, "gltf": 20.0, "3mf": 8.0}
+_BYTES_PER_FACE["stl-ascii"] = 200.0
+_BYTES_PER_FACE_ELSE = 24.0
+
+# Bytes per triangle that writing another format takes, what was written being read back.
+_CONVERTED = 450
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What is known of a file before it is loaded.
+
+    Attributes
+    ----------
+    format : such as ``ply``; empty if it is not known.
+    vertices, faces : what the header says, polygons as the file counts them; None where it does
+        not say, or says what the file has no bytes for.
+    memory_bytes : resident memory of a process that denoises it, at the peak; None if there is no
+        such file.
+    """
+
+    format: str = ""
+    vertices: int | None = None
+    faces: int | None = None
+    memory_bytes: int | None = None
+
+
+def forecast(
+    path: str,
+    *,
+    format: str | None = None,
+    to: str | None = None,
+    method_bytes_per_face: int = 0,
+) -> Forecast:
+    """What the file at ``path`` will ask for; reads ``LOOKED_AT`` bytes at most, never raises.
+
+    Parameters
+    ----------
+    format : the format, over the name's.
+    to : the format to be written where it is another, or the same in another encoding.
+    method_bytes_per_face : what the method needs per triangle beyond what all do; see
+        ``Method.bytes_per_face``.
+    """
+    try:
+        if is_url(path):
+            from msal_cli.storage import objects as remote
+
+            head, size = remote.read_beginning(path, LOOKED_AT)
+        else:
+            with open_regular(path) as file:
+                head = file.read(LOOKED_AT)
+                size = max(file.seek(0, 2), len(head))
+    except (OSError, ValueError, MsalError):
+        return Forecast()
+    return of_beginning(
+        head,
+        size,
+        path,
+        format=format,
+        to=to,
+        method_bytes_per_face=method_bytes_per_face,
+        beside=_beside(head, path) if len(head) == size else 0,
+    )
+
+
+def of_beginning(
+    head: bytes,
+    size: int,
+    name: str,
+    *,
+    format: str | None = None,
+    to: str | None = None,
+    method_bytes_per_face: int = 0,
+    beside: int = 0,
+) -> Forecast:
+    """What a file of ``size`` bytes that begins with ``head`` will ask for; see ``forecast``.
+
+    ``beside`` are the bytes of files that hold a part of it.
+    """
+    packed = 0
+    if head[:2] == GZIP_MAGIC:
+        packed = size
+        head, size = expand_beginning(head, size)
+    found = format_of_name(name) if format is None else format.lower().removeprefix(".")
+    found = found or content_format(head)
+    header = read_header(found, head, size, is_packed=bool(packed), beside=beside)
+    flavour, triangles = header.flavour, header.n_triangles
+    size = max(size + beside, header.least_bytes)
+    if triangles is None:
+        triangles = int(size / _BYTES_PER_FACE.get(flavour, _BYTES_PER_FACE_ELSE))
+    per_byte = _PER_BYTE.get(flavour, _PER_BYTE[""])
+    per_face = method_bytes_per_face
+    if to is not None:
+        per_face += _CONVERTED
+    needed = BASE_BYTES + per_byte * size + 2 * packed + per_face * triangles
+    if header.n_triangles is not None and header.n_vertices is not None:
+        elements = header.n_vertices + header.n_triangles
+        needed += _PER_ELEMENT.get(flavour, _PER_ELEMENT_ELSE) * elements
+    elif flavour in _PER_ELEMENT:
+        # Sizes alone say of these formats what they say of any.
+        needed += (_PER_BYTE_ELSE - per_byte) * size
+    return Forecast(found, header.vertices, header.faces, int(needed))
+
+
+def _beside(head: bytes, path: str) -> int:
+    """Bytes of the files that the .gltf at ``path`` names as its buffers."""
+    if format_of_name(path) != "gltf" or is_url(path):
+        return 0
+    from msal_cli.codecs.gltf import names_of_buffers
+
+    try:
+        return sum((Path(path).parent / name).stat().st_size for name in names_of_buffers(head))
+    except (OSError, ValueError):
+        return 0  # the reader says why
+
+
+def expand_beginning(head: bytes, size: int) -> tuple[bytes, int]:
+    """The beginning of what is compressed, and how large the whole may be.
+
+    The last bytes of the file would tell its size, but only modulo 4 GB and of its last member:
+    that the rest compresses like the beginning is the better guess, with a quarter on top.
+    """
+    member = zlib.decompressobj(wbits=31)
+    try:
+        beginning = member.decompress(head, LOOKED_AT)
+    except zlib.error:
+        return b"", size
+    used = len(head) - len(member.unconsumed_tail) - len(member.unused_data)
+    if len(head) == size and member.eof and not member.unused_data:
+        return beginning, len(beginning)
+    ratio = 1.25 * len(beginning) / max(1, used)
+    return beginning, int(min(ratio * size, max(ALWAYS_EXPANDED, LARGEST_RATIO * size)))
