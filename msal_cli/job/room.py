@@ -130,8 +130,9 @@ def find_scratch(
         return None
     mapped = _MAPPED_BYTES if limit is None else _MAPPED_UNDER_LIMIT
     kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, mapped))
-    if not array_files.can_use_files() or needed - n_bytes + kept > room:
-        raise _no_memory(work, needed, room, is_limit=limit is not None)
+    least = needed - n_bytes + kept if array_files.can_use_files() else needed
+    if least > room:
+        raise _no_memory(work, needed, int(least), room, is_limit=limit is not None)
     folder = limits.scratch or _folder_of(output)
     if _is_in_memory(folder):
         raise ResourceError(
@@ -205,10 +206,10 @@ def _is_large(task: Task) -> bool:
     return size >= LARGE_BYTES
 
 
-def _no_memory(work: str, needed: int, room: int, *, is_limit: bool) -> ResourceError:
+def _no_memory(work: str, needed: int, least: int, room: int, *, is_limit: bool) -> ResourceError:
     if is_limit:
         has = f"the limit is {megabytes(room)}"
-        hint = "raise --memory-limit if the machine has more, or cut the mesh into parts"
+        hint = f"raise --memory-limit to {megabytes(least)}, or cut the mesh into parts"
     else:
         has = f"this machine has {megabytes(room, rounded_up=False)} left"
         hint = "use a machine with more memory, or cut the mesh into parts"
