@@ -181,6 +181,7 @@ def test_texture_is_returned_for_white_noise_or_when_it_is_asked_for():
     level = 0.2 * true.mean_edge_length
     scan = true.with_vertices(true.vertices + level * numbers * true.vertex_normals())
     usual, returned, lost = (
-        run(scan, noise=0.2, **given) for given in ({}, {"texture": "returned"}, {"texture": "lost"})
+        run(scan, noise=0.2, **given)
+        for given in ({}, {"texture": "returned"}, {"texture": "lost"})
     )
     assert (usual == returned).all() and (usual != lost).any()
