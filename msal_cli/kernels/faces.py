@@ -151,7 +151,7 @@ def _find_face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[In
     m = len(faces)
     around = [array.reshape(-1).view(np.uint32) for array in (faces, *links.incidence)]
     following = side_circles(faces, links)
-    # A row has fewer than MOST_AROUND faces for each corner: around it, or around the edges
+    # A row has fewer than MAX_AROUND faces for each corner: around it, or around the edges
     # between corners where there are too many.
     widest = int(np.diff(links.incidence[0]).max())
     most = 3 * min(widest, MAX_AROUND) + 1

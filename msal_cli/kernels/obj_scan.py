@@ -305,7 +305,7 @@ def scan(  # type: ignore[no-untyped-def]
     undecided : (u, 2) int64, statements whose numbers ``float`` must read: 0 for a position or 1
         for a normal, and its row.
     keywords : (MAX_KEYWORDS, 4) int64, see ``note_keyword``.
-    libraries : (MOST_LIBRARIES,) int64, where the mtllib statements begin.
+    libraries : (MAX_LIBRARIES,) int64, where the mtllib statements begin.
     """
     at = state[AT]
     n_vertices, n_normals = state[VERTICES], state[NORMALS]

@@ -210,16 +210,6 @@ def test_scaled_operators_need_smaller_steps_and_more_sweeps(scaling):
     assert few > one_sweep_of_al
 
 
-def test_msal_takes_the_weights_too():
-    vertices, faces = SHAPES["torus"]
-    for given in ({"weights": "tukey"}, {"deviation": "median"}):
-        _, one = run("msal", vertices, faces, K=0.4, **given)
-        _, other = run("al", vertices, faces, K=0.4, schedule="multiscale", **given)
-        _, plain = run("msal", vertices, faces, K=0.4)
-        assert (one == other).all()
-        assert np.abs(one - plain).max() > 1e-3
-
-
 # Figures on real meshes
 
 

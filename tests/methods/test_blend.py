@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
@@ -27,7 +26,6 @@ from msal_cli.methods.blend import (
     parse_levels,
     parse_members,
 )
-from tests.cli.scans import closed_scan, folder_of, msal
 from tests.shapes import grid, noisy, torus
 
 BLEND = methods.find("blend")
@@ -67,15 +65,6 @@ def test_one_member_of_weight_1_is_that_method_to_the_bit(mesh, name):
     assert set(made.fields) == set(
         methods.find(name).denoise(mesh, methods.find(name).validate({})).fields
     )
-
-
-def test_progress_goes_through_all_members(mesh):
-    told = []
-    blended(mesh, "0.5*al(iterations=4)+0.5*msal(iterations=2)", lambda *step: told.append(step))
-    assert [total for _, total in told] == [200] * len(told)
-    done = [one for one, _ in told]
-    assert done == sorted(done)
-    assert {25, 50, 75, 100, 150, 200} <= set(done)
 
 
 @pytest.mark.parametrize(
@@ -155,12 +144,6 @@ def test_any_text_is_read_or_refused(text):
         assert all(0.0 < weight <= 1.0 for member in members for weight in member.weights)
 
 
-def test_as_many_members_as_are_allowed():
-    assert len(parse_members("+".join(["0.0625*al"] * MOST_MEMBERS))) == MOST_MEMBERS
-    # Tenths do not add up to 1 in binary.
-    assert len(parse_members("+".join(["0.1*al"] * 10))) == 10
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(
@@ -214,29 +197,6 @@ def test_memory_follows_the_members_that_are_given():
     heavy = Settings("blend", {"members": "0.4*al+0.6*static_dynamic"})
     between = method_bytes_per_face(heavy) - method_bytes_per_face(light)
     assert between == of["static_dynamic"] - of["al"]
-
-
-def test_normals_of_members_are_not_kept(mesh):
-    blended(mesh, "0.5*al(mollify=2)+0.5*al")
-    assert not mesh._cached_normals
-
-
-def test_from_the_command_line(tmp_path):
-    scan = folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
-    members = "0.25*al(iterations=2) + 0.5*msal(K=0.7)"
-    words = ("denoise", scan, "--method", "blend", "-q", "--json")
-    made = msal(*words, "-o", tmp_path / "o.ply", "--set", f"members={members}")
-    assert made.exit_code == 0, made.stderr
-    (record,) = json.loads(made.stdout)["records"]
-    assert record["method"] == {
-        "name": "blend",
-        "parameters": {"members": members, "levels": "", "relax": 0, "share": 1.0},
-    }
-    assert (tmp_path / "o.ply").read_bytes() != scan.read_bytes()
-    refused = msal(*words, "-o", tmp_path / "no.ply", "--set", "members=0.25*al+2*msal")
-    assert refused.exit_code == 2
-    assert "2 is not the weight of a member" in refused.stderr
-    assert not (tmp_path / "no.ply").exists()
 
 
 # Weights by the local noise

@@ -87,17 +87,6 @@ def test_one_spike_takes_the_papers_lambda_and_not_the_robust_one():
     assert fidelity(spike, "robust") == pytest.approx(fidelity(vertices, "robust"), rel=0.05)
 
 
-def test_planes_and_vertices_without_faces_do_not_move_the_quantile():
-    vertices, faces = SHAPES["open grid"]
-    flat = grid(30, 30)[0] + [50.0, 0.0, 0.0]
-    more = np.concatenate([vertices, flat, [[7.0, 7.0, 7.0]]])
-    more_faces = np.concatenate([faces, grid(30, 30)[1] + len(vertices)])
-    alone = run(vertices, faces, schedule="robust", q=0.9).fields["fidelity"]
-    beside = run(more, more_faces, schedule="robust", q=0.9).fields["fidelity"]
-    assert beside[: len(vertices)] == pytest.approx(alone, rel=1e-12)
-    assert not beside[len(vertices) :].any()
-
-
 @pytest.mark.parametrize("shape", ["torus", "open grid", "tiny"])
 @pytest.mark.parametrize(("noise", "caution"), [(0.1, 1.0), (0.02, 1.2), (0.05, 0.3)])
 def test_wiener_is_what_its_definition_says(shape, noise, caution):
