@@ -53,6 +53,18 @@ def test_it_agrees_with_a_dense_solver(seed, n, spread):
     assert error <= 1e-7 * np.abs(expected * scale).max()
 
 
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), n=st.integers(2, 25))
+def test_it_ends_within_n_steps_times_three(seed, n):
+    # Exact arithmetic ends after as many steps as the matrix has eigenvalues, for all columns.
+    rng = np.random.default_rng(seed)
+    found = conjugate_gradients(
+        row_matrix(spd(rng, n)), rng.normal(size=(n, 3)), np.zeros((n, 3)), tolerance=1e-9
+    )
+    assert found.converged
+    assert found.iterations <= 3 * n
+
+
 def test_the_residual_is_the_true_one():
     rng = np.random.default_rng(3)
     dense = spd(rng, 25, 2.0)
