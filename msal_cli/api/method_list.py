@@ -96,6 +96,7 @@ class MethodParameters(TypedDict, total=False):
     sparsity: float
     T: float
     tau: float
+    texture: str
     threshold: float
     time_step: float
     tolerance_deg: float
