@@ -49,15 +49,6 @@ def test_files_arrays_and_objects_give_the_same_figures(files):
     assert (record.before, record.after) == ("arrays", "arrays")
 
 
-def test_faces_that_intersect_each_other_are_counted_on_request():
-    pulled = CLEAN.copy()
-    pulled[0] *= 0.2
-    meshes = (CLEAN, FACES), (pulled, FACES)
-    assert msal.compare(*meshes).self_intersections is None
-    counts = msal.compare(*meshes, intersections=True).self_intersections
-    assert counts.before == 0 and counts.after == counts.created > 0
-
-
 def test_other_faces_compare_surfaces():
     coarse, faces = torus()
     record = msal.compare((CLEAN, FACES), (coarse, faces))

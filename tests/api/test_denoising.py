@@ -222,8 +222,8 @@ def test_masked_values_are_refused(arguments, options):
 
 def test_masked_values_of_an_object_are_refused_where_they_are_used():
     meshio = pytest.importorskip("meshio")
-    mesh = meshio.Mesh(VERTICES, [("triangle", FACES)])
     # Its constructor would drop the mask.
+    mesh = meshio.Mesh(VERTICES, [("triangle", FACES)])
     mesh.point_data["trust"] = masked_at(TRUST, 5)
     msal.denoise(mesh, method="msal")
     with pytest.raises(msal.MsalError, match="trust have masked"):

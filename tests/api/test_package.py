@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import subprocess
 import sys
@@ -101,14 +100,6 @@ def test_docstrings_explain_every_parameter_and_the_errors(name):
         names = list(inspect.signature(function).parameters)
         missing -= set(names[names.index("method") : names.index("fail_on") + 1])
     assert not missing
-
-
-def test_no_module_of_the_api_prints():
-    for path in (PACKAGE / "api").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            assert not (isinstance(node, ast.Name) and node.id == "print"), path
-            is_stream = isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr")
-            assert not is_stream, path
 
 
 def test_two_threads_denoise_at_once():

@@ -53,12 +53,12 @@ def folder_of(path, **files):
 
 def msal(*arguments):
     """Run a command line in this process; has .exit_code, .stdout, .stderr, .stdout_bytes."""
-    return CliRunner().invoke(program, [str(one) for one in arguments])
+    return CliRunner().invoke(program, [str(word) for word in arguments])
 
 
 def msal_on(data, *arguments):
     """Run a command line in this process with ``data`` on standard input."""
-    return CliRunner().invoke(program, [str(one) for one in arguments], input=data)
+    return CliRunner().invoke(program, [str(word) for word in arguments], input=data)
 
 
 def process(*arguments, **options):
@@ -67,7 +67,7 @@ def process(*arguments, **options):
     environment = {**os.environ, **options.pop("env", {})}
     # Unbuffered, errors of standard output would come earlier than users meet them.
     environment.pop("PYTHONUNBUFFERED", None)
-    words = [one if isinstance(one, bytes) else str(one) for one in (*MSAL, *arguments)]
+    words = [word if isinstance(word, bytes) else str(word) for word in (*MSAL, *arguments)]
     return subprocess.run(words, env=environment, check=False, **options)
 
 
@@ -85,4 +85,4 @@ def record_of(made, code=0):
 
 def records_of(made):
     """The records that a command printed as JSON, by the names of their inputs."""
-    return {one["input"].rpartition("/")[2]: one for one in json.loads(made.stdout)["records"]}
+    return {r["input"].rpartition("/")[2]: r for r in json.loads(made.stdout)["records"]}

@@ -68,17 +68,17 @@ def _stl(header, words):
     return data
 
 
-def test_stl_words_as_viscam_writes_them(tmp_path):
-    found = _colours(tmp_path, "a.stl", _stl(b"", [0x8000 | 31 << 10, 0]))
-    assert found.vertices.tolist() == [[255, 0, 0]] * 3 + [[204, 204, 204]] * 3
-
-
-def test_stl_words_as_magics_writes_them(tmp_path):
-    data = _stl(b"COLOR=\x0a\x14\x1e\xff", [31, 0x8000])
-    assert (
-        _colours(tmp_path, "a.stl", data).vertices.tolist()
-        == [[255, 0, 0]] * 3 + [[10, 20, 30]] * 3
-    )
+@pytest.mark.parametrize(
+    ("header", "words", "colours"),
+    [
+        # VisCAM.
+        (b"", [0x8000 | 31 << 10, 0], [[255, 0, 0]] * 3 + [[204, 204, 204]] * 3),
+        # Magics.
+        (b"COLOR=\x0a\x14\x1e\xff", [31, 0x8000], [[255, 0, 0]] * 3 + [[10, 20, 30]] * 3),
+    ],
+)
+def test_stl_words(tmp_path, header, words, colours):
+    assert _colours(tmp_path, "a.stl", _stl(header, words)).vertices.tolist() == colours
 
 
 def test_stl_words_that_are_no_colours(tmp_path):
@@ -123,16 +123,16 @@ def _glb(colours=None, code=5126):
     )
 
 
-def test_glb_bytes_are_those_of_a_screen(tmp_path):
-    rows = np.array([[*one, 255] for one in RED_GREEN_BLUE], np.uint8)
-    found = _colours(tmp_path, "a.glb", _glb(rows, 5121))
-    assert found.vertices.tolist() == RED_GREEN_BLUE
-
-
-def test_glb_floats_are_linear(tmp_path):
-    # 0.2158605 is what a screen shows as 128 of 255.
-    rows = np.array([[1, 0, 0], [0, 0.2158605, 0], [0, 0, 1]], "<f4")
-    assert _colours(tmp_path, "a.glb", _glb(rows)).vertices.tolist() == RED_GREEN_BLUE
+@pytest.mark.parametrize(
+    ("rows", "code"),
+    [
+        (np.array([[*colour, 255] for colour in RED_GREEN_BLUE], np.uint8), 5121),
+        # Floats are linear: 0.2158605 is what a screen shows as 128 of 255.
+        (np.array([[1, 0, 0], [0, 0.2158605, 0], [0, 0, 1]], "<f4"), 5126),
+    ],
+)
+def test_glb(tmp_path, rows, code):
+    assert _colours(tmp_path, "a.glb", _glb(rows, code)).vertices.tolist() == RED_GREEN_BLUE
 
 
 def test_what_cannot_be_read_is_a_note(tmp_path):
