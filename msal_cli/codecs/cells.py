@@ -83,7 +83,9 @@ class Cells:
                 f"the file has second-order surface cells ({n_curved} cells)",
                 hint="write it with first-order triangles or quads",
             )
-        names = {one: _KINDS.get(one, f"cell of type {one}") for one in np.unique(types).tolist()}
+        names = {
+            value: _KINDS.get(value, f"cell of type {value}") for value in np.unique(types).tolist()
+        }
         starts = np.flatnonzero(np.diff(types, prepend=-1))
         if len(starts) <= _MAX_RUNS:
             ends = np.cumsum(sizes)

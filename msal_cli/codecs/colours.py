@@ -81,8 +81,8 @@ def _of_ply(mesh_file: MeshFile) -> Colours | None:
     # With no vertex moved every codec gives back its very input.
     data = memoryview(mesh_file.replaced(mesh_file.vertices)).cast("B")
     header = parsed(data)
-    element = next(one for one in header.elements if one.name == "vertex")
-    scalar = {one.name: one.code for one in element.properties if not one.is_list}
+    element = next(element for element in header.elements if element.name == "vertex")
+    scalar = {prop.name: prop.code for prop in element.properties if not prop.is_list}
     for names in _PLY_NAMES:
         present = tuple(name for name in names if name in scalar)
         codes = {scalar[name] for name in present}

@@ -42,7 +42,7 @@ def write_companions(
         return ()
     folder = Path(output_path).parent
     earlier = _names_of_earlier(output_path)
-    return tuple(_write(one, folder, earlier, sources) for one in companions)
+    return tuple(_write(companion, folder, earlier, sources) for companion in companions)
 
 
 def _write(companion: Companion, folder: Path, earlier: Collection[str], sources: Sources) -> str:

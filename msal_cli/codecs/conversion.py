@@ -65,7 +65,6 @@ class _Mesh:
         return corners_of(self.faces if self.polygons is None else self.polygons)
 
     def positions(self, single: bool) -> Floats:
-        """Positions (n, 3), rounded to float32 where it is ``single``."""
         if not single:
             return self.vertices
         from msal_cli.codecs.slots import as_float32
@@ -174,14 +173,14 @@ def _rounding(mesh_file: MeshFile, vertices: Floats, single: bool) -> list[str]:
 def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:
     """What goes across into format ``to``, and what does not."""
     colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb", "gltf") else None
-    has_normals = any(_NORMAL_PROPERTIES.match(one) for one in mesh_file.properties)
+    has_normals = any(_NORMAL_PROPERTIES.match(prop) for prop in mesh_file.properties)
     carries_normals = has_normals and to in ("ply", "obj")
     losses = [
-        one
-        for one in mesh_file.properties
-        if one not in _DERIVED
-        and not (colours is not None and _COLOUR_PROPERTIES.match(one))
-        and not (has_normals and _NORMAL_PROPERTIES.match(one) and to in ("ply", "obj", "stl"))
+        prop
+        for prop in mesh_file.properties
+        if prop not in _DERIVED
+        and not (colours is not None and _COLOUR_PROPERTIES.match(prop))
+        and not (has_normals and _NORMAL_PROPERTIES.match(prop) and to in ("ply", "obj", "stl"))
     ]
     faces = mesh_file.faces
     polygons: list[Any] | Ints | None = None

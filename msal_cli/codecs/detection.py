@@ -134,8 +134,9 @@ def resolve_format(data: Buffer, name: str, format: str | None, size: int | None
     _refuse_unread(found, name)
     if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
         said = "--format" if format else "the name"
+        article = "an" if found[0] in "os" else "a"
         raise FormatError(
-            f"this is {_article(found)} {found.upper()} file, but {said} says {wanted.upper()}",
+            f"this is {article} {found.upper()} file, but {said} says {wanted.upper()}",
             where="byte 0",
             hint=f"rename the file to .{found}, or pass --format {found}",
         )
@@ -173,10 +174,6 @@ def _wanted(data: Buffer, name: str, format: str | None) -> str:
             hint=f"pass --format with one of: {', '.join(READABLE)}",
         )
     return found
-
-
-def _article(format: str) -> str:
-    return "an" if format[0] in "os" else "a"
 
 
 def _refuse_unread(format: str, name: str) -> None:

@@ -289,7 +289,7 @@ class GlbFile(SceneFile):
 
 
 _BASE64 = ";base64,"
-_MOST_BEHIND = 256 << 20
+_MAX_BEHIND = 256 << 20
 """Bytes behind the declared end of a buffer that are carried along whatever its size."""
 
 _AS_GLB = "export it as .glb, which holds everything in one file"
@@ -355,7 +355,7 @@ def read_buffer(name: str, folder: Path, declared: int, room: int, where: str) -
             )
         with open_regular(path) as file:
             status = os.fstat(file.fileno())
-            if status.st_size > min(2 * declared + _MOST_BEHIND, room):
+            if status.st_size > min(2 * declared + _MAX_BEHIND, room):
                 raise TooLargeError(
                     f"the buffer {name!r} has {status.st_size:,} bytes, not {declared:,}",
                     where=where,
@@ -386,7 +386,7 @@ def read_buffer(name: str, folder: Path, declared: int, room: int, where: str) -
     return content
 
 
-_MOST_BUFFERS = 10_000
+_MAX_BUFFERS = 10_000
 _PACK = "write one file with --to glb"
 _DATA_URI = b'"data:'
 
@@ -436,9 +436,9 @@ class _Buffers:
         is_file = path not in ("", "-") and not is_url(path)
         self._folder = Path(path).parent if is_file else None
         entries = as_list(content.get("buffers"))
-        if len(entries) > _MOST_BUFFERS:
+        if len(entries) > _MAX_BUFFERS:
             raise TooLargeError(
-                f"{len(entries):,} buffers are more than the {_MOST_BUFFERS:,} that are read",
+                f"{len(entries):,} buffers are more than the {_MAX_BUFFERS:,} that are read",
                 hint="export the mesh alone",
             )
         places: dict[int, tuple[int, int] | MsalError] = {}
@@ -633,9 +633,9 @@ def _stem(path: str) -> str:
     return Path(name).stem
 
 
-def _is_same(one: Path, other: Path) -> bool:
+def _is_same(path: Path, other: Path) -> bool:
     try:
-        return one.samefile(other)
+        return path.samefile(other)
     except OSError:
         return False
 

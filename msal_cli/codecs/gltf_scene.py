@@ -34,7 +34,7 @@ from msal_cli.errors import (
 Span = tuple[int, int]
 """The first character of a value, and the one behind its last."""
 
-_LONGEST = 64 << 20
+_MAX_TEXT_BYTES = 64 << 20
 """Longest description that is read; those of very large scenes have a few megabytes, and in memory
 it may take thirty times its size."""
 
@@ -58,9 +58,9 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
 
 def require_short(size: int, where: str = "") -> None:
     """Raise TooLargeError for a description of ``size`` bytes that is too long."""
-    if size > _LONGEST:
+    if size > _MAX_TEXT_BYTES:
         raise TooLargeError(
-            f"the description has {size:,} bytes, more than the {_LONGEST:,} that are read",
+            f"the description has {size:,} bytes, more than the {_MAX_TEXT_BYTES:,} that are read",
             where=where,
             hint="it holds more than a mesh; export the mesh alone",
         )
@@ -164,7 +164,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _ALWAYS_READ = 1 << 16
 """Corners that are read however small the file is; see ``_require_room``."""
 
-_DEEPEST = 200
+_MAX_DEPTH = 200
 _PLAIN = "export it without compression, or convert it to PLY"
 
 
@@ -185,7 +185,6 @@ class Accessor:
 
     @property
     def width(self) -> int:
-        """Bytes of a row."""
         return 3 * np.dtype(self.code).itemsize
 
     def rows(self, data: Bytes) -> NDArray[Any]:
@@ -270,7 +269,6 @@ class Scene:
 
     @property
     def _data_size(self) -> int:
-        """Bytes in all buffers."""
         return sum(place[1] for place in self.buffers.values() if isinstance(place, tuple))
 
     def entry(self, kind: str, index: object) -> dict[str, Any]:
@@ -498,7 +496,7 @@ class Scene:
     def _frame(self, parents: dict[int, int], known: dict[int, Floats], node: int | None) -> Floats:
         """The product of a node's transform and those above it; ``known`` remembers them."""
         path: list[int] = []
-        while node is not None and node not in known and len(path) < _DEEPEST:
+        while node is not None and node not in known and len(path) < _MAX_DEPTH:
             path.append(node)
             node = parents.get(node)
         frame = np.eye(4) if node is None else known.get(node, np.eye(4))
@@ -553,14 +551,21 @@ def _separate(parts: list[Part], data_size: int, notes: dict[str, None]) -> None
             parts[k] = dataclasses.replace(part, normals=None)
         elif part.normals is not None:
             used.add(part.normals)
-    regions = [one for part in parts for one in (part.positions, part.normals) if one is not None]
+    regions = [
+        slots for part in parts for slots in (part.positions, part.normals) if slots is not None
+    ]
     # Rows that do not fit beside one another are not compared: there may be very many.
-    is_overlap = sum(one.width * one.count for one in regions) > data_size
+    is_overlap = sum(region.width * region.count for region in regions) > data_size
     if len(regions) > 1 and not is_overlap:
         starts = np.concatenate(
-            [one.at + one.stride * np.arange(one.count, dtype=np.int64) for one in regions]
+            [
+                region.at + region.stride * np.arange(region.count, dtype=np.int64)
+                for region in regions
+            ]
         )
-        widths = np.repeat([one.width for one in regions], [one.count for one in regions])
+        widths = np.repeat(
+            [region.width for region in regions], [region.count for region in regions]
+        )
         order = np.argsort(starts)
         is_overlap = bool((np.diff(starts[order]) < widths[order][:-1]).any())
     if is_overlap:

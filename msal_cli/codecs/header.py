@@ -102,7 +102,6 @@ def read_header(
 
 
 def _believed(size: int, is_packed: bool) -> int:
-    """The bytes that a header may claim."""
     return max(_ALWAYS_BELIEVED, 4 * size) if is_packed else size
 
 
@@ -140,7 +139,7 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         n_triangles = max(n_faces, _most_triangles(header, face, size - least))
     elif face is not None and not is_text:
         # Triangles, as nearly all scans are.
-        items = (int(one.code[1]) for one in face.properties if one.is_list)
+        items = (int(prop.code[1]) for prop in face.properties if prop.is_list)
         least += n_faces * 3 * sum(items)
     faces = None if strips is not None else n_faces
     counts = n_vertices, faces, n_vertices, n_triangles
@@ -149,9 +148,9 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
 
 def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: int) -> int:
     """The triangles that the polygons can be cut into, if all list items are their corners."""
-    items = [int(one.code[1]) for one in face.properties if one.is_list]
-    others = (one.properties for one in header.elements if one is not face)
-    if not items or any(one.is_list for properties in others for one in properties):
+    items = [int(prop.code[1]) for prop in face.properties if prop.is_list]
+    others = (element.properties for element in header.elements if element is not face)
+    if not items or any(prop.is_list for properties in others for prop in properties):
         return 0
     return max(0, rest // sum(items) - 2 * face.count)
 
@@ -242,7 +241,7 @@ def _too_short(size: int, least: int) -> TruncatedError:
     )
 
 
-MOST_BEHIND = 256 << 20
+MAX_BEHIND = 256 << 20
 """Bytes behind the mesh that are carried along whatever the mesh's own size."""
 
 
@@ -261,31 +260,24 @@ def read_input(
     FormatError, TruncatedError, TooLargeError, UnsupportedError
         as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
     """
-    is_large = False
-    try:
-        with open_regular(path) as file:
-            status = os.fstat(file.fileno())
-            is_large = status.st_size >= LARGE_BYTES
-            if status.st_size > LOOKED_AT:
-                _look(file, status.st_size, os.fspath(path), format)
-    except (OSError, ValueError):
-        pass  # reading it all says why
+    is_large = check_beginning(path, format) >= LARGE_BYTES
     # A library would copy what is no ``bytes``.
     if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
         return read_in_large_pages(path)
     return read_whole(path, size)
 
 
-def check_beginning(path: str | os.PathLike[str], format: str | None = None) -> None:
-    """Raise what ``read_input`` would for a large file that cannot be what it says, by its size and
-    its beginning; nothing where the system cannot read it."""
+def check_beginning(path: str | os.PathLike[str], format: str | None = None) -> int:
+    """The size of a file, 0 where the system cannot read it; raises what ``read_input`` would for a
+    large file that cannot be what it says, by its size and its beginning."""
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size
             if size > LOOKED_AT:
                 _look(file, size, os.fspath(path), format)
     except (OSError, ValueError):
-        return
+        return 0  # reading it all says why
+    return size
 
 
 def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
@@ -313,7 +305,7 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
     # A text has no zero bytes, which a hole is made of, and compressed data have not many; some at
     # the end may be carried along.
     hole = _hole(file, size) if is_text else size
-    if size - hole > MOST_BEHIND:
+    if size - hole > MAX_BEHIND:
         raise FormatError(
             f"a hole full of zeros begins {size - hole:,} bytes before the end",
             where=f"byte {hole}",
@@ -322,8 +314,7 @@ def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
 
 
 def _refuse_behind(size: int, most: int) -> None:
-    """Raise TooLargeError for a file much longer than its header asks for."""
-    if size > 2 * most + MOST_BEHIND:
+    if size > 2 * most + MAX_BEHIND:
         raise TooLargeError(
             f"the header counts {most:,} bytes at the most, but the file has {size:,}",
             where=f"byte {most}",

@@ -135,8 +135,8 @@ def corner_count(mesh_file: MeshFile) -> int | None:
     return len(mesh_file.vertices) + n_merged if n_merged else None
 
 
-_STEEPEST = 1e6
-_LARGEST = 1e30
+_MAX_CONDITION = 1e6
+_MAX_ENTRY = 1e30
 """Larger entries of a frame could take float32 positions beyond what can be computed with."""
 
 _IDENTITY = np.eye(4)
@@ -150,10 +150,10 @@ def is_usable(frame: Floats) -> bool:
     """Whether positions can be taken through a frame and back without harm."""
     try:
         with np.errstate(all="ignore"):
-            is_steep = not np.linalg.cond(frame[:3, :3]) < _STEEPEST
+            is_steep = not np.linalg.cond(frame[:3, :3]) < _MAX_CONDITION
     except np.linalg.LinAlgError:
         return False
-    return not is_steep and bool(np.abs(frame).max() < _LARGEST)
+    return not is_steep and bool(np.abs(frame).max() < _MAX_ENTRY)
 
 
 def is_placed(frame: Floats) -> bool:
@@ -260,12 +260,12 @@ def build_triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
 
 def build_vertices(layout: Layout) -> Floats:
     if not layout.frames:
-        values = [one.values for one in layout.positions]
+        values = [slots.values for slots in layout.positions]
         return values[0] if len(values) == 1 else np.concatenate(values)
     return np.concatenate(
         [
-            transform(one.values, frame)
-            for one, frame in zip(layout.positions, layout.frames, strict=True)
+            transform(slots.values, frame)
+            for slots, frame in zip(layout.positions, layout.frames, strict=True)
         ]
     )
 

@@ -177,7 +177,7 @@ class ObjFile(SlotFile):
             return self.replaced(vertices)
         style, code = (SHORTEST_SINGLE, "<f4") if precision == "float32" else (SHORTEST, "<f8")
         positions = self._layout.positions[0]
-        changes = [one for one in self._changes(vertices) if one.slots is not positions]
+        changes = [change for change in self._changes(vertices) if change.slots is not positions]
         require_finite_result(vertices)
         is_all = np.broadcast_to(True, vertices.shape)
         require_range(vertices, is_all, (code,) * 3, first=1)
@@ -341,7 +341,6 @@ class _Reading:
         return state
 
     def content(self) -> Content:
-        """Read all statements, repair and check them."""
         scan, state = self._scan, self.state
         while (result := self._walk(state, _ALL)) == scan.FULL:
             self._grow()
@@ -401,7 +400,6 @@ class _Reading:
         return int(self._scan.scan(self._buf, state, n_faces, *outputs))
 
     def _grow(self) -> None:
-        """Make room in the arrays that are full."""
         scan, state = self._scan, self.state
         n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
         if state[scan.UNDECIDED_ROWS] == len(self.undecided):

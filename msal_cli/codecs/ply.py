@@ -116,7 +116,7 @@ Triangles = NDArray[np.int32]
 CORNERS = ("vertex_indices", "vertex_index")
 """Names that a list of corners goes by."""
 
-MOST_VERTICES = 2**31 - 1
+MAX_VERTICES = 2**31 - 1
 """Vertices that 32-bit indices can tell apart."""
 
 _FLAT = 1e-12
@@ -197,7 +197,7 @@ class Surface:
             return [*whole, *strips] if len(strips) else whole
         corners = self.faces.items(self.list_name)[0].astype(np.int32)
         cuts = np.cumsum(self.lengths)[:-1]
-        return [one for one in np.split(corners, cuts) if len(one) > 2] + list(strips)
+        return [polygon for polygon in np.split(corners, cuts) if len(polygon) > 2] + list(strips)
 
 
 def _area_vectors(
@@ -220,12 +220,12 @@ def corner_list(element: Element) -> str:
     Raises FormatError where the property of that name is no list.
     """
     for name in CORNERS:
-        one = element.find(name)
-        if one is not None:
-            if not one.is_list:
+        prop = element.find(name)
+        if prop is not None:
+            if not prop.is_list:
                 raise FormatError(
                     f"property '{name}' of element '{element.name}' is not a list",
-                    where=f"line {one.line + 1}",
+                    where=f"line {prop.line + 1}",
                 )
             return name
     return ""
@@ -239,10 +239,8 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
     a whole number, a range grid of unknown size) and TooLargeError.
     """
     n_vertices = len(vertices)
-    if n_vertices > MOST_VERTICES:
-        raise TooLargeError(
-            f"{n_vertices} vertices are more than the {MOST_VERTICES} that are read"
-        )
+    if n_vertices > MAX_VERTICES:
+        raise TooLargeError(f"{n_vertices} vertices are more than the {MAX_VERTICES} that are read")
     warnings: list[str] = []
     triangles = np.empty((0, 3), dtype=np.int32)
     strips = triangles
@@ -250,14 +248,14 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
     faces = sections.get("face")
     name = corner_list(faces.element) if faces is not None else ""
     if faces is not None and name:
-        if all(faces.element.find(one) for one in CORNERS):
-            warnings.append(warn_of_two_lists(name))
+        if all(faces.element.find(name) for name in CORNERS):
+            warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used")
         triangles, lengths = _polygon_triangles(faces, name, n_vertices)
         few = faces.element.count if isinstance(lengths, int) else int((lengths < 3).sum())
         if isinstance(lengths, int) and lengths >= 3:
             few = 0
         if few:
-            warnings.append(warn_of_few(few))
+            warnings.append(f"{few} faces have fewer than three corners and are only carried along")
     strip_section = sections.get("tristrips")
     strip_name = corner_list(strip_section.element) if strip_section is not None else ""
     if strip_section is not None and strip_name:
@@ -301,16 +299,6 @@ def _grid_samples(section: Section, header: Header, n_vertices: int) -> Ints:
     samples = np.full(section.element.count, -1, dtype=np.int32)
     samples[lengths > 0] = corners
     return samples.reshape(shape)
-
-
-def warn_of_few(n_few: int) -> str:
-    """What a user should know of faces that have no triangle."""
-    return f"{n_few} faces have fewer than three corners and are only carried along"
-
-
-def warn_of_two_lists(name: str) -> str:
-    """What a user should know of faces with two lists, of which ``name`` is read."""
-    return f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used"
 
 
 def no_faces(face: Element | None, n_vertices: int) -> ContentError:
@@ -389,11 +377,12 @@ def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Tria
         values = items.astype(np.float64)
         whole = np.isfinite(values) & (np.rint(values) == values)
         if not whole.all():
-            raise broken_index(section, name, int(np.argmin(whole.reshape(-1))))
+            record = _record_of(section, name, int(np.argmin(whole.reshape(-1))))
+            raise FormatError("a corner is not a whole number", where=section.where(record))
         items = np.clip(values, -2.0, 2.0**31 - 1.0)
     elif size == 8 and items.size:
         items = items.astype(items.dtype.newbyteorder("="), copy=False)
-        low, high = (0 if kind == "u" else -2), MOST_VERTICES
+        low, high = (0 if kind == "u" else -2), MAX_VERTICES
         if items.min() < low or items.max() > high:
             items = np.clip(items, low, high)
     is_plain = size == 4 and kind in "iu" and items.dtype.isnative and items.size > 0
@@ -407,12 +396,6 @@ def _record_of(section: Section, name: str, item: int) -> int:
     """The record that holds the list item of that number."""
     lengths = section.items(name)[1]
     return int(np.searchsorted(np.cumsum(lengths), item, side="right"))
-
-
-def broken_index(section: Section, name: str, item: int) -> FormatError:
-    """The error for a list item that is no whole number."""
-    record = _record_of(section, name, item)
-    return FormatError("a corner is not a whole number", where=section.where(record))
 
 
 def bad_index(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
@@ -440,7 +423,7 @@ def wanted_names(element: Element) -> Sequence[str]:
 def has_normals(element: Element) -> bool:
     """Whether the element has nx, ny, nz as floating-point scalars."""
     found = [element.find(name) for name in NORMAL]
-    return all(one is not None and not one.is_list and one.code[0] == "f" for one in found)
+    return all(prop is not None and not prop.is_list and prop.code[0] == "f" for prop in found)
 
 
 def vertex_element(header: Header) -> Element:
@@ -453,9 +436,9 @@ def vertex_element(header: Header) -> Element:
             hint="this PLY file does not hold a mesh",
         )
     for name in POSITION:
-        one = vertex.find(name)
-        if one is None or one.is_list:
-            problem = "is a list" if one is not None else "is missing"
+        prop = vertex.find(name)
+        if prop is None or prop.is_list:
+            problem = "is a list" if prop is not None else "is missing"
             raise FormatError(
                 f"the coordinate '{name}' of element 'vertex' {problem}", where="header"
             )
@@ -465,21 +448,16 @@ def vertex_element(header: Header) -> Element:
 def scalar_property(vertex: Element, name: str) -> Property:
     """The property ``name`` of the vertices; InputError (``E_PROPERTY``) if there is none that is
     a number."""
-    one = vertex.find(name)
-    if one is None or one.is_list:
+    prop = vertex.find(name)
+    if prop is None or prop.is_list:
         known = [each.name for each in vertex.properties if not each.is_list]
         raise InputError(
             f"the vertices have no property {name!r}"
-            + (" that is a number" if one is not None else ""),
+            + (" that is a number" if prop is not None else ""),
             code="E_PROPERTY",
             hint=f"they have: {', '.join(known)}",
         )
-    return one
-
-
-def warn_of_rest(n_behind: int) -> str:
-    """What a user should know of bytes that no element has."""
-    return f"{n_behind} bytes behind the last element are kept as they are"
+    return prop
 
 
 def precision_of(header: Header, vertex: Element) -> str:
@@ -504,7 +482,9 @@ def properties_of(header: Header, grid: Ints | None = None) -> tuple[str, ...]:
             carried.append(f"element {element.name} ({element.count})")
             continue
         known = POSITION if element.name == "vertex" else (corner_list(element),)
-        carried += [f"{element.name}.{one}" for one in element.properties if one.name not in known]
+        carried += [
+            f"{element.name}.{prop}" for prop in element.properties if prop.name not in known
+        ]
     return tuple(carried)
 
 
@@ -513,12 +493,12 @@ def check_strays(header: Header, n_behind: int) -> None:
 
     If such a line had declared an element or a property, the data would not end where they do.
     """
-    for one in header.strays:
-        if one.is_doubtful and n_behind:
+    for stray in header.strays:
+        if stray.is_doubtful and n_behind:
             raise FormatError(
-                f"the header line {one.text} is not understood, and {n_behind} bytes are left "
+                f"the header line {stray.text} is not understood, and {n_behind} bytes are left "
                 "behind the last element",
-                where=f"line {one.line}",
+                where=f"line {stray.line}",
                 hint="make it a comment if it is one, or export the file again",
             )
 
@@ -540,10 +520,10 @@ def warnings_of(header: Header, vertex: Element) -> tuple[str, ...]:
             "nearest, halves to the even one"
         )
     for element in header.elements:
-        named = [one for one in element.properties if one.name in NORMAL]
+        named = [prop for prop in element.properties if prop.name in NORMAL]
         if element.name in ("vertex", "face") and named and not has_normals(element):
             warnings.append(
-                f"the {', '.join(one.name for one in named)} of element '{element.name}' are not "
+                f"the {', '.join(prop.name for prop in named)} of element '{element.name}' are not "
                 "three floating-point numbers: they are kept, not recomputed"
             )
     return tuple(warnings)
@@ -621,7 +601,7 @@ def parse(data: Buffer) -> PlyLayout:
             *warnings_of(header, vertex),
             *found.warnings,
             *((_STREAM_WARNING,) if is_stream else ()),
-            *((warn_of_rest(n_behind),) * bool(n_behind)),
+            *((f"{n_behind} bytes behind the last element are kept as they are",) * bool(n_behind)),
         ),
         header=header,
         sections=sections,
@@ -708,7 +688,7 @@ class PlyFile(SlotFile):
             return self.replaced(vertices)
         require_shape(vertices, self.vertices)
         element = layout.sections["vertex"].element
-        codes = tuple(recoding.code(one) for one in element.find_all(POSITION))
+        codes = tuple(recoding.code(prop) for prop in element.find_all(POSITION))
         require_range(vertices, np.ones(vertices.shape, dtype=bool), codes)
         if recoding.keeps_encoding and self.encoding == "ascii":
             # New numbers as the new types need them; nothing else of the lines changes.

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
-from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, Property
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, Tokens, line_of, number_hint
 from msal_cli.errors import FormatError, InputError, TruncatedError
@@ -33,7 +33,7 @@ ALL_DIGITS = 1_000
 
 _TOKEN = re.compile(rb"\S")
 
-MOST_UNUSUAL = 5_000
+MAX_UNUSUAL = 5_000
 """Records with numbers that are not plain, up to which each line keeps its own decimals."""
 
 CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
@@ -102,7 +102,6 @@ class Lines:
         )[0]
 
     def where(self, record: int) -> str:
-        """The record in words, with its line."""
         line = line_of(self.data, int(self.tokens.starts[record, 0]))
         return f"{self.element.name} {record}, line {line}"
 
@@ -140,7 +139,7 @@ class Lines:
             starts, stops = self.spans(names)
             values = self._values(names, starts, stops)
             slots = Tokens(self.data, starts, stops, len(names), values=values)
-        slots.codes = tuple(one.code for one in self.element.find_all(names))
+        slots.codes = tuple(prop.code for prop in self.element.find_all(names))
         slots.unit_length = slots.whole_rows = names == NORMAL
         slots.significant = ALL_DIGITS
         return slots
@@ -199,37 +198,17 @@ class Lines:
 
 
 def plain_lines(
-    data: Bytes,
-    header: Header,
-    element: Element,
-    at: int,
-    wanted: Sequence[str],
+    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
 ) -> Lines | None:
-    """The section of an element whose records are plain; None for others."""
-    if not can_hold(data, element, at):
+    """The section of an element whose records are plain and of scalars, or of one list among
+    properties that are not wanted; None for others."""
+    if not element.properties or not element.count or not can_hold(data, element, at):
         return None
-    found = _read_quickly(data, element, at, wanted)
+    read = _read_lists if any(prop.is_list for prop in element.properties) else _read_scalars
+    found = read(data, element, at, wanted)
     if found is None:
         return None
-    kept = kept_names(element, wanted)
-    return Lines(data, header, element, at, found[1], kept, found[0])
-
-
-def _read_quickly(
-    data: Bytes, element: Element, at: int, wanted: Sequence[str]
-) -> tuple[Values, int] | None:
-    """The ``wanted`` properties of the element that begins at byte ``at``, and its end.
-
-    Nothing where its records are not plain, or not of the kind that is read here: scalars, or one
-    list among properties that are not wanted.
-    """
-    listed = element.properties
-    lists = [one.name for one in listed if one.is_list]
-    if not listed or not element.count or element.count > len(data):
-        return None
-    if lists:
-        return _read_lists(data, element, at, wanted)
-    return _read_scalars(data, element, at, wanted)
+    return Lines(data, header, element, at, found[1], kept_names(element, wanted), found[0])
 
 
 def _read_scalars(
@@ -237,7 +216,7 @@ def _read_scalars(
 ) -> tuple[Values, int] | None:
     from msal_cli.kernels.ply_scan import WHOLE, read_scalars
 
-    all_names = [one.name for one in element.properties]
+    all_names = [prop.name for prop in element.properties]
     names = tuple(name for name in all_names if name in wanted)
     columns = np.array([names.index(name) if name in names else -1 for name in all_names])
     together: list[tuple[str, ...]] = [
@@ -254,7 +233,7 @@ def _read_scalars(
     stop, n_unusual, status = read_scalars(
         data, at, element.count, columns, groups, values, first_at, decimals
     )
-    if status != WHOLE or n_unusual > MOST_UNUSUAL:
+    if status != WHOLE or n_unusual > MAX_UNUSUAL:
         return None
     none = np.empty(0, dtype=np.int32)
     statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = {
@@ -269,10 +248,10 @@ def _read_lists(
     from msal_cli.kernels.ply_scan import FULL, WHOLE, read_lists
 
     listed = element.properties
-    names = [one.name for one in listed if one.name in wanted]
-    if len(names) > 1 or not all(one.is_list for one in listed if one.name in wanted):
+    names = [prop.name for prop in listed if prop.name in wanted]
+    if len(names) > 1 or not all(prop.is_list for prop in listed if prop.name in wanted):
         return None
-    is_list = np.array([one.is_list for one in listed])
+    is_list = np.array([prop.is_list for prop in listed])
     which = element.index(names[0]) if names else -1
     # An item is one digit and one blank at the least.
     most = (len(data) - at) // 2 + 1
@@ -328,7 +307,7 @@ def read_stream(
     do not look at line ends.  Without them a missing token shows only at the end.  So the elements
     must take all tokens, and each begin on a line of its own where there are several lines.
     """
-    filled = [one for one in header.elements if one.count and one.properties]
+    filled = [element for element in header.elements if element.count and element.properties]
     if not filled or not all(can_hold(data, one, header.size) for one in filled):
         return None
     if not data[header.size :].all():
@@ -357,7 +336,7 @@ def _has_line_end(part: Bytes) -> bool:
 
 def kept_names(element: Element, wanted: Sequence[str]) -> tuple[str, ...]:
     """The ``wanted`` properties that the element has, in file order."""
-    return tuple(one.name for one in element.properties if one.name in wanted)
+    return tuple(prop.name for prop in element.properties if prop.name in wanted)
 
 
 def can_hold(data: Bytes, element: Element, at: int) -> bool:
@@ -390,8 +369,8 @@ def _find_tokens(
         at,
         min(element.count, len(data) + 1),
         is_stream,
-        np.array([one.is_list for one in listed]),
-        np.array([columns.get(one.name, -1) for one in listed]),
+        np.array([prop.is_list for prop in listed]),
+        np.array([columns.get(prop.name, -1) for prop in listed]),
         *tokens[1:],
     )
     if status == WHOLE:
@@ -444,17 +423,16 @@ class Fixed:
     places: dict[str, tuple[int, int]]
 
     def where(self, record: int) -> str:
-        """The record in words."""
         return f"{self.element.name} {record}"
 
     def column(self, name: str) -> NDArray[np.generic]:
         """The values of a scalar (count,) or of a list (count, k), a view into the file."""
-        one = self.element.properties[self.element.index(name)]
-        dtype = np.dtype(self.order + one.code)
+        prop = self.element.properties[self.element.index(name)]
+        dtype = np.dtype(self.order + prop.code)
         place, length = self.places[name]
         shape: tuple[int, ...] = (self.element.count,)
         strides: tuple[int, ...] = (self.stride,)
-        if one.is_list:
+        if prop.is_list:
             shape, strides = (*shape, length), (*strides, dtype.itemsize)
         if not self.element.count or not length:
             return np.empty(shape, dtype)
@@ -466,7 +444,6 @@ class Fixed:
         return column.reshape(-1), np.full(len(column), column.shape[1], dtype=np.int64)
 
     def slots(self, names: Sequence[str]) -> Strided:
-        """Where the scalars of ``names`` are."""
         places = tuple(self.places[name][0] for name in names)
         codes = _codes(self.element, self.order, names)
         count, is_normal = self.element.count, names == NORMAL
@@ -488,13 +465,12 @@ class Varied:
     lengths: Longs
 
     def where(self, record: int) -> str:
-        """The record in words."""
         return f"{self.element.name} {record}"
 
     def _pieces(self, name: str) -> tuple[np.dtype[np.generic], Longs, Longs]:
         """Type, first bytes (count,) and sizes in bytes (count,) of a property's values."""
-        one = self.element.properties[self.element.index(name)]
-        dtype = np.dtype(self.order + one.code)
+        prop = self.element.properties[self.element.index(name)]
+        dtype = np.dtype(self.order + prop.code)
         k = self.columns[name]
         return (
             dtype,
@@ -516,7 +492,6 @@ class Varied:
         return self.items(name)[0]
 
     def slots(self, names: Sequence[str]) -> Scattered:
-        """Where the scalars of ``names`` are."""
         at = tuple(np.ascontiguousarray(self.starts[:, self.columns[name]]) for name in names)
         return Scattered(self.data, at, _codes(self.element, self.order, names), names == NORMAL)
 
@@ -525,7 +500,7 @@ Section = Fixed | Varied | Lines
 
 
 def _codes(element: Element, order: str, names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(order + one.code for one in element.find_all(names))
+    return tuple(order + prop.code for prop in element.find_all(names))
 
 
 def located(
@@ -584,30 +559,25 @@ def section_at(
     return _records(data, header, element, at, names)
 
 
-def _smallest(one: Property) -> int:
-    """Bytes that a property takes at the least in a binary record."""
-    return np.dtype(one.count_code or one.code).itemsize
-
-
 def _records(
     data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
 ) -> Section:
     places: dict[str, tuple[int, int]] = {}
     counts: list[tuple[int, int, str]] = []
     stride = 0
-    for one in element.properties:
+    for prop in element.properties:
         length = 1
-        if one.is_list:
-            dtype = np.dtype(header.byte_order + one.count_code)
+        if prop.is_list:
+            dtype = np.dtype(header.byte_order + prop.count_code)
             field = data[at + stride : at + stride + dtype.itemsize]
             # Without a first record there is nothing to measure the others by.
             length = int(field.view(dtype)[0]) if len(field) == dtype.itemsize else 0
             if length < 0 or not element.count:
                 length = 0
-            counts.append((stride, length, header.byte_order + one.count_code))
+            counts.append((stride, length, header.byte_order + prop.count_code))
             stride += dtype.itemsize
-        places[one.name] = (stride, length)
-        stride += length * np.dtype(one.code).itemsize
+        places[prop.name] = (stride, length)
+        stride += length * np.dtype(prop.code).itemsize
     size = element.count * stride
     if size <= len(data) - at:
         fixed = Fixed(data, element, header.byte_order, at, at + size, stride, places)
@@ -617,7 +587,12 @@ def _records(
         ):
             return fixed
     elif not counts:
-        raise cut_off(element, stride, len(data) - at)
+        n_bytes = len(data) - at
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {size - n_bytes} bytes are missing",
+            where=f"{element.name} {n_bytes // stride}",
+            hint=CUT_HINT,
+        )
     return _varied(data, header, element, at, wanted)
 
 
@@ -627,10 +602,10 @@ def _varied(
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, walk_binary
 
     listed = element.properties
-    least = sum(_smallest(one) for one in listed)
+    least = sum(prop.least_bytes() for prop in listed)
     # When the count cannot be met the walk only finds where, and nothing is allocated for it.
     fits = element.count <= (len(data) - at) // least
-    names = [one.name for one in listed if one.name in wanted] if fits else []
+    names = [prop.name for prop in listed if prop.name in wanted] if fits else []
     columns = {name: k for k, name in enumerate(names)}
     shape = (element.count if names else 0, len(names))
     starts = np.empty(shape, dtype=np.int64)
@@ -639,47 +614,27 @@ def _varied(
         data,
         at,
         min(element.count, len(data) + 1),
-        np.array([np.dtype(one.code).itemsize for one in listed]),
-        np.array([np.dtype(one.count_code).itemsize if one.is_list else 0 for one in listed]),
-        np.array([one.count_code.startswith("i") for one in listed]),
+        np.array([np.dtype(prop.code).itemsize for prop in listed]),
+        np.array([np.dtype(prop.count_code).itemsize if prop.is_list else 0 for prop in listed]),
+        np.array([prop.count_code.startswith("i") for prop in listed]),
         header.byte_order == ">",
-        np.array([columns.get(one.name, -1) for one in listed]),
+        np.array([columns.get(prop.name, -1) for prop in listed]),
         starts,
         lengths,
     )
+    place = f"{element.name} {records}"
     if status == BAD_COUNT:
-        raise negative_count(element, records, which)
+        raise FormatError(
+            f"the list '{element.properties[which].name}' of {place} has a negative count",
+            where=place,
+            hint="the file is damaged, or an element before this one is not what the header says",
+        )
     if status == CUT:
-        raise cut_within(element, records, int(items) * int(size) - (len(data) - int(stop)))
+        missing = int(items) * int(size) - (len(data) - int(stop))
+        raise TruncatedError(
+            f"the file ends within element '{element.name}': {place} of {element.count} needs at "
+            f"least {missing} more bytes",
+            where=place,
+            hint=CUT_HINT,
+        )
     return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)
-
-
-def cut_off(element: Element, stride: int, n_bytes: int) -> TruncatedError:
-    """The error for ``n_bytes`` of an element whose records have ``stride`` bytes each."""
-    missing = element.count * stride - n_bytes
-    return TruncatedError(
-        f"the file ends within element '{element.name}': {missing} bytes are missing",
-        where=f"{element.name} {n_bytes // stride}",
-        hint=CUT_HINT,
-    )
-
-
-def cut_within(element: Element, record: int, missing: int) -> TruncatedError:
-    """The error for a record of which at least ``missing`` bytes are not there."""
-    place = f"{element.name} {record}"
-    return TruncatedError(
-        f"the file ends within element '{element.name}': {place} of {element.count} needs at "
-        f"least {missing} more bytes",
-        where=place,
-        hint=CUT_HINT,
-    )
-
-
-def negative_count(element: Element, record: int, which: int) -> FormatError:
-    """The error for a list, the property of that number, of fewer than no items."""
-    place = f"{element.name} {record}"
-    return FormatError(
-        f"the list '{element.properties[which].name}' of {place} has a negative count",
-        where=place,
-        hint="the file is damaged, or an element before this one is not what the header says",
-    )

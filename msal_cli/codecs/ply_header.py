@@ -16,10 +16,10 @@ from msal_cli.errors import FormatError, TooLargeError, TruncatedError, Unsuppor
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
 
-MOST_BYTES = 65_536
+MAX_BYTES = 65_536
 """Longest header that is read; a file without an end to its header is not searched further."""
 
-MOST_LINES = 1_000
+MAX_LINES = 1_000
 """Most lines of a header; real ones have a few dozen."""
 
 TYPES = {
@@ -111,12 +111,10 @@ class Element:
     properties: tuple[Property, ...]
 
     def find(self, name: str) -> Property | None:
-        """The property of that name, or None."""
-        return next((one for one in self.properties if one.name == name), None)
+        return next((prop for prop in self.properties if prop.name == name), None)
 
     def index(self, name: str) -> int:
-        """Position of the property of that name among the properties."""
-        return next(k for k, one in enumerate(self.properties) if one.name == name)
+        return next(k for k, prop in enumerate(self.properties) if prop.name == name)
 
     def find_all(self, names: Sequence[str]) -> list[Property]:
         """The properties of these names, which all must be there."""
@@ -127,11 +125,11 @@ class Element:
         if is_text:
             # One digit and one separator for each value.
             return 2 * self.count * len(self.properties)
-        return self.count * sum(one.least_bytes() for one in self.properties)
+        return self.count * sum(prop.least_bytes() for prop in self.properties)
 
     def most_bytes(self) -> int:
         """Bytes that the element takes at the most in a binary file, its lists full."""
-        return self.count * sum(one.most_bytes() for one in self.properties)
+        return self.count * sum(prop.most_bytes() for prop in self.properties)
 
 
 @dataclass(frozen=True)
@@ -175,18 +173,17 @@ class Header:
     infos: Mapping[str, str]
 
     def find(self, name: str) -> Element | None:
-        """The element of that name, or None."""
-        return next((one for one in self.elements if one.name == name), None)
+        return next((element for element in self.elements if element.name == name), None)
 
     def least_bytes(self) -> int:
         """Bytes that a file with this header has at the least."""
         is_text = self.encoding == "ascii"
         # The last value of a text needs no separator.
-        return self.size + sum(one.least_bytes(is_text) for one in self.elements) - is_text
+        return self.size + sum(element.least_bytes(is_text) for element in self.elements) - is_text
 
     def most_bytes(self) -> int:
         """Bytes that the header and all elements take at the most in a binary file."""
-        return self.size + sum(one.most_bytes() for one in self.elements)
+        return self.size + sum(element.most_bytes() for element in self.elements)
 
     @property
     def byte_order(self) -> str:
@@ -244,9 +241,9 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
         if line.strip() == b"end_header" and (stop >= 0 or whole):
             # The last line needs no line end when no data follow.
             return lines, len(head) if stop < 0 else stop + 1
-        if len(lines) >= MOST_LINES:
+        if len(lines) >= MAX_LINES:
             raise TooLargeError(
-                f"the header has no 'end_header' within its first {MOST_LINES} lines",
+                f"the header has no 'end_header' within its first {MAX_LINES} lines",
                 where=f"line {len(lines)}",
                 hint="the file is damaged, or is not a PLY mesh",
             )
@@ -260,7 +257,7 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
             hint="the file was cut short; copy or export it again",
         )
     raise TooLargeError(
-        f"the header has no 'end_header' within its first {MOST_BYTES} bytes",
+        f"the header has no 'end_header' within its first {MAX_BYTES} bytes",
         where=f"line {len(lines)}",
         hint="the file is damaged, or is not a PLY mesh",
     )
@@ -309,7 +306,7 @@ class _Parser:
                 f"the count {_shown(words[2])} of element {_shown(words[1])} is not a whole "
                 "number from 0 up"
             )
-        if any(one.name == name for one in self.elements):
+        if any(element.name == name for element in self.elements):
             raise self.fail(f"the header declares element {_shown(words[1])} twice")
         self.elements.append(Element(name, int(words[2]), ()))
 
@@ -329,10 +326,10 @@ class _Parser:
         if is_list and TYPES[count_type][0] == "f":
             raise self.fail(f"the count of a list cannot be of type {count_type}")
         element = self.elements[-1]
-        one = Property(_decoded(words[-1]), _decoded(words[-2]), count_type, self.line)
-        if element.find(one.name):
+        prop = Property(_decoded(words[-1]), _decoded(words[-2]), count_type, self.line)
+        if element.find(prop.name):
             raise self.fail(f"element '{element.name}' declares property {_shown(words[-1])} twice")
-        self.elements[-1] = Element(element.name, element.count, (*element.properties, one))
+        self.elements[-1] = Element(element.name, element.count, (*element.properties, prop))
 
     def read(self, text: bytes) -> None:
         words = text.split()
@@ -364,7 +361,7 @@ def _is_stray(text: bytes, keyword: bytes) -> bool:
     if any((c < 32 and c != 9) or c == 127 for c in text.rstrip(b"\r")):
         return False
     word = _decoded(keyword[:60]).lower()
-    is_glued = any(word.startswith(one) for one in _STRUCTURAL)
+    is_glued = any(word.startswith(keyword) for keyword in _STRUCTURAL)
     return not is_glued and not get_close_matches(word, _STRUCTURAL, cutoff=_ALIKE)
 
 
@@ -374,9 +371,9 @@ def parsed(data: memoryview, is_whole: bool = True) -> Header:
     Lines of other words are kept among ``Header.strays``.  Raises FormatError (not PLY, or a line
     that is damaged, with its number),
     UnsupportedError (another version), TruncatedError (the file ends within the header) and
-    TooLargeError (no end within ``MOST_BYTES`` bytes or ``MOST_LINES`` lines).
+    TooLargeError (no end within ``MAX_BYTES`` bytes or ``MAX_LINES`` lines).
     """
-    head = bytes(data[:MOST_BYTES])
+    head = bytes(data[:MAX_BYTES])
     newline = _first_line_end(head)
     lines, size = _split(head, newline, whole=is_whole and len(head) == len(data))
     parser = _Parser()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_body import Lines, Section, section_at
-from msal_cli.codecs.ply_header import Element, Header, Property, retyped
+from msal_cli.codecs.ply_header import Header, Property, retyped
 from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError, InternalError, UsageError
 from msal_cli.storage.regular import Buffer
@@ -71,10 +71,10 @@ class Recoding:
         self._codes: dict[int, str] = {}
         if precision != "same":
             self._codes = {
-                one.line: _CODES[precision]
+                prop.line: _CODES[precision]
                 for element in header.elements
-                for one in element.properties
-                if one.name in retypable.get(element.name, ()) and one.code != _CODES[precision]
+                for prop in element.properties
+                if prop.name in retypable.get(element.name, ()) and prop.code != _CODES[precision]
             }
 
     @property
@@ -86,12 +86,11 @@ class Recoding:
     def keeps_encoding(self) -> bool:
         return self.encoding == self._header.encoding
 
-    def code(self, one: Property) -> str:
+    def code(self, prop: Property) -> str:
         """The numpy code with which a property is written."""
-        return self._codes.get(one.line, one.code)
+        return self._codes.get(prop.line, prop.code)
 
     def header(self) -> bytes:
-        """The new header's bytes."""
         text = self._data[: self._header.size].tobytes()
         return retyped(self._header, text, self.encoding, self._codes)
 
@@ -107,19 +106,24 @@ class Recoding:
             output[place:place] = b"".join(line + self._header.newline for line in lines)
         for element in self._header.elements:
             section = section_at(
-                self._data, self._header, element, at, _all_names(element), self._is_stream
+                self._data,
+                self._header,
+                element,
+                at,
+                [prop.name for prop in element.properties],
+                self._is_stream,
             )
             at = section.stop
             is_touched = any(
-                (element.name, one.name) in values or one.line in self._codes
-                for one in element.properties
+                (element.name, prop.name) in values or prop.line in self._codes
+                for prop in element.properties
             )
             if self.keeps_encoding and not is_touched:
                 output += self._data[section.start : section.stop].data
                 continue
             columns = [
-                self._column(section, one, values.get((element.name, one.name)))
-                for one in element.properties
+                self._column(section, prop, values.get((element.name, prop.name)))
+                for prop in element.properties
             ]
             if self.encoding == "ascii":
                 _append_text(output, columns, element.count, self._header.newline)
@@ -130,24 +134,24 @@ class Recoding:
             output += self._data[end:].data
         return output
 
-    def _column(self, section: Section, one: Property, values: Floats | None) -> Column:
-        dtype = np.dtype(self.code(one))
+    def _column(self, section: Section, prop: Property, values: Floats | None) -> Column:
+        dtype = np.dtype(self.code(prop))
         lengths: Longs | None = None
         given: NDArray[Any]
         if values is not None:
             given = values
         elif isinstance(section, Lines):
-            return _read_tokens(section, one, dtype)
-        elif one.is_list:
-            given, lengths = section.items(one.name)
+            return _read_tokens(section, prop, dtype)
+        elif prop.is_list:
+            given, lengths = section.items(prop.name)
         else:
-            given = section.column(one.name)
+            given = section.column(prop.name)
         if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
             column = to_type(_as_float64(given), dtype.str)
             if dtype.kind == "f":
-                _require_all(np.isfinite(column) | ~np.isfinite(given), section, one)
-            return Column(one, column, lengths)
-        return Column(one, given.astype(dtype), lengths)
+                _require_all(np.isfinite(column) | ~np.isfinite(given), section, prop)
+            return Column(prop, column, lengths)
+        return Column(prop, given.astype(dtype), lengths)
 
 
 def find_body_comments(body: bytes) -> list[bytes]:
@@ -157,12 +161,8 @@ def find_body_comments(body: bytes) -> list[bytes]:
     return [line.strip() for line in re.split(rb"[\r\n]+", body) if _COMMENT.match(line)]
 
 
-def _all_names(element: Element) -> Sequence[str]:
-    return [one.name for one in element.properties]
-
-
 def _require_all(
-    fits: Flags, section: Section, one: Property, lengths: Longs | None = None
+    fits: Flags, section: Section, prop: Property, lengths: Longs | None = None
 ) -> None:
     """Raise ContentError unless every value (count,), or item of a list, fits its type."""
     if fits.all():
@@ -171,14 +171,14 @@ def _require_all(
     if lengths is not None:
         record = int(np.searchsorted(np.cumsum(lengths), record, side="right"))
     raise ContentError(
-        f"'{one.name}' of {section.element.name} {record} does not fit its number type",
+        f"'{prop.name}' of {section.element.name} {record} does not fit its number type",
         where=section.where(record),
         hint="keep the file's own encoding and precision, or choose --precision float64",
         code="E_RANGE",
     )
 
 
-def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
+def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Column:
     """A property of an ascii element as numbers of ``dtype``.
 
     Raises FormatError for a token that is no number, ContentError (``E_RANGE``) for one that the
@@ -187,11 +187,11 @@ def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
     from msal_cli.kernels.text import read_numbers
 
     lengths: Longs | None = None
-    if one.is_list:
-        starts, stops, lengths = section.item_spans(one.name)
-        _require_all(lengths <= np.iinfo(one.count_code).max, section, one)
+    if prop.is_list:
+        starts, stops, lengths = section.item_spans(prop.name)
+        _require_all(lengths <= np.iinfo(prop.count_code).max, section, prop)
     else:
-        starts, stops = section.spans([one.name])
+        starts, stops = section.spans([prop.name])
     values, bad = read_numbers(section.data, starts, stops)
     if bad >= 0:
         raise section.not_a_number(int(starts[bad]), "a number")
@@ -205,8 +205,8 @@ def _read_tokens(section: Lines, one: Property, dtype: np.dtype[Any]) -> Column:
         limits = np.iinfo(dtype)
         fits = (values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)
         column = np.where(fits, values, 0.0).astype(dtype)
-    _require_all(fits, section, one, lengths)
-    return Column(one, column, lengths)
+    _require_all(fits, section, prop, lengths)
+    return Column(prop, column, lengths)
 
 
 def _long_integers(
@@ -228,16 +228,15 @@ def _long_integers(
 
 
 def _append_binary(output: bytearray, columns: Sequence[Column], count: int, order: str) -> None:
-    """Append ``count`` records of the columns."""
     from msal_cli.kernels.ply_scan import scatter
 
     fields: list[tuple[NDArray[Any], Longs]] = []
-    for one in columns:
-        if one.lengths is not None:
-            counts = one.lengths.astype(order + one.property.count_code)
+    for column in columns:
+        if column.lengths is not None:
+            counts = column.lengths.astype(order + column.property.count_code)
             fields.append((counts, np.full(count, counts.itemsize)))
-        values = one.values.astype(order + one.values.dtype.str[1:])
-        lengths = np.ones(count, dtype=np.int64) if one.lengths is None else one.lengths
+        values = column.values.astype(order + column.values.dtype.str[1:])
+        lengths = np.ones(count, dtype=np.int64) if column.lengths is None else column.lengths
         fields.append((values, lengths * values.itemsize))
     sizes = sum((size for _, size in fields), np.zeros(count, dtype=np.int64))
     ends = np.cumsum(sizes)
@@ -254,20 +253,20 @@ def _append_text(output: bytearray, columns: Sequence[Column], count: int, newli
     if not columns:
         return
     firsts = [
-        None if one.lengths is None else np.concatenate([[0], np.cumsum(one.lengths)])
-        for one in columns
+        None if column.lengths is None else np.concatenate([[0], np.cumsum(column.lengths)])
+        for column in columns
     ]
     for begin in range(0, count, _CHUNK):
         end = min(begin + _CHUNK, count)
         part = [
-            Column(one.property, one.values[begin:end], None)
-            if one.lengths is None or first is None
+            Column(column.property, column.values[begin:end], None)
+            if column.lengths is None or first is None
             else Column(
-                one.property,
-                one.values[first[begin] : first[end]],
-                one.lengths[begin:end],
+                column.property,
+                column.values[first[begin] : first[end]],
+                column.lengths[begin:end],
             )
-            for one, first in zip(columns, firsts, strict=True)
+            for column, first in zip(columns, firsts, strict=True)
         ]
         output += _lines_of(part, end - begin, newline).data
 
@@ -277,8 +276,8 @@ def _lines_of(columns: Sequence[Column], count: int, newline: bytes) -> Bytes:
     from msal_cli.kernels.ply_scan import gather
 
     per_record = np.zeros(count, dtype=np.int64)
-    for one in columns:
-        per_record += 1 if one.lengths is None else one.lengths + 1
+    for column in columns:
+        per_record += 1 if column.lengths is None else column.lengths + 1
     ends = np.cumsum(per_record)
     slot = ends - per_record
     # Tokens and the separators behind them alternate; the texts of both lie in one buffer.
@@ -322,8 +321,8 @@ def _token_text(values: NDArray[Any]) -> tuple[Bytes, Longs]:
         return print_shortest(_as_float64(values), values.itemsize == 4)
     if values.itemsize < 8 or (np.abs(values.astype(np.float64)) < 2.0**53).all():
         return print_numbers(values.astype(np.float64), 0)
-    tokens = [b"%d" % one for one in values.tolist()]
-    stops = np.cumsum([len(one) for one in tokens], dtype=np.int64)
+    tokens = [b"%d" % value for value in values.tolist()]
+    stops = np.cumsum([len(token) for token in tokens], dtype=np.int64)
     return np.frombuffer(b"".join(tokens), dtype=np.uint8), stops
 
 
@@ -343,7 +342,7 @@ def write_ply(
         rows[name] = values
     is_long = int(sizes.max()) > 255
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment {one}" for one in comments]
+    header += [f"comment {comment}" for comment in comments]
     header += [f"element vertex {len(rows)}"]
     header += [f"property {_TYPES[code]} {name}" for name, code, _ in columns]
     header += [f"element face {len(sizes)}"]
@@ -357,7 +356,7 @@ def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
     if isinstance(polygons, np.ndarray):
         sizes = np.full(len(polygons), polygons.shape[1], dtype=np.int64)
         return polygons.reshape(-1).astype(np.int64), sizes
-    sizes = np.array([len(one) for one in polygons], dtype=np.int64)
+    sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
     return np.concatenate(polygons).astype(np.int64), sizes
 
 
@@ -382,7 +381,7 @@ def _face_bytes(corners: Longs, sizes: Longs, code: str) -> memoryview:
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})
-_LONGEST_COMMENT = 1000
+_MAX_COMMENT = 1000
 
 
 def with_fields(
@@ -418,10 +417,10 @@ def with_fields(
             columns.append((name, "<f4", values.astype(np.float32)))
     is_triangulated = mesh_file.n_polygons == len(mesh_file.faces)
     corners, sizes = corners_of(mesh_file.faces if is_triangulated else mesh_file.polygons())
-    return write_ply(columns, corners, sizes, [_printable(one) for one in comments])
+    return write_ply(columns, corners, sizes, [_printable(comment) for comment in comments])
 
 
 def _printable(comment: str) -> str:
     text = comment.encode("ascii", "backslashreplace").decode()
     text = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
-    return text[:_LONGEST_COMMENT]
+    return text[:_MAX_COMMENT]

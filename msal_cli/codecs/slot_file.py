@@ -170,7 +170,7 @@ class SlotFile:
     @property
     def _is_binary(self) -> bool:
         """Whether all numbers are overwritten in place."""
-        return all(isinstance(one, RecordSlots) for one in self._layout.positions)
+        return all(isinstance(slots, RecordSlots) for slots in self._layout.positions)
 
     def _spliced(self, changes: Sequence[Change], vertices: Floats) -> memoryview:
         """The file with the bytes of all units that changed, and of all that depends on them."""
@@ -183,8 +183,8 @@ class SlotFile:
         shift = _shift(
             (stops, np.diff(ends, prepend=0) - (stops - starts)) for starts, stops, _, ends in edits
         )
-        for one, word in self._dependent_texts(vertices, shift):
-            edits.append((*_span(one), np.frombuffer(word, np.uint8), np.array([len(word)])))
+        for dependent, word in self._dependent_texts(vertices, shift):
+            edits.append((*_span(dependent), np.frombuffer(word, np.uint8), np.array([len(word)])))
         return splice(as_bytes(self._data), edits)
 
     def _check_parsed(self, output: Buffer, changes: Sequence[Change], vertices: Floats) -> None:
@@ -198,7 +198,7 @@ class SlotFile:
             ) from failure
         ours = (*self._layout.positions, *self._layout.normals)
         theirs = (*there.positions, *there.normals)
-        if [one.values.shape for one in ours] != [one.values.shape for one in theirs]:
+        if [slots.values.shape for slots in ours] != [slots.values.shape for slots in theirs]:
             raise InternalError(f"the {self.format} file that was made has other vertices")
         if len(there.dependents) != len(self._layout.dependents):
             raise InternalError(f"the {self.format} file that was made has other attributes")
@@ -230,14 +230,14 @@ class SlotFile:
             (old[1], (new[1] - new[0]) - (old[1] - old[0]))
             for old, new in zip(before, after, strict=True)
         )
-        for (one, text), now in zip(
+        for (dependent, text), now in zip(
             self._dependent_texts(vertices, shift), there.dependents, strict=True
         ):
             if result[now.start : now.stop].tobytes() != text:
                 raise InternalError(
                     f"an attribute of the {self.format} file that was made is not what it should be"
                 )
-            before.append(_span(one))
+            before.append(_span(dependent))
             after.append(_span(now))
         from msal_cli.kernels.text import is_same_outside
 
@@ -265,7 +265,7 @@ class SlotFile:
                     values, is_changed = rounded, is_changed & (rounded != slots.values)
             changes.append(Change(slots, values, is_changed))
         changes += self._changed_normals(vertices)
-        return [one for one in changes if one.is_changed.any()]
+        return [change for change in changes if change.is_changed.any()]
 
     def _changed_normals(self, vertices: Floats) -> list[Change]:
         """The normals of what moved."""
@@ -297,17 +297,17 @@ class SlotFile:
         if not self._layout.dependents:
             return
         positions = self._to_file(vertices)
-        for one in self._layout.dependents:
-            old = bytes(memoryview(self._data)[one.start : one.stop])
-            yield one, one.text(old, positions, shift)
+        for dependent in self._layout.dependents:
+            old = bytes(memoryview(self._data)[dependent.start : dependent.stop])
+            yield dependent, dependent.text(old, positions, shift)
 
     def _to_file(self, vertices: Floats) -> list[Floats]:
         """New positions of each array, unmoved rows exactly as they are stored."""
         layout = self._layout
         if len(layout.positions) == 1 and not layout.frames:
             return [vertices]
-        stored = [one.values for one in layout.positions]
-        rows = np.split(vertices, np.cumsum([len(one) for one in stored])[:-1])
+        stored = [slots.values for slots in layout.positions]
+        rows = np.split(vertices, np.cumsum([len(slots) for slots in stored])[:-1])
         if not layout.frames:
             return rows
         result = []
@@ -323,7 +323,7 @@ class SlotFile:
         from msal_cli.kernels.geometry import regroup_normals
 
         layout = self._layout
-        arrays = [one.values for one in layout.normals]
+        arrays = [slots.values for slots in layout.normals]
         normals = np.concatenate(arrays) if len(arrays) > 1 else arrays[0]
         entries = self.faces
         if layout.normal_of_corner is not None:
@@ -346,7 +346,7 @@ class SlotFile:
                 first += len(own_new)
         else:
             normals, rows = regroup_normals(old, new, self.faces, entries, normals)
-        cuts = np.cumsum([len(one) for one in arrays])[:-1]
+        cuts = np.cumsum([len(array) for array in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
 
 
@@ -388,11 +388,11 @@ def _patches(changes: Sequence[Change]) -> list[Patch]:
         patches.append(Patch(slots, new, slots.used if decimals is None else decimals))
     if has_own and not is_interleaved(patches):
         return patches
-    if any(one.slots.whole_rows for one in patches):
+    if any(patch.slots.whole_rows for patch in patches):
         return []
     return [
-        one._replace(decimals=np.full(len(one.values), one.slots.decimals, dtype=np.uint8))
-        for one in patches
+        patch._replace(decimals=np.full(len(patch.values), patch.slots.decimals, dtype=np.uint8))
+        for patch in patches
     ]
 
 
@@ -408,8 +408,8 @@ def require_unit_length(changes: Sequence[Change]) -> None:
                 )
 
 
-def _span(one: Dependent) -> tuple[Longs, Longs]:
-    return np.array([one.start]), np.array([one.stop])
+def _span(dependent: Dependent) -> tuple[Longs, Longs]:
+    return np.array([dependent.start]), np.array([dependent.stop])
 
 
 def _shift(growths: Iterable[tuple[Longs, Longs]]) -> Shift:

@@ -93,7 +93,7 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first
     dtypes = [np.dtype(code) for code in codes]
     # Where all fit, two numbers say so; NaN does not.
     largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
-    if all(one.kind == "f" and largest <= float(np.finfo(one).max) for one in dtypes):
+    if all(dtype.kind == "f" and largest <= float(np.finfo(dtype).max) for dtype in dtypes):
         return
     for k, dtype in enumerate(dtypes):
         limits = np.finfo(dtype) if dtype.kind == "f" else np.iinfo(dtype)
@@ -267,7 +267,7 @@ class Scattered(RecordSlots):
 
     @property
     def span(self) -> tuple[int, int]:
-        ends = [(one, np.dtype(code)) for one, code in zip(self.at, self.codes, strict=True)]
+        ends = [(at, np.dtype(code)) for at, code in zip(self.at, self.codes, strict=True)]
         if not len(self.at[0]):
             return 0, 0
         start = min(int(one.min()) for one, _ in ends)
@@ -346,8 +346,8 @@ def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Overwrite]) 
         raise InternalError("the output is not as long as the input")
 
     def check(start: int, stop: int) -> None:
-        for one in parts[start:stop]:
-            _check_part(data, result, one)
+        for part in parts[start:stop]:
+            _check_part(data, result, part)
 
     done = 0
     for group in _overlapping(changes):
@@ -374,7 +374,7 @@ def _overlapping(changes: Sequence[Overwrite]) -> Iterator[list[Overwrite]]:
 
 
 def _span(group: Sequence[Overwrite]) -> tuple[int, int]:
-    spans = [one.slots.span for one in group]
+    spans = [change.slots.span for change in group]
     return min(start for start, _ in spans), max(stop for _, stop in spans)
 
 

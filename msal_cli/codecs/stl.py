@@ -168,7 +168,6 @@ class StlFile(FacetFile):
 
     @property
     def _end(self) -> int:
-        """The first byte behind the last facet."""
         return _FIRST_FACET + FACET.itemsize * self.n_polygons
 
     @property

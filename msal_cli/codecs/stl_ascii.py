@@ -34,7 +34,7 @@ from msal_cli.errors import (
 )
 from msal_cli.storage.regular import Buffer
 
-SHORTEST_FACET = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
+MIN_FACET_BYTES = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
 """Bytes of text that a facet takes at least."""
 
 _USUAL_FACET = 200
@@ -133,7 +133,7 @@ def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
     """
     from msal_cli.kernels import stl_facets
 
-    room = min(len(buf) // _USUAL_FACET, len(buf) // SHORTEST_FACET) + 1
+    room = min(len(buf) // _USUAL_FACET, len(buf) // MIN_FACET_BYTES) + 1
     facet_at = np.empty(room, dtype=np.int64)
     offsets = np.empty((room, 12), dtype=np.int32)
     numbers = np.empty((room, 12))
@@ -145,7 +145,7 @@ def scan_facets(buf: Bytes, state: Longs, decimals: Longs) -> Facets:
         n = int(state[stl_facets.FACETS])
         if status != stl_facets.FULL:
             break
-        room = min(len(buf) // SHORTEST_FACET + 1, n + n // 2 + 16)
+        room = min(len(buf) // MIN_FACET_BYTES + 1, n + n // 2 + 16)
         for array in (facet_at, offsets, numbers):
             array.resize((room, *array.shape[1:]), refcheck=False)
     for array in (facet_at, offsets, numbers):
@@ -316,9 +316,6 @@ class StlTextFile(FacetFile):
 
         return largest >= FIXED_BELOW
 
-    def _read(self, data: Buffer) -> tuple[Scan, Floats]:
-        return read_numbers(data)
-
     def _changes(self, vertices: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         """The new numbers (m, 12) and which of them are to be written."""
         from msal_cli.kernels.stl_facets import renew_facet_normals
@@ -375,7 +372,7 @@ class StlTextFile(FacetFile):
         from msal_cli.kernels.text import as_bytes
 
         try:
-            other, there = self._read(output)
+            other, there = read_numbers(output)
         except InputError as failure:
             raise InternalError(
                 f"the STL text that was made cannot be read: {failure}", where=failure.where

@@ -13,15 +13,15 @@ HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
 """One facet, 50 bytes without padding."""
 
-MOST_FACETS = (2**31 - 1) // 3
+MAX_FACETS = (2**31 - 1) // 3
 """Facets whose corners can be numbered with 32 bits."""
 
 
 def check_countable(n_facets: int) -> None:
     """Raise TooLargeError if the corners cannot be numbered."""
-    if n_facets > MOST_FACETS:
+    if n_facets > MAX_FACETS:
         raise TooLargeError(
-            f"{n_facets} facets are more than the {MOST_FACETS} whose corners can be numbered",
+            f"{n_facets} facets are more than the {MAX_FACETS} whose corners can be numbered",
             hint="cut the mesh into parts",
         )
 

@@ -193,7 +193,6 @@ class TextSlots(UnitSlots):
 
     @property
     def has_whole_numbers(self) -> bool:
-        """Whether a column holds whole numbers."""
         return bool(self._is_whole.any())
 
     def units(self, is_changed: Flags) -> Flags:
@@ -233,28 +232,16 @@ def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
     from msal_cli.kernels.text import read_numbers
 
     values, bad = read_numbers(data, starts, stops)
-    while bad >= 0:
+    if bad >= 0:
         word = data[starts[bad] : stops[bad]].tobytes()
-        if len(starts) > 1 and not _has_fortran_exponents(data, starts, stops, bad):
+        if len(starts) > 1 and b"d" not in word.lower():
             raise _no_number(data, int(starts[bad]), word)
-        values = _fortran_floats(data, starts, stops)
-        bad = -1
-    return values
-
-
-def _has_fortran_exponents(data: Bytes, starts: Longs, stops: Longs, bad: int) -> bool:
-    word = data[starts[bad] : stops[bad]].tobytes()
-    return b"d" in word.lower()
-
-
-def _fortran_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
-    values = np.empty(len(starts))
-    for i, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-        word = data[start:stop].tobytes()
-        try:
-            values[i] = float(word.replace(b"d", b"e").replace(b"D", b"e"))
-        except ValueError:
-            raise _no_number(data, start, word) from None
+        for i, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+            word = data[start:stop].tobytes()
+            try:
+                values[i] = float(word.replace(b"d", b"e").replace(b"D", b"e"))
+            except ValueError:
+                raise _no_number(data, start, word) from None
     return values
 
 
@@ -279,7 +266,7 @@ def line_of(data: Buffer | Bytes, at: int) -> int:
     return 1 + before.count(b"\n") + before.count(b"\r") - before.count(b"\r\n")
 
 
-MOST_TURNS = 4096
+MAX_TURNS = 4096
 """Changes between positions and normals, on the way through a file, from which on all of its new
 numbers have the same decimals."""
 
@@ -426,17 +413,17 @@ def is_same(a: Bytes, b: Bytes) -> bool:
 
 
 def is_interleaved(patches: Sequence[Patch]) -> bool:
-    """Whether statements of different patches take turns more than ``MOST_TURNS`` times."""
+    """Whether statements of different patches take turns more than ``MAX_TURNS`` times."""
     if len(patches) == 1:
         return False
     n_turns, last = 0, -1
     for spans in _rows_in_order(patches):
-        order = np.argsort(np.concatenate([one.slots.at[rows] for _, one, rows in spans]))
+        order = np.argsort(np.concatenate([patch.slots.at[rows] for _, patch, rows in spans]))
         sizes = [rows.stop - rows.start for _, _, rows in spans]
         owners = np.repeat([which for which, _, _ in spans], sizes)[order]
         n_turns += int(np.count_nonzero(np.diff(owners, prepend=last)))
         last = owners[-1]
-    return n_turns > MOST_TURNS
+    return n_turns > MAX_TURNS
 
 
 def _rows_in_order(patches: Sequence[Patch]) -> Iterator[list[tuple[int, Patch, slice]]]:
@@ -460,6 +447,6 @@ def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
             blocks.append(_Block(slots.at[rows] + slots.skipped, old, values[rows], decimals[rows]))
         block = blocks[0]
         if len(blocks) > 1:
-            order = np.argsort(np.concatenate([one.begins for one in blocks]), kind="stable")
+            order = np.argsort(np.concatenate([block.begins for block in blocks]), kind="stable")
             block = _Block(*(np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)))
         yield block

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import math
 import zipfile
 from collections import deque
@@ -53,7 +54,7 @@ from msal_cli.storage.regular import Buffer, memory_bytes
 LARGEST_RATIO = 40
 """Expanded bytes of XML per byte of the archive; see docs/formats.md."""
 
-_MOST_RELATIONSHIPS = 1 << 20
+_MAX_RELATIONSHIPS = 1 << 20
 """Bytes of the relationships of a package; real ones have some hundred."""
 
 _RELATIONSHIPS = "http://schemas.openxmlformats.org/package/2006/relationships"
@@ -125,7 +126,7 @@ class Package:
     def _root_target(self) -> str:
         """The path of the root model, by the relationships of the package."""
         root = self._member(_ROOT, "central directory")
-        content = self.archive.content(root, _MOST_RELATIONSHIPS)
+        content = self.archive.content(root, _MAX_RELATIONSHIPS)
         parser = start_parser(content, _ROOT)
         targets: list[str] = []
 
@@ -167,7 +168,7 @@ class Package:
                 continue
             text = self.texts[member.name] = self._content(member)
             model = self.models[member.name] = parse_model(text, member.name)
-            for use in _uses(model):
+            for use in itertools.chain(model.items, *model.components.values()):
                 if use.path:
                     other = self.archive.find(use.path)
                     if other is None:
@@ -213,10 +214,6 @@ class Package:
             parts = model.components.get(use.object_id, ())
             waiting.extend((own, part, known[key]) for part in parts)
         return known, has_instances
-
-
-def _uses(model: Model) -> list[Use]:
-    return [*model.items, *(use for uses in model.components.values() for use in uses)]
 
 
 _BETWEEN = b"\0"

@@ -78,8 +78,8 @@ _STALE = {
 _PAINT = "triangle attributes"
 """Attributes of triangles beside their corners: colours, materials, what a slicer has painted."""
 
-_DEEPEST = 100
-MOST_USES = 100_000
+_MAX_DEPTH = 100
+MAX_USES = 100_000
 """Components and items of a part; large assemblies have some thousands."""
 
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
@@ -258,9 +258,9 @@ class _Reader:
         is_core = space in _CORES
         above = self._path[-1] if self._path else ""
         self._path.append(word if is_core else name)
-        if len(self._path) > _DEEPEST:
+        if len(self._path) > _MAX_DEPTH:
             raise TooLargeError(
-                f"elements lie in one another more than {_DEEPEST} deep",
+                f"elements lie in one another more than {_MAX_DEPTH} deep",
                 where=self._where(),
                 hint=EXPORT_AGAIN,
             )
@@ -292,9 +292,9 @@ class _Reader:
         elif word in ("component", "item"):
             use = self._use(attributes)
             self._n_uses += 1
-            if self._n_uses > MOST_USES:
+            if self._n_uses > MAX_USES:
                 raise TooLargeError(
-                    f"there are more than {MOST_USES:,} components and items",
+                    f"there are more than {MAX_USES:,} components and items",
                     where=self._where(),
                     hint="export the mesh alone",
                 )

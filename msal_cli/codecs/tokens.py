@@ -11,7 +11,7 @@ from msal_cli.codecs.text_slots import Tokens, line_of, parse_floats
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
 from msal_cli.storage.regular import Buffer
 
-_MOST_KEYWORDS = 1_000_000
+_MAX_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22
 """Bytes looked at in one step, so that the temporaries stay small."""
 
@@ -51,7 +51,6 @@ class Words:
         return len(self.starts)
 
     def word(self, i: int) -> bytes:
-        """The bytes of a word."""
         return self.data[int(self.starts[i]) : int(self.stops[i])].tobytes()
 
     def where(self, i: int) -> str:
@@ -100,7 +99,7 @@ class Words:
 
     def row_spans(self, first: Longs, width: int) -> tuple[Longs, Longs]:
         """Starts and stops (n * width,) of the words of rows whose first words are given."""
-        chosen = _row_words(first, width)
+        chosen = (first[:, None] + np.arange(width)).reshape(-1)
         return self.starts[chosen], self.stops[chosen]
 
     def first_of_lines(self) -> Longs:
@@ -120,19 +119,15 @@ class Words:
         flags: Flags = (small >= 97) & (small <= 122)
         for i in np.flatnonzero(flags & ((small == ord("n")) | (small == ord("i")))).tolist():
             flags[i] = self.word(i).lower() not in (b"nan", b"inf", b"infinity")
-        if np.count_nonzero(flags) > _MOST_KEYWORDS:
+        if np.count_nonzero(flags) > _MAX_KEYWORDS:
             raise TooLargeError(
-                f"the file has more than {_MOST_KEYWORDS:,} words that are no numbers",
+                f"the file has more than {_MAX_KEYWORDS:,} words that are no numbers",
                 hint="check that it is what its name says",
             )
         return np.flatnonzero(flags).tolist()
 
 
 _NONE = np.zeros(0, dtype=np.int64)
-
-
-def _row_words(first: Longs, width: int) -> Longs:
-    return (first[:, None] + np.arange(width)).reshape(-1)
 
 
 def _pieces(

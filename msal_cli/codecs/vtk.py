@@ -85,7 +85,6 @@ class Stream:
         self._at = found.end()
 
     def word_of(self, words: list[str], k: int) -> str:
-        """One of the words of a line."""
         if k >= len(words):
             raise FormatError("the line is too short", where=self.where(), hint=EXPORT_AGAIN)
         return words[k]

@@ -40,7 +40,7 @@ _CODES = {
     for sign, code in (("", "i"), ("U", "u"))
     for bits in (8, 16, 32, 64)
 } | {"Float32": "f4", "Float64": "f8"}
-_MOST_LZMA_BYTES = 256 << 20
+_MAX_LZMA_BYTES = 256 << 20
 _BLANKS = b" \t\r\n"
 
 
@@ -214,7 +214,7 @@ def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
         if compressor == "vtkZLibDataCompressor":
             content = zlib.decompressobj().decompress(block, size + 1)
         else:
-            limit = lzma.LZMADecompressor(memlimit=_MOST_LZMA_BYTES)
+            limit = lzma.LZMADecompressor(memlimit=_MAX_LZMA_BYTES)
             content = limit.decompress(block, size + 1)
     except (zlib.error, lzma.LZMAError) as failure:
         raise FormatError(
@@ -248,7 +248,7 @@ def _encoded(content: bytes, like: EncodedNumbers) -> bytes:
     pack = zlib.compress if coding.compressor == "vtkZLibDataCompressor" else lzma.compress
     packed = [pack(block) for block in blocks]
     last = len(content) % block_bytes
-    counts = [len(blocks), block_bytes, last, *(len(one) for one in packed)]
+    counts = [len(blocks), block_bytes, last, *(len(block) for block in packed)]
     head = np.array(counts, dtype=coding.header).tobytes()
     body = b"".join(packed)
     return head + body if is_raw else base64.b64encode(head) + base64.b64encode(body)
@@ -262,7 +262,6 @@ class _Raw:
         self._view = view
 
     def take(self, size: int) -> bytes:
-        """The next ``size`` bytes."""
         if size < 0 or self._at + size > len(self._view):
             raise _cut(len(self._view))
         self._at += size
@@ -291,7 +290,6 @@ class _Base64:
         self._split = False
 
     def take(self, size: int) -> bytes:
-        """The next ``size`` bytes."""
         missing = size - len(self._left)
         if missing > 0:
             letters = 4 * -(-missing // 3)
@@ -365,7 +363,7 @@ def _parse(data: Buffer, format: str) -> Layout:
     coding = _coding(data, root, appended)
     grid = root.find(kind)
     pieces = list(grid.all("Piece")) if grid is not None else []
-    parts = [part for part in (_Piece(one, coding) for one in pieces) if part.n_points]
+    parts = [part for part in (_Piece(piece, coding) for piece in pieces) if part.n_points]
     if not parts:
         raise ContentError(
             "the file has no points", code="E_NO_FACES", hint="check the program that writes it"
@@ -378,8 +376,8 @@ def _parse(data: Buffer, format: str) -> Layout:
     if 0 < len(normals) < len(parts):
         normals = []
         warnings.append("normals are kept as they are, since not all pieces have them")
-    cell_data = (one.find("CellData") for one in pieces)
-    if any(one is not None and _named(one, "normals") is not None for one in cell_data):
+    cell_data = (piece.find("CellData") for piece in pieces)
+    if any(piece is not None and _named(piece, "normals") is not None for piece in cell_data):
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
     codes = {code_of(part.points_array, coding) for part in parts}
@@ -395,7 +393,11 @@ def _parse(data: Buffer, format: str) -> Layout:
         held=", ".join(filter(None, (part.cells.describe() for part in parts))),
         dependents=(
             *_offsets(data, root, coding),
-            *(one for k, part in enumerate(parts) for one in _ranges(data, part.points_array, k)),
+            *(
+                bound
+                for k, part in enumerate(parts)
+                for bound in _ranges(data, part.points_array, k)
+            ),
         ),
     )
 
@@ -443,16 +445,16 @@ class _Piece:
             types = integers(_array(cells, "types"), coding)
             self.cells.add_types(types, *_lists(cells, coding))
         for name, kind in _POLYGONS:
-            one = piece.find(name)
-            if one is not None and _count(piece, f"NumberOf{name}"):
-                self.cells.add(kind, *_lists(one, coding))
+            group = piece.find(name)
+            if group is not None and _count(piece, f"NumberOf{name}"):
+                self.cells.add(kind, *_lists(group, coding))
         self._read_attributes(piece, coding)
 
     def _read_attributes(self, piece: Element, coding: Coding) -> None:
         for name, owner in (("PointData", "point"), ("CellData", "cell")):
             group = piece.find(name)
             arrays = group.children if group is not None else []
-            self.properties += [f"{owner}.{one.attributes.get('Name', '')}" for one in arrays]
+            self.properties += [f"{owner}.{array.attributes.get('Name', '')}" for array in arrays]
         group = piece.find("PointData")
         array = None if group is None else _named(group, group.attributes.get("Normals", "normals"))
         if array is not None and code_of(array, coding)[1] == "f":
@@ -463,10 +465,10 @@ def _named(group: Element, name: str) -> Element | None:
     """The array of three components of this name, in any case."""
     return next(
         (
-            one
-            for one in group.all("DataArray")
-            if one.attributes.get("Name", "").lower() == name.lower()
-            and one.attributes.get("NumberOfComponents") == "3"
+            array
+            for array in group.all("DataArray")
+            if array.attributes.get("Name", "").lower() == name.lower()
+            and array.attributes.get("NumberOfComponents") == "3"
         ),
         None,
     )
@@ -480,9 +482,9 @@ def _count(piece: Element, name: str) -> int:
 
 
 def _array(group: Element, name: str) -> Element:
-    for one in group.all("DataArray"):
-        if one.attributes.get("Name") == name:
-            return one
+    for array in group.all("DataArray"):
+        if array.attributes.get("Name") == name:
+            return array
     raise FormatError(f"there is no array {name}", where=f"byte {group.start}", hint=EXPORT_AGAIN)
 
 
@@ -553,8 +555,8 @@ def to_vtp(points: Floats, faces: NDArray[np.int32], *, single: bool) -> bytes:
         faces.astype("<i8"),
         3 * np.arange(1, len(faces) + 1, dtype="<i8"),
     )
-    blocks = [np.uint64(one.nbytes).tobytes() + one.tobytes() for one in arrays]
-    at = np.cumsum([0, *(len(one) for one in blocks)]).tolist()
+    blocks = [np.uint64(array.nbytes).tobytes() + array.tobytes() for array in arrays]
+    at = np.cumsum([0, *(len(block) for block in blocks)]).tolist()
     real = "Float32" if single else "Float64"
     head = (
         '<?xml version="1.0"?>\n<VTKFile type="PolyData" version="1.0" '

@@ -10,10 +10,10 @@ from xml.parsers import expat
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
 from msal_cli.storage.regular import Buffer
 
-MOST_ELEMENTS = 1_000_000
+MAX_ELEMENTS = 1_000_000
 """A file of more elements would take more memory as a tree than meshes take."""
 
-_MOST_DEPTH = 100
+_MAX_DEPTH = 100
 _TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
 
 
@@ -38,23 +38,22 @@ class Element:
         """The first child of the first name, its first child of the second name, and so on."""
         found = self
         for name in names:
-            inner = next((one for one in found.children if one.name == name), None)
+            inner = next((prop for prop in found.children if prop.name == name), None)
             if inner is None:
                 return None
             found = inner
         return found
 
     def all(self, name: str) -> Iterator[Element]:
-        """The children of this name."""
-        return (one for one in self.children if one.name == name)
+        return (child for child in self.children if child.name == name)
 
     def inner(self) -> Iterator[Element]:
         """All elements inside, in the order of the file."""
         left = self.children[::-1]
         while left:
-            one = left.pop()
-            yield one
-            left.extend(one.children[::-1])
+            element = left.pop()
+            yield element
+            left.extend(element.children[::-1])
 
     def attribute_place(self, data: Buffer, name: str) -> tuple[int, int] | None:
         """Between which bytes the value of an attribute stands, or None."""
@@ -78,7 +77,7 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
     UnsupportedError
         for entities that the file declares, or letters of more than one byte as in UTF-16.
     TooLargeError
-        for more than ``MOST_ELEMENTS`` elements.
+        for more than ``MAX_ELEMENTS`` elements.
     """
     builder = _Builder(data)
     parser = expat.ParserCreate()
@@ -129,27 +128,27 @@ class _Builder:
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         self._count += 1
-        if self._count > MOST_ELEMENTS or len(self._open) > _MOST_DEPTH:
+        if self._count > MAX_ELEMENTS or len(self._open) > _MAX_DEPTH:
             raise TooLargeError(
-                f"the file has more than {MOST_ELEMENTS:,} elements"
-                if self._count > MOST_ELEMENTS
-                else f"elements lie more than {_MOST_DEPTH} deep in one another",
+                f"the file has more than {MAX_ELEMENTS:,} elements"
+                if self._count > MAX_ELEMENTS
+                else f"elements lie more than {_MAX_DEPTH} deep in one another",
                 hint="convert it to PLY",
             )
         at = self.parser.CurrentByteIndex
         tag = _TAG.match(self._data, at)
         if tag is None:
             raise FormatError("a tag does not end", where=f"byte {at}", hint=EXPORT_AGAIN)
-        one = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
+        element = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
         if self._open:
-            self._open[-1].children.append(one)
+            self._open[-1].children.append(element)
         elif self.root is None:
-            self.root = one
-        self._open.append(one)
+            self.root = element
+        self._open.append(element)
 
     def end(self, name: str) -> None:
-        one = self._open.pop()
+        element = self._open.pop()
         # Of ``<a/>`` the end is reported where the tag begins.
-        one.stop = max(one.inside, self.parser.CurrentByteIndex)
-        if bytes(memoryview(self._data)[one.inside - 2 : one.inside]) == b"/>":
-            one.stop = one.inside
+        element.stop = max(element.inside, self.parser.CurrentByteIndex)
+        if bytes(memoryview(self._data)[element.inside - 2 : element.inside]) == b"/>":
+            element.stop = element.inside

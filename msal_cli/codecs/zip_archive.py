@@ -21,7 +21,7 @@ from msal_cli.storage.regular import Buffer
 _LOCAL, _CENTRAL, _END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
 _END_64, _LOCATOR_64, _DESCRIPTOR = b"PK\x06\x06", b"PK\x06\x07", b"PK\x07\x08"
 _END_SIZE, _LOCATOR_SIZE = 22, 20
-_LONGEST_COMMENT = 0xFFFF
+_MAX_COMMENT = 0xFFFF
 _SEE_EXTRA = 0xFFFFFFFF
 """In place of a size or an offset that is in the ZIP64 field."""
 
@@ -87,7 +87,6 @@ class Member:
 
     @property
     def numbers(self) -> _Numbers:
-        """Its checksum and sizes."""
         return {"crc": self.crc, "packed": self.packed_size, "size": self.size}
 
 
@@ -204,7 +203,6 @@ class Archive:
         return int(struct.unpack_from(place[1], self.data, place[0])[0])
 
     def _read(self, header: _Header, at: int) -> _Numbers:
-        """The numbers of the header at ``at``."""
         return {word: self._value(place) for word, place in self._places(header, at).items()}
 
     def content(self, member: Member, room: int) -> bytes:
@@ -319,7 +317,7 @@ def _find_end(data: memoryview) -> int:
     """The first byte of the end record, whose comment reaches to the end of the file."""
     if data[:4] not in (_LOCAL, _END):
         raise _damaged("the file is not a zip archive", 0)
-    first = max(0, len(data) - _END_SIZE - _LONGEST_COMMENT)
+    first = max(0, len(data) - _END_SIZE - _MAX_COMMENT)
     tail = bytes(data[first:])
     at = len(tail)
     while (at := tail.rfind(_END, 0, at)) >= 0:

@@ -110,7 +110,7 @@ def whole_files():
 @pytest.mark.parametrize(("name", "data"), list(whole_files()), ids=lambda one: str(one)[:12])
 def test_whole_files_pass(name, data, tmp_path, monkeypatch):
     monkeypatch.setattr(first_look, "LOOKED_AT", 512)
-    monkeypatch.setattr(first_look, "MOST_BEHIND", 64)
+    monkeypatch.setattr(first_look, "MAX_BEHIND", 64)
     path = tmp_path / name
     path.write_bytes(data)
     assert read_input(path) == data
@@ -123,7 +123,7 @@ def test_whole_files_pass(name, data, tmp_path, monkeypatch):
 
 def test_bytes_behind_the_mesh_are_carried_along_within_reason(tmp_path, monkeypatch):
     monkeypatch.setattr(first_look, "LOOKED_AT", 512)
-    monkeypatch.setattr(first_look, "MOST_BEHIND", 2_000)
+    monkeypatch.setattr(first_look, "MAX_BEHIND", 2_000)
     vertices, faces = grid(8, 8)
     for name in ("a.stl", "a.ply", "a.glb"):
         writer = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs import header, stl
-from msal_cli.codecs.stl_ascii import SHORTEST_FACET
+from msal_cli.codecs.stl_ascii import MIN_FACET_BYTES
 from msal_cli.errors import MsalError, TruncatedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
@@ -134,7 +134,7 @@ def test_a_binary_file_may_hold_the_words_of_a_facet():
 def test_the_shortest_facets_have_room():
     facet = b"facet outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet "
     data = b"solid\n" + facet * 500 + b"endsolid"
-    assert len(facet) == SHORTEST_FACET
+    assert len(facet) == MIN_FACET_BYTES
     file = stl.read(data, "a.stl")
     assert len(file.faces) == 500
     assert header.of_beginning(data, len(data), "a.stl").memory_bytes

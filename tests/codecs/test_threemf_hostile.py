@@ -165,7 +165,7 @@ def test_parts_share_one_room(monkeypatch):
 
 
 def test_very_many_items(monkeypatch):
-    monkeypatch.setattr(threemf_model, "MOST_USES", 10)
+    monkeypatch.setattr(threemf_model, "MAX_USES", 10)
     for count in (10, 11):
         data = package(model(shape(1, CUBE), '<item objectid="1"/>' * count))
         if count == 10:
