@@ -11,7 +11,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from msal_cli.codecs import gltf, gltf_scene
+from msal_cli.codecs import gltf
 from msal_cli.errors import ContentError, InternalError, MsalError
 from tests.codecs.plain_glb import Scene, content_of
 from tests.shapes import cube, grid, noisy, torus
@@ -155,25 +155,6 @@ def test_parts_stand_where_the_scene_puts_them(frame):
         one.scene.parts()[0][1].positions.slots(one.scene.data) for one in (file, again)
     )
     assert np.array_equal(before.values[:42], after.values[:42])
-
-
-def test_the_frame_of_a_node_is_found_once(monkeypatch):
-    count = 150
-    scene = Scene()
-    corners = np.random.default_rng(0).random((count, 3, 3))
-    for k in range(count):
-        below = {"children": [k + 1]} if k + 1 < count else {}
-        at = scene.positions(corners[k])
-        scene.mesh({"attributes": {"POSITION": at}}, translation=[1, 0, 0], **below)
-    calls = []
-    transform = gltf_scene._transform
-    monkeypatch.setattr(gltf_scene, "_transform", lambda node: calls.append(1) or transform(node))
-    file = gltf.read_glb(scene.data(), "")
-    assert len(calls) == count
-    shift = np.array([1, 0, 0]) * np.arange(1, count + 1)[:, None, None]
-    assert np.allclose(file.vertices.reshape(count, 3, 3), corners + shift, atol=1e-5)
-    # Entries are not copied, however often they are named.
-    assert file.scene.entry("accessors", 0) is file.scene.content["accessors"][0]
 
 
 @pytest.mark.parametrize(

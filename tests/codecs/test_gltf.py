@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs
-from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import detection, gltf, open_mesh
 from msal_cli.codecs.companions import write_companions
 from msal_cli.codecs.mesh_file import Companion
@@ -224,22 +223,6 @@ def test_from_one_container_to_the_other(tmp_path):
     for key in ("accessors", "meshes", "nodes", "images", "extras"):
         assert key in text.scene.content
         assert glb.scene.content[key] == json.loads((tmp_path / "out" / "x.gltf").read_text())[key]
-
-
-def test_several_buffers_become_one(tmp_path):
-    text, binary = scene_of("a.bin", "b.bin")
-    content = json.loads(text)
-    content["bufferViews"][2]["buffer"] = content["bufferViews"][3]["buffer"] = 1
-    content["buffers"][0]["byteLength"] -= 3
-    (tmp_path / "a.bin").write_bytes(binary)
-    (tmp_path / "b.bin").write_bytes(binary[::-1][::-1])
-    (tmp_path / "x.gltf").write_text(json.dumps(content))
-    source = opened(tmp_path / "x.gltf")
-    data, losses = convert.converted(source, source.vertices, "glb", "same", "same")
-    again = open_mesh(data, "x.glb")
-    assert losses == () and np.array_equal(again.vertices, source.vertices)
-    assert np.array_equal(again.faces, source.faces)
-    assert len(content_of(data)[0]["buffers"]) == 1
 
 
 def test_several_buffers(tmp_path):

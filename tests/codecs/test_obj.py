@@ -171,18 +171,6 @@ def test_numbers_that_need_python_itself() -> None:
 # Other precisions
 
 
-def test_precisions() -> None:
-    data = b"v 0.10 0.333333333333 0\nv 1e0 0 0 0.5 0.5 0.5\nv 0 1 0\nf 1 2 3\n"
-    file = obj.read(data, "")
-    same = file.vertices.copy()
-    single = bytes(file.encoded(same, "ascii", "float32"))
-    assert single == b"v 0.1 0.33333334 0\nv 1 0 0 0.5 0.5 0.5\nv 0 1 0\nf 1 2 3\n"
-    double = bytes(file.encoded(same / 3, "same", "float64"))
-    assert (obj.read(double, "").vertices == same / 3).all()
-    assert b"v 0.3333333333333333 0 0 0.5 0.5 0.5\n" in double
-    assert file.encoded(same, "ascii", "same") is data
-
-
 # What else a file says
 
 
@@ -229,13 +217,6 @@ V 1 2 3
     output = bytes(file.replaced(vertices))
     assert blanked(output) == blanked(data)
     file.check(output, vertices)
-
-
-def test_many_different_keywords_do_no_harm() -> None:
-    data = b"".join(b"k%d x\n" % k for k in range(300)) + b"usemtl a\nmtllib b.mtl\n" + TETRAHEDRON
-    file = obj.read(data, "")
-    assert file.references == ("b.mtl",)
-    assert "lines are no statement" in file.warnings[0] and "'k0' in line 1" in file.warnings[0]
 
 
 # Arrays that grow

@@ -66,14 +66,6 @@ def test_variants(kind, tail, words):
         assert [row[3:] for row in rows] == [[word.encode() for word in own]] * 4
 
 
-@pytest.mark.parametrize("head", ["COFF 4 4 6", "COFF4 4 6", "COFF 4 4 0 # counts"])
-def test_counts_beside_the_word(head):
-    data = off(head, [point + " 255 0 0 255" for point in POINTS])
-    file, _, output = patched(data, "a.off")
-    assert (file.warnings, len(file.vertices)) == ((), 4)
-    assert output.startswith(head.encode() + b"\n")
-
-
 def test_meshlab_writes_colours_before_normals():
     head = "NCSTOFF\n4 4 0"
     data = off(head, [point + " 255 0 0 255 0 0 2 .5 .5" for point in POINTS])
@@ -98,12 +90,6 @@ def test_faces_keep_their_colours_and_corners():
     assert len(file.faces) == 4
     assert "face colours" in file.properties
     assert output.splitlines()[-3:] == [face.encode() for face in faces]
-
-
-def test_faces_of_two_corners_are_left_out_with_a_warning():
-    file, _, _ = patched(off("OFF\n4 5 0", faces=["2 0 1", *FACES]), "a.off")
-    assert len(file.faces) == 4
-    assert "1 faces of fewer than three corners" in file.warnings[0]
 
 
 @pytest.mark.parametrize(

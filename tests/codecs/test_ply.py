@@ -98,11 +98,6 @@ def test_a_body_that_begins_with_the_byte_of_a_line_end():
         assert np.array_equal(read(replace(file, newline=newline)).vertices, read(file).vertices)
 
 
-def test_textures_named_in_comments_are_references():
-    comments = ["comment TextureFile my scan.png", "comment texturefile b.jpg", "comment c.png"]
-    assert read(replace(plain_ply.cube(), comments=comments)).references == ("my scan.png", "b.jpg")
-
-
 def test_trailing_bytes_are_kept_and_told():
     mesh = read(replace(plain_ply.cube(), trailing=b"signature"))
     assert "9 bytes" in mesh.warnings[0]
@@ -302,33 +297,6 @@ def test_a_nan_among_the_normals_stays_and_passes_the_check():
 
 
 # Conversion
-
-
-def test_a_signalling_nan_in_a_property_makes_no_noise():
-    corner = struct.pack("<3f", 0, 0, 1) + bytes.fromhex("010080ff")
-    data = (
-        b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\n"
-        b"property float y\nproperty float z\nproperty float q\nelement face 1\n"
-        b"property list uchar int vertex_indices\nend_header\n"
-        + corner
-        + struct.pack("<4f", 1, 0, 0, 0)
-        + struct.pack("<4f", 0, 1, 0, 0)
-        + struct.pack("<B3i", 3, 0, 1, 2)
-    )
-    mesh = ply.read(data)
-    assert b"0 0 1 nan" in bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
-    assert len(mesh.encoded(mesh.vertices, "binary", "float64"))
-
-
-def test_text_is_the_same_in_chunks_of_any_size(monkeypatch):
-    file = mesh_file(LE, *grid(4, 3))
-    file.elements[1].rows[3][0] = [0, 1, 4, 3]
-    mesh = read(file)
-    whole = bytes(mesh.encoded(mesh.vertices, "ascii", "same"))
-    for size in (1, 5, 12):
-        monkeypatch.setattr("msal_cli.codecs.ply_write._CHUNK", size)
-        assert bytes(mesh.encoded(mesh.vertices, "ascii", "same")) == whole
-    assert plain_ply.read(whole).elements == file.elements
 
 
 def test_a_list_longer_than_its_count_type_does_not_become_binary():

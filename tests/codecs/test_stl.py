@@ -12,7 +12,6 @@ from hypothesis.extra import numpy as arrays
 
 from msal_cli import methods
 from msal_cli.codecs import stl
-from msal_cli.errors import InternalError
 from msal_cli.job import comparison, inspection, pipeline
 from msal_cli.job.settings import Settings, Task
 from tests.codecs import plain_stl
@@ -194,33 +193,6 @@ def test_binary_to_ascii_and_back(corners):
     back = again.encoded(again.vertices, "binary", "same")
     assert bytes(back)[84:] == data[84:]
     assert bytes(back)[:10] == b"binary STL"
-
-
-def test_a_large_file_goes_through_in_parts(monkeypatch):
-    rng = np.random.default_rng(4)
-    corners = rng.normal(size=(100, 9)).astype(np.float32).astype(np.float64)
-    attributes = list(range(100))
-    file = stl.read(plain_stl.binary(corners, attributes=attributes), "a.stl")
-    vertices = file.vertices + 0.5
-    whole = bytes(file.replaced(vertices))
-    monkeypatch.setattr(stl, "_AT_ONCE", 7)
-    assert bytes(file.replaced(vertices)) == whole
-    file.check(whole, vertices)
-    wrong = bytearray(whole)
-    wrong[84 + 50 * 99 + 20] ^= 1
-    with pytest.raises(InternalError, match="corner") as caught:
-        file.check(wrong, vertices)
-    assert caught.value.where == "facet 99"
-
-
-def test_a_signalling_nan_in_a_normal_makes_no_noise():
-    data = bytearray(plain_stl.binary(tetrahedron()))
-    data[84:88] = bytes.fromhex("010080ff")
-    file = stl.read(bytes(data), "a.stl")
-    above = file.vertices + 0.1
-    above[:3] = file.vertices[:3]
-    assert b"facet normal 0 0 -1" in bytes(file.encoded(above, "ascii", "same"))
-    assert bytes(file.replaced(above))[84:88] == data[84:88]
 
 
 def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):

@@ -148,17 +148,6 @@ def test_members_with_wide_sizes_and_gaps_between_them():
     assert np.array_equal(open_mesh(output, "a.3mf").vertices, vertices)
 
 
-@pytest.mark.parametrize("unit", ["inch", "centimeter", "meter", "micron", "foot"])
-def test_units_stay_and_are_named(unit):
-    data = package(model(shape(1, CUBE), attributes=f'unit="{unit}"'))
-    file = threemf.read(data, "")
-    assert np.array_equal(file.vertices, VERTICES)
-    assert f"unit {unit}" in file.properties
-    output = file.replaced(moved_corner(file))
-    assert f'unit="{unit}"'.encode() in texts(output)[MODEL]
-    assert f"unit {unit}" in convert.converted(file, file.vertices, "ply", "same", "same")[1]
-
-
 def parts_of_equal_numbers() -> bytes:
     """Two parts whose objects have the same number, put together by the root's components."""
     vertices, faces = torus(8, 6)
@@ -209,20 +198,6 @@ def test_parts_of_equal_numbers_stay_apart():
             for mesh in model.meshes.values()
         }
         assert np.allclose(part.vertices, expected[len(part.vertices)])
-
-
-@pytest.mark.parametrize("head", ["<triangles>", "<triangles><!-- not plain -->"])
-@pytest.mark.parametrize(
-    ("more", "is_lost"), [("", False), (' slic3rpe:mmu_segmentation="4"', True), (' pid="1"', True)]
-)
-def test_what_is_painted_on_triangles_is_named(head, more, is_lost):
-    painted = CUBE.replace("<triangles>", head).replace("/></triangles>", f"{more}/></triangles>")
-    assert (painted != CUBE) is bool(more or "not plain" in head)
-    attributes = ' xmlns:slic3rpe="http://schemas.slic3r.org/3mf/2017/06"'
-    file = threemf.read(package(model(shape(1, painted), attributes=attributes)), "")
-    assert np.array_equal(file.faces, FACES)
-    _, losses = convert.converted(file, file.vertices, "ply", "same", "same")
-    assert ("triangle attributes" in losses) is is_lost
 
 
 def test_a_mesh_in_several_places_is_one_mesh():
