@@ -31,7 +31,7 @@ LEVEL = 0.1
 
 def opened(folder: Path, name: str) -> PreparedMesh:
     """A model of the data folder, made ready."""
-    mesh_file = comparison.opened(str(folder / name))
+    mesh_file = comparison.open_mesh_file(str(folder / name))
     return prepare_mesh(mesh_file.vertices, mesh_file.faces)
 
 

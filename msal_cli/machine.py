@@ -177,7 +177,7 @@ def _peak_on_windows() -> int | None:
     return int(counters.field_0)
 
 
-def is_want_of_memory(error: BaseException | None) -> bool:
+def is_out_of_memory(error: BaseException | None) -> bool:
     """Whether an error, or what it was raised from, comes of memory that was not given."""
     while error is not None:
         said = str(error)

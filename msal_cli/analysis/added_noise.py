@@ -69,7 +69,7 @@ def refuse_unused(kind: str, names: Iterable[str], prefix: str = "") -> None:
             )
 
 
-MOST_RINGS = 100
+MAX_RINGS = 100
 """Most averages over one-rings: neighbours then share their noise over some 8 rings."""
 
 GRAZING_CAP = 5.0
@@ -119,10 +119,10 @@ class AddedNoise:
         _require(self.seed >= 0, "seed", self.seed, "a number from 0")
         _require(0.0 <= self.fraction <= 1.0, "fraction", self.fraction, "a number from 0 to 1")
         _require(
-            self.rings is None or 0 <= self.rings <= MOST_RINGS,
+            self.rings is None or 0 <= self.rings <= MAX_RINGS,
             "number of rings (--rings)",
             self.rings,
-            f"a number from 0 to {MOST_RINGS}",
+            f"a number from 0 to {MAX_RINGS}",
         )
         length = math.hypot(*self.direction)
         _require(0.0 < length < math.inf, "direction", self.direction, "a vector with a length")

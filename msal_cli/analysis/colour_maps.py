@@ -69,8 +69,8 @@ def colour_table(map_name: str) -> Colours:
     at = np.linspace(0.0, 1.0, SHADES)
     lab = np.stack(
         [
-            np.interp(at, places, one)
-            for one in (lightness, chroma * np.cos(turned), chroma * np.sin(turned))
+            np.interp(at, places, channel)
+            for channel in (lightness, chroma * np.cos(turned), chroma * np.sin(turned))
         ],
         axis=1,
     )

@@ -17,7 +17,7 @@ from msal_cli.analysis.measures import SurfaceChange, area_and_volume, is_negati
 from msal_cli.arrays import Floats
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 
-MOST_PARTS = 1000
+MAX_PARTS = 1000
 """Parts beyond which only the sum of all is looked at: each is compared with each other."""
 
 INSIDE_OUT = "the surface is inside out: its normals point inwards"
@@ -91,7 +91,7 @@ def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> En
     n_parts = defects.components
     if defects.volume_objection:
         return Enclosure(None, 0, n_parts)
-    if 1 < n_parts <= MOST_PARTS:
+    if 1 < n_parts <= MAX_PARTS:
         return _enclosure_by_part(mesh)
     if is_negative(volume, area):
         return Enclosure(np.ones(len(mesh.faces), dtype=bool), n_parts, n_parts)
@@ -120,7 +120,7 @@ def turned_parts(
 
     ``boxes()`` gives the least and greatest coordinates (k, 3) of each.
     """
-    is_turned = np.array([is_negative(*one) for one in zip(volumes, areas, strict=True)])
+    is_turned = np.array([is_negative(*figures) for figures in zip(volumes, areas, strict=True)])
     return is_turned[_outermost(*boxes())] if is_turned.any() else is_turned
 
 

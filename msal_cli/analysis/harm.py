@@ -33,24 +33,24 @@ FLIPS_PER_FOLD = 1.5
 VOLUME_SHARE = 0.5
 """Share of its volume that a closed surface may lose or gain."""
 
-LEAST_VOLUME, VOLUME_PER_NOISE = 0.01, 0.1
+MIN_VOLUME, VOLUME_PER_NOISE = 0.01, 0.1
 """Share of its volume that a closed surface may lose or gain without noise, and what it may beyond,
 in the volume of a layer over it that is as thick as the noise."""
 
-LEAST_AREA, AREA_PER_NOISE = 0.02, 6.0
+MIN_AREA, AREA_PER_NOISE = 0.02, 6.0
 """Share of its area that a surface may lose or gain without noise, and what it may lose beyond for
 each squared level."""
 
-LEAST_MOVE, MOVE_PER_NOISE = 0.02, 6.0
+MIN_MOVE, MOVE_PER_NOISE = 0.02, 6.0
 """Mean edge lengths that one in 20 vertices may move without noise, and beyond, in its levels."""
 
 NAMED_LEEWAY = 3.0
 """Times the bounds that a method may use which the user has named."""
 
-MOST_NOISE = 0.7
+MAX_NOISE = 0.7
 """Mean edge lengths of noise that bounds allow for; meshes that read more are no scans."""
 
-MOST_SAMPLED = 65_536
+MAX_SAMPLED = 65_536
 """Faces that are looked at for folds."""
 
 FLIPPED, VOLUME = "W_FLIPPED_FACES", "W_VOLUME_CHANGE"
@@ -99,7 +99,7 @@ def excessive_change(
     p95_edges : 95th percentile of the displacements, mean edge lengths.
     leeway : factor of all bounds.
     """
-    noise = min(noise_edges, MOST_NOISE)
+    noise = min(noise_edges, MAX_NOISE)
     words = f"noise of {noise:.2g} e explains"
     share = None
     if has_volume:
@@ -108,16 +108,16 @@ def excessive_change(
         )
     if share is not None:
         layer = noise * edge * change.area_before / abs(change.volume_before)
-        bound = leeway * (LEAST_VOLUME + VOLUME_PER_NOISE * layer)
+        bound = leeway * (MIN_VOLUME + VOLUME_PER_NOISE * layer)
         if abs(share) > bound:
             percent = f"{100.0 * share:+.1f} %, {words} {100.0 * bound:.1f} %"
             return Harm(VOLUME, f"the volume changed by {percent}")
     if change.area_before > 0.0:
         share = change.area_after / change.area_before - 1.0
-        bound = leeway * (LEAST_AREA + AREA_PER_NOISE * noise * noise)
-        if share > leeway * LEAST_AREA or -share > bound:
+        bound = leeway * (MIN_AREA + AREA_PER_NOISE * noise * noise)
+        if share > leeway * MIN_AREA or -share > bound:
             return Harm(AREA, f"the area changed by {100.0 * share:+.1f} %, more than {words}")
-    if p95_edges > leeway * (LEAST_MOVE + MOVE_PER_NOISE * noise):
+    if p95_edges > leeway * (MIN_MOVE + MOVE_PER_NOISE * noise):
         return Harm(MOVES, f"one in 20 vertices moved by {p95_edges:.2g} e, more than {words}")
     return None
 
@@ -147,7 +147,7 @@ def judge_change(
 def folded_faces(mesh: Mesh) -> int:
     """How many faces face away from the mollified normals at their corners.
 
-    Of more than ``MOST_SAMPLED`` faces every k-th one is counted, and the count is scaled.
+    Of more than ``MAX_SAMPLED`` faces every k-th one is counted, and the count is scaled.
     """
     step = sampling_step(len(mesh.faces))
     return count_folds(mesh, np.ascontiguousarray(mesh.faces[::step])) * step
@@ -155,7 +155,7 @@ def folded_faces(mesh: Mesh) -> int:
 
 def sampling_step(n_faces: int) -> int:
     """k where of so many faces every k-th one is looked at for folds."""
-    return max(n_faces // MOST_SAMPLED, 1)
+    return max(n_faces // MAX_SAMPLED, 1)
 
 
 def count_folds(mesh: Mesh, faces: Ints) -> int:

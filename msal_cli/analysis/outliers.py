@@ -29,22 +29,22 @@ so has strong noise; flat and smooth places have more."""
 BOUND = 1.3
 """Score from which a vertex is an outlier where few others are."""
 
-USUAL, STEP, MOST_STEPS = 0.0005, 0.17, 0.8
+USUAL, STEP, MAX_STEPS = 0.0005, 0.17, 0.8
 """Where more than the ``USUAL`` share of vertices are outliers, a vertex is one more likely: the
-bound is less by ``STEP`` for each factor of e, up to ``MOST_STEPS``, unless they may be noise."""
+bound is less by ``STEP`` for each factor of e, up to ``MAX_STEPS``, unless they may be noise."""
 
-MOST_PASSES = 12
+MAX_PASSES = 12
 """Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
 
 RETURNS = 2
 """Passes that bring back all outliers at once, each among the places of the others."""
 
-MOST = 0.12
+MAX_SHARE = 0.12
 """Share of the vertices beyond which they are noise rather than outliers."""
 
-CERTAIN, FEWEST_CERTAIN = 3.0, 0.02
+CERTAIN, MIN_CERTAIN = 3.0, 0.02
 """Score from which an outlier is certain, and the share of the outliers that are certain from which
-they are brought back without being asked for.  Of planted ones 17 % are and more, of the spikes of
+they are brought back by default.  Of planted ones 17 % are and more, of the spikes of
 a raw scan 3 %, and none of the tips and ridges of a coarse model that seem to be outliers."""
 
 APART = 6.0
@@ -60,9 +60,10 @@ class Outliers:
     ----------
     flags : (n,) which vertices they are.
     vertices : (n, 3) positions with them brought back, all others as they were.
-    are_clear : whether they are to be brought back without being asked for: some are certain, and
+    are_clear : whether they are to be brought back by default: some are certain, and
         they are no tail of the noise.
-    share : of the vertices, 0 to 1, that seemed to be outliers; beyond ``MOST`` none is flagged.
+    share : of the vertices, 0 to 1, that seemed to be outliers; beyond ``MAX_SHARE`` none is
+        flagged.
     """
 
     flags: Flags
@@ -73,7 +74,7 @@ class Outliers:
     @property
     def are_too_many(self) -> bool:
         """Whether so many seemed to be outliers that none is flagged."""
-        return self.share > MOST
+        return self.share > MAX_SHARE
 
     @property
     def count(self) -> int:
@@ -120,14 +121,14 @@ class _Search:
         n_certain, are_apart = 0, False
         bound = BOUND
         self.positions = mesh.vertices.copy()
-        for _ in range(MOST_PASSES):
+        for _ in range(MAX_PASSES):
             found = outliers.pick(self.scores, bound, mesh.topology)
             if len(found):
                 n_certain += int(np.count_nonzero(self.scores[found] > CERTAIN))
                 self.flags[found] = True
                 self._bring_back(found)
             share = int(np.count_nonzero(self.flags)) / n_used
-            if share > MOST:
+            if share > MAX_SHARE:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
             # What is not found yet is among the spikes, so they do not count here.
             are_apart = are_apart or (share > USUAL and self._are_beyond(self._noise().mean_edges))
@@ -138,7 +139,7 @@ class _Search:
             self._bring_back(np.flatnonzero(self.flags))
         self._restore_inliers(bound)
         count = int(np.count_nonzero(self.flags))
-        are_certain = n_certain > 0 and n_certain >= FEWEST_CERTAIN * count
+        are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
         are_clear = self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
@@ -214,4 +215,4 @@ class _Search:
 
 def _more_likely(share: float) -> float:
     """What the bound is less by where this share of the vertices are outliers."""
-    return min(STEP * math.log(max(share / USUAL, 1.0)), MOST_STEPS)
+    return min(STEP * math.log(max(share / USUAL, 1.0)), MAX_STEPS)

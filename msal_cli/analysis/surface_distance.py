@@ -71,7 +71,7 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
         found = fcpw.interaction_3D_list()
         reach = np.full(len(some), np.inf, dtype=np.float32)
         scene.find_closest_points(single(some, scale), reach, found)
-        nearest = np.fromiter((one.primitive_index for one in found), np.int32, len(some))
+        nearest = np.fromiter((hit.primitive_index for hit in found), np.int32, len(some))
         triangles[start:end] = nearest
         distances[start:end] = distances_to_triangles(some, vertices[faces[nearest]])
     # What lies on the surface is off by the last digits of its coordinates.

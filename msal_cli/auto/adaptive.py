@@ -27,8 +27,8 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
 from msal_cli.arrays import Floats
 from msal_cli.auto.blend_weights import (
-    FEWEST_JUDGED,
     FLOOR,
+    MIN_JUDGED,
     hedge,
     level_masks,
     may_follow,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 
-FEWEST_VERTICES = 256
+MIN_VERTICES = 256
 """Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,
 a torus of 96, a ring of 128.  Scans have more."""
 
@@ -102,7 +102,7 @@ def _choose(
     noise = estimate.assume(assume, edge)
     is_unsure = noise.is_unsure
     n_used = int(np.count_nonzero(mesh.topology.has_ring))
-    if n_used < FEWEST_VERTICES:
+    if n_used < MIN_VERTICES:
         return _keep_input(noise, f"{n_used:,} vertices are too few to tell noise from shape")
     if noise.is_negligible or not noise.mean_edges:
         why = describe_rest(estimate, noise)
@@ -232,7 +232,7 @@ def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
     """How much of a setting is best at each level of local noise, by Stein's lemma."""
     weights = []
     for judged in level_masks(part, case.local, case.levels) if case.levels else ():
-        if judged.sum() < FEWEST_JUDGED:
+        if judged.sum() < MIN_JUDGED:
             weights.append(1.0)
             continue
         some = judge.risk(judged).of([at]).positions
@@ -251,8 +251,16 @@ def _candidates(case: _Case, is_drawn: bool, is_allowed: Allowed) -> list[Candid
     if is_drawn:
         return found
     is_small = len(mesh.vertices) <= SMALL
-    linear = [(methods.find(one.method), one) for one in LINEAR if is_small or one.cost <= MAX_COST]
-    return found + [one for method, one in linear if is_allowed(method, method.validate(one.given))]
+    linear = [
+        (methods.find(candidate.method), candidate)
+        for candidate in LINEAR
+        if is_small or candidate.cost <= MAX_COST
+    ]
+    return found + [
+        candidate
+        for method, candidate in linear
+        if is_allowed(method, method.validate(candidate.given))
+    ]
 
 
 def _keep_input(noise: NoiseLevel, why: str) -> Choice:

@@ -64,7 +64,7 @@ def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Fl
             for risk in risks
         ]
         total = sum(sum(pair) for pair in shares)
-        shares = [(one / total, other / total) for one, other in shares]
+        shares = [(places / total, tilts / total) for places, tilts in shares]
     return weights
 
 
@@ -154,10 +154,10 @@ def round_weights(weights: Floats, steps: int = 100) -> Floats:
 QUANTILES = (0.1, 0.5, 0.9)
 """Of local levels, for which weights are chosen."""
 
-LEAST_RATIO, LEAST_GAP = 1.25, 0.01
+MIN_RATIO, MIN_GAP = 1.25, 0.01
 """By how much they have to differ, as a ratio and in mean edge lengths."""
 
-FEWEST_JUDGED = 200
+MIN_JUDGED = 200
 """Vertices that a level of local noise needs for weights of its own."""
 
 FOLLOWING_BLEND = {"members": "0.5:1*al", "levels": "0:1"}
@@ -174,7 +174,7 @@ def spread_levels(local: Floats) -> tuple[float, ...]:
     """Levels of local noise (n,) for quiet, usual and loud places; none if they differ little."""
     found: list[float] = []
     for level in np.quantile(local, QUANTILES).tolist():
-        if not found or level > LEAST_RATIO * found[-1] + LEAST_GAP:
+        if not found or level > MIN_RATIO * found[-1] + MIN_GAP:
             found.append(float(round(level, 3)))
     return tuple(found) if len(found) > 1 else ()
 

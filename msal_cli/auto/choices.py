@@ -28,7 +28,7 @@ from msal_cli.methods.blend import format_levels, format_members
 PLAIN = ("none", "white", "impulsive", "unknown")
 """Kinds of noise that need no words beside the level."""
 
-LEAST = 0.05
+MIN_NOISE = 0.05
 """Mean edge lengths: noise that a mesh is smoothed for at least, where smoothing is asked for."""
 
 STRENGTH = 1.2
@@ -147,7 +147,7 @@ def choose_least(noise: NoiseLevel, wishes: Wishes, why: str, surface: str) -> C
         is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
         hint = "; --strength 1 smooths it all the same" if is_wish else ""
         return Choice(NONE, {}, f"{what}; left as it is{hint}", surface, noise)
-    level = max(noise.high, noise.mean_edges, LEAST) * STRENGTH**wishes.strength
+    level = max(noise.high, noise.mean_edges, MIN_NOISE) * STRENGTH**wishes.strength
     level *= SHAPE if wishes.keep == "shape" else 1.0
     level = round(level, 4)
     candidate = wiener_al(level)

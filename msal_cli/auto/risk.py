@@ -64,14 +64,14 @@ PROBE_STEP = 0.1
 DRAWN, MIRRORED = "drawn", "mirrored"
 """What a simulation adds to a first result."""
 
-SHORTEST_EDGE = 0.3
+MIN_EDGE = 0.3
 """In mean edge lengths: shorter ones are taken for so long, or single slivers would count for
 all."""
 
-LEAST_SHARE = 1e-9
+MIN_SHARE = 1e-9
 """Noise in parts of the moves, as squares: a smaller value counts as this one."""
 
-LEAST_NOISE = 1e-6
+MIN_NOISE = 1e-6
 """In mean edge lengths: less noise is taken for so much, for errors are in parts of it."""
 
 
@@ -95,7 +95,7 @@ class Quadratic:
         return float(1.0 - 2.0 * gained + np.einsum("i,ij,j->", weights, self.gram, weights))
 
     def singles(self) -> Floats:
-        """The value (k,) of every filter by itself."""
+        """The value (k,) of every single filter."""
         value: Floats = 1.0 - 2.0 * self.gain + np.diag(self.gram)
         return value
 
@@ -169,7 +169,7 @@ def _slopes(
     edges = mesh.vertices[first] - mesh.vertices[second]
     edges -= np.einsum("ij,ij->i", edges, across)[:, None] * across
     lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
-    floor = SHORTEST_EDGE * float(lengths.mean()) if len(lengths) else 1.0
+    floor = MIN_EDGE * float(lengths.mean()) if len(lengths) else 1.0
     lengths = np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
     return _Slopes(first, second, 1.0 / lengths if is_isotropic else across / lengths)
 
@@ -323,11 +323,11 @@ def _at_least_some(noise: float, gram: Floats) -> float:
 
     Where there is no noise every move is an error, and a great one, but a finite one.
     """
-    return max(noise, LEAST_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
+    return max(noise, MIN_SHARE * float(np.diag(gram).max()), np.finfo(float).tiny)
 
 
 def _at_least(noise: NoiseModel, mesh: Mesh) -> NoiseModel:
-    return noise.at_level(max(noise.level, LEAST_NOISE * mesh.mean_edge_length))
+    return noise.at_level(max(noise.level, MIN_NOISE * mesh.mean_edge_length))
 
 
 def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
@@ -465,7 +465,7 @@ def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
         return 0
     part = select_patch(mesh, RELAX_PATCH)
     judge = SteinRisk(part, noise.on_part(part.numbers), part.mesh.vertex_normals("uniform"), 1)
-    judge.add(lambda one: even_out(one, RELAX).vertices - one.vertices, lambda: None)
+    judge.add(lambda some: even_out(some, RELAX).vertices - some.vertices, lambda: None)
     left = float(judge.risk().positions.singles()[0])
     return RELAX if MIN_LEFT <= left <= MAX_LEFT else 0
 
@@ -492,13 +492,13 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     part = select_patch(mesh, COMPARED_VERTICES)
     model = build_model(mesh, noise).on_part(part.numbers)
 
-    def run_of(one: Filter) -> Any:
-        method, values = one
+    def run_of(given: Filter) -> Any:
+        method, values = given
         if method is None:
             return lambda mesh: np.zeros_like(mesh.vertices)
         return lambda mesh: method.denoise(mesh, values).vertices - mesh.vertices
 
-    runs = [run_of(one) for one in filters]
+    runs = [run_of(given) for given in filters]
     is_gaussian = model.is_gaussian and not noise.is_impulsive
     trials = CandidateRuns(part, model, lambda: None)
     first: Floats = trials.positions([SMOOTHER if is_gaussian else ROBUST], np.ones(1))

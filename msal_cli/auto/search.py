@@ -28,8 +28,8 @@ from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
 from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.blend_weights import (
-    FEWEST_JUDGED,
     FLOOR,
+    MIN_JUDGED,
     best_weights,
     hedge,
     level_masks,
@@ -112,7 +112,7 @@ LONGER_LOOK, SECOND_LOOK = 6, 3
 """The best single candidates that are simulated in addition to the members of the first blend, and
 of the second."""
 
-LEAST_WEIGHT = 0.04
+MIN_WEIGHT = 0.04
 """Members below this weight are left out."""
 
 DOUBT, GREAT_DOUBT = 0.15, 0.5
@@ -149,8 +149,12 @@ _KEEP = {"edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 def forecast_seconds(n_vertices: int) -> float:
     """Seconds of one core for a search and its result, by the costs of the candidates and for all
     that a machined part is tried with."""
-    costs = [one.cost for one in CANDIDATES if one is not LEARNED and not one.is_last_resort]
-    last = [one.cost for one in CANDIDATES if one.is_last_resort]
+    costs = [
+        candidate.cost
+        for candidate in CANDIDATES
+        if candidate is not LEARNED and not candidate.is_last_resort
+    ]
+    last = [candidate.cost for candidate in CANDIDATES if candidate.is_last_resort]
     longer = LONGER_LOOK * sum(costs) / len(costs) + LEARNED.cost + sum(last)
     glance, study = min(n_vertices, GLANCE), min(n_vertices, PART)
     filters = 2 * glance * sum(costs) + 5 * study * longer + n_vertices * LEARNED.cost
@@ -219,12 +223,12 @@ class _Search:
 
     def choose(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
-        usable = [one for one in CANDIDATES if self._is_usable(one)]
+        usable = [candidate for candidate in CANDIDATES if self._is_usable(candidate)]
         # A budget of one run leaves nothing for trials.
-        usable = usable or [min(CANDIDATES, key=lambda one: one.cost)]
-        later = [one for one in usable if one is LEARNED]
-        last = [one for one in usable if one.is_last_resort]
-        at_first = [one for one in usable if one not in (*later, *last)] or usable
+        usable = usable or [min(CANDIDATES, key=lambda candidate: candidate.cost)]
+        later = [candidate for candidate in usable if candidate is LEARNED]
+        last = [candidate for candidate in usable if candidate.is_last_resort]
+        at_first = [candidate for candidate in usable if candidate not in (*later, *last)] or usable
         if later and not (self.is_unsure or self._is_drawn):
             return self._choose_by_mirror(surface_kind(self._trials(PART).result(ROBUST_LEARNED)))
         self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
@@ -238,7 +242,7 @@ class _Search:
         tried = len(at_first)
         is_sharp = self._may_be_sharp(surface)
         later += last if is_sharp else []
-        later = [one for one in later if one not in members]
+        later = [candidate for candidate in later if candidate not in members]
         members += later
         weights = np.concatenate([weights, np.zeros(len(later))])
         tried += len(later)
@@ -268,7 +272,11 @@ class _Search:
         self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
         self.model, self._whole = self.model.at_level(self.level), None
         study = self._trials(PART)
-        members = [one for one in (ROBUST_LEARNED, FARTHER, *LINEAR) if self._is_usable(one)]
+        members = [
+            candidate
+            for candidate in (ROBUST_LEARNED, FARTHER, *LINEAR)
+            if self._is_usable(candidate)
+        ]
         self._total = 3 * len(members)
         pilots = [ROBUST_LEARNED]
         if surface == TEXTURED:
@@ -279,7 +287,7 @@ class _Search:
             study.simulate(members, study.result(pilot).vertices, MIRRORED) for pilot in pilots
         ]
         self.unit = mirrors[0].level
-        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = [(one, 1.0) for one in mirrors]
+        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = [(judge, 1.0) for judge in mirrors]
         return self._choice(study, members, judges, surface, len(members))
 
     def _look(self, glance: CandidateRuns, candidates: Sequence[Candidate]) -> Risk:
@@ -300,16 +308,16 @@ class _Search:
         if not self.levels or not len(kept):
             return rows
         for row, judged in zip(rows, level_masks(part, self.local, self.levels), strict=True):
-            if judged.sum() >= FEWEST_JUDGED:
+            if judged.sum() >= MIN_JUDGED:
                 some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
-                row[kept] = np.where(some >= LEAST_WEIGHT, some, 0.0)
+                row[kept] = np.where(some >= MIN_WEIGHT, some, 0.0)
         return rows
 
     def _hedge(self, risks: Sequence[Risk], weights: Floats) -> float:
         """The share of a blend that is not much worse if there is only texture."""
         counted = [risk.positions for risk in risks if risk.importance > 0.0]
-        gain = float(np.mean([weights @ one.gain for one in counted]))
-        moved = float(np.mean([weights @ one.gram @ weights for one in counted]))
+        gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
+        moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
         return hedge(gain, moved)
 
     def _strengthen(
@@ -430,7 +438,7 @@ class _Search:
         kept = list(range(len(members)))
         while True:
             weights = self._best([risk.of(kept) for risk in risks])
-            used = weights >= LEAST_WEIGHT
+            used = weights >= MIN_WEIGHT
             if not used.any():
                 break
             cost = costs[kept]

@@ -248,8 +248,8 @@ def _write_heatmap(before: str, after: str, target: str, format: str | None) -> 
     from msal_cli.storage import atomic
 
     with room_for_files((before, after), format):
-        reference = comparison.opened(before, format)
-        made = comparison.build_heatmap(reference, comparison.opened(after, format), before)
+        reference = comparison.open_mesh_file(before, format)
+        made = comparison.build_heatmap(reference, comparison.open_mesh_file(after, format), before)
         with interrupts.catch_signals(interrupts.raise_for):
             atomic.write_whole(target, [made.data], sources=(before, after))
     console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")

@@ -122,7 +122,7 @@ def command(
     from msal_cli import methods
     from msal_cli.auto.risk import estimate_errors
     from msal_cli.cli.report_files import refuse_target
-    from msal_cli.job.comparison import open_surface, opened, surface_of
+    from msal_cli.job.comparison import open_mesh_file, open_surface, surface_of
     from msal_cli.storage import atomic
     from msal_cli.view import sweep
     from msal_cli.view.panels import png_bytes
@@ -136,7 +136,7 @@ def command(
     options.check_threads_variable()
     fixed = _parse_fixed(assignments)
     grid = sweep.grid(methods.find(method), rows, columns, fixed)
-    mesh_file = opened(source, format)
+    mesh_file = open_mesh_file(source, format)
     truth = None if reference is None else open_surface(reference, format)
     on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
     done = []

@@ -27,7 +27,7 @@ from msal_cli.errors import FormatError, MsalError, TooLargeError, TruncatedErro
 from msal_cli.storage.gzip_streams import (
     ALWAYS_EXPANDED,
     GZIP_MAGIC,
-    LARGEST_RATIO,
+    MAX_RATIO,
     read_in_large_pages,
     read_whole,
 )
@@ -497,4 +497,4 @@ def expand_beginning(head: bytes, size: int) -> tuple[bytes, int]:
     if len(head) == size and member.eof and not member.unused_data:
         return beginning, len(beginning)
     ratio = 1.25 * len(beginning) / max(1, used)
-    return beginning, int(min(ratio * size, max(ALWAYS_EXPANDED, LARGEST_RATIO * size)))
+    return beginning, int(min(ratio * size, max(ALWAYS_EXPANDED, MAX_RATIO * size)))

@@ -32,7 +32,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
-from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, LARGEST_RATIO
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
 from msal_cli.storage.regular import Buffer, memory_bytes
 
 _CODES = {
@@ -62,8 +62,8 @@ class Coding:
         """Count an array of ``size`` bytes that is stored in ``packed``; TooLargeError beyond what
         one array, or all arrays together, may expand to."""
         self.expanded_bytes += size
-        of_all = max(ALWAYS_EXPANDED, LARGEST_RATIO * len(self.data))
-        if size > max(ALWAYS_EXPANDED, LARGEST_RATIO * packed) or self.expanded_bytes > min(
+        of_all = max(ALWAYS_EXPANDED, MAX_RATIO * len(self.data))
+        if size > max(ALWAYS_EXPANDED, MAX_RATIO * packed) or self.expanded_bytes > min(
             of_all, memory_bytes() // 2
         ):
             raise TooLargeError(

@@ -29,15 +29,15 @@ INSIDE_OUT = "W_INSIDE_OUT"
 """Code of the warning about a closed surface whose normals point inwards."""
 
 _WITHOUT = "without a method and parameters (--method, -n, -K, --mollify, --schedule, --set)"
-_LEAST_MOVE_EDGES = 0.005
+_MIN_MOVE_EDGES = 0.005
 """Mean displacement in mean edge lengths below which nothing worth a warning has happened."""
 
 _RULED = 0.2
 """The 99th percentile of lambda below which one spike rules it.  Without spikes it is 0.28 and more
 on scans and on models with any noise; one spike of ten mean edge lengths makes it 0.11 to 0.15."""
 
-_MOST_SAMPLED = 16_384
-"""Vertices whose lambda is looked at."""
+_MAX_SAMPLED = 16_384
+"""Vertices whose lambda is sampled."""
 
 _DAMAGE_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
 
@@ -115,19 +115,21 @@ def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
     )
 
 
-def displacement_field(one: DisplacementStatistics, edge: float) -> Displacement:
+def displacement_field(statistics: DisplacementStatistics, edge: float) -> Displacement:
     """How far vertices moved, ``edge`` being the mean edge length before."""
-    return Displacement(**_length_fields(one, edge), moved_vertices=one.moved_vertices)
+    return Displacement(
+        **_length_fields(statistics, edge), moved_vertices=statistics.moved_vertices
+    )
 
 
-def distance_field(one: DistanceStatistics, edge: float) -> SurfaceDistance:
+def distance_field(statistics: DistanceStatistics, edge: float) -> SurfaceDistance:
     """Distances to a surface, ``edge`` being the mean edge length before."""
-    return SurfaceDistance(**_length_fields(one, edge))
+    return SurfaceDistance(**_length_fields(statistics, edge))
 
 
-def _length_fields(one: DistanceStatistics, edge: float) -> dict[str, float]:
+def _length_fields(statistics: DistanceStatistics, edge: float) -> dict[str, float]:
     """Each in file units and, its name ending in ``_edges``, in mean edge lengths."""
-    lengths = {"mean": one.mean, "rms": one.rms, "p95": one.p95, "max": one.max}
+    lengths = {name: getattr(statistics, name) for name in ("mean", "rms", "p95", "max")}
     return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
 
@@ -229,14 +231,14 @@ def method_warnings(
     displacement: Displacement,
     is_ruled: bool,
 ) -> tuple[str, ...]:
-    """Where a method that was given by hand harms the mesh: each with what is better.
+    """Where a method that the user named harms the mesh: each with what is better.
 
     Where noise may be texture it is not known what is better, and none is about noise.
     ``is_ruled`` is what ``is_ruled_by_spike`` gave.
     """
     from msal_cli.analysis.noise_estimate import SURE
 
-    if displacement.mean_edges is None or displacement.mean_edges < _LEAST_MOVE_EDGES:
+    if displacement.mean_edges is None or displacement.mean_edges < _MIN_MOVE_EDGES:
         return ()
     if noise.negligible and (noise.high_edges is None or noise.high_edges < SURE):
         return (
@@ -271,4 +273,4 @@ def is_ruled_by_spike(fidelity: Floats | None) -> bool:
 
 def fidelity_step(n_vertices: int) -> int:
     """k where of so many vertices the lambda of every k-th one is looked at."""
-    return max(n_vertices // _MOST_SAMPLED, 1)
+    return max(n_vertices // _MAX_SAMPLED, 1)

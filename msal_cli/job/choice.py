@@ -208,7 +208,7 @@ def reject_choice(choice: ChoiceMade, despiked: int | None, harm: Harm) -> dict[
 
 
 def options_of(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:
-    """The options of ``msal denoise`` that run a method by hand; None leaves a mesh as it is."""
+    """The options of ``msal denoise`` that run a method; None leaves a mesh as it is."""
     if method is None:
         return ("--method", "msal", "--set", "iterations=0")
     options = ["--method", method.name]

@@ -69,7 +69,7 @@ class Surface:
         return len(self.vertices) + n_merged if n_merged else None
 
 
-def opened(path: str, format: str | None = None) -> MeshFile:
+def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
     from msal_cli.codecs import header
 
@@ -88,7 +88,7 @@ def surface_of(mesh_file: MeshFile) -> Surface:
 
 def open_surface(path: str, format: str | None = None) -> Surface:
     """The surface in the file at ``path``."""
-    return surface_of(opened(path, format))
+    return surface_of(open_mesh_file(path, format))
 
 
 def compare_files(
@@ -145,7 +145,7 @@ def with_references(
 
 def _measure_against(path: str, output: str, format: str | None) -> Reference:
     record = compare_files(path, output, format)
-    shared = {one.name for one in fields(Reference)} - {"path"}
+    shared = {field.name for field in fields(Reference)} - {"path"}
     return Reference(path, **{name: getattr(record, name) for name in shared})
 
 
@@ -194,7 +194,7 @@ def compare_meshes(
         gap = first.seam_gap(after.vertices)
         record = replace(record, seam_gap=gap)
         if gap > 0.0:
-            record = _warned(
+            record = _add_warning(
                 record,
                 f"vertices that coincide before are up to {gap:g} apart after; "
                 "the first of them counts",
@@ -332,9 +332,9 @@ def _with_orientation(
     record: ComparisonRecord, before: Enclosure, after: Enclosure
 ) -> ComparisonRecord:
     """The record with which of the two surfaces is inside out."""
-    for word, one in (("before", before), ("after", after)):
-        if one.is_inside_out:
-            record = _warned(record, f"{word}: {one.words}")
+    for word, enclosure in (("before", before), ("after", after)):
+        if enclosure.is_inside_out:
+            record = _add_warning(record, f"{word}: {enclosure.words}")
     return replace(
         record, inside_out_before=before.is_inside_out, inside_out_after=after.is_inside_out
     )
@@ -366,7 +366,7 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
 
     if obstacle := surface_distance.find_obstacle():
         words = "no Hausdorff distance and no distances to the surfaces"
-        return _warned(record, f"{words}: {obstacle}")
+        return _add_warning(record, f"{words}: {obstacle}")
     to_before, to_after, hausdorff = surface_distance.surface_distances(reference, moved)
     edge = reference.mean_edge_length
     record = replace(
@@ -381,5 +381,5 @@ def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> C
     return record
 
 
-def _warned(record: ComparisonRecord, warning: str) -> ComparisonRecord:
+def _add_warning(record: ComparisonRecord, warning: str) -> ComparisonRecord:
     return replace(record, warnings=(*record.warnings, warning))

@@ -227,7 +227,7 @@ def build_constraints(
     import numpy as np
 
     mesh = ready.mesh
-    held = _find_held(ready, mesh_file, [parse_lock(one) for one in locks]) if locks else None
+    held = _find_held(ready, mesh_file, [parse_lock(text) for text in locks]) if locks else None
     if pinned is not None:
         also = _spread_largest(ready, pinned.astype(np.float64)) > 0.0
         held = also if held is None else held | also
@@ -264,11 +264,11 @@ def _find_held(ready: PreparedMesh, mesh_file: Surface, locks: Sequence[Lock | N
     from msal_cli import codecs
 
     held: Flags = np.zeros(len(ready.mesh.vertices), dtype=np.bool_)
-    for one in locks:
-        if one is None:
+    for lock in locks:
+        if lock is None:
             held |= ready.mesh.topology.boundary
         else:
-            flags = one.select(codecs.vertex_property(mesh_file, one.name))
+            flags = lock.select(codecs.vertex_property(mesh_file, lock.name))
             held |= _spread_largest(ready, flags.astype(np.float64)) > 0.0
     return held
 

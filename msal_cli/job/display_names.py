@@ -48,17 +48,17 @@ def escape_for_display(text: str) -> str:
     text = _INNER_COMMAND.sub(r"\\x23", text)
     if text.isascii() and text.isprintable():
         return text
-    return "".join(_shown_character(one) for one in text)
+    return "".join(_escape_character(character) for character in text)
 
 
-def _shown_character(one: str) -> str:
-    code = ord(one)
+def _escape_character(character: str) -> str:
+    code = ord(character)
     if 0xDC80 <= code <= 0xDCFF:
         return f"\\x{code - 0xDC00:02x}"
-    if unicodedata.category(one) not in _UNSAFE_CATEGORIES:
-        return one
+    if unicodedata.category(character) not in _UNSAFE_CATEGORIES:
+        return character
     if code < 0x100:
-        return {"\n": "\\n", "\r": "\\r", "\t": "\\t"}.get(one, f"\\x{code:02x}")
+        return {"\n": "\\n", "\r": "\\r", "\t": "\\t"}.get(character, f"\\x{code:02x}")
     return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
@@ -66,13 +66,13 @@ def columns(text: str) -> int:
     """The columns that ``text`` takes on a terminal: East Asian wide characters take two."""
     if text.isascii():
         return len(text)
-    return sum(_character_columns(one) for one in text)
+    return sum(_character_columns(character) for character in text)
 
 
-def _character_columns(one: str) -> int:
-    if unicodedata.combining(one):
+def _character_columns(character: str) -> int:
+    if unicodedata.combining(character):
         return 0
-    return 2 if unicodedata.east_asian_width(one) in "WF" else 1
+    return 2 if unicodedata.east_asian_width(character) in "WF" else 1
 
 
 def shorten_name(text: str, width: int) -> str:

@@ -140,8 +140,8 @@ def build_file(
     low = -high if is_signed else 0.0
     comments = [f"msal {__version__}: fields of a denoised mesh"]
     comments += [
-        f"{one}: {KINDS[one].meaning}; {field.min():.6g} to {field.max():.6g}"
-        for one, field in values.items()
+        f"{field_name}: {KINDS[field_name].meaning}; {field.min():.6g} to {field.max():.6g}"
+        for field_name, field in values.items()
     ]
     ends = "blue over pale to brown" if is_signed else "pale to dark"
     comments += [

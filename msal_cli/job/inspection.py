@@ -42,7 +42,7 @@ def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
 
 def to_known_error(error: Exception, name: str) -> MsalError:
     """What a record says of any error; a defect of msal is logged with its traceback."""
-    if machine.is_want_of_memory(error):
+    if machine.is_out_of_memory(error):
         return ResourceError(
             error.message if isinstance(error, MsalError) else "not enough memory",
             code="E_MEMORY",

@@ -397,12 +397,12 @@ class FileRun:
     ) -> Constraints | None:
         """What keeps vertices of this file near their place; None if nothing does."""
         settings = self._settings
-        asked = (settings.max_move, settings.lock, settings.weights)
-        if asked == (None, (), None) and pinned is None:
+        given = (settings.max_move, settings.lock, settings.weights)
+        if given == (None, (), None) and pinned is None:
             return None
         from msal_cli.job.constraints import build_constraints
 
-        constraints = build_constraints(ready, mesh_file, *asked, pinned)
+        constraints = build_constraints(ready, mesh_file, *given, pinned)
         if constraints.held is not None and settings.lock:
             self.know(locked_vertices=int(constraints.held.sum()))
         return constraints

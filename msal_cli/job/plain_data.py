@@ -11,7 +11,7 @@ import typing
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any, Literal
 
-_LONGEST_SHARED = 24
+_MAX_SHARED = 24
 """Characters of the longest text that records share: formats and versions repeat in thousands."""
 
 _PLAIN = frozenset({str, int, float, bool, type(None)})
@@ -39,7 +39,7 @@ class ScreenRepr:
     __slots__ = ()
 
     def __repr__(self) -> str:
-        facts = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}  # type: ignore[arg-type]
+        facts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
         return screen_repr(type(self).__name__, facts)
 
 
@@ -78,7 +78,7 @@ def _field_names(kind: Hashable) -> tuple[str, ...]:
     """Names of a record's fields; none for what is no record."""
     if not dataclasses.is_dataclass(kind):
         return ()
-    return tuple(one.name for one in dataclasses.fields(kind))
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def value_at(record: Any, path: str) -> Any:
@@ -116,7 +116,7 @@ def _field_readers(kind: Hashable) -> tuple[tuple[str, Reader], ...]:
     # Half a millisecond a call, and a manifest of 10,000 files makes 10,000.
     hints = typing.get_type_hints(kind)
     fields = dataclasses.fields(typing.cast("type[Any]", kind))
-    return tuple((one.name, _build_reader(hints[one.name])) for one in fields)
+    return tuple((field.name, _build_reader(hints[field.name])) for field in fields)
 
 
 def _build_reader(hint: Any) -> Reader:
@@ -130,10 +130,10 @@ def _build_reader(hint: Any) -> Reader:
     if origin is Literal:
         return functools.partial(_read_choice, inner)
     if origin in (typing.Union, types.UnionType):
-        read = next(_build_reader(one) for one in inner if one is not types.NoneType)
+        read = next(_build_reader(type_) for type_ in inner if type_ is not types.NoneType)
         return lambda value: None if value is None else read(value)
     if origin is tuple:
-        reads = [_build_reader(one) for one in inner if one is not Ellipsis]
+        reads = [_build_reader(type_) for type_ in inner if type_ is not Ellipsis]
         return functools.partial(_read_list, reads, inner[-1] is Ellipsis)
     if origin in (dict, Mapping):
         return functools.partial(_read_mapping, _build_reader(inner[1]))
@@ -149,7 +149,7 @@ def _read_plain(kind: type[Any], value: Any) -> Any:
             return value
     if type(value) is not kind:
         raise TypeError(f"it is {type(value).__name__}, not {kind.__name__}")
-    return sys.intern(value) if kind is str and len(value) < _LONGEST_SHARED else value
+    return sys.intern(value) if kind is str and len(value) < _MAX_SHARED else value
 
 
 def _read_choice(words: tuple[Any, ...], value: Any) -> Any:
@@ -165,10 +165,10 @@ def _read_list(reads: list[Reader], is_any_length: bool, value: Any) -> Any:
         return tuple(map(reads[0], value))
     if len(value) != len(reads):
         raise TypeError(f"it is no list of {len(reads)}")
-    return tuple(read(one) for read, one in zip(reads, value, strict=True))
+    return tuple(read(item) for read, item in zip(reads, value, strict=True))
 
 
 def _read_mapping(read: Reader, value: Any) -> Any:
     if not isinstance(value, dict):
         raise TypeError(f"it is {type(value).__name__}, not an object")
-    return {sys.intern(str(name)): read(one) for name, one in value.items()}
+    return {sys.intern(str(name)): read(item) for name, item in value.items()}

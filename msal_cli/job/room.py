@@ -45,7 +45,7 @@ _KEPT_SHARE = 0.04
 """Of what a mesh takes in memory, the most that stays there when its arrays are in files."""
 
 # Arrays stay in memory that are smaller than that, and than this part of a mesh.
-_LARGEST_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
+_MAX_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
 
 # What is mapped at once of small meshes and of others.  The system takes pages back when a group
 # of processes has no more, but a limit of the user that is less would not be kept.
@@ -165,7 +165,7 @@ def taken(scratch: Scratch | None) -> Iterator[None]:
         return
     is_over = threading.Event()
     try:
-        smallest = min(_LARGEST_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)
+        smallest = min(_MAX_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)
         with array_files.arrays_in_files(scratch.folder, max(1, smallest)), large_files_allowed():
             if scratch.is_limit:
                 arguments = (scratch.room, is_over)
@@ -350,6 +350,6 @@ def _expected_seconds(n_vertices: int, settings: Settings) -> float:
         return _ADAPTIVE_S + _ADAPTIVE_S_PER_MILLION * millions
     from msal_cli.auto.candidates import CANDIDATES
 
-    costs = [one.cost for one in CANDIDATES if one.method == settings.method]
+    costs = [candidate.cost for candidate in CANDIDATES if candidate.method == settings.method]
     filters_s = (max(costs) if costs else _USUAL_COST) * _FILTER_S_PER_MILLION
     return _METHOD_S + (_METHOD_S_PER_MILLION + filters_s) * millions

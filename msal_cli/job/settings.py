@@ -87,7 +87,7 @@ class Settings:
 
     @property
     def assume(self) -> str | None:
-        """What the choice assumes where noise and texture cannot be told apart, see ``Wishes``."""
+        """What the choice assumes where it is not known what is noise and what texture."""
         return self.parameters.get("assume") if self.method in CHOOSING else None
 
     @property
@@ -462,18 +462,18 @@ def forecast(task: Task, settings: Settings) -> Forecast:
     is_same = to in (None, suffix(task.input).lstrip("."))
     if is_same and settings.encoding == "same" and settings.precision == "same":
         to = None
-    told_of = header.forecast(
+    expected = header.forecast(
         task.input,
         format=settings.format,
         to=to,
         method_bytes_per_face=method_bytes_per_face(settings),
     )
-    if settings.method not in CHOOSING or told_of.memory_bytes is None:
-        return told_of
+    if settings.method not in CHOOSING or expected.memory_bytes is None:
+        return expected
     from msal_cli import auto as selection
 
     choosing = selection.BYTES if settings.method == AUTO else selection.FAMILY_BYTES
-    return dataclasses.replace(told_of, memory_bytes=told_of.memory_bytes + choosing)
+    return dataclasses.replace(expected, memory_bytes=expected.memory_bytes + choosing)
 
 
 def method_bytes_per_face(settings: Settings) -> int:

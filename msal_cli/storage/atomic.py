@@ -20,7 +20,7 @@ from msal_cli.errors import OutputError
 from msal_cli.storage.regular import Buffer
 from msal_cli.storage.urls import is_url
 
-LONGEST_NAME = 140
+MAX_NAME_BYTES = 140
 """Bytes in the name of a temporary file; some encrypting file systems allow only 143."""
 
 Sources = Iterable["str | os.PathLike[str] | int"]
@@ -53,7 +53,7 @@ def write_whole(
     the file is then moved to its name; on any failure, and on an interrupt, it is removed.
 
     A file that is replaced hands down its permission bits, a new one gets what the umask leaves,
-    and in both cases nobody may do with it what they may not do with all of its ``sources``.  A
+    and neither grants more than all of its ``sources`` do.  A
     symbolic link is itself replaced, never the file that it leads to, because that could be an
     input: who wants to write through a link resolves it first.
 
@@ -162,8 +162,8 @@ def make_folders(folder: str | os.PathLike[str]) -> None:
         if path == path.parent:
             break
         path = path.parent
-    for one in reversed(missing):
-        one.mkdir(exist_ok=True)
+    for parent in reversed(missing):
+        parent.mkdir(exist_ok=True)
 
 
 def _not_written(path: str | os.PathLike[str], failure: OSError | ValueError) -> OutputError:
@@ -295,7 +295,7 @@ def _group_of_new_file(folder: Path) -> int | None:
 def temporary_name(name: str) -> str:
     """A name that says whose it is: process, machine, and eight random digits."""
     suffix = f".msal-{os.getpid()}-{machine_tag()}{os.urandom(4).hex()}.tmp"
-    room = LONGEST_NAME - 1 - len(suffix)
+    room = MAX_NAME_BYTES - 1 - len(suffix)
     while len(os.fsencode(name)) > room:
         name = name[:-1]
     return f".{name}{suffix}"

@@ -26,12 +26,12 @@ GZIP_MAGIC = b"\x1f\x8b"
 ALWAYS_EXPANDED = 32 << 20
 """Bytes that a compressed file may always expand to."""
 
-LARGEST_RATIO = 200
+MAX_RATIO = 200
 """Expanded bytes per compressed byte beyond that.  Meshes reach 3 to 30, the most repetitive
 text files about 100; deflate itself ends at 1032, which only a file made to do harm comes near."""
 
 _FIRST_PIECE = 1 << 10
-_LARGEST_PIECE = 1 << 20
+_MAX_PIECE = 1 << 20
 
 
 def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
@@ -78,7 +78,7 @@ def _read_to_end(file: BinaryIO) -> bytes:
         size += len(piece)
         if size > largest_bytes():
             raise too_large(size)
-        room = max(expected + 1 - size, _LARGEST_PIECE)
+        room = max(expected + 1 - size, _MAX_PIECE)
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
@@ -120,7 +120,7 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
     ----------
     data : the file's bytes; returned as they are where they are not compressed.
     name : the file's name.
-    limit : the most bytes to expand to; by default ``ALWAYS_EXPANDED`` or ``LARGEST_RATIO`` times
+    limit : the most bytes to expand to; by default ``ALWAYS_EXPANDED`` or ``MAX_RATIO`` times
         the compressed bytes read so far, whichever is more, and half of the machine's memory.
 
     Raises
@@ -178,7 +178,7 @@ def expand_pieces(
     read : called as ``read(at, n)``: n bytes from ``at`` on, fewer at the end.
     size : bytes of the compressed data.
     largest : the most bytes to expand to.
-    is_watched : it must not be more than ``LARGEST_RATIO`` allows either.
+    is_watched : it must not be more than ``MAX_RATIO`` allows either.
     """
     expanded = 0
     position = 0
@@ -208,7 +208,7 @@ def expand_pieces(
             allowed = largest
             if is_watched:
                 # A bomb is known by its first pieces.
-                allowed = min(largest, max(ALWAYS_EXPANDED, LARGEST_RATIO * (position + len(part))))
+                allowed = min(largest, max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part))))
             try:
                 text = member.decompress(part, max(allowed - expanded, 0) + 1)
             except zlib.error as failure:
@@ -227,13 +227,13 @@ def expand_pieces(
                 )
             yield text
             position += len(part) - len(member.unused_data)
-            piece = min(2 * piece, _LARGEST_PIECE)
+            piece = min(2 * piece, _MAX_PIECE)
 
 
 def _is_zero(read: Callable[[int, int], Buffer], at: int, size: int) -> bool:
     """Whether all bytes from ``at`` on are zero; a piece at a time, since there may be
     gigabytes."""
-    pieces = (read(first, _LARGEST_PIECE) for first in range(at, size, _LARGEST_PIECE))
+    pieces = (read(first, _MAX_PIECE) for first in range(at, size, _MAX_PIECE))
     return not any(bytes(piece).strip(b"\0") for piece in pieces)
 
 
@@ -252,8 +252,8 @@ def compress_pieces(pieces: Iterable[Buffer]) -> Iterator[bytes]:
         view = memoryview(piece).cast("B")
         checksum = zlib.crc32(view, checksum)
         size += len(view)
-        for at in range(0, len(view), _LARGEST_PIECE):
-            yield deflate.compress(view[at : at + _LARGEST_PIECE])
+        for at in range(0, len(view), _MAX_PIECE):
+            yield deflate.compress(view[at : at + _MAX_PIECE])
     yield deflate.flush()
     yield checksum.to_bytes(4, "little") + (size & 0xFFFFFFFF).to_bytes(4, "little")
 

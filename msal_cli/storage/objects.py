@@ -175,7 +175,7 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
         raise OutputError(
             f"the object cannot be written: {size} of {len(data)} bytes arrived",
             path=url,
-            hint="run again; look whether somebody else writes there",
+            hint="run again; check whether another program writes there",
         )
     return there
 
@@ -202,7 +202,7 @@ def mark(url: str) -> Mark | None:
 
     Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
     """
-    with _input_errors(url, "the object cannot be looked at"):
+    with _input_errors(url, "the object cannot be inspected"):
         return _mark(*_open(url))
 
 
@@ -390,7 +390,7 @@ def _explain(failure: BaseException) -> tuple[str, str]:
         return "its file system cannot do that", "name another place"
     if "UnicodeError" in kinds:
         return "its name is not valid Unicode", "rename it"
-    return said, "run again; look whether the store is well"
+    return said, "retry; check the status of the object store"
 
 
 def _one_line(failure: BaseException) -> str:

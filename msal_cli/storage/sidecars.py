@@ -17,13 +17,13 @@ from msal_cli.storage.atomic import make_folders, write_new
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
 
-LARGEST_MATERIAL = 16 << 20
+MAX_MATERIAL_BYTES = 16 << 20
 """Bytes of a material library that is searched for textures; real ones have a few thousand."""
 
-MOST_REFERENCES = 10_000
+MAX_REFERENCES = 10_000
 """Files that one mesh may name."""
 
-MOST_BYTES = 4 << 30
+MAX_BYTES = 4 << 30
 """Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
 
 _PIECE = 8 << 20
@@ -70,14 +70,14 @@ def carry(
     target_folder = Path(output_path).parent
     notes: list[str] = []
     done: set[str] = set()
-    budget = _Budget(MOST_BYTES)
+    budget = _Budget(MAX_BYTES)
     waiting = list(references)
     while waiting:
         reference = waiting.pop(0)
         if reference in done:
             continue
-        if len(done) == MOST_REFERENCES:
-            notes.append(f"warning: only the first {MOST_REFERENCES} references are followed")
+        if len(done) == MAX_REFERENCES:
+            notes.append(f"warning: only the first {MAX_REFERENCES} references are followed")
             break
         done.add(reference)
         notes.append(_carry(reference, source_folder, target_folder, budget))
@@ -157,7 +157,7 @@ def _carry(reference: str, source_folder: Path, target_folder: Path, budget: _Bu
             return ""
         if not budget.take(source.stat().st_size):
             return (
-                f"warning: {reference} is not copied: more than {MOST_BYTES:,} bytes belong to "
+                f"warning: {reference} is not copied: more than {MAX_BYTES:,} bytes belong to "
                 "one mesh"
             )
         if target.exists() and _is_same(source, target):
@@ -227,7 +227,7 @@ def _textures(library: Path) -> list[str]:
     """Files that a material library names, in order; none if it cannot be read."""
     try:
         with open_regular(library) as stream:
-            text = stream.read(LARGEST_MATERIAL)
+            text = stream.read(MAX_MATERIAL_BYTES)
     except OSError:
         return []
     lines = re.sub(rb"\\\r?\n", b" ", text).splitlines()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import re
-from typing import Any
 
 from msal_cli.errors import UsageError
 
@@ -56,17 +55,6 @@ def normalize_url(text: str) -> str:
         path, _, query = path.partition("?")
         _store_secret(f"{protocol}://{place}/{path}", query)
     return f"{protocol}://{place}{slash}{path}"
-
-
-def normalize_options(options: dict[str, Any], *names: str) -> dict[str, Any]:
-    """``options`` with every path or URL under these names, alone or in a tuple, normalized."""
-
-    def of(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return tuple(map(normalize_url, value))
-        return value if value is None else normalize_url(value)
-
-    return options | {name: of(options[name]) for name in names}
 
 
 def redact(text: str) -> str:

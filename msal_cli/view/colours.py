@@ -94,7 +94,7 @@ meant."""
 
 
 def open_coloured_surface(path: str, format: str | None = None) -> Surface:
-    return coloured_surface_of(comparison.opened(path, format), path)
+    return coloured_surface_of(comparison.open_mesh_file(path, format), path)
 
 
 def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:

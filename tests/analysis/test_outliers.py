@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import ground_truth, machined_shapes
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
-from msal_cli.analysis.outliers import MOST, find_outliers
+from msal_cli.analysis.outliers import MAX_SHARE, find_outliers
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, grid, torus
 
@@ -181,7 +181,7 @@ def test_too_many_are_noise():
     mesh, _ = with_outliers(torus_mesh(), 0.0, 0.3)
     found = find_outliers(mesh)
     assert found.are_too_many
-    assert found.share > MOST
+    assert found.share > MAX_SHARE
     assert not found.flags.any()
     assert found.vertices is mesh.vertices
 

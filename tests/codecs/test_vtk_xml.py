@@ -191,7 +191,7 @@ def test_a_file_that_expands_to_far_more_is_refused():
 
 def test_many_pieces_that_share_one_array_are_refused(monkeypatch):
     monkeypatch.setattr(vtk_xml, "ALWAYS_EXPANDED", 1 << 20)
-    monkeypatch.setattr(vtk_xml, "LARGEST_RATIO", 4)
+    monkeypatch.setattr(vtk_xml, "MAX_RATIO", 4)
     writer = Writer("raw")
     points = writer.array("Points", np.zeros((1 << 12, 3)))
     piece = b'<Piece NumberOfPoints="4096"><Points>' + points + b"</Points></Piece>"

@@ -285,7 +285,7 @@ def test_write_new_without_hard_links(tmp_path, monkeypatch):
 def test_the_name_that_writing_uses_is_the_one_that_sweeping_knows():
     for name in ("a.ply", "x" * 255, ""):
         made = writing.temporary_name(name)
-        assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.LONGEST_NAME
+        assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.MAX_NAME_BYTES
         found = temporaries._TEMPORARY.fullmatch(made)
         assert int(found["pid"]) == os.getpid()
         assert found["machine"] == temporaries.machine_tag()

@@ -125,7 +125,7 @@ def test_the_default_limit_is_a_size_that_is_always_allowed_or_a_ratio(monkeypat
     # No better compressed than the ratio: any size.
     noise = random.Random(1).randbytes(300_000)
     assert len(expand(compress(noise), "a.gz")[0]) == 300_000
-    assert streams.LARGEST_RATIO < 1000 < 16 << 20 < ALWAYS_EXPANDED
+    assert streams.MAX_RATIO < 1000 < 16 << 20 < ALWAYS_EXPANDED
 
 
 def test_very_many_members_take_linear_time():

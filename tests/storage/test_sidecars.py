@@ -124,7 +124,7 @@ def test_links_that_lead_round_or_out(scene, tmp_path):
 
 
 def test_endless_lists_are_cut(tmp_path, monkeypatch):
-    monkeypatch.setattr(sidecars, "MOST_REFERENCES", 10)
+    monkeypatch.setattr(sidecars, "MAX_REFERENCES", 10)
     notes = carry([f"{k}.png" for k in range(50)], tmp_path / "m.obj", tmp_path / "o/m.obj")
     assert len(notes) == 11
     assert "first 10" in notes[-1]
@@ -230,7 +230,7 @@ def test_files_of_any_size_are_not_copied(scene, monkeypatch):
     assert "warning: tex/bump.png is not copied: more than 4,294,967,296 bytes" in " ".join(notes)
     assert not (target.parent / "tex/bump.png").exists()
     assert (target.parent / "tex/back.png").exists()
-    monkeypatch.setattr(sidecars, "MOST_BYTES", 150)
+    monkeypatch.setattr(sidecars, "MAX_BYTES", 150)
     (source.parent / "tex/bump.png").write_bytes(bytes(100))
     notes = carry(["tex/bump.png", "tex/back.png"], source, target.parent / "more/mesh.obj")
     assert notes[0] == "copied tex/bump.png" and "is not copied" in notes[1]

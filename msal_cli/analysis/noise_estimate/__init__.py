@@ -69,7 +69,7 @@ def estimate_regions(mesh: Mesh) -> Floats:
 PASSES = 20
 """Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""
 
-SMALLEST_HEIGHT = 0.01
+MIN_HEIGHT = 0.01
 """Mean edge lengths that are added to every height, so that those near zero do not rule."""
 
 
@@ -85,12 +85,10 @@ def local_levels(mesh: Mesh) -> Floats:
     rings = mesh.topology.one_ring
     second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
     heights = np.abs(np.einsum("ij,ij->i", second, mesh.vertex_normals("uniform", 1)))
-    logarithms = np.log(heights / mesh.mean_edge_length + SMALLEST_HEIGHT)
+    logarithms = np.log(heights / mesh.mean_edge_length + MIN_HEIGHT)
     for _ in range(PASSES):
         logarithms = ring_means(logarithms, *rings)
-    levels = np.where(
-        mesh.topology.has_ring, np.maximum(np.exp(logarithms) - SMALLEST_HEIGHT, 0.0), 0.0
-    )
+    levels = np.where(mesh.topology.has_ring, np.maximum(np.exp(logarithms) - MIN_HEIGHT, 0.0), 0.0)
     wanted = estimate_regions(mesh) / mesh.mean_edge_length
     square = float((levels * levels).sum())
     scale = np.sqrt(float((wanted * wanted).sum()) / square) if square > 0.0 else 0.0

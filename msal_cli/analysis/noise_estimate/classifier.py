@@ -64,7 +64,7 @@ which the odds of noise fall."""
 MISSING = -30.0
 """In place of a number that is not known; all others are greater."""
 
-MAX_RINGS, LEAST_SHARED = 4, 0.95
+MAX_RINGS, MIN_SHARED = 4, 0.95
 """Most rings, and the estimated number of them below which neighbours share nothing."""
 
 
@@ -188,7 +188,7 @@ def classify(numbers: Floats, possible: Container[str]) -> Verdict:
     kind = max(by_kind, key=lambda name: by_kind[name])
     index = KIND_NAMES.index(kind)
     shared = float(trained.rings.evaluate(numbers)[0])
-    rings = min(round(shared), MAX_RINGS) if shared > LEAST_SHARED else 0
+    rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
     level = math.exp(measured_level(numbers, kind, rings))
     return Verdict(
         noise=1.0 - float(chances[0]),

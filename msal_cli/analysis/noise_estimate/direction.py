@@ -15,11 +15,11 @@ import numpy as np
 from msal_cli.analysis.noise_estimate.survey import THREE, Survey, chi_square_quantile, quantile
 from msal_cli.arrays import Floats
 
-MOST_GROUPS = 24
+MAX_GROUPS = 24
 """Groups of places with alike normals."""
 
-FEWEST_IN_GROUP = 8
-FEWEST_PLACES = 60
+MIN_IN_GROUP = 8
+MIN_PLACES = 60
 """Places that a direction can be seen from."""
 
 LOW_SHARE = 0.25
@@ -31,7 +31,7 @@ CLOSE = 0.02
 ROUNDS = 8
 """Rounds of the fit in which groups with more texture count for less."""
 
-GRAIN, MOST_ERROR = 0.02, 3.0
+GRAIN, MAX_ERROR = 0.02, 3.0
 """What is added to squared cosines, and the most that the logarithm of a variance counts."""
 
 FACING = 0.1
@@ -51,10 +51,10 @@ that an axis shows at least where it leaves no doubt."""
 PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 0.35, 1.35
 """Gain that texture and noise by region do not bring, and the least movement and contrast then."""
 
-MOST_EXCESS = 1.4
+MAX_EXCESS = 1.4
 """Movement along the axis over the level that noise explains where the contrast is low."""
 
-LEAST_OF_SLIDE = 0.85
+MIN_OF_SLIDE = 0.85
 """Share of that movement that the level has at least, where it is clear."""
 
 LINKED, LINKED_CONTRAST, LINKED_SLIDE = 0.33, 3.0, (0.5, 1.8)
@@ -110,7 +110,7 @@ class AxisEvidence:
         least = SHARED_SLIDE if self.gain > PLAIN_GAIN else CLEAR_SLIDE
         if self.excess < least * self.level:
             return False
-        is_plain = self.gain > PLAIN_GAIN and self.excess < MOST_EXCESS * self.level
+        is_plain = self.gain > PLAIN_GAIN and self.excess < MAX_EXCESS * self.level
         return self.contrast > (PLAIN_CONTRAST if is_plain else CLEAR_CONTRAST)
 
     @property
@@ -124,7 +124,7 @@ class AxisEvidence:
         what the vertices slide, which shape does not add to."""
         if not self.is_clear:
             return self.level
-        return min(max(self.level, LEAST_OF_SLIDE * self.excess), self.excess)
+        return min(max(self.level, MIN_OF_SLIDE * self.excess), self.excess)
 
     @property
     def gain(self) -> float:
@@ -161,7 +161,7 @@ def group_places(survey: Survey) -> Groups | None:
     """The places by their normals; None where too few are alike."""
     fit = THREE
     has = np.isfinite(survey.variances[:, fit]) & (survey.freedoms[:, fit] > 5.0)
-    if has.sum() < FEWEST_PLACES:
+    if has.sum() < MIN_PLACES:
         return None
     variances, normals = survey.variances[has, fit], survey.normals[has]
     scaled = variances / chi_square_quantile(survey.freedoms[has, fit], LOW_SHARE)
@@ -210,7 +210,7 @@ def _group(scaled: Floats, normals: Floats) -> tuple[Floats, Floats, Floats]:
     current = int(np.abs(normals @ np.linalg.eigh(spread)[1][:, 2]).argmax())
     distances = np.full(len(normals), np.inf)
     labels = np.zeros(len(normals), dtype=np.int64)
-    for group in range(MOST_GROUPS):
+    for group in range(MAX_GROUPS):
         apart = 1.0 - (normals @ normals[current]) ** 2
         labels[apart < distances] = group
         np.minimum(distances, apart, out=distances)
@@ -221,7 +221,7 @@ def _group(scaled: Floats, normals: Floats) -> tuple[Floats, Floats, Floats]:
     for group in range(int(labels.max()) + 1):
         among = labels == group
         count = int(among.sum())
-        if count >= FEWEST_IN_GROUP:
+        if count >= MIN_IN_GROUP:
             levels.append(quantile(scaled[among], LOW_SHARE))
             squares.append(normals[among].T @ normals[among] / count)
             counts.append(float(count))
@@ -290,7 +290,7 @@ def _misfit(cosines: Floats, levels: Floats, counts: Floats) -> float:
     if variance <= 0.0:
         return math.inf
     errors = np.abs(np.log((levels / variance + GRAIN) / (cosines + GRAIN)))
-    return float(counts @ np.minimum(errors, MOST_ERROR) / counts.sum())
+    return float(counts @ np.minimum(errors, MAX_ERROR) / counts.sum())
 
 
 def _refine(axis: Floats, groups: Groups) -> tuple[Floats, float]:
@@ -325,7 +325,7 @@ def _slides(survey: Survey, axis: Floats) -> tuple[float, float]:
     along = axis - (normals @ axis)[:, None] * normals
     sines = np.sqrt((along * along).sum(axis=1))
     steep = sines > STEEP
-    if steep.sum() < FEWEST_PLACES // 2:
+    if steep.sum() < MIN_PLACES // 2:
         return 0.0, 0.0
     along = along[steep] / sines[steep][:, None]
     across = np.cross(normals[steep], along)
@@ -340,7 +340,7 @@ def _agreement(survey: Survey, axis: Floats) -> float:
     cosines = survey.normals @ axis
     along = axis - cosines[:, None] * survey.normals
     oblique = (np.abs(cosines) > STEEP) & (np.sqrt((along * along).sum(axis=1)) > STEEP)
-    if oblique.sum() < FEWEST_PLACES // 2:
+    if oblique.sum() < MIN_PLACES // 2:
         return 0.0
     out = (survey.offsets * survey.normals).sum(axis=1) * cosines
     within = (survey.offsets * along).sum(axis=1)

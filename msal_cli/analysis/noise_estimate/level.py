@@ -16,13 +16,13 @@ SURE = 0.025
 SPIKES = 0.07
 """Mean edge lengths, root mean square, from which single spikes are noise to speak of."""
 
-FEWEST_SPIKES = 0.005
+MIN_SPIKES = 0.005
 """Share of the vertices that must be spikes for that."""
 
 UNEVEN = 2.0
 """Ratio of the most to the least noisy region from which noise is not the same everywhere."""
 
-LEAST_UNEVEN = 0.05
+MIN_UNEVEN = 0.05
 """Mean edge lengths that the most noisy region needs for that."""
 
 KINDS = (
@@ -44,7 +44,7 @@ NOISE, TEXTURE = "noise", "texture"
 """What the roughness of a mesh can be: kinds of ``Reading``."""
 
 
-LEAST_PROBABILITY = 0.9
+MIN_PROBABILITY = 0.9
 """Probability of a kind of reading from which it is not in doubt."""
 
 RING_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or more")
@@ -163,10 +163,10 @@ class NoiseLevel:
 
     @property
     def is_unsure(self) -> bool:
-        """Whether it may be noise or texture: neither has ``LEAST_PROBABILITY``."""
+        """Whether it may be noise or texture: neither has ``MIN_PROBABILITY``."""
         return bool(self.readings) and all(
             sum(reading.probability for reading in self.readings if reading.kind == kind)
-            < LEAST_PROBABILITY
+            < MIN_PROBABILITY
             for kind in (NOISE, TEXTURE)
         )
 
@@ -222,12 +222,12 @@ class NoiseLevel:
 def are_spikes(rms: float, tail: float) -> bool:
     """Whether spikes with this root mean square, in mean edge lengths, are noise to speak of; the
     tip of a cone or two corners are not."""
-    return rms >= SPIKES and tail >= FEWEST_SPIKES
+    return rms >= SPIKES and tail >= MIN_SPIKES
 
 
 def are_uneven(lowest: float, highest: float) -> bool:
     """Whether levels of regions, in mean edge lengths, are not those of one noise."""
-    return highest > LEAST_UNEVEN and highest > UNEVEN * lowest
+    return highest > MIN_UNEVEN and highest > UNEVEN * lowest
 
 
 @functools.cache

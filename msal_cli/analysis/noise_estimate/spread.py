@@ -68,11 +68,11 @@ ABOVE = np.array([0.6, 0.6, 0.5, 0.25, 0.08])
 """What variance above the expected counts for, which the surface may have left, in comparison to
 one below, which nothing explains."""
 
-MOST_ABOVE = 0.5
+MAX_ABOVE = 0.5
 """Square of the most that the surface counts for, where it leaves more than all noise does."""
 
 FINE = np.array([0.97, 0.79, 0.40, 0.27, 0.20])
-FINE_WEIGHT, MOST_FINE = 0.1, 0.03
+FINE_WEIGHT, MAX_FINE = 0.1, 0.03
 """The level for white noise, which rests on one-rings too, over that of the fit over two rings, by
 the number of averages; and how much it counts, by error and
 at most.  Measured on noise of 0.2 on 12 shapes."""
@@ -80,7 +80,7 @@ at most.  Measured on noise of 0.2 on 12 shapes."""
 WHITE_FINE = 0.88
 """Ratio of the same above which neighbours share nothing."""
 
-LEAST_RISE = 1.2
+MIN_RISE = 1.2
 """How much more of shared noise a fit over four rings leaves than one over two, at least."""
 
 PER_RING = 0.02
@@ -159,17 +159,17 @@ def find_colour(
     tried = middle[:, None] + steps[None]
     errors = levels[:, :, None] - tried[:, None, :]
     squares = errors * errors
-    above = ABOVE[None, :, None] * np.minimum(squares, MOST_ABOVE)
+    above = ABOVE[None, :, None] * np.minimum(squares, MAX_ABOVE)
     costs = np.where(errors > 0.0, above, squares)
     totals = (weights[None, :, None] * costs).sum(axis=1) / weights.sum()
     misfits = 0.5 * np.sqrt(totals.min(axis=1))
     by_scale = np.sqrt(flats / chi_square_quantile(FREEDOMS[0], FLAT))
     if fine is not None and has[TWO]:
         ratio = max(fine / float(by_scale[TWO]), 0.1)
-        totals += np.minimum(FINE_WEIGHT * np.log(ratio / FINE) ** 2, MOST_FINE)[:, None]
+        totals += np.minimum(FINE_WEIGHT * np.log(ratio / FINE) ** 2, MAX_FINE)[:, None]
         if ratio > WHITE_FINE:
             totals[1:] += 1.0
-    if not (has[TWO] and has[FOUR] and by_scale[FOUR] > LEAST_RISE * by_scale[TWO]):
+    if not (has[TWO] and has[FOUR] and by_scale[FOUR] > MIN_RISE * by_scale[TWO]):
         totals[1:] += 1.0
     best = totals.argmin(axis=1)
     least = 0.5 * np.sqrt(totals[np.arange(len(best)), best])
@@ -212,7 +212,7 @@ def _is_floor(sharpness: Floats, rings: int, level: float) -> bool:
 
 # Levels by region, where the noise is not the same everywhere
 
-MOST_REGIONS, FEWEST_PLACES = 16, 20
+MAX_REGIONS, MIN_PLACES = 16, 20
 """Regions of the survey, and the places that each has on average."""
 
 SHARES = (0.1, 0.3, 0.4, 0.5)
@@ -226,7 +226,7 @@ of the mesh only."""
 LOUD_SHARE = 0.16
 """Variance, over the most of all regions, of those whose noise is looked at."""
 
-UNEVEN, LEAST_LOUD = 2.5, 0.05
+UNEVEN, MIN_LOUD = 2.5, 0.05
 """Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
 
 
@@ -253,7 +253,7 @@ class Differences:
 def find_differences(survey: Survey) -> Differences | None:
     """Variances by region, if they differ by more than chance makes them."""
     has = np.isfinite(survey.variances[:, : TWO + 1]).all(axis=1)
-    count = min(MOST_REGIONS, int(has.sum()) // FEWEST_PLACES)
+    count = min(MAX_REGIONS, int(has.sum()) // MIN_PLACES)
     if count < 2:
         return None
     middles, labels = split_regions(survey.positions, count)
@@ -265,7 +265,7 @@ def find_differences(survey: Survey) -> Differences | None:
     for region in range(len(middles)):
         among = has & (labels == region)
         count = int(among.sum())
-        if count < FEWEST_PLACES // 2:
+        if count < MIN_PLACES // 2:
             continue
         ranks = (np.array(SHARES) * (count - 1)).astype(int)
         few, low, some, half = np.sort(survey.variances[among, TWO])[ranks]
@@ -277,7 +277,7 @@ def find_differences(survey: Survey) -> Differences | None:
     if known.sum() < 2:
         return None
     lowest, highest = math.sqrt(lows[known].min()), math.sqrt(lows[known].max())
-    if highest < LEAST_LOUD or highest < UNEVEN * lowest:
+    if highest < MIN_LOUD or highest < UNEVEN * lowest:
         return None
     middle = float(np.median(lows[known]))
     lows, means = np.where(known, lows, middle), np.where(known, means, middle)
@@ -294,10 +294,10 @@ def weigh_differences(differences: Differences) -> float:
 # Spikes: impulses along the normals, and outliers in any direction
 
 
-FEWEST_OUTLIERS = 0.004
+MIN_OUTLIERS = 0.004
 """Share of the vertices from which they are outliers."""
 
-OUTLYING, TIMES_MOST, MOST = 0.9, 3.5, 0.7
+OUTLYING, TIMES_USUAL, USUAL = 0.9, 3.5, 0.7
 """How far an outlier is off the middle of its ring at least: in mean edge lengths, and compared
 with what this share of the vertices does not exceed."""
 
@@ -305,12 +305,12 @@ with what this share of the vertices does not exceed."""
 def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[float, float]:
     """Share of the vertices that lie far off their neighbours, and the median of their ways within
     the surface, mean edges; 0 and 0 for too few."""
-    fewest = FEWEST_OUTLIERS * len(white.places)
+    fewest = MIN_OUTLIERS * len(white.places)
     far = white.places[white.far]
     if len(far) <= fewest:
         return 0.0, 0.0
     lengths = np.sqrt((survey.offsets * survey.offsets).sum(axis=1))
-    least = max(OUTLYING, TIMES_MOST * quantile(lengths, MOST))
+    least = max(OUTLYING, TIMES_USUAL * quantile(lengths, USUAL))
     offsets = _ring_offsets(mesh, far) / white.edge
     squares = (offsets * offsets).sum(axis=1)
     is_out = squares > least * least

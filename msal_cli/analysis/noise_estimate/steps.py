@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 
-LEAST_STEP = 0.05
+MIN_STEP = 0.05
 """Mean edge lengths: shorter steps are those of the file's digits, and no noise to speak of."""
 
 SAME = 2e-3
@@ -36,12 +36,12 @@ FIRST_SHARE = 0.02
 ON_STEP, MOSTLY = 0.02, 0.97
 """Distance from a multiple, in steps, that counts as one, and the share that has to."""
 
-FEWEST_DIFFERENCES = 100
+MIN_DIFFERENCES = 100
 
 OBLIQUE = (0.05, 0.95)
 """Squared cosines to an axis between which a place is oblique to it: terraces lie there."""
 
-FEWEST_OBLIQUE = 0.08
+MIN_OBLIQUE = 0.08
 """Share of the places that have to be, for others to be left out."""
 
 
@@ -51,7 +51,7 @@ PARALLEL = 1e-6
 AT_ONCE = 32
 """Directions that are compared with all at a time: more would take memory."""
 
-MOST_CANDIDATES, MOST_DIRECTIONS, LEAST_PARALLEL = 512, 13, 0.01
+MAX_CANDIDATES, MAX_DIRECTIONS, MIN_PARALLEL = 512, 13, 0.01
 """Edges whose direction may be an axis of a turned grid; of how many directions pairs are tried,
 which marching cubes have along axes and diagonals; and the share of all edges with such a one."""
 
@@ -146,7 +146,7 @@ def _find_step_axis(differences: Floats) -> Floats | None:
     in steps; None where there is none."""
     lengths = np.sqrt((differences * differences).sum(axis=1))
     some = differences[lengths > SAME] / lengths[lengths > SAME, None]
-    if len(some) < FEWEST_DIFFERENCES:
+    if len(some) < MIN_DIFFERENCES:
         return None
     first = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64)]
     # Next to one another in a ring.
@@ -191,7 +191,7 @@ def _roughness(
     variances = survey.variances[:, fit]
     has = np.isfinite(variances) & (squares > OBLIQUE[0])
     oblique = has & (squares < OBLIQUE[1])
-    if oblique.mean() > FEWEST_OBLIQUE:
+    if oblique.mean() > MIN_OBLIQUE:
         has = oblique
     if not has.any():
         return 0.0
@@ -219,7 +219,7 @@ def _find_frames(differences: Floats) -> Iterator[Floats]:
 
 def _main_directions(directions: Floats) -> Floats:
     """Those (m, 3) of the directions (d, 3) that many have, the most frequent first."""
-    some = directions[:: max(-(-len(directions) // MOST_CANDIDATES), 1)]
+    some = directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)]
     shares = np.empty(len(some))
     for start in range(0, len(some), AT_ONCE):
         block = slice(start, start + AT_ONCE)
@@ -227,7 +227,7 @@ def _main_directions(directions: Floats) -> Floats:
         shares[block] = (cosines > 1.0 - PARALLEL).mean(axis=1)
     main: list[Floats] = []
     for candidate in np.argsort(-shares, kind="stable"):
-        if shares[candidate] < LEAST_PARALLEL or len(main) == MOST_DIRECTIONS:
+        if shares[candidate] < MIN_PARALLEL or len(main) == MAX_DIRECTIONS:
             break
         if not main or (np.abs(np.array(main) @ some[candidate]) < 1.0 - SAME).all():
             main.append(some[candidate])
@@ -249,7 +249,7 @@ def _edge_vectors(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
 def _step(differences: Floats) -> float:
     """The step of which differences without sign (d,) are multiples; 0 for none."""
     some = differences[differences > SAME]
-    if len(some) < FEWEST_DIFFERENCES:
+    if len(some) < MIN_DIFFERENCES:
         return 0.0
     rank = int(FIRST_SHARE * len(some))
     step = float(np.partition(some, rank)[rank])
@@ -260,4 +260,4 @@ def _step(differences: Floats) -> float:
             return 0.0
         step = float((multiples * some)[near].sum() / (multiples * multiples)[near].sum())
     is_on = np.abs(some / step - np.round(some / step)) < ON_STEP
-    return step if step > LEAST_STEP and is_on.mean() > MOSTLY else 0.0
+    return step if step > MIN_STEP and is_on.mean() > MOSTLY else 0.0

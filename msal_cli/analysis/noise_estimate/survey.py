@@ -52,8 +52,8 @@ def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
     return ratios
 
 
-MOST_PLACES = 640
-"""Longs of the survey: more would hardly tell more, and take 15 microseconds each."""
+MAX_PLACES = 640
+"""Places of the survey: more would add little, and take 15 microseconds each."""
 
 ONE, TWO, THREE, FOUR, SIX = range(5)
 """The fits, by the rings that they are over."""
@@ -99,7 +99,7 @@ def take_survey(mesh: Mesh, places: Longs) -> Survey:
     """Look at some of the places (c,), evenly."""
     from msal_cli.kernels.patch_fits import fit_scales
 
-    at = np.arange(0, len(places), max(-(-len(places) // MOST_PLACES), 1))
+    at = np.arange(0, len(places), max(-(-len(places) // MAX_PLACES), 1))
     chosen = np.ascontiguousarray(places[at])
     links = mesh.topology
     rests, rows, ranks, frames, offsets = fit_scales(
@@ -128,7 +128,7 @@ def take_survey(mesh: Mesh, places: Longs) -> Survey:
 # Regions of a mesh, each as far from the others as can be
 
 VERTICES_PER_REGION = 800
-MOST_REGIONS = 16
+MAX_REGIONS = 16
 
 BLOCK_VERTICES = 1 << 14
 """Vertices whose distances to all regions are in memory at a time."""
@@ -136,7 +136,7 @@ BLOCK_VERTICES = 1 << 14
 
 def count_regions(n_vertices: int) -> int:
     """Into how many regions a mesh is split."""
-    return min(max(n_vertices // VERTICES_PER_REGION, 1), MOST_REGIONS)
+    return min(max(n_vertices // VERTICES_PER_REGION, 1), MAX_REGIONS)
 
 
 def split_regions(vertices: Floats, count: int) -> tuple[Longs, Longs]:

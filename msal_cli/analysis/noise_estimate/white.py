@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 
-FEWEST_PATCHES, MOST_PATCHES = 1536, 4096
+MIN_PATCHES, MAX_PATCHES = 1536, 4096
 VERTICES_PER_PATCH = 12
 """Around one of so many vertices polynomials are fitted, within these bounds: patches of twenty
-then cover each vertex once or twice, and more of them would hardly tell more.  A fit takes
+then cover each vertex once or twice, and more of them would add little.  A fit takes
 microseconds."""
 
 FLATTEST = 0.2
@@ -47,7 +47,7 @@ TEXTURE = 0.5
 """Texture in what the best fit leaves over, as variance, for each unit that the next coarser fit
 leaves more; measured on clean scans, see docs/noise.md."""
 
-MOST_TEXTURE = 0.75
+MAX_TEXTURE = 0.75
 """Share of the variance that is taken for texture, at most."""
 
 TEXTURE_BOUND = 2.0
@@ -62,7 +62,7 @@ TOO_LITTLE = 0.05
 FAR_OUT = 0.01
 """Share of the vertices that Gaussian noise puts as far out as counts for the tail."""
 
-LEAST_TAIL = 0.008
+MIN_TAIL = 0.008
 """Excess of the tail over that from which noise is impulsive."""
 
 FAR_OUT_EXCESS = 0.08
@@ -78,7 +78,7 @@ may be texture."""
 SPREAD = 0.1
 """What the upper end allows for spikes that are not detected."""
 
-FEWEST_PLACES = 48
+MIN_PLACES = 48
 """Places that a region needs."""
 
 
@@ -143,7 +143,7 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
     edge = mesh.mean_edge_length
     tail, far = _tail(fits)
     n_judged = max(int((fits.ratios >= 0.0).sum()), 1)
-    is_impulsive = tail > FAR_OUT + max(LEAST_TAIL, 4.0 * math.sqrt(FAR_OUT / n_judged))
+    is_impulsive = tail > FAR_OUT + max(MIN_TAIL, 4.0 * math.sqrt(FAR_OUT / n_judged))
 
     near = math.inf if is_impulsive else fits.level(PLANE, FLATTEST)
     nearer = math.inf if is_impulsive else fits.level(NEAR, 0.5)
@@ -196,7 +196,7 @@ def _places(mesh: Mesh) -> Longs:
     # Nearly always all have, and no array of their numbers is needed.
     used = None if has_ring.all() else np.flatnonzero(has_ring)
     n_used = len(has_ring) if used is None else len(used)
-    wanted = min(max(n_used // VERTICES_PER_PATCH, FEWEST_PATCHES), MOST_PATCHES)
+    wanted = min(max(n_used // VERTICES_PER_PATCH, MIN_PATCHES), MAX_PATCHES)
     if n_used <= wanted:
         return np.arange(n_used) if used is None else used
     count = np.arange(wanted)
@@ -214,7 +214,7 @@ def _fits(mesh: Mesh, places: Longs) -> Fits:
 
 
 def _least(plane: float, near: float, far: float, cubic: float) -> float:
-    """The least of what the fits tell; 0 where none tells anything."""
+    """The least level of the fits; 0 where there is none."""
     least = min(far, cubic, plane * MARGIN, near * MARGIN)
     return least if least < math.inf else 0.0
 
@@ -226,7 +226,7 @@ def _excess_spread(coarse: float, best: float) -> float:
 
 def _without_texture(best: float, coarse: float) -> float:
     """A level less the texture that is in it."""
-    texture = min(TEXTURE * _excess_spread(coarse, best), MOST_TEXTURE * best * best)
+    texture = min(TEXTURE * _excess_spread(coarse, best), MAX_TEXTURE * best * best)
     return math.sqrt(best * best - texture)
 
 
@@ -256,6 +256,6 @@ def _levels(fits: Fits, labels: Longs, n_regions: int, level: float, is_impulsiv
     if everywhere > 0.0:
         for region in range(n_regions):
             among = labels == region
-            if among.sum() >= FEWEST_PLACES:
+            if among.sum() >= MIN_PLACES:
                 levels[region] = level * compared(among) / everywhere
     return levels
