@@ -43,13 +43,8 @@ def usual_decimals(used: Bytes) -> int:
 
     A few numbers that some program wrote with all 17 digits say nothing about the others.
     """
-    return usual_of_counts(np.bincount(used, minlength=256)) if len(used) else 0
-
-
-def usual_of_counts(counts: Longs) -> int:
-    """The same from how often each number of decimals occurs, ``counts`` (256,)."""
-    n = int(counts.sum())
-    return int(np.argmax((n - np.cumsum(counts)) * 100 <= n))
+    n_above = len(used) - np.cumsum(np.bincount(used, minlength=1))
+    return int(np.argmax(n_above * 100 <= len(used)))
 
 
 def extent_decimals(vertices: Floats) -> int | None:
@@ -70,14 +65,7 @@ def uniform_decimals(
 
     ``used`` are the decimals that the file's numbers have, ``values`` (n, 3) the numbers.
     """
-    usual = usual_decimals(used)
-    return decimals_for(usual, values, unit_length=unit_length, significant=significant)
-
-
-def decimals_for(usual: int, values: Floats, *, unit_length: bool, significant: int) -> int:
-    """``uniform_decimals`` where ``usual`` decimals are known; of ``values`` only the extremes
-    count."""
-    usual = min(usual, SHORTEST - 1)
+    usual = min(usual_decimals(used), SHORTEST - 1)
     needed: int | None = NORMAL_DECIMALS
     largest = 1.0
     if not unit_length:
@@ -178,7 +166,7 @@ class TextSlots(UnitSlots):
 
     @functools.cached_property
     def decimals(self) -> int:
-        """Decimals of new numbers, or ``SHORTEST``; see ``decimals.uniform_decimals``."""
+        """Decimals of new numbers, or ``SHORTEST``; see ``uniform_decimals``."""
         return uniform_decimals(
             self.used_decimals(),
             self.values,
