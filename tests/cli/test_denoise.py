@@ -333,7 +333,7 @@ def test_a_report_that_cannot_be_written_is_fatal_but_json_is_printed(scan, tmp_
 
 def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
     """A small mesh takes a tenth of a second, most of it imports."""
-    unwanted = ("view", "report.gates", "report.html", "job.constraints", "job.fields")
+    unwanted = ("view", "report.gates", "report.html", "job.fields")
     code = (
         "import sys; from msal_cli.cli.main import program\n"
         "try: program.main(sys.argv[1:])\n"
