@@ -248,9 +248,7 @@ def not_installed() -> UsageError:
 def denoise_in_child(version: str, payload: bytes) -> bytes:
     """Do some files in a child process of this Dask worker; pickled messages about their ends.
 
-    Raises
-    ------
-    ResourceError : this worker has another version of msal.
+    Raises ResourceError if this worker has another version of msal.
     """
     from distributed import get_worker
 

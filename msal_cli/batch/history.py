@@ -154,11 +154,11 @@ def _history(views: Sequence[LogView], place: str) -> RunHistory:
 
 def _parse_runs(view: LogView) -> list[RunEntry]:
     runs: list[RunEntry] = []
-    for one in view.run_lines:
+    for run_line in view.run_lines:
         try:
-            data = json.loads(one.line)
+            data = json.loads(run_line.line)
             if data["kind"] == "run":
-                runs.append(_parse_start(data, one.last_at))
+                runs.append(_parse_start(data, run_line.last_at))
             elif runs:
                 runs[-1] = replace(
                     runs[-1],
@@ -195,7 +195,7 @@ def _row(entry: ManifestEntry, place: str) -> FileRow:
     data = entry.data()
     record = entry.record() if entry.is_done else None
     paths = data.get("paths")
-    if isinstance(paths, list) and len(paths) == 2 and all(isinstance(one, str) for one in paths):
+    if isinstance(paths, list) and len(paths) == 2 and all(isinstance(path, str) for path in paths):
         source, target = paths
     else:
         # Manifests of older versions have no paths.

@@ -151,6 +151,7 @@ class _FreshnessCheck:
             if not is_current or not (task.in_place or self._is_same_input(task, entry)):
                 return None
             record = entry.record() or MeshRecord(input=task.input, status="up-to-date")
+            method = record.method
             return replace(
                 record,
                 input=task.input,
@@ -159,7 +160,8 @@ class _FreshnessCheck:
                 # The same text as in the entry, and not a copy.
                 input_sha256=entry.input_sha256 or record.input_sha256,
                 output_sha256=entry.output_sha256 or record.output_sha256,
-                method=self._shared(record.method),
+                # The first of equal methods: thousands of copies would need much memory.
+                method=method and self._methods.setdefault(repr(method), method),
             )
         if self.plan.retry_failed or entry.status != "failed":
             return None
@@ -169,10 +171,6 @@ class _FreshnessCheck:
         if not self._is_same_input(task, entry):
             return None
         return replace(failed, input=task.input, output=None, remembered=True)
-
-    def _shared(self, method: MethodUsed | None) -> MethodUsed | None:
-        """The first of equal ones: thousands of copies would need much memory."""
-        return None if method is None else self._methods.setdefault(repr(method), method)
 
     def _is_same_input(self, task: Task, entry: ManifestEntry) -> bool:
         if suffix(task.input) == ".gltf":
@@ -208,8 +206,14 @@ class _FreshnessCheck:
         was_interrupted = entry is not None and not entry.is_done
         now = FileStat.of(task.input)
         if not task.backup:
-            is_changed = was_interrupted and not self.plan.fresh and now != original
-            return FileState(index, record=_maybe_done(task) if is_changed else None)
+            if not was_interrupted or self.plan.fresh or now == original:
+                return FileState(index)
+            failure = Failure(
+                "E_CHANGED",
+                "the file changed since a run in place was interrupted; it may be denoised already",
+                hint="look at it, and give --fresh to denoise it as it is now",
+            )
+            return FileState(index, MeshRecord(input=task.input, status="failed", error=failure))
         backup = str(backup_path(task))
         if not os.path.lexists(backup):
             return FileState(index)
@@ -254,10 +258,7 @@ def roll_back(task: Task, before: FileStat | None) -> str:
     ``before`` the work began may be denoised already: the reason why it must not be tried again is
     returned, and otherwise an empty string.
 
-    Raises
-    ------
-    OutputError
-        if the original cannot be put back.
+    Raises OutputError if the original cannot be put back.
     """
     if not task.in_place:
         return ""
@@ -270,15 +271,3 @@ def roll_back(task: Task, before: FileStat | None) -> str:
     if FileStat.of(task.input) == before:
         return ""
     return "the file changed before its worker was lost, and may be denoised already"
-
-
-def _maybe_done(task: Task) -> MeshRecord:
-    return MeshRecord(
-        input=task.input,
-        status="failed",
-        error=Failure(
-            "E_CHANGED",
-            "the file changed since a run in place was interrupted; it may be denoised already",
-            hint="look at it, and give --fresh to denoise it as it is now",
-        ),
-    )

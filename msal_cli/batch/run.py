@@ -320,7 +320,9 @@ class _BatchRun:
             jobs=self.jobs or self._cores,
             cores=self._cores,
             folders=tuple(_local(self.plan.folders())),
-            on_death=self._sweep_after,
+            on_death=lambda pid, index: temporary_files.sweep_after(
+                pid, output_folders([tasks[index]])
+            ),
             on_loss=self._roll_back,
             limits=self.limits,
             retries=self.retries,
@@ -431,9 +433,6 @@ class _BatchRun:
             return roll_back(self.plan.tasks[index], self._stats.get(index))
         except OutputError as error:
             return error.message
-
-    def _sweep_after(self, pid: int, index: int) -> None:
-        temporary_files.sweep_after(pid, output_folders([self.plan.tasks[index]]))
 
 
 def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:

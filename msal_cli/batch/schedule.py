@@ -171,7 +171,7 @@ class Work:
     jobs: int = 1
     cores: int = 1
     folders: tuple[str, ...] = ()
-    on_death: Callable[[int, int], None] = lambda pid, index: None
+    on_death: Callable[[int, int], object] = lambda pid, index: None
     on_loss: Callable[[int], str] = lambda index: ""
     limits: Limits = NO_LIMITS
     retries: int = 1

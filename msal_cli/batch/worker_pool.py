@@ -510,10 +510,7 @@ Inbox = queue.SimpleQueue[tuple[WorkerProcess | None, tuple[Any, ...]]]
 def start_worker(assignment: Assignment, cores: int, inbox: Inbox) -> WorkerProcess:
     """A new worker that computes with ``cores`` threads and sends its messages to ``inbox``.
 
-    Raises
-    ------
-    ResourceError
-        if the system cannot start a process.
+    Raises ResourceError if the system cannot start a process.
     """
     environment = dict(os.environ)
     # What the user has set stays.
