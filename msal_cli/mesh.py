@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity
 
 
-MOST_FACES = (2**31 - 1) // 6
+MAX_FACES = (2**31 - 1) // 6
 """Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""
 
 _LANES = 64
@@ -246,7 +246,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     ContentError
         with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``.
     TooLargeError
-        for more than ``MOST_FACES`` triangles.
+        for more than ``MAX_FACES`` triangles.
     """
     from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip
     from msal_cli.kernels.parallel import at_once, is_worth_it
@@ -391,9 +391,9 @@ def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple
         raise ContentError(f"faces have shape {faces.shape}, not (m, 3)")
     if not len(faces):
         raise no_faces_error()
-    if len(faces) > MOST_FACES:
+    if len(faces) > MAX_FACES:
         raise TooLargeError(
-            f"the mesh has {len(faces):,} triangles, more than the {MOST_FACES:,} that fit",
+            f"the mesh has {len(faces):,} triangles, more than the {MAX_FACES:,} that fit",
             hint="cut it into parts",
         )
     if faces.dtype.kind not in "iu":

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.errors import ContentError, TooLargeError
-from msal_cli.mesh import MOST_FACES, prepare_mesh
+from msal_cli.mesh import MAX_FACES, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 
@@ -144,7 +144,7 @@ def test_far_from_the_origin_nothing_is_lost():
 
 def test_more_faces_than_can_be_counted_are_refused():
     # One row of zeros, repeated without taking memory.
-    faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MOST_FACES + 1, 3))
+    faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MAX_FACES + 1, 3))
     with pytest.raises(TooLargeError, match="357,913,942 triangles"):
         prepare_mesh(np.zeros((3, 3)), faces)
 

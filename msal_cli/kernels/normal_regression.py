@@ -34,7 +34,7 @@ from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
 from msal_cli.kernels.vectors import ONE, THREE, TWO
 
-MOST_NEAR = 63
+MAX_NEAR = 63
 """Faces near one at most, beside itself."""
 
 EARLIER = 4
@@ -163,7 +163,7 @@ class Neighbourhoods:
 def find_neighbourhoods(centroids: Floats, ring_start: Ints, ring: Ints) -> Neighbourhoods:
     """The neighbourhoods of faces with ``centroids`` (m, 3); rows as ``face_rings`` has them."""
     reach = WIDE * _find_units(centroids, ring_start, ring)
-    near_start, near = faces_within(centroids, ring_start, ring, reach, MOST_NEAR)
+    near_start, near = faces_within(centroids, ring_start, ring, reach, MAX_NEAR)
     return Neighbourhoods(ring_start, ring, near_start, near)
 
 

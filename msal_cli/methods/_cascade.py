@@ -42,7 +42,7 @@ FORMAT = 1
 AROUND = 6
 """Passes by which powers are averaged around a vertex."""
 
-LEAST_WHITE, MOST_WHITE = 0.65, 2.0
+MIN_WHITE, MAX_WHITE = 0.65, 2.0
 """Bounds of the lower quartile and of the mean of the powers of the finest ripples, over that of
 white noise: where neighbours share the noise it has less, and where it is stronger than it is said
 to be, more; then nothing tells it from shape."""
@@ -124,7 +124,7 @@ def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
     ripples = np.where(count > 0, ring_means(taken, *links.one_ring) - taken, 0.0)
     power = average(ripples * ripples * (count / (count + 1.0)))
     mean = float(power.mean())
-    if mean > MOST_WHITE or np.quantile(power, 0.25) < LEAST_WHITE:
+    if mean > MAX_WHITE or np.quantile(power, 0.25) < MIN_WHITE:
         return positions
     level = np.sqrt(np.maximum(UNEVEN * power / max(mean, 1.0) ** 2, 1.0))
     back = restoration(taken / level, links.ring_start, links.ring, 1.0, CAUTION).returned

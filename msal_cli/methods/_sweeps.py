@@ -59,7 +59,7 @@ class NormalParameters:
 WIENER_BYTES_PER_FACE = 60
 """Memory of the Wiener schedule beyond that of the others; see ``Method.bytes_per_face``."""
 
-MOST_NOISE_MULTISCALE = 0.15
+MAX_NOISE_MULTISCALE = 0.15
 """Mean edge lengths: with stronger noise the multiscale schedules leave much of it.  At 0.2 ten
 passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
 
@@ -78,7 +78,7 @@ class ScheduleTraits:
     def most_noise_edges(self) -> float:
         """See ``Method.most_noise_edges``."""
         is_multiscale = self.schedule in ("multiscale", "robust")
-        return MOST_NOISE_MULTISCALE if is_multiscale else math.inf
+        return MAX_NOISE_MULTISCALE if is_multiscale else math.inf
 
     @property
     def uses_largest_sigma(self) -> bool:

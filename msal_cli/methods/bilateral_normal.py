@@ -58,7 +58,7 @@ from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
 TOLERANCE = 1e-4
 """Residual of the global solution over lambda; normals are then right to 2e-5 on the mean."""
 
-MOST_ITERATIONS = 5000
+MAX_ITERATIONS = 5000
 """Of the conjugate gradients: 100 at the default lambda, 1000 at the least that is allowed."""
 
 BYTES_PER_FACE = 265
@@ -118,7 +118,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
         normals,
         tolerance=TOLERANCE * fidelity,
         unit=1.0,
-        most_iterations=MOST_ITERATIONS,
+        most_iterations=MAX_ITERATIONS,
         on_iteration=lambda done, residual: passes.on_step(),
     ).values
     passes.count_pass()

@@ -53,7 +53,7 @@ KEPT_PER_FACE = 30
 """Memory per triangle that goes on top of the largest member's: the sum so far, and what a run
 leaves scattered behind."""
 
-MOST_MEMBERS = 16
+MAX_MEMBERS = 16
 """More members are an error."""
 
 STEPS = 100
@@ -134,8 +134,8 @@ def parse_members(text: str, n_levels: int = 0) -> tuple[Member, ...]:
         method = methods.find(name)
         weights = _parse_weights(words, max(n_levels, 1))
         found.append(Member(weights, method, _parse_parameters(method, inside or "")))
-        if len(found) > MOST_MEMBERS:
-            raise UsageError(f"there are more than {MOST_MEMBERS} members", hint=_EXAMPLE)
+        if len(found) > MAX_MEMBERS:
+            raise UsageError(f"there are more than {MAX_MEMBERS} members", hint=_EXAMPLE)
     if not found:
         raise UsageError("there are no members", hint=_EXAMPLE)
     total = max(sum(column) for column in zip(*(one.weights for one in found), strict=True))

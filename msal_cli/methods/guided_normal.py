@@ -59,7 +59,7 @@ from msal_cli.methods._sliding import (
 )
 from msal_cli.methods._sweeps import free_vertices
 
-MOST_NEAR = 64
+MAX_NEAR = 64
 """Faces near one at most; ten are usual."""
 
 BYTES_PER_FACE = 385
@@ -131,7 +131,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     edge_length = mesh.mean_edge_length
     centroids = face_centroids(mesh.vertices, faces)
     radius = parameters.radius * mean_centroid_distance(centroids, *edges)
-    near = faces_within(centroids, around.ring_start, around.ring, radius, MOST_NEAR)
+    near = faces_within(centroids, around.ring_start, around.ring, radius, MAX_NEAR)
     free = free_vertices(mesh, parameters.boundary)
     timer.start_sweeps()
 

@@ -52,7 +52,7 @@ LAST_BETA = 1e3
 TOLERANCE = 1e-5
 """Accuracy of solutions, in mean edge lengths; 1e-8 gives the same figures at thrice the cost."""
 
-MOST_ITERATIONS = 100
+MAX_ITERATIONS = 100
 """Of the conjugate gradients in one step; noise of 0.3 mean edge lengths takes up to 84."""
 
 BYTES_PER_FACE = 455
@@ -123,7 +123,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             positions,
             tolerance=TOLERANCE,
             unit=edge_length,
-            most_iterations=MOST_ITERATIONS,
+            most_iterations=MAX_ITERATIONS,
             held=fixed,
             on_iteration=lambda *_: on_step(),  # noqa: B023
         ).values

@@ -59,7 +59,7 @@ from msal_cli.methods._sweeps import noise_parameter
 BYTES_PER_FACE = 1150
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
-LEAST_KNOWN = 0.03
+MIN_KNOWN = 0.03
 """Level, mean edge lengths, below which noise of an unknown kind is not taken for so little."""
 
 STAGE_PASSES = 10
@@ -142,5 +142,5 @@ def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool]:
         return given, True
     level = estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length)
     kind = level.character.kind
-    is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < LEAST_KNOWN)
+    is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < MIN_KNOWN)
     return None if is_open else level.mean_edges, kind == "white"

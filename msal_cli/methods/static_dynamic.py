@@ -67,10 +67,10 @@ from msal_cli.methods._sweeps import free_vertices
 
 OnStep = Callable[[], object]
 
-MOST_NEAR = 256
+MAX_NEAR = 256
 """Faces near one at most; fifty are usual."""
 
-MOST_STEPS = 100
+MAX_STEPS = 100
 """Towards the minimum of the energy."""
 
 BYTES_PER_FACE = 1450
@@ -160,7 +160,7 @@ def _filtered_normals(
     unit = mean_centroid_distance(centroids, around.edge_start, around.edge_ring)
     # Without neighbours there is no unit, and nothing that it would measure.
     eta = parameters.closeness * (unit or mesh.mean_edge_length)
-    near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MOST_NEAR)
+    near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MAX_NEAR)
     weights, share = pair_weights(
         around.guides(normals, areas), centroids, areas, *near, eta, parameters.guidance
     )
@@ -173,7 +173,7 @@ def _filtered_normals(
         nu=parameters.similarity,
         # The change of a unit vector that turns by the angle.
         tolerance=2.0 * math.sin(math.radians(parameters.tolerance_deg) / 2.0),
-        most_steps=MOST_STEPS,
+        most_steps=MAX_STEPS,
         on_step=on_step,
     )
 

@@ -20,7 +20,7 @@ from msal_cli.mesh import prepare_mesh
 from msal_cli.methods._triangles import even_out
 from msal_cli.methods.blend import (
     KEPT_PER_FACE,
-    MOST_MEMBERS,
+    MAX_MEMBERS,
     format_levels,
     format_members,
     parse_levels,
@@ -122,7 +122,7 @@ def test_symbols_are_taken_as_by_set():
         ("0.5*al(iterations=)", "'iterations=' of member al is not NAME=VALUE"),
         ("0.5*al(iterations=3,)", "'' of member al is not NAME=VALUE"),
         ("0.5*al(iterations=3,iterations=4)", "two different values of iterations"),
-        ("+".join(["0.01*al"] * (MOST_MEMBERS + 1)), "more than 16 members"),
+        ("+".join(["0.01*al"] * (MAX_MEMBERS + 1)), "more than 16 members"),
     ],
 )
 def test_what_means_nothing_is_refused(text, what):
@@ -153,7 +153,7 @@ def test_any_text_is_read_or_refused(text):
             st.floats(0.0, 0.9),
         ),
         min_size=1,
-        max_size=MOST_MEMBERS,
+        max_size=MAX_MEMBERS,
     )
 )
 def test_what_is_written_is_read_again(members):

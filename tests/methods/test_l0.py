@@ -87,7 +87,7 @@ def twin(mesh, iterations, sparsity, regularity, free):
 )
 def test_it_agrees_with_the_literal_twin(monkeypatch, shape, boundary, given):
     monkeypatch.setattr(l0, "TOLERANCE", 1e-14)
-    monkeypatch.setattr(l0, "MOST_ITERATIONS", 5000)
+    monkeypatch.setattr(l0, "MAX_ITERATIONS", 5000)
     vertices, faces = torus(12, 8) if shape == "torus" else grid(9, 8)
     mesh = prepare_mesh(noisy(vertices, 3, 0.12), faces).mesh
     free = ~mesh.topology.boundary if boundary == "fixed" else np.ones(len(vertices), dtype=bool)
