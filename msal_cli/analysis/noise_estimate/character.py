@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 MIN_VERTICES = 64
 """Vertices below which nothing is said: two rings are most of the mesh."""
 
-NAMED, SURE_SHARED = 0.5, 0.6
+NAMED, SURE_SHARED = 0.5, 0.72
 """Share of the probability of noise that its most probable kind needs to be named; and probability
 of noise that neighbours share, which removes most of a relief where there is none."""
 
