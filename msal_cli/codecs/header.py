@@ -337,9 +337,9 @@ def _hole(file: BinaryIO, size: int) -> int:
         raise
 
 
-BASE_BYTES = 50_000_000
+BASE_BYTES = 52_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
-libraries and the compiled kernels (36 to 46 MB measured)."""
+libraries and the compiled kernels (36 to 48 MB measured)."""
 
 # Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
 # peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
