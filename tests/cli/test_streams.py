@@ -159,7 +159,7 @@ def test_a_worker_that_takes_too_long_is_ended(tmp_path, scratch):
 
 
 def test_a_mesh_that_takes_too_much_is_refused(tmp_path, scratch):
-    made = msal_on(SCAN * 60, "denoise", "-", "--memory-limit", "51M")
+    made = msal_on(SCAN * 60, "denoise", "-", "--memory-limit", "53M")
     assert made.exit_code == 1
     assert made.stdout == ""
     assert "(E_MEMORY)" in made.stderr

@@ -475,9 +475,9 @@ class TestLimits:
         self, path, monkeypatch
     ):
         monkeypatch.setattr(header, "read_whole", None)
-        record = self.done(path, memory_bytes=50_000_000)
+        record = self.done(path, memory_bytes=52_000_000)
         assert record.error.code == "E_MEMORY" and record.error.where == "forecast"
-        assert "50 MB" in record.error.message and "51 MB" in record.error.message
+        assert "52 MB" in record.error.message and "53 MB" in record.error.message
         assert "--memory-limit" in record.error.hint
         assert record.input_sha256 is None
         assert not path.with_name("out.obj").exists()
