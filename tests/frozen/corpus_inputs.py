@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.frozen.sums import REAL, ROOT
-from tests.fuzz import corpus, mutants
-from tests.fuzz.seeds import archived, seeds
+from tests.fuzz import mutants
+from tests.fuzz.seeds import archived, kept, seeds
 
 FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
 """Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
@@ -46,7 +46,7 @@ def ordinary_files(format: str) -> dict[str, bytes]:
         if "_" in path.name and path.suffix != ".py" and format_of(path.name) == format:
             found[f"sample/{path.name}"] = path.read_bytes()
     if format in FUZZED:
-        found |= {f"fuzz/{name[:10]}": data for name, data in corpus.kept(format).items()}
+        found |= {f"fuzz/{name[:10]}": data for name, data in kept(format).items()}
     for name, data in archived().items():
         kind, _, rest = name.partition("/")
         listed = kind == "malformed" and format_of(rest) == format

@@ -3,17 +3,15 @@
     python -m tests.frozen.corpus_sums                          everything, 3,000 mutants per format
     python -m tests.frozen.corpus_sums --format ply,obj         two formats
     python -m tests.frozen.corpus_sums --mutants 300            faster; 0 for ordinary files alone
-    python -m tests.frozen.corpus_sums --against OLD_CHECKOUT   show the first outcome that differs
     python -m tests.frozen.corpus_sums --write                  replace the sums
 
 Each file is read, displaced, written, re-encoded and, unless it is a mutant, convert.  There are
 two sums: ``data`` (error codes, arrays, bytes, how many warnings) and ``texts`` (messages, places,
-hints, warnings, losses).  A change of words changes ``texts`` alone; ``--only data`` ignores it.
+hints, warnings, losses).  A change of words changes ``texts`` alone.
 
 Inputs are the sample meshes, the corpus of fuzzing, ``inputs.tar.xz`` (malformed files, and files
 that the tests of the readers made when it was written) and mutants of the seeds in that archive.
-With MSAL_DATA real meshes are compared too.  ``--against`` needs a checkout that has this module
-and built kernels; it runs there in a process of its own.
+With MSAL_DATA real meshes are compared too.
 """
 
 from __future__ import annotations
@@ -25,8 +23,6 @@ import hashlib
 import json
 import multiprocessing
 import os
-import subprocess
-import sys
 import time
 import warnings
 import zlib
@@ -61,32 +57,6 @@ PRECISIONS = ("same", "float32", "float64")
 
 Step = tuple[str, str, str]
 """What was done, its data, its texts."""
-
-
-# What is called of the code under test: these few lines follow its names.
-
-
-def read(data: Any, name: str, format: str | None) -> Any:
-    return open_mesh(data, name, format)
-
-
-def replace(file: Any, vertices: Any) -> Any:
-    return file.replaced(vertices)
-
-
-def encode(file: Any, vertices: Any, encoding: str, precision: str) -> Any:
-    return file.encoded(vertices, encoding, precision)
-
-
-def convert(file: Any, vertices: Any, to: str) -> tuple[Any, tuple[str, ...]]:
-    return codecs.convert(file, vertices, to)
-
-
-def forecast(data: bytes, name: str) -> Any:
-    return of_beginning(data[:HEAD_BYTES], len(data), name)
-
-
-# ----
 
 
 def digest(*parts: Any) -> str:
@@ -148,7 +118,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
 
     def load() -> tuple[str, str]:
         whole, notes = expand(data, name)
-        known["file"] = read(whole, name if format != "gz" else "scan", None)
+        known["file"] = open_mesh(whole, name if format != "gz" else "scan", None)
         known["whole"] = whole
         return digest(whole), str(notes)
 
@@ -163,11 +133,11 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         return digest(*(np.asarray(one) for one in known["file"].polygons())), ""
 
     def same() -> tuple[str, str]:
-        output = replace(known["file"], known["file"].vertices.copy())
+        output = known["file"].replaced(known["file"].vertices.copy())
         return ("same" if bytes(output) == bytes(known["whole"]) else digest(output)), ""
 
     def replaced() -> tuple[str, str]:
-        known["output"] = replace(known["file"], moved)
+        known["output"] = known["file"].replaced(moved)
         return digest(plain_bytes(known["output"])), ""
 
     def check() -> tuple[str, str]:
@@ -179,10 +149,10 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         return "ok", ""
 
     def encoded(encoding: str, precision: str) -> tuple[str, str]:
-        return digest(plain_bytes(encode(known["file"], moved, encoding, precision))), ""
+        return digest(plain_bytes(known["file"].encoded(moved, encoding, precision))), ""
 
     def conversion(to: str) -> tuple[str, str]:
-        output, losses = convert(known["file"], moved, to)
+        output, losses = codecs.convert(known["file"], moved, to)
         return f"{digest(output)} {len(losses)}", "\n".join(losses)
 
     def property_of(name: str) -> tuple[str, str]:
@@ -192,7 +162,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         told = normal_warnings(known["file"], moved)
         return str(len(told)), "\n".join(told)
 
-    attempt(steps, "forecast", lambda: (str(forecast(data, name)), ""))
+    attempt(steps, "forecast", lambda: (str(of_beginning(data[:HEAD_BYTES], len(data), name)), ""))
     if not attempt(steps, "read", load) or not attempt(steps, "arrays", describe):
         return steps
     moved = displaced(known["file"].vertices)
@@ -278,7 +248,7 @@ def tasks(chosen: tuple[str, ...], n_mutants: int) -> list[Task]:
     return found
 
 
-def different(task: Task, sums: Sums, kept: Any, columns: tuple[int, ...]) -> dict[str, str]:
+def different(task: Task, sums: Sums, kept: Any) -> dict[str, str]:
     """The files, or blocks, of a task that differ, and in what."""
     format, kind, _ = task
     known = kept.get(format, {}).get(kind, {})
@@ -288,46 +258,16 @@ def different(task: Task, sums: Sums, kept: Any, columns: tuple[int, ...]) -> di
         if before is None:
             found[name] = "new"
             continue
-        words = [("data", "texts")[k] for k in columns if pair[k] != before[k]]
+        words = [("data", "texts")[k] for k in (0, 1) if pair[k] != before[k]]
         if words:
             found[name] = " and ".join(words)
     return found
-
-
-def explained(task: Task, checkout: str, columns: tuple[int, ...]) -> Iterator[str]:
-    """Each file of a task that comes out otherwise in another checkout, with its first step."""
-    command = [sys.executable, "-m", "tests.frozen.corpus_sums", "--outcomes", json.dumps(task)]
-    done = subprocess.run(
-        command,
-        cwd=checkout,
-        env={**os.environ, "PYTHONPATH": str(Path(checkout).resolve())},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        yield f"    {checkout} fails: {done.stderr.strip().splitlines()[-1]}"
-        return
-    then = dict(json.loads(line) for line in done.stdout.splitlines())
-    for name, steps in outcomes(task):
-        before = then.get(name, [])
-        for now, old in zip(steps, before, strict=False):
-            columns_here = [k + 1 for k in columns if now[k + 1] != old[k + 1]]
-            if now[0] != old[0] or columns_here:
-                yield f"    {name}, {old[0]}:"
-                for k in columns_here or [1]:
-                    yield f"      was: {old[k]}\n      now: {now[k]}"
-                break
-        else:
-            if len(steps) != len(before):
-                yield f"    {name}: {len(before)} steps became {len(steps)}"
 
 
 def compare(chosen: tuple[str, ...], n_mutants: int, arguments: argparse.Namespace) -> int:
     """Compare, and write if asked; returns how many sums differ."""
     document = json.loads(KEPT.read_text()) if KEPT.exists() else {"formats": {}}
     kept = document["formats"]
-    columns = {"data": (0,), "texts": (1,)}.get(arguments.only, (0, 1))
     seconds: dict[str, float] = {}
     written: dict[str, Any] = {}
     n_compared = n_different = 0
@@ -341,13 +281,10 @@ def compare(chosen: tuple[str, ...], n_mutants: int, arguments: argparse.Namespa
                 format, kind, _ = task
                 written.setdefault(format, {}).setdefault(kind, {}).update(sums)
                 continue
-            found = different(task, sums, kept, columns)
+            found = different(task, sums, kept)
             n_different += len(found)
             for name, words in found.items():
                 print(f"{task[0]} {task[1]} {name}: {words}", flush=True)
-            if found and arguments.against:
-                for line in explained(task, arguments.against, columns):
-                    print(line, flush=True)
     print(", ".join(f"{format} {took:.1f} s" for format, took in seconds.items()))
     if arguments.write:
         for format, kinds in written.items():
@@ -375,15 +312,8 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--format", default="", help="formats, separated by commas")
     parser.add_argument("--mutants", type=int, default=3000, help="per format, in steps of 100")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", choices=("data", "texts"))
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--against", metavar="CHECKOUT")
-    parser.add_argument("--outcomes", metavar="TASK", help=argparse.SUPPRESS)
     arguments = parser.parse_args(words)
-    if arguments.outcomes:
-        for one in outcomes(tuple(json.loads(arguments.outcomes))):  # type: ignore[arg-type]
-            print(json.dumps(one))
-        return
     chosen = tuple(arguments.format.split(",")) if arguments.format else (*formats(), "none")
     if compare(chosen, arguments.mutants, arguments):
         raise SystemExit(1)

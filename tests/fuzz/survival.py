@@ -1,7 +1,4 @@
-"""What every file must end in, however it is damaged: an error of msal's own, or a whole result.
-
-The fuzz driver, the mutants and the kept corpus all ask ``outcome``.
-"""
+"""What every file must end in, however it is damaged: an error of msal's own, or a whole result."""
 
 from __future__ import annotations
 
