@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs, methods
+from benchmarks import ground_truth
+from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
 from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
@@ -44,13 +45,6 @@ def angle(true, mesh):
 
 def distance(true, mesh):
     return float(np.linalg.norm(mesh.vertices - true.vertices, axis=1).mean())
-
-
-def two_parts(mesh, other):
-    """Both meshes as one, the second apart from the first."""
-    apart = other.vertices + mesh.vertices.max() + 3.0 * other.vertices.max()
-    vertices = np.vstack([mesh.vertices, apart])
-    return Mesh(vertices, np.vstack([mesh.faces, other.faces + np.int32(len(mesh.vertices))]))
 
 
 def test_a_clean_mesh_stays_as_it_is():
@@ -134,8 +128,9 @@ def test_one_spike_changes_nothing_elsewhere():
 def test_an_unrelated_part_changes_nothing_elsewhere():
     mesh, true = torus_with(0.2)
     vertices, faces = ball(24, 12)
-    both = two_parts(mesh, Mesh(vertices, faces))
     n = len(mesh.vertices)
+    apart = vertices + mesh.vertices.max() + 3.0 * vertices.max()
+    both = Mesh(np.vstack([mesh.vertices, apart]), np.vstack([mesh.faces, faces + np.int32(n)]))
     assert angle(true, mesh.with_vertices(adaptive_result(both).vertices[:n])) < (
         angle(true, adaptive_result(mesh)) + 0.2
     )
@@ -143,9 +138,7 @@ def test_an_unrelated_part_changes_nothing_elsewhere():
 
 def test_texture_as_fine_as_the_mesh_gets_less_smoothing():
     """Where the Wiener fidelity would take texture for noise, Stein's risk shows it."""
-    path = SAMPLES / "dragon_egg_noisy.ply"
-    mesh_file = codecs.open_mesh(path.read_bytes(), path.name)
-    mesh = prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
+    mesh = ground_truth.opened(SAMPLES / "dragon_egg_noisy.ply")
     choice = adaptive.choose_adaptive(mesh)
     assert choice.tried > 2 and choice.runners_up
     assert (choice.method, choice.parameters.get("schedule")) != ("al", "wiener")
@@ -168,14 +161,6 @@ def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
     assert "add more error" in choice.reason
 
 
-def test_steps_are_counted_to_the_end():
-    mesh, _ = torus_with(0.2)
-    steps = []
-    adaptive.choose_adaptive(mesh, lambda done, total: steps.append((done, total)))
-    assert steps[-1][0] == steps[-1][1]
-    assert [done for done, _ in steps[:-1]] == sorted(done for done, _ in steps[:-1])
-
-
 @pytest.mark.parametrize(
     ("name", "level", "surface", "is_better"),
     [
@@ -185,9 +170,7 @@ def test_steps_are_counted_to_the_end():
     ],
 )
 def test_it_knows_where_a_search_comes_nearer(name, level, surface, is_better):
-    path = SAMPLES / name
-    mesh_file = codecs.open_mesh(path.read_bytes(), path.name)
-    true = prepare_mesh(mesh_file.vertices, mesh_file.faces).mesh
+    true = ground_truth.opened(SAMPLES / name)
     mesh = true.with_vertices(add_plain_noise(true, "gaussian-normal", level, 1))
     choice = adaptive.choose_adaptive(mesh)
     assert surface in (None, choice.surface)

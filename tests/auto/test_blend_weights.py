@@ -32,10 +32,6 @@ def test_a_hedge_is_least_in_the_worse_case(gain, moved, share):
     assert max(found**2 * moved, 1.0 - 2.0 * found * gain + found**2 * moved) <= worse.min() + 1e-3
 
 
-def value(gram, gain, weights):
-    return float(weights @ gram @ weights - 2.0 * weights @ gain)
-
-
 def problem(seed, count):
     """What filters of scattered moves give: M = D D', b = D a, M not far from singular."""
     draw = np.random.default_rng(seed)
@@ -98,9 +94,13 @@ def test_scipy_finds_nothing_better(seed):
     from scipy.optimize import minimize
 
     gram, gain = problem(seed, 6)
+
+    def value(weights):
+        return float(weights @ gram @ weights - 2.0 * weights @ gain)
+
     ours = least_over_simplex(gram, gain)
     theirs = minimize(
-        lambda w: value(gram, gain, w),
+        value,
         np.full(6, 0.1),
         jac=lambda w: 2.0 * (gram @ w - gain),
         bounds=[(0.0, 1.0)] * 6,
@@ -108,7 +108,7 @@ def test_scipy_finds_nothing_better(seed):
         method="SLSQP",
         options={"maxiter": 500, "ftol": 1e-14},
     )
-    assert value(gram, gain, ours) <= theirs.fun + 1e-9 * (1.0 + abs(theirs.fun))
+    assert value(ours) <= theirs.fun + 1e-9 * (1.0 + abs(theirs.fun))
 
 
 def test_a_perfect_filter_gets_everything_and_useless_ones_nothing():
