@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -14,6 +15,16 @@ from msal_cli.batch import temporary_files as temporaries
 from msal_cli.errors import OutputError
 from msal_cli.storage import atomic as writing
 from msal_cli.storage.atomic import make_folders, publish, write_new, write_whole
+
+
+@contextlib.contextmanager
+def umask(mask):
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
 
@@ -33,29 +44,24 @@ def test_pieces_of_every_kind(tmp_path):
     assert names(tmp_path) == ["a.ply"]
 
 
-@posix
-def test_a_new_file_gets_the_umasks_permissions(tmp_path):
-    before = os.umask(0o027)
-    try:
-        write_whole(tmp_path / "a", b"x")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
-
-
-@posix
-def test_a_replaced_file_hands_down_its_permissions(tmp_path):
-    old = tmp_path / "old"
-    old.write_bytes(b"1")
-    old.chmod(0o6606)
-    write_whole(old, b"new")
-    assert stat.S_IMODE(old.stat().st_mode) == 0o606
+def mode_of(path):
+    return stat.S_IMODE(path.stat().st_mode)
 
 
 def make_file(path, mode):
     path.write_bytes(b"1")
     path.chmod(mode)
     return path
+
+
+@posix
+def test_permissions_are_those_of_the_umask_or_of_the_replaced_file(tmp_path):
+    with umask(0o027):
+        write_whole(tmp_path / "a", b"x")
+    assert mode_of(tmp_path / "a") == 0o640
+    old = make_file(tmp_path / "old", 0o6606)
+    write_whole(old, b"new")
+    assert mode_of(old) == 0o606
 
 
 @posix
@@ -82,7 +88,7 @@ def test_no_output_is_open_to_more_users_than_its_sources(tmp_path, write, repla
             (tmp_path / "part").write_bytes(b"new")
             publish(tmp_path / "part", output, 3, sources=sources)
         expected &= 0o666 if replaced is None else replaced
-        assert stat.S_IMODE(output.stat().st_mode) == expected, sources
+        assert mode_of(output) == expected, sources
         if replaced is None:
             output.unlink()
         else:
@@ -96,7 +102,7 @@ def test_the_temporary_file_is_private_from_its_beginning(tmp_path):
 
     def look():
         (temporary,) = set(tmp_path.iterdir()) - {private, out}
-        modes.append(stat.S_IMODE(temporary.stat().st_mode))
+        modes.append(mode_of(temporary))
         yield b"new"
 
     modes = []
@@ -109,16 +115,13 @@ def test_an_open_source_counts_and_a_pipe_does_not(tmp_path):
     private = make_file(tmp_path / "a", 0o600)
     with private.open() as file:
         write_whole(tmp_path / "out", b"new", sources=[file.fileno()])
-    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o600
+    assert mode_of(tmp_path / "out") == 0o600
     ends = os.pipe()
-    before = os.umask(0o022)
-    try:
+    with umask(0o022):
         write_whole(tmp_path / "piped", b"new", sources=[ends[0]])
-    finally:
-        os.umask(before)
-        for end in ends:
-            os.close(end)
-    assert stat.S_IMODE((tmp_path / "piped").stat().st_mode) == 0o644
+    for end in ends:
+        os.close(end)
+    assert mode_of(tmp_path / "piped") == 0o644
 
 
 @posix
@@ -126,25 +129,19 @@ def test_another_group_gets_what_all_others_may(tmp_path, monkeypatch):
     source = make_file(tmp_path / "a", 0o664)
     private = make_file(tmp_path / "b", 0o660)
     monkeypatch.setattr(writing, "_group_of_new_file", lambda folder: source.stat().st_gid + 1)
-    before = os.umask(0)
-    try:
+    with umask(0):
         write_whole(tmp_path / "out", b"new", sources=[source])
         write_whole(tmp_path / "private", b"new", sources=[private])
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o644
-    assert stat.S_IMODE((tmp_path / "private").stat().st_mode) == 0o600
+    assert mode_of(tmp_path / "out") == 0o644
+    assert mode_of(tmp_path / "private") == 0o600
 
 
 @posix
 def test_a_link_to_a_file_of_all_users_does_not_widen_the_output(tmp_path):
     (tmp_path / "link").symlink_to(make_file(tmp_path / "theirs", 0o666))
-    before = os.umask(0o077)
-    try:
+    with umask(0o077):
         write_whole(tmp_path / "link", b"new")
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "link").stat().st_mode) == 0o600
+    assert mode_of(tmp_path / "link") == 0o600
 
 
 @posix
@@ -157,17 +154,6 @@ def test_a_link_is_replaced_and_its_target_kept(tmp_path):
     (tmp_path / "dangling").symlink_to("nowhere")
     write_whole(tmp_path / "dangling", b"new")
     assert (tmp_path / "dangling").read_bytes() == b"new"
-
-
-@posix
-def test_devices_pipes_and_folders_are_not_replaced(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "folder").mkdir()
-    for path in (tmp_path / "pipe", tmp_path / "folder", "/dev/null"):
-        with pytest.raises(OutputError):
-            write_whole(path, b"x")
-    assert names(tmp_path) == ["folder", "pipe"]
-    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
 
 
 @pytest.mark.parametrize("length", [100, 143, 200, 251, 255])
@@ -185,28 +171,23 @@ def test_names_of_any_bytes(tmp_path, name):
     assert os.listdir(os.fsencode(tmp_path)) == [name]
 
 
-def test_missing_folder(tmp_path):
+@posix
+def test_what_cannot_be_a_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    for path in (
+        *(tmp_path / "pipe", tmp_path / "folder", "/dev/null"),
+        *(f"{tmp_path}/a\0b", tmp_path / ("n" * 256)),
+    ):
+        with pytest.raises(OutputError):
+            write_whole(path, b"x")
     with pytest.raises(OutputError) as caught:
         write_whole(tmp_path / "no" / "a.ply", b"x")
     assert caught.value.code == "E_WRITE"
     assert "does not exist" in caught.value.hint
     assert caught.value.path.endswith("a.ply")
-    assert names(tmp_path) == []
-
-
-def test_names_that_no_system_has(tmp_path):
-    with pytest.raises(OutputError):
-        write_whole(str(tmp_path / "a\0b"), b"x")
-    with pytest.raises(OutputError):
-        write_whole(tmp_path / ("n" * 256), b"x")
-    assert names(tmp_path) == []
-
-
-def failing(number):
-    def fail(*_args, **_keywords):
-        raise OSError(number, os.strerror(number))
-
-    return fail
+    assert names(tmp_path) == ["folder", "pipe"]
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
 
 
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
@@ -214,8 +195,12 @@ def failing(number):
 def test_a_failing_system_leaves_the_old_file_and_no_temporary(tmp_path, monkeypatch, call, number):
     path = tmp_path / "a.ply"
     path.write_bytes(b"old")
+
+    def fail(*_args, **_keywords):
+        raise OSError(number, os.strerror(number))
+
     with monkeypatch.context() as patch:
-        patch.setattr(writing.os, call, failing(number))
+        patch.setattr(writing.os, call, fail)
         with pytest.raises(OutputError) as caught:
             write_whole(path, b"new")
     assert os.strerror(number) in str(caught.value)
@@ -265,16 +250,13 @@ def test_an_interrupt_leaves_nothing(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_write_new_never_replaces(tmp_path):
-    path = tmp_path / "tex.png"
-    assert write_new(path, b"first")
-    assert not write_new(path, b"second")
-    assert path.read_bytes() == b"first"
-    assert names(tmp_path) == ["tex.png"]
+@pytest.mark.parametrize("has_links", [True, False])
+def test_write_new_never_replaces(tmp_path, monkeypatch, has_links):
+    def fail(*_args, **_keywords):
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
 
-
-def test_write_new_without_hard_links(tmp_path, monkeypatch):
-    monkeypatch.setattr(writing.os, "link", failing(errno.EPERM))
+    if not has_links:
+        monkeypatch.setattr(writing.os, "link", fail)
     path = tmp_path / "tex.png"
     assert write_new(path, b"first")
     assert not write_new(path, b"second")

@@ -128,12 +128,6 @@ def test_the_default_limit_is_a_size_that_is_always_allowed_or_a_ratio(monkeypat
     assert streams.MAX_RATIO < 1000 < 16 << 20 < ALWAYS_EXPANDED
 
 
-def test_very_many_members_take_linear_time():
-    member = gzip.compress(b"v 0 0 0\n", mtime=0)
-    data, _ = expand(member * 20_000, "a.obj.gz")
-    assert len(data) == 8 * 20_000
-
-
 def test_reading_a_file_and_its_failures(tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(b"\x00\xff")
