@@ -25,9 +25,8 @@ def scan_with(path, level, spike=0.0):
 
 
 def warnings_of(scan, *words):
-    made = msal("denoise", scan, "-o", scan.with_name("out.ply"), "--force", "--json", *words)
-    record = record_of(made)
-    return record["warnings"]
+    output = scan.with_name("out.ply")
+    return record_of(msal("denoise", scan, "-o", output, "--force", "--json", *words))["warnings"]
 
 
 def test_no_noise_to_speak_of(tmp_path):
