@@ -19,7 +19,7 @@ from msal_cli.analysis.noise_estimate.evidence import gather_evidence
 from msal_cli.analysis.noise_estimate.white import estimate_white
 from msal_cli.mesh import prepare_mesh
 from tests.analysis.test_noise_kinds import with_noise
-from tests.shapes import cube, grid, torus
+from tests.shapes import torus
 
 
 def make_forest():
@@ -74,7 +74,7 @@ def test_the_numbers_are_those_that_the_trees_were_grown_on(white):
     assert np.isfinite(white).all()
 
 
-def extrude_letters():
+def test_an_exported_part_has_no_noise():
     """A plate with bars on it: whole coordinates, long triangles."""
     manifold3d = pytest.importorskip("manifold3d")
     solid = manifold3d.Manifold.cube((40, 20, 2))
@@ -82,18 +82,8 @@ def extrude_letters():
         solid += manifold3d.Manifold.cube((3, 14 - x % 4, 3)).translate((x, 3, 1))
         solid -= manifold3d.Manifold.cylinder(9, 1.2, 1.2, 24).translate((x + 4.4, 10, -1))
     mesh = solid.to_mesh64()
-    return np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts).astype(np.int32)
-
-
-@pytest.mark.parametrize("shape", [cube, lambda: grid(60, 60), lambda: torus(60, 30)])
-def test_designs_have_no_noise(shape):
-    noise = estimate_noise(prepare_mesh(*shape()).mesh)
-    assert noise.is_negligible
-    assert not noise.is_unsure
-
-
-def test_an_exported_part_has_no_noise():
-    noise = estimate_noise(prepare_mesh(*extrude_letters()).mesh)
+    vertices, faces = np.array(mesh.vert_properties)[:, :3], np.array(mesh.tri_verts)
+    noise = estimate_noise(prepare_mesh(vertices, faces.astype(np.int32)).mesh)
     assert noise.is_negligible
     assert noise.mean_edges == 0.0
 

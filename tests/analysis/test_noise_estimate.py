@@ -21,12 +21,6 @@ def with_noise(shape, level, kind="gaussian-normal", seed=0, fraction=0.1):
     return moved, level * mesh.mean_edge_length
 
 
-def turned(vertices, seed=5):
-    """The same positions turned about some axis."""
-    turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    return vertices @ (turn * np.sign(np.linalg.det(turn))).T
-
-
 def uneven_torus():
     """A torus whose sampling varies, by a sine, from half to twice as dense."""
     vertices, faces = torus(200, 60)
@@ -52,11 +46,6 @@ def test_gaussian_noise_is_told(shape, level):
     assert not noise.is_uneven
     assert noise.tail < 0.018
     assert noise.rms_edges == pytest.approx(noise.mean_edges, rel=0.05)
-
-
-def test_noise_in_all_directions_is_told_by_its_part_along_the_normals():
-    mesh, amount = with_noise(torus(160, 80), 0.2, "gaussian")
-    assert estimate_noise(mesh).file_units == pytest.approx(amount, rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["uniform", "laplace"])
@@ -89,24 +78,24 @@ def test_the_level_in_clean_edges():
     assert noise.clean_edges == pytest.approx(0.5, rel=0.08)
 
 
-@pytest.mark.parametrize("shape", [torus(160, 80), grid(40, 40), ball(), cube(), grid(3, 3)])
+@pytest.mark.parametrize(
+    "shape",
+    [torus(160, 80), torus(60, 30), grid(40, 40), grid(60, 60), ball(), cube(), grid(3, 3)],
+)
 def test_a_smooth_or_flat_mesh_has_none(shape):
     noise = estimate_noise(prepare_mesh(*shape).mesh)
     assert noise.mean_edges < 0.002
-    assert noise.low == 0.0 or noise.low < 0.002
+    assert noise.low < 0.002
     assert noise.is_negligible
-
-
-def folded():
-    """A plane folded like a roof again and again: flat but for sharp creases."""
-    vertices, faces = grid(80, 96)
-    vertices[:, 2] = np.abs((vertices[:, 0] + 12.0) % 24.0 - 12.0)
-    return vertices, faces
+    assert not noise.is_unsure
 
 
 def test_creases_do_not_pass_for_noise():
-    assert estimate_noise(prepare_mesh(*folded()).mesh).is_negligible
-    mesh, amount = with_noise(folded(), 0.1)
+    # A plane folded like a roof again and again: flat but for sharp creases.
+    vertices, faces = grid(80, 96)
+    vertices[:, 2] = np.abs((vertices[:, 0] + 12.0) % 24.0 - 12.0)
+    assert estimate_noise(prepare_mesh(vertices, faces).mesh).is_negligible
+    mesh, amount = with_noise((vertices, faces), 0.1)
     assert estimate_noise(mesh).file_units == pytest.approx(amount, rel=0.08)
 
 
@@ -120,10 +109,6 @@ def test_texture_on_a_part_does_not_pass_for_noise():
     noise = estimate_noise(prepare_mesh(vertices, faces).mesh)
     assert noise.low < 0.06 < noise.high
     assert noise.file_units < 0.09
-
-
-def test_texture_everywhere_widens_the_interval_to_nothing():
-    vertices, faces = grid(100, 90)
     vertices[:, 2] = 0.1 * np.sin(1.1 * vertices[:, 0]) * np.sin(1.0 * vertices[:, 1])
     assert estimate_noise(prepare_mesh(vertices, faces).mesh).low == 0.0
 
@@ -140,31 +125,23 @@ def test_relief_widens_the_interval_of_white_noise():
 @pytest.mark.parametrize("split", ["by place", "by a slanted plane"])
 def test_two_halves_with_noise_of_their_own(split):
     mesh = prepare_mesh(*torus(160, 80)).mesh
-    side = mesh.vertices @ ([1.0, 0.0, 0.0] if split == "by place" else [0.5, 0.7, -0.3])
+    side = mesh.vertices @ ([1.0, 0.0, 0.0] if split == "by place" else [0.5, 0.7, -0.3]) < 0.0
     quiet, loud = (
         add_plain_noise(mesh, "gaussian-normal", 0.05, 1),
         add_plain_noise(mesh, "gaussian-normal", 0.2, 2),
     )
-    noise = estimate_noise(mesh.with_vertices(np.where((side < 0.0)[:, None], quiet, loud)))
+    both = mesh.with_vertices(np.where(side[:, None], quiet, loud))
+    noise = estimate_noise(both)
     assert noise.is_uneven
     assert noise.lowest == pytest.approx(0.05, rel=0.25)
     assert noise.highest == pytest.approx(0.2, rel=0.25)
     assert noise.lowest < noise.mean_edges < noise.highest
     assert noise.low <= noise.lowest
     assert noise.highest <= noise.high
-
-
-def test_the_field_of_two_halves():
-    mesh = prepare_mesh(*torus(160, 80)).mesh
-    side = mesh.vertices[:, 0] < 0.0
-    quiet, loud = (
-        add_plain_noise(mesh, "gaussian-normal", 0.05, 1),
-        add_plain_noise(mesh, "gaussian-normal", 0.2, 2),
-    )
-    edge = mesh.mean_edge_length
-    field = estimate_regions(mesh.with_vertices(np.where(side[:, None], quiet, loud))) / edge
-    assert np.median(field[side]) == pytest.approx(0.05, rel=0.2)
-    assert np.median(field[~side]) == pytest.approx(0.2, rel=0.2)
+    if split == "by place":
+        field = estimate_regions(both) / mesh.mean_edge_length
+        assert np.median(field[side]) == pytest.approx(0.05, rel=0.2)
+        assert np.median(field[~side]) == pytest.approx(0.2, rel=0.2)
 
 
 def test_a_vertex_without_faces_has_no_noise_in_the_field():
@@ -185,6 +162,7 @@ def test_impulses_are_told_by_their_tail(level, fraction):
     assert noise.mean_edges < noise.rms_edges
     assert noise.low < rms < noise.high
     assert not noise.is_negligible
+    assert (noise.character.kind, noise.character.outliers) == ("impulsive", 0.0)
 
 
 def test_outliers_far_away_do_not_pass_for_noise():
@@ -217,7 +195,9 @@ def test_size_and_place_do_not_matter(power, shift, level):
 def test_turning_does_not_matter(level):
     mesh, _ = with_noise(torus(100, 60), level)
     first = estimate_noise(mesh)
-    second = estimate_noise(prepare_mesh(turned(mesh.vertices), mesh.faces).mesh)
+    turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    second = estimate_noise(prepare_mesh(mesh.vertices @ turn.T, mesh.faces).mesh)
     for name in ("mean_edges", "low", "high", "clean_edges", "rms_edges", "tail", "lowest"):
         assert getattr(second, name) == pytest.approx(getattr(first, name), rel=1e-9)
 
@@ -230,15 +210,6 @@ def test_the_order_of_the_vertices_hardly_matters():
     assert estimate_noise(other).mean_edges == pytest.approx(
         estimate_noise(mesh).mean_edges, rel=0.03
     )
-
-
-def test_threads_do_not_matter(monkeypatch):
-    mesh, _ = with_noise(torus(160, 80), 0.1)
-    results = []
-    for threads in ("1", "2", "5"):
-        monkeypatch.setenv("MSAL_THREADS", threads)
-        results.append(estimate_noise(mesh))
-    assert results[0] == results[1] == results[2]
 
 
 @settings(max_examples=25, deadline=None)

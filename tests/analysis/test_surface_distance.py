@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 
 import numpy as np
 import pytest
@@ -114,8 +115,6 @@ def test_centres_of_faces_count_for_hausdorff():
 
 
 def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
-    import sys
-
     monkeypatch.setitem(sys.modules, "fcpw", None)
     with pytest.raises(UnsupportedError) as caught:
         distances_to_surface(np.zeros((1, 3)), Mesh(*cube()))
@@ -123,9 +122,6 @@ def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
     assert "pip install fcpw" in caught.value.hint
     with pytest.raises(UnsupportedError):
         surface_distance.build_scene(Mesh(*cube()), 1.0)
-
-
-def test_the_library_is_looked_for(monkeypatch):
     for found in (None, "a module"):
         monkeypatch.setattr("importlib.util.find_spec", lambda name, found=found: found)
         assert (not surface_distance.find_obstacle()) is (found is not None)

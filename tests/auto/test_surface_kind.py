@@ -13,23 +13,11 @@ from msal_cli.auto.sample_patch import (
     surface_kind,
 )
 from msal_cli.mesh import Mesh, prepare_mesh
+from tests.analysis.test_outliers import box
 from tests.shapes import ball, cube, grid, torus
 
-
-def box(steps=8, height=1.0):
-    """A closed box with ``steps`` squares along every edge."""
-    flat, faces = grid(steps + 1, steps + 1)
-    flat = flat / steps - 0.5
-    flat[:, 2] = 0.5
-    sides = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            side = np.roll(flat, axis, axis=1)
-            sides.append(side if sign > 0 else -side)
-    numbers = [faces + at * len(flat) for at in range(6)]
-    vertices = np.concatenate(sides).round(12)
-    vertices[:, 2] *= height
-    return prepare_mesh(vertices, np.concatenate(numbers)).mesh
+CUBE = prepare_mesh(*box(8, 8, 8)).mesh
+SLAB = prepare_mesh(box(16, 16, 16)[0] * [1.0, 1.0, 0.2], box(16, 16, 16)[1]).mesh
 
 
 def prism(sides=6, rows=12):
@@ -58,7 +46,7 @@ def bumpy(height):
 
 
 @pytest.mark.parametrize(
-    "mesh", [box(), box(16, 0.2), prism(), prism(4)], ids=["cube", "slab", "hexagon", "square"]
+    "mesh", [CUBE, SLAB, prism(), prism(4)], ids=["cube", "slab", "hexagon", "square"]
 )
 def test_flat_parts_between_sharp_edges_are_machined(mesh):
     assert surface_kind(mesh) == MACHINED
@@ -82,7 +70,7 @@ def test_bumps_are_texture():
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e9])
 def test_it_is_free_of_scale(scale):
-    for mesh in (box(), bumpy(0.02), Mesh(*ball())):
+    for mesh in (CUBE, bumpy(0.02), Mesh(*ball())):
         assert surface_kind(mesh.with_vertices(mesh.vertices * scale)) == surface_kind(mesh)
 
 
