@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs, methods
+from benchmarks import ground_truth
+from msal_cli import methods
 from msal_cli.analysis.measures import normal_statistics
 from msal_cli.kernels.operators import (
     DEVIATIONS,
     SCALINGS,
     WEIGHTS,
-    AnisotropicLaplacian,
     RobustLaplacian,
 )
 from msal_cli.mesh import prepare_mesh
-from msal_cli.storage import gzip_streams
 from tests import paper
 from tests.methods.pairs import all_errors, errors, opened
 from tests.shapes import fan, grid, noisy, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
+AL = methods.find("al")
 BEAR = opened(SAMPLES / "bear_noisy.obj", SAMPLES / "bear_clean.obj")
 
 
@@ -74,10 +74,12 @@ def twin(v, faces, iterations, kind, deviation, scaling, tau, limited=True):
     return x
 
 
-def run(name, vertices, faces, **given):
-    mesh = prepare_mesh(vertices, faces).mesh
-    method = methods.find(name)
-    return mesh, method.denoise(mesh, method.validate(given)).vertices
+def heights_of_fan(heights, kind, deviation):
+    """One step over a fan whose normals all point up."""
+    mesh = prepare_mesh(*fan(heights)).mesh
+    up = np.tile([0.0, 0.0, 1.0], (len(mesh.vertices), 1))
+    free = np.ones(len(up), dtype=bool)
+    return RobustLaplacian(up, mesh.faces, mesh.topology, free, 1.0, kind, deviation)(mesh.vertices)
 
 
 SHAPES = {
@@ -92,23 +94,13 @@ SHAPES = {
 @pytest.mark.parametrize("kind", WEIGHTS)
 def test_every_combination_agrees_with_the_plain_twin(shape, kind, deviation, scaling):
     vertices, faces = SHAPES[shape]
-    mesh, out = run(
-        *("al", vertices, faces), iterations=3, weights=kind, deviation=deviation, scaling=scaling
-    )
+    mesh = prepare_mesh(vertices, faces).mesh
+    given = {"weights": kind, "deviation": deviation, "scaling": scaling}
+    out = AL.denoise(mesh, AL.validate({"iterations": 3, **given})).vertices
     tau = 0.25 * mesh.mean_edge_length**2
     expected = twin(mesh.vertices, faces, 3, kind, deviation, scaling, tau)
     assert np.abs(out - expected).max() <= 1e-12 * np.ptp(vertices)
     assert np.abs(out - mesh.vertices).max() > 1e-2
-
-
-def test_the_default_takes_the_paper_s_kernel():
-    from msal_cli.methods._heights import height_operator
-
-    mesh = prepare_mesh(*SHAPES["open"]).mesh
-    for name in ("al", "msal"):
-        method = methods.find(name)
-        defaults = method.module.Parameters(**method.validate({}))
-        assert isinstance(height_operator(mesh, defaults), AnisotropicLaplacian)
 
 
 @pytest.mark.parametrize("kind", ["gauss", "tukey", "lorentz", "huber"])
@@ -116,11 +108,7 @@ def test_the_influence_is_greatest_at_sigma(kind):
     # One neighbour at height h among many within +-1, whose sigma is 1.4826: how much it pulls.
     def pull(h):
         heights = [-1.0] * 40 + [0.0] * 3 + [1.0] * 39 + [h]
-        mesh = prepare_mesh(*fan(heights)).mesh
-        up = np.tile([0.0, 0.0, 1.0], (len(mesh.vertices), 1))
-        free = np.ones(len(up), dtype=bool)
-        one = RobustLaplacian(up, mesh.faces, mesh.topology, free, 1.0, kind, "median")
-        step = one(mesh.vertices)
+        step = heights_of_fan(heights, kind, "median")
         assert step.sigma[0] == pytest.approx(1.4826)
         return step.move[0]
 
@@ -138,11 +126,7 @@ def test_the_influence_is_greatest_at_sigma(kind):
 def test_sigma_worked_by_hand():
     # Heights 1, 1, 1, 5: mean deviation 1.5, median deviation 0; heights 0, 1, 3, 7, 12: 2 and 3.
     def sigma(heights, deviation):
-        mesh = prepare_mesh(*fan(heights)).mesh
-        up = np.tile([0.0, 0.0, 1.0], (len(heights) + 1, 1))
-        free = np.ones(len(up), dtype=bool)
-        one = RobustLaplacian(up, mesh.faces, mesh.topology, free, 1.0, "gauss", deviation)
-        return one(mesh.vertices).sigma[0]
+        return heights_of_fan(heights, "gauss", deviation).sigma[0]
 
     assert sigma([1.0, 1.0, 1.0, 5.0], "mean") == pytest.approx(3.0)
     assert sigma([1.0, 1.0, 1.0, 5.0], "median") == 0.0
@@ -155,9 +139,9 @@ def test_sigma_worked_by_hand():
 @pytest.mark.parametrize("scaling", SCALINGS)
 def test_equal_heights_give_their_mean_and_nothing_underflows(kind, deviation, scaling):
     for heights in ([0.3] * 6, [0.3, 0.3, 0.3 + 1e-9, 0.3, 0.3, 0.3 - 1e-9]):
-        vertices, faces = fan(heights)
+        mesh = prepare_mesh(*fan(heights)).mesh
         given = {"weights": kind, "deviation": deviation, "scaling": scaling, "scaled_step": 100}
-        mesh, out = run("al", vertices, faces, iterations=1, mollify=0, **given)
+        out = AL.denoise(mesh, AL.validate({"iterations": 1, "mollify": 0, **given})).vertices
         assert np.isfinite(out).all()
         assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.3, abs=1e-6)
 
@@ -210,18 +194,13 @@ def test_scaled_operators_need_smaller_steps_and_more_sweeps(scaling):
     assert few > one_sweep_of_al
 
 
-# Figures on real meshes
-
-
 @pytest.mark.parametrize(
     ("deviation", "expected"),
     [("mean", [9.74, 9.30, 8.13, 8.40, 8.43]), ("median", [9.74, 7.33, 5.55, 5.28, 5.64])],
 )
 def test_weights_keep_edges_under_weak_noise(real_data, deviation, expected):
     # Fandisk with normal noise of a tenth of the mean edge: degrees after three sweeps.
-    path = str(real_data / "clean" / "fandisk.obj")
-    one = codecs.open_mesh(gzip_streams.read_whole(path), path)
-    clean = prepare_mesh(one.vertices, one.faces).mesh
+    clean = ground_truth.opened(real_data / "clean" / "fandisk.obj")
     rng = np.random.default_rng(0)
     along = rng.normal(0, 0.1 * clean.mean_edge_length, (len(clean.vertices), 1))
     noisy_one = clean.with_vertices(clean.vertices + along * clean.vertex_normals())

@@ -37,8 +37,8 @@ def mesh():
     return prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
 
 
-def blended(mesh, text, on_sweep=None):
-    return BLEND.denoise(mesh, BLEND.validate({"members": text}), on_sweep).vertices
+def blended(mesh, text, **more):
+    return BLEND.denoise(mesh, BLEND.validate({"members": text, **more})).vertices
 
 
 def alone(mesh, name, **given):
@@ -61,10 +61,10 @@ def test_it_is_the_weighted_mean_of_its_members(mesh):
 @pytest.mark.parametrize("name", ["al", "msal", "bilateral_normal"])
 def test_one_member_of_weight_1_is_that_method_to_the_bit(mesh, name):
     made = BLEND.denoise(mesh, BLEND.validate({"members": f"1*{name}"}))
-    assert (made.vertices == alone(mesh, name)).all()
-    assert set(made.fields) == set(
-        methods.find(name).denoise(mesh, methods.find(name).validate({})).fields
-    )
+    method = methods.find(name)
+    expected = method.denoise(mesh, method.validate({}))
+    assert (made.vertices == expected.vertices).all()
+    assert set(made.fields) == set(expected.fields)
 
 
 @pytest.mark.parametrize(
@@ -85,9 +85,6 @@ def test_spaces_and_the_way_numbers_are_written_do_not_matter(text):
         for each in (text, "0.6*al(iterations=3,mollify=2)+0.4*msal")
     )
     assert one == other
-
-
-def test_symbols_are_taken_as_by_set():
     (member,) = parse_members("1*msal(K=0.7)")
     assert member.parameters == methods.find("msal").validate({"K": 0.7})
 
@@ -148,9 +145,7 @@ def test_any_text_is_read_or_refused(text):
 @given(
     st.lists(
         st.tuples(
-            st.floats(0.0, 1.0, exclude_min=True),
-            st.sampled_from(CANDIDATES),
-            st.floats(0.0, 0.9),
+            st.floats(0.0, 1.0, exclude_min=True), st.sampled_from(CANDIDATES), st.floats(0.0, 0.9)
         ),
         min_size=1,
         max_size=MAX_MEMBERS,
@@ -199,21 +194,12 @@ def test_memory_follows_the_members_that_are_given():
     assert between == of["static_dynamic"] - of["al"]
 
 
-# Weights by the local noise
-
-
-@pytest.fixture(scope="module")
-def half_noisy():
-    """A torus with noise on the upper half."""
+def test_weights_follow_the_local_noise():
+    # Noise on the upper half.
     true = prepare_mesh(*torus(120, 60)).mesh
     noise = AddedNoise("half", 0.25, direction=(0.0, 1.0, 0.0))
-    return true.with_vertices(add_noise(true, noise)), true
-
-
-def test_weights_follow_the_local_noise(half_noisy):
-    mesh, true = half_noisy
-    given = {"members": "0:1*al(iterations=3)", "levels": "0.05:0.15"}
-    made = BLEND.denoise(mesh, BLEND.validate(given)).vertices
+    mesh = true.with_vertices(add_noise(true, noise))
+    made = blended(mesh, "0:1*al(iterations=3)", levels="0.05:0.15")
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert (made[quiet] == mesh.vertices[quiet]).all()
     assert np.abs(made - alone(mesh, "al", iterations=3))[loud].max() < 1e-12
@@ -239,16 +225,12 @@ def test_weights_that_do_not_fit_the_levels_are_refused(members, levels, what):
     assert parse_levels("0.1:0.2") == (0.1, 0.2)
 
 
-# Triangles that are evened out before
-
-
 def test_jagged_triangles_are_evened_out_and_the_surface_stays():
     true = prepare_mesh(*torus(90, 45)).mesh
     mesh = true.with_vertices(add_noise(true, AddedNoise("gaussian", 0.2)))
-    given = {"members": "1*bilateral_normal(similarity=0.45,iterations=10)"}
 
     def angle(**more):
-        made = BLEND.denoise(mesh, BLEND.validate(given | more)).vertices
+        made = blended(mesh, "1*bilateral_normal(similarity=0.45,iterations=10)", **more)
         return normal_statistics(true, mesh.with_vertices(made)).mean_angular_error_deg
 
     assert angle(relax=2) < 0.5 * angle()
@@ -256,15 +238,14 @@ def test_jagged_triangles_are_evened_out_and_the_surface_stays():
     normals = mesh.vertex_normals("uniform", 3)
     heights = np.einsum("ij,ij->i", even.vertices - mesh.vertices, normals)
     assert np.abs(heights).max() < 1e-12
-    # The edges come nearer to one length.
-    assert spread_of_edges(even) < 0.9 * spread_of_edges(mesh)
-
-
-def spread_of_edges(mesh):
     start, ring = mesh.topology.ring_start, mesh.topology.ring
     first = np.repeat(np.arange(len(mesh.vertices)), np.diff(start))
-    lengths = np.linalg.norm(mesh.vertices[first] - mesh.vertices[ring], axis=1)
-    return float(lengths.std() / lengths.mean())
+    lengths = [
+        np.linalg.norm(one.vertices[first] - one.vertices[ring], axis=1) for one in (even, mesh)
+    ]
+    # The edges come nearer to one length.
+    spread = [one.std() / one.mean() for one in lengths]
+    assert spread[0] < 0.9 * spread[1]
 
 
 def test_vertices_that_are_held_or_at_open_edges_are_not_evened_out():
@@ -285,8 +266,7 @@ def test_a_share_goes_part_of_the_way(relax):
     mesh = prepare_mesh(noisy(torus(20, 12)[0], 0, 0.05), torus(20, 12)[1]).mesh
 
     def made(share):
-        given = {"members": "0.8*al(iterations=2)", "relax": relax, "share": share}
-        return BLEND.denoise(mesh, BLEND.validate(given)).vertices
+        return blended(mesh, "0.8*al(iterations=2)", relax=relax, share=share)
 
     assert made(0.3) == pytest.approx(0.7 * mesh.vertices + 0.3 * made(1.0), abs=1e-12)
     assert (made(0.0) == mesh.vertices).all()
