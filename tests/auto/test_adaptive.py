@@ -11,10 +11,10 @@ import pytest
 from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
-from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import FAMILY, NONE, adaptive, allow_all
 from msal_cli.mesh import Mesh, prepare_mesh
+from tests.auto.test_search import angle
 from tests.shapes import ball, cube, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
@@ -37,10 +37,6 @@ def result_of(mesh, name, given):
 def adaptive_result(mesh):
     choice = adaptive.choose_adaptive(mesh)
     return result_of(mesh, choice.method, choice.parameters)
-
-
-def angle(true, mesh):
-    return normal_statistics(true, mesh).mean_angular_error_deg
 
 
 def distance(true, mesh):

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.auto.blend_weights import best_weights, hedge, least_over_simplex, round_weights
+from msal_cli.auto.choices import MORE, strengthen
 from msal_cli.auto.risk import Quadratic, Risk
 
 
@@ -193,3 +194,25 @@ def test_what_rounds_alike_is_settled_by_order_not_by_last_digits():
     assert round_weights(third).tolist() == [0.34, 0.33, 0.33]
     assert round_weights(shaken).tolist() == [0.34, 0.33, 0.33]
     assert round_weights(np.array([0.29 - 1e-13, 0.71])).tolist() == [0.29, 0.71]
+
+
+@pytest.mark.parametrize("strength", [0.5, 1.0, 2.0])
+def test_the_mixture_moves_farther_by_as_much_as_is_asked_for(strength):
+    draw = np.random.default_rng(0)
+    base = draw.normal(size=(500, 3))
+    near, far, less = (
+        base + 0.3 * draw.normal(size=(500, 3)),
+        3.0 * draw.normal(size=(500, 3)),
+        0.5 * base,
+    )
+    k, weight = strengthen(base, [less, far, near], strength)
+    assert k == 2 or strength > 1.0
+    mixed = (1.0 - weight) * base + weight * [less, far, near][k]
+    lengths = [np.linalg.norm(moves, axis=1).mean() for moves in (base, mixed)]
+    ratio = lengths[1] / lengths[0]
+    assert 1.0 + MORE * strength <= ratio < 1.0 + MORE * strength + 0.05
+
+
+def test_if_none_moves_far_enough_the_farthest_is_mixed_in():
+    base = np.ones((10, 3))
+    assert strengthen(base, [0.2 * base, 0.9 * base], 2.0) == (1, 1.0)

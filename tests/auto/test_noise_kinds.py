@@ -12,9 +12,8 @@ from benchmarks import machined_shapes
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
-from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
+from msal_cli.auto import FAMILY, Wishes, adaptive
 from msal_cli.auto.blend_weights import level_masks, spread_levels
 from msal_cli.auto.candidates import wiener_al
 from msal_cli.auto.choices import describe_noise
@@ -25,6 +24,7 @@ from msal_cli.auto.search import _Search
 from msal_cli.auto.wishes import allow_all
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods.blend import parse_levels
+from tests.auto.test_search import angle, made_by
 from tests.shapes import grid, torus
 
 KINDS = {
@@ -52,14 +52,8 @@ def choose_auto(mesh):
     return selection.choose_method(mesh, Wishes(assume="noise"))
 
 
-def result_of(mesh, choice):
-    if choice.method == NONE:
-        return mesh
-    return mesh.with_vertices(methods.find(choice.method).denoise(mesh, choice.parameters).vertices)
-
-
 def angle_to_true(kind, made):
-    return normal_statistics(pair(kind)[1], made).mean_angular_error_deg
+    return angle(pair(kind)[1], made)
 
 
 def taken_for_white(mesh):
@@ -75,9 +69,9 @@ def test_auto_takes_most_of_it_away(kind):
     mesh, _ = pair(kind)
     choice = choose_auto(mesh)
     assert WORDS[kind] in choice.reason.split(";")[0] or choice.estimate.is_unsure
-    angle = angle_to_true(kind, result_of(mesh, choice))
-    assert angle < 0.3 * angle_to_true(kind, mesh)
-    assert angle < 0.8 * angle_to_true(kind, taken_for_white(mesh))
+    left = angle_to_true(kind, made_by(choice, mesh))
+    assert left < 0.3 * angle_to_true(kind, mesh)
+    assert left < 0.8 * angle_to_true(kind, taken_for_white(mesh))
 
 
 @pytest.mark.parametrize("kind", ["isotropic", "half"])
@@ -86,8 +80,8 @@ def test_the_plain_command_knows_direction_and_place(kind):
     choice = adaptive.choose_adaptive(mesh, assume="noise")
     assert (choice.method, choice.among) == ("blend", FAMILY)
     assert WORDS[kind] in choice.reason or choice.estimate.is_unsure
-    angle = angle_to_true(kind, result_of(mesh, choice))
-    assert angle < 0.9 * angle_to_true(kind, taken_for_white(mesh))
+    left = angle_to_true(kind, made_by(choice, mesh))
+    assert left < 0.9 * angle_to_true(kind, taken_for_white(mesh))
 
 
 def test_the_plain_command_sweeps_longer_where_noise_is_shared():
@@ -114,7 +108,7 @@ def test_quiet_places_hardly_move(choose):
     mesh, true = pair("half")
     choice = choose(mesh)
     assert len(parse_levels(choice.parameters["levels"])) > 1
-    moved = np.linalg.norm(result_of(mesh, choice).vertices - mesh.vertices, axis=1)
+    moved = np.linalg.norm(made_by(choice, mesh).vertices - mesh.vertices, axis=1)
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert moved[quiet].mean() < 0.1 * moved[loud].mean()
 
@@ -125,8 +119,8 @@ def test_noise_of_another_kind_goes_from_a_machined_part():
     noise = AddedNoise("grazing", 0.1, seed=2, direction=(0.3, 0.5, 0.8))
     mesh = true.with_vertices(add_noise(true, noise))
     choice = choose_auto(mesh)
-    made = result_of(mesh, choice)
-    angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
+    made = made_by(choice, mesh)
+    angles = [angle(true, one) for one in (mesh, made)]
     assert choice.surface == "machined"
     assert angles[1] < 0.3 * angles[0]
 
@@ -142,8 +136,8 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     mesh = shared.with_vertices(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
     search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None, allow_all)
     choice = search.choose()
-    made = result_of(mesh, choice)
-    angles = [normal_statistics(true, one).mean_angular_error_deg for one in (mesh, made)]
+    made = made_by(choice, mesh)
+    angles = [angle(true, one) for one in (mesh, made)]
     assert "learned (noise times" in choice.reason
     assert angles[1] < 0.5 * angles[0]
 

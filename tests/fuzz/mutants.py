@@ -283,9 +283,7 @@ def _packed(data: bytes, changes: int, dice: random.Random) -> bytes:
     is_inside = dice.random() < 0.5
     for _ in range(changes * is_inside):
         data = change(format, data, dice)
-    cut = dice.randrange(len(data) + 1) if dice.random() < 0.2 else 0
-    parts = [data[:cut], data[cut:]] if cut else [data]
-    packed = b"".join(gzip.compress(part, dice.choice((0, 1, 9)), mtime=0) for part in parts)
+    packed = _in_members(data, 0.2, dice)
     for _ in range(changes * (not is_inside)):
         packed = _bytes("gz", packed, dice)
     return packed
@@ -297,9 +295,13 @@ def _repacked(data: bytes, dice: random.Random) -> bytes:
         content = zlib.decompressobj(wbits=31).decompress(data, 1 << 16)
     except zlib.error:
         content = data
-    content = _bytes("gz", content, dice)
-    cut = dice.randrange(len(content) + 1) if dice.random() < 0.1 else 0
-    parts = [content[:cut], content[cut:]] if cut else [content]
+    return _in_members(_bytes("gz", content, dice), 0.1, dice)
+
+
+def _in_members(data: bytes, chance: float, dice: random.Random) -> bytes:
+    """Gzip of one member, or by that chance of two."""
+    cut = dice.randrange(len(data) + 1) if dice.random() < chance else 0
+    parts = [data[:cut], data[cut:]] if cut else [data]
     return b"".join(gzip.compress(part, dice.choice((0, 1, 9)), mtime=0) for part in parts)
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli import codecs
 from msal_cli.codecs import detection, mesh_file
 from msal_cli.errors import InternalError, MsalError
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
-
-Floats = NDArray[np.float64]
 
 FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
 """The formats with a codec of our own, and gzip around any of them."""
@@ -61,22 +58,14 @@ def _outcome(data: bytes, format: str) -> str:
     again = codecs.open_mesh(bytes(output), name, file.format)
     _require_same_faces(again, file)
     for encoding, precision in (("ascii", "float64"), ("binary", "float32")):
-        _encode(file, moved, name, encoding, precision)
+        try:
+            output = file.encoded(moved, encoding, precision)
+        except InternalError:
+            raise
+        except MsalError:
+            continue  # what the format cannot hold may be refused
+        _require_same_faces(codecs.open_mesh(bytes(output), name, file.format), file)
     return "ok"
-
-
-def _encode(
-    file: mesh_file.MeshFile, vertices: Floats, name: str, encoding: str, precision: str
-) -> None:
-    """Write the file another way and read that; what the format cannot hold may be refused."""
-    try:
-        output = file.encoded(vertices, encoding, precision)
-    except InternalError:
-        raise
-    except MsalError:
-        return
-    again = codecs.open_mesh(bytes(output), name, file.format)
-    _require_same_faces(again, file)
 
 
 def _require_same_faces(again: mesh_file.MeshFile, file: mesh_file.MeshFile) -> None:
