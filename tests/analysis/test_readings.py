@@ -26,9 +26,6 @@ def read_as(noise, probability, level=0.08):
 )
 def test_unsure_is_where_neither_kind_is_probable(clean, probability, is_unsure):
     assert read_as(clean, probability).is_unsure == is_unsure
-
-
-def test_readings_of_one_kind_count_together(clean):
     both = (Reading(NOISE, 0.02, 0.5), Reading(NOISE, 0.05, 0.45), Reading(TEXTURE, 0.0, 0.05))
     assert not dataclasses.replace(clean, readings=both).is_unsure
 

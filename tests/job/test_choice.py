@@ -10,10 +10,18 @@ import pytest
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimate_noise
+from msal_cli.cli.options import parse_assignment
 from msal_cli.errors import UsageError
 from msal_cli.job import choice as automatic
 from msal_cli.job.pipeline import denoise_bytes
-from msal_cli.job.settings import AUTO, Settings, Task, forecast, method_bytes_per_face
+from msal_cli.job.settings import (
+    AUTO,
+    Settings,
+    Task,
+    forecast,
+    method_bytes_per_face,
+    resolve_parameters,
+)
 from msal_cli.mesh import Mesh
 from tests.shapes import noisy, torus
 
@@ -32,9 +40,6 @@ def settled_as(monkeypatch, mesh, name, given):
 
 @pytest.mark.parametrize("name", methods.names())
 def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mesh, name):
-    from msal_cli.cli.options import parse_assignment
-    from msal_cli.job.settings import resolve_parameters
-
     method = methods.find(name)
     # No number of few digits, and another word than the default, wherever a parameter has room.
     given = {

@@ -282,17 +282,6 @@ def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given)
     assert ways[0] > ways[1]
 
 
-def test_lambda_is_scaled_vertex_by_vertex():
-    mesh = prepare_mesh(*noisy()).mesh
-    trust = random().random(len(mesh.vertices))
-    found = methods.find("msal")
-    plain = found.denoise(mesh, found.validate({})).fields["fidelity"]
-    scaled = found.denoise(mesh.with_constraints(None, trust), found.validate({})).fields[
-        "fidelity"
-    ]
-    assert np.allclose(scaled, trust * plain, rtol=1e-15, atol=0.0)
-
-
 def test_one_sweep_by_hand():
     """From v the first sweep pulls nothing back; the second does by w lambda."""
     mesh = prepare_mesh(*noisy()).mesh

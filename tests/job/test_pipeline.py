@@ -10,7 +10,6 @@ import itertools
 import os
 import struct
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from msal_cli.job.pipeline import denoise_bytes, denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import _contract
-from msal_cli.storage import gzip_streams
 from tests.cli.scans import ply_text
 from tests.shapes import cube, grid, noisy, torus
 
@@ -354,38 +352,6 @@ def test_output_names(name, to, expected):
     assert is_mesh_name("a.PLY") and is_mesh_name("a.stl.gz") and is_mesh_name("a.off")
     for name in ("a.txt", "a.mtl", "a", ".ply", "a.gz", "ply"):
         assert not is_mesh_name(name)
-
-
-REAL = [
-    "scans/angel.obj",
-    "scans/face000.ply",
-    "scans/dragon_vrip_res2.ply.gz",
-    "clean/igea.ply",
-    "clean/fandisk.obj",
-    "clean/stanford-bunny.obj",
-    "textured/bunny10k_textured.obj",
-    "textured/colored_airplane.ply",
-]
-
-
-@pytest.mark.parametrize("name", REAL)
-def test_real_files(real_data, tmp_path, name):
-    path = real_data / name
-    out = tmp_path / Path(name).name
-    record = denoised(path, out)
-    assert record.error is None
-    assert record.status == "written"
-    assert record.seam_gap == 0.0
-    assert 0 < record.displacement.mean_edges < 0.2
-    plain = [gzip_streams.expand(p.read_bytes(), p.name)[0] for p in (path, out)]
-    before, after = (codecs.open_mesh(data, "x." + record.format) for data in plain)
-    assert (before.faces == after.faces).all()
-    assert np.linalg.norm(before.vertices - after.vertices, axis=1).max() == pytest.approx(
-        record.displacement.max, rel=1e-3
-    )
-    same = tmp_path / "same" / out.name
-    denoised(path, same, iterations=0)
-    assert same.read_bytes() == path.read_bytes()
 
 
 def test_materials_travel_with_the_mesh_but_not_into_another_format(tmp_path):

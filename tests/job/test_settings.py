@@ -15,18 +15,12 @@ def parsed(as_options=False, parameters=(), **given):
     return parse({**given, "parameters": parameters}, as_options=as_options)
 
 
-def test_without_anything_the_parameters_of_the_family_are_chosen():
+def test_what_is_chosen_among():
     assert parsed() == parsed(method="adaptive") == Settings("adaptive")
     assert parsed(assume="noise").parameters == {"assume": "noise"}
     assert parsed(method=None, max_move=None, lock=()) == Settings("adaptive")
-
-
-def test_a_wish_or_the_word_auto_chooses_among_all():
     assert parsed(strength=0).method == parsed(method="auto", assume="noise").method == "auto"
     assert parsed(keep="edges", budget="4").parameters["budget"] == 4.0
-
-
-def test_parameters_alone_are_those_of_msal():
     settings = parsed(parameters=[("K", "K", 0.25)])
     assert (settings.method, settings.parameters["K"]) == ("msal", 0.25)
 

@@ -112,7 +112,7 @@ def test_wiener_estimates_the_noise_unless_told():
     )
 
 
-@pytest.mark.parametrize("schedule", ["robust", "wiener"])
+@pytest.mark.parametrize("schedule", ["multiscale", "robust", "wiener"])
 @pytest.mark.parametrize("name", ["msal", "umbrella"])
 def test_trust_scales_the_pull_and_what_is_held_stays(schedule, name):
     vertices, faces = SHAPES["torus"]

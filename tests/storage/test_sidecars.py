@@ -168,18 +168,6 @@ def test_texture_lines(line, name):
     assert sidecars._texture(line) == name
 
 
-def test_a_full_disk_is_an_error_and_leaves_nothing(scene, monkeypatch):
-    source, target = scene
-
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("msal_cli.storage.atomic.os.fsync", fail)
-    with pytest.raises(OutputError, match="No space"):
-        carry(["mesh.mtl"], source, target)
-    assert tree(target.parent) == {}
-
-
 def _carry(source, target, barrier, results):
     barrier.wait()
     try:
