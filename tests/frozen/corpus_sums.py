@@ -129,55 +129,47 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         sums = digest(file.vertices, file.faces)
         return f"{sums} {[str(one) for one in told]}", "\n".join(file.warnings)
 
-    def polygons() -> tuple[str, str]:
-        return digest(*(np.asarray(one) for one in known["file"].polygons())), ""
-
     def same() -> tuple[str, str]:
-        output = known["file"].replaced(known["file"].vertices.copy())
+        output = file.replaced(file.vertices.copy())
         return ("same" if bytes(output) == bytes(known["whole"]) else digest(output)), ""
 
     def replaced() -> tuple[str, str]:
-        known["output"] = known["file"].replaced(moved)
+        known["output"] = file.replaced(moved)
         return digest(plain_bytes(known["output"])), ""
 
-    def check() -> tuple[str, str]:
-        known["file"].check(known["output"], moved)
-        return "ok", ""
-
-    def check_another() -> tuple[str, str]:
-        known["file"].check(known["whole"], moved)
+    def check(output: str) -> tuple[str, str]:
+        file.check(known[output], moved)
         return "ok", ""
 
     def encoded(encoding: str, precision: str) -> tuple[str, str]:
-        return digest(plain_bytes(known["file"].encoded(moved, encoding, precision))), ""
+        return digest(plain_bytes(file.encoded(moved, encoding, precision))), ""
 
     def conversion(to: str) -> tuple[str, str]:
-        output, losses = codecs.convert(known["file"], moved, to)
+        output, losses = codecs.convert(file, moved, to)
         return f"{digest(output)} {len(losses)}", "\n".join(losses)
 
-    def property_of(name: str) -> tuple[str, str]:
-        return digest(vertex_property(known["file"], name)), ""
-
     def about_normals() -> tuple[str, str]:
-        told = normal_warnings(known["file"], moved)
+        told = normal_warnings(file, moved)
         return str(len(told)), "\n".join(told)
 
     attempt(steps, "forecast", lambda: (str(of_beginning(data[:HEAD_BYTES], len(data), name)), ""))
     if not attempt(steps, "read", load) or not attempt(steps, "arrays", describe):
         return steps
-    moved = displaced(known["file"].vertices)
-    attempt(steps, "polygons", polygons)
+    file = known["file"]
+    moved = displaced(file.vertices)
+    attempt(steps, "polygons", lambda: (digest(*map(np.asarray, file.polygons())), ""))
     attempt(steps, "same", same)
     if attempt(steps, "replaced", replaced):
-        attempt(steps, "check", check)
-    attempt(steps, "check of another", check_another)
+        attempt(steps, "check", lambda: check("output"))
+    attempt(steps, "check of another", lambda: check("whole"))
     attempt(steps, "normals", about_normals)
     for encoding in ENCODINGS:
         for precision in PRECISIONS:
             label = f"encoded {encoding} {precision}"
             attempt(steps, label, functools.partial(encoded, encoding, precision))
     for name in ("x", "quality", "nothing"):
-        attempt(steps, f"property {name}", functools.partial(property_of, name))
+        numbers = functools.partial(vertex_property, file, name)
+        attempt(steps, f"property {name}", lambda of=numbers: (digest(of()), ""))
     if not is_mutant:
         for to in PLAIN if len(data) > LARGE_BYTES else writable_formats():
             attempt(steps, f"to {to}", functools.partial(conversion, to))

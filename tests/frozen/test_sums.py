@@ -1,4 +1,9 @@
-"""Every method gives the bytes that it gave when the sums were frozen."""
+"""Every method, and a part of the codecs, commands and reports, give what they gave when the sums
+were frozen.
+
+All of it: ``python -m tests.frozen.sums``, ``corpus_sums`` and ``record_sums``; where a change is
+meant, with ``--write``.
+"""
 
 from __future__ import annotations
 
@@ -6,37 +11,63 @@ import json
 
 import pytest
 
-from tests.frozen import sums
+from tests.frozen import corpus_inputs, corpus_sums, record_sums, sums
 
-KEPT = json.loads(sums.KEPT.read_text())
+KEPT, CORPUS, RECORDS = (
+    json.loads(one.KEPT.read_text()) for one in (sums, corpus_sums, record_sums)
+)
 
 
-@pytest.fixture(autouse=True)
-def same_environment():
-    here = sums.environment()
-    different = [f"{name} {here[name]}" for name in here if here[name] != KEPT["environment"][name]]
+def require_same_environment(here, kept):
+    different = [f"{name} {here[name]}" for name in here if here[name] != kept["environment"][name]]
     if different:
         pytest.skip(f"the sums were made elsewhere: here is {', '.join(different)}")
 
 
-def compare(case, folder):
-    path = sums.locate(case[0])
-    if path is None:
-        pytest.skip("MSAL_DATA is not set: no real scans at hand")
-    # If this is meant: python -m tests.frozen.sums --write
-    assert sums.output_sum(path, case[1], folder) == KEPT["sums"][sums.key(case)]
+@pytest.fixture
+def compare(tmp_path):
+    require_same_environment(sums.environment(), KEPT)
+
+    def compare(case):
+        path = sums.locate(case[0])
+        if path is None:
+            pytest.skip("MSAL_DATA is not set: no real scans at hand")
+        assert sums.output_sum(path, case[1], tmp_path) == KEPT["sums"][sums.key(case)]
+
+    return compare
+
+
+@pytest.fixture
+def same_libraries():
+    require_same_environment(corpus_sums.here(), CORPUS)
 
 
 @pytest.mark.parametrize("case", list(sums.fast_cases()), ids=sums.key)
-def test_the_bytes_are_the_frozen_ones(case, tmp_path):
-    compare(case, tmp_path)
+def test_the_bytes_are_the_frozen_ones(case, compare):
+    compare(case)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", list(sums.all_cases()), ids=sums.key)
-def test_all_bytes_are_the_frozen_ones(case, tmp_path):
-    compare(case, tmp_path)
+def test_all_bytes_are_the_frozen_ones(case, compare):
+    compare(case)
 
 
 def test_every_case_has_a_sum():
     assert set(KEPT["sums"]) == {sums.key(case) for case in sums.all_cases()}
+
+
+@pytest.mark.parametrize(
+    "task",
+    [(format, "mutants", 0) for format in corpus_inputs.FUZZED]
+    + [(format, "files", 1) for format in ("off", "vtk", "none")],
+    ids=lambda task: " ".join(task[:2]),
+)
+def test_codecs(task, same_libraries):
+    _, found, _ = corpus_sums.sums_of(task)
+    assert corpus_sums.different(task, found, CORPUS["formats"]) == {}
+
+
+def test_records(same_libraries):
+    for name, *parts in record_sums.outcomes(["stored", "bad"]):
+        assert [corpus_sums.digest(one)[:12] for one in parts] == RECORDS["sums"][name], name

@@ -78,9 +78,6 @@ def test_a_signature_is_put_away_and_comes_back_only_to_open():
 def test_nothing_secret_is_told(text):
     assert "geheim" not in redact(text)
     assert "host/a" in redact(text)
-
-
-def test_a_known_secret_is_told_in_no_words():
     normalize_url("sftp://joe:geheim@host/a.ply")
     assert redact("login as joe with geheim failed") == "login as joe with *** failed"
 
@@ -92,9 +89,6 @@ def test_secrets_that_are_none_are_refused(monkeypatch, text):
         urls.check_secrets()
     assert caught.value.hint
     assert text not in caught.value.message
-
-
-@pytest.mark.parametrize("text", ["", "{}", '{"s3://b": "x"}'])
-def test_secrets_of_msal_are_taken(monkeypatch, text):
-    monkeypatch.setenv(SECRETS, text)
-    urls.check_secrets()
+    for good in ("", "{}", '{"s3://b": "x"}'):
+        monkeypatch.setenv(SECRETS, good)
+        urls.check_secrets()
