@@ -100,22 +100,22 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="leave igea and the dragon out")
     parser.add_argument("--again", action="store_true", help="run --auto anew")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="default: all")
-    told = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     try:
-        held = Outcomes(told.cache)
+        held = Outcomes(arguments.cache)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        parser.error(f"{told.cache} is not a cache of this benchmark: {error}")
-    if told.again:
+        parser.error(f"{arguments.cache} is not a cache of this benchmark: {error}")
+    if arguments.again:
         held.forget_automatic()
-    if {"classes", "reasons"} & set(told.parts):
-        found = class_rows(held, told.quick)
-        if "classes" in told.parts:
+    if {"classes", "reasons"} & set(arguments.parts):
+        found = class_rows(held, arguments.quick)
+        if "classes" in arguments.parts:
             print_classes(found)
-    if "wishes" in told.parts:
-        print_wishes(held, told.quick)
-    if "robustness" in told.parts:
+    if "wishes" in arguments.parts:
+        print_wishes(held, arguments.quick)
+    if "robustness" in arguments.parts:
         print_robustness(held)
-    if "reasons" in told.parts:
+    if "reasons" in arguments.parts:
         print("\n### What `--auto` said\n\n| | |\n|---|---|")
         for rows in found.values():
             print("\n".join(accuracy_tables.reasons(rows)))

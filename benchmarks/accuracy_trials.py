@@ -74,8 +74,8 @@ def other_cases() -> Iterator[Case]:
             ) -> tuple[Mesh, Mesh]:
                 return ground_truth.corrupted(source(), level, seed, kind)
 
-            told = "" if kind == "gaussian-normal" else f" {kind}"
-            yield Case(f"{name} {level:g}{told}", OF, made)
+            suffix = "" if kind == "gaussian-normal" else f" {kind}"
+            yield Case(f"{name} {level:g}{suffix}", OF, made)
 
 
 def _torus() -> Mesh:

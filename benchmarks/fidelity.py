@@ -78,7 +78,7 @@ def outcome(setting: Setting, noisy: Mesh, true: Mesh) -> Floats:
     return errors(true, noisy.with_vertices(method.denoise(noisy, method.validate(given)).vertices))
 
 
-def told(setting: Setting) -> str:
+def describe_setting(setting: Setting) -> str:
     """What was chosen of a row."""
     return ", ".join(f"{word} {value:g}" for word, value in setting[1].items() if value != "robust")
 
@@ -105,7 +105,7 @@ def class_table(of: str, everything: bool, models: bool) -> None:
         found = [np.array([outcome(one, *both) for both in meshes]) for one in settings]
         means = np.array([one.mean(axis=0) for one in found])
         for best in dict.fromkeys(int(at) for at in means.argmin(axis=0)):
-            row(label, told(settings[best]) if len(settings) > 1 else "", found[best])
+            row(label, describe_setting(settings[best]) if len(settings) > 1 else "", found[best])
 
 
 def medians_of_lambda(noisy: Mesh) -> str:

@@ -54,8 +54,8 @@ class Case:
 @functools.lru_cache(maxsize=1)
 def data_folder() -> Path | None:
     """The folder with pairs/, clean/ and scans/; None where MSAL_DATA names none."""
-    told = os.environ.get("MSAL_DATA")
-    return Path(told) if told else None
+    folder = os.environ.get("MSAL_DATA")
+    return Path(folder) if folder else None
 
 
 def opened(path: Path) -> Mesh:
@@ -137,16 +137,16 @@ def cases(quick: bool = False) -> Iterator[Case]:
             seed += 1
             if name not in shapes:
                 continue
-            source, told = shapes[name], kind[0] if kind else "gaussian-normal"
-            label = f"{name} {level:g}" + (f" {told}" if kind else "")
+            source, kind_name = shapes[name], kind[0] if kind else "gaussian-normal"
+            label = f"{name} {level:g}" + (f" {kind_name}" if kind else "")
 
             def made(
                 source: Callable[[], Mesh] = source,
                 level: float = level,
                 seed: int = seed,
-                told: str = told,
+                kind_name: str = kind_name,
             ) -> tuple[Mesh, Mesh]:
-                return corrupted(source(), level, seed, told)
+                return corrupted(source(), level, seed, kind_name)
 
             yield Case(label.replace(" 0", "") if level == 0.0 else label, of, made)
 

@@ -23,13 +23,13 @@ _PACKAGES = ("numpy",)
 def processor() -> str:
     """The processor as it names itself, with family and model where the name says too little."""
     if sys.platform == "darwin":
-        told = subprocess.run(
+        completed = subprocess.run(
             ["sysctl", "-n", "machdep.cpu.brand_string"],
             capture_output=True,
             text=True,
             check=False,
         )
-        return told.stdout.strip() or platform.processor()
+        return completed.stdout.strip() or platform.processor()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
     except OSError:

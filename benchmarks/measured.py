@@ -29,16 +29,16 @@ class Ran:
     seconds : wall-clock time from fork to exit.
     cpu_seconds : processor time of the process and of those that it waited for.
     peak_bytes : resident memory at the peak, of the largest process among these; some 10 MB, what
-        the measuring process holds, is the least that can be told.
+        the measuring process holds, is the least that can be measured.
     status : exit status; negative, the signal that ended it.
     said : the end of what it wrote on standard error.
     """
 
-    def __init__(self, told: dict[str, float], said: str) -> None:
-        self.seconds = told["seconds"]
-        self.cpu_seconds = told["cpu_seconds"]
-        self.peak_bytes = int(told["peak_bytes"])
-        self.status = int(told["status"])
+    def __init__(self, figures_of_run: dict[str, float], said: str) -> None:
+        self.seconds = figures_of_run["seconds"]
+        self.cpu_seconds = figures_of_run["cpu_seconds"]
+        self.peak_bytes = int(figures_of_run["peak_bytes"])
+        self.status = int(figures_of_run["status"])
         self.said = said
 
     @property

@@ -116,8 +116,8 @@ class Outcome:
     @property
     def error(self) -> float:
         """Relative error of the level; NaN where there is none to compare."""
-        told = self.noise.rms_edges if "impulses" in self.kind else self.noise.mean_edges
-        return told / self.level - 1.0 if self.level > 0.0 else math.nan
+        level = self.noise.rms_edges if "impulses" in self.kind else self.noise.mean_edges
+        return level / self.level - 1.0 if self.level > 0.0 else math.nan
 
 
 def corrupt(true: Mesh, noise: AddedNoise | ScannerSettings | None) -> tuple[Mesh, float]:

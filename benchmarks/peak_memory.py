@@ -151,11 +151,13 @@ def main() -> None:
             except RuntimeError as error:
                 print(f"| {word} | {path.stat().st_size} | {error} |", flush=True)
                 continue
-            told = forecast(Task(str(path), str(path), path.name), Settings(method)).memory_bytes
+            foreseen_bytes = forecast(
+                Task(str(path), str(path), path.name), Settings(method)
+            ).memory_bytes
             size = path.stat().st_size
             print(
                 f"| {word} | {size} | {full / 1e6:.0f} | {empty / 1e6:.0f} | "
-                f"{told / 1e6:.0f} | {told / full:.2f} |",
+                f"{foreseen_bytes / 1e6:.0f} | {foreseen_bytes / full:.2f} |",
                 flush=True,
             )
 

@@ -113,8 +113,8 @@ def main(words: list[str] | None = None) -> None:
                 flush=True,
             )
             if cores > 1:
-                told = (f"{name} {alone[order][name] / ns[name]:.2f}" for name in ns)
-                gains.append(f"{cores} cores against one, {order}: {', '.join(told)}.")
+                gain_texts = (f"{name} {alone[order][name] / ns[name]:.2f}" for name in ns)
+                gains.append(f"{cores} cores against one, {order}: {', '.join(gain_texts)}.")
     print("", *gains, sep="\n")
 
 

@@ -66,8 +66,8 @@ class Ran:
             last = said.read().decode().splitlines()[-1]
         if process.returncode:
             sys.exit(f"exit status {process.returncode}: {last}")
-        told = re.findall(r"([\d,]+) (written|up to date)", last)
-        self.files = {word: int(number.replace(",", "")) for number, word in told}
+        counts = re.findall(r"([\d,]+) (written|up to date)", last)
+        self.files = {word: int(number.replace(",", "")) for number, word in counts}
 
 
 def peak_bytes_of(pid: int) -> int:

@@ -150,8 +150,8 @@ SCRIPTS = {
     ),
     auto_seconds: (
         ["--across", "12", "--cores", "one", *ONE_RUN],
-        [r"\| 432 \| one \| default \| .* \| 1\.0 \| 1\.0 \|"]
-        + [r"\| 432 \| one \| --auto \| .* \| \d+\.\d \|", r"432 vertices: noise 0\.\d.*"],
+        [r"\| 432 \| one \| --method msal \| .* \| 1\.0 \| 1\.0 \|"]
+        + [r"\| 432 \| one \| --auto \| .* \| \d+\.\d \|", r"432 vertices, --auto: noise 0.*"],
     ),
     batch: (
         ["--files", "6", "--most", "300", "--sample", "1", *ONE_RUN, *PEER],

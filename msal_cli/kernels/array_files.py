@@ -2,7 +2,7 @@
 
 numpy asks an allocator of ours (NEP 49, ``kernel_build/array_files.c``) for the memory of its
 arrays, and so do kernels for theirs.  That of a large one is a mapped file of a scratch
-folder that nobody else can open, whose space is taken at once, and which ends with its array or
+folder that no other user can open, whose space is taken at once, and which ends with its array or
 the process.
 The functions that compute are the same, and so are the bytes.
 """
