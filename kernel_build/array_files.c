@@ -37,7 +37,7 @@ static void lock(void)
 
 static void unlock(void) { atomic_flag_clear_explicit(&is_locked, memory_order_release); }
 
-/* A file that nobody can find: one that never had a name, or lost it at once. */
+/* A file that no process can find by name: one that never had a name, or lost it at once. */
 static int open_nameless(void)
 {
     static atomic_uint counter;

@@ -105,7 +105,7 @@ class Losses:
         self.reasons: dict[int, str] = {}
 
     def add(self, index: int, cause: str, reason: str, hint: str) -> Retried | Failed:
-        """Count one more loss; what becomes of the task."""
+        """Count one more loss; whether the task is tried again or failed."""
         self._counts[index] += 1
         tries = self._counts[index]
         if tries <= self._retries:

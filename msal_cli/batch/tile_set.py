@@ -1,6 +1,6 @@
 """A tile set: files that touch, denoised as the one joined mesh that they are.
 
-First every file is read by itself: what it holds, and its border.  Border vertices of different
+First every file is read alone: what it holds, and its border.  Border vertices of different
 files that are one are found, then the joined mesh is denoised in memory, and then every file is
 read again and written with its part of the new positions.
 """

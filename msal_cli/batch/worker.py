@@ -192,7 +192,7 @@ def _limit_memory(limit: int) -> None:
 
 def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
     """End this process once it has used too much: where the system cannot refuse memory, and for
-    pages of files, which Linux does not count.  Those of arrays ``room`` lets go of."""
+    pages of files, which Linux does not count.  Those of arrays are released by ``room``."""
     while True:
         time.sleep(_BETWEEN_CHECKS_S)
         used = memory_bytes("self", "VmRSS") or peak_bytes() or 0

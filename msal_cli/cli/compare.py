@@ -222,7 +222,7 @@ def _compare_two(
     (record,) = checks.judge({after: compare(before, after)}, is_pair=True)
     failure: MsalError | None = None
     if heatmap is not None and record.error is None:
-        # What was measured is printed, whatever becomes of the picture.
+        # What was measured is printed, even if the picture fails.
         try:
             _write_heatmap(before, after, heatmap, format)
         except MsalError as error:

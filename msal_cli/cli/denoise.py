@@ -445,7 +445,7 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
 
 
 def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:
-    """What becomes of each of these files; UsageError for outputs that cannot be."""
+    """The planned state of each of these files; UsageError for outputs that cannot be."""
     from msal_cli.batch import plan
 
     backup = DEFAULT_BACKUP if request.backup is None else request.backup

@@ -78,7 +78,7 @@ def _of_ply(mesh_file: MeshFile) -> Colours | None:
     from msal_cli.codecs.ply_header import parsed
     from msal_cli.kernels.text import as_bytes
 
-    # With no vertex moved every codec gives back its very input.
+    # With no vertex moved every codec returns the input bytes.
     data = memoryview(mesh_file.replaced(mesh_file.vertices)).cast("B")
     header = parsed(data)
     element = next(element for element in header.elements if element.name == "vertex")

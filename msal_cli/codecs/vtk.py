@@ -79,7 +79,7 @@ class Stream:
         self._at = self._before_line
 
     def skip_paragraph(self) -> None:
-        """Go behind the next blank line, as it ends METADATA."""
+        """Skip to after the next blank line, which ends METADATA."""
         found = _PARAGRAPH_END.search(self._bytes, max(self._at - 1, 0))
         assert found is not None
         self._at = found.end()
@@ -189,7 +189,7 @@ class Stream:
         )
 
     def skip(self, count: int, kind: str) -> None:
-        """Go behind an array of so many numbers."""
+        """Skip an array of so many numbers."""
         if self._words is not None:
             self._next_words(count)
         elif kind.lower() == "bit":
@@ -200,7 +200,7 @@ class Stream:
             self._next_bytes(count * np.dtype(self._code(kind)).itemsize)
 
     def _skip_strings(self, count: int) -> None:
-        """Go behind strings; the first two bits of each tell how many bytes its length takes."""
+        """Skip strings; the first two bits of each say how many bytes its length takes."""
         for _ in range(count):
             at = self._next_bytes(1)
             width = (8, 4, 2, 1)[int(self._data[at]) >> 6]

@@ -75,7 +75,7 @@ STRAIGHT = 1e-3
 """Length of a chord over which its middle may leave it where three neighbours lie on a line."""
 
 TOUCHING = 0.15
-"""Local edges from its nearest neighbour below which a vertex is not off the surface by itself:
+"""Local edges from its nearest neighbour below which a vertex is not off the surface on its own:
 needle triangles end so, and 1 in 500 outliers."""
 
 UNLIKE_EDGES = 6.0

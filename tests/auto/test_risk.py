@@ -61,18 +61,18 @@ def smoothing(mesh):
 def rehearsed(part, *runs, pilot=None, noise=0.1, way="drawn"):
     model = noise if isinstance(noise, NoiseModel) else NoiseModel(noise)
     pilot = part.mesh.vertices if pilot is None else pilot
-    told = []
-    risk = SimulatedRisk(part, pilot, runs, model, way, lambda: told.append(way)).risk()
-    assert len(told) == len(runs)
+    calls = []
+    risk = SimulatedRisk(part, pilot, runs, model, way, lambda: calls.append(way)).risk()
+    assert len(calls) == len(runs)
     return risk
 
 
 def stein(part, noise, *runs):
     judge = SteinRisk(part, NoiseModel(noise), part.mesh.vertex_normals("uniform", 1))
-    told = []
+    calls = []
     for run in runs:
-        judge.add(run, lambda: told.append(judge))
-    assert len(told) == 3 * len(runs)
+        judge.add(run, lambda: calls.append(judge))
+    assert len(calls) == 3 * len(runs)
     return judge.risk()
 
 

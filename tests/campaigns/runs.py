@@ -64,7 +64,7 @@ def command(folder, output, *options):
 def started(words, **options):
     """The command in a session of its own, by which its workers are found."""
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
-    # Whoever runs the tests in the background has SIGINT ignored, and so would the child.
+    # Tests that run in the background have SIGINT ignored, and so would the child.
     return subprocess.Popen(
         words,
         start_new_session=True,

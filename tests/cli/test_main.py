@@ -209,7 +209,7 @@ def interrupted(arguments, signum, ready, folder):
         stdout=subprocess.PIPE,
         stdin=subprocess.PIPE,
         cwd=folder,
-        # Whoever runs the tests in the background has SIGINT ignored, and so would the child.
+        # Tests that run in the background have SIGINT ignored, and so would the child.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     try:
@@ -249,7 +249,7 @@ def test_a_batch_that_is_interrupted_leaves_whole_files_and_goes_on(tmp_path, si
     report = json.loads((tmp_path / "r.json").read_bytes())
     assert report["interrupted"] is True
     n_noted = report["totals"]["written"]
-    # A file may be in its place although nobody has come to hear of it.
+    # A file may be in its place before any record says so.
     assert 1 <= n_noted <= len(whole)
     assert report["totals"]["planned"] == 3 - n_noted
     assert [one.name for one in output.iterdir() if one.suffix == ".tmp"] == []

@@ -18,25 +18,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.analysis.noise_estimate.level import KINDS
 from msal_cli.arrays import Floats
 
 WEIGHTS = Path(__file__).with_name("forests.npz")
 
 NO_NOISE = "none"
 
-KIND_NAMES = (
-    NO_NOISE,
-    "white",
-    "isotropic",
-    "correlated",
-    "view",
-    "quantised",
-    "uneven",
-    "outliers",
-    "impulsive",
-    "staircase",
-)
-"""The outputs of the classifier."""
+KIND_NAMES = KINDS[:-1]
+"""The outputs of the classifier: all kinds but ``unknown``."""
 
 LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
 """The measurements of the level that the numbers begin with, as logarithms."""
