@@ -6,6 +6,7 @@ import errno
 import functools
 import os
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -247,3 +248,63 @@ _OWN_WORDS = (
     "MALLOC_ARENA_MAX",
     "GLIBC_TUNABLES",
 )
+
+
+# Other processes
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process of this machine has this id, be it ours or not.
+
+    One that has ended and waits for its parent to ask how does not count: where the first process
+    of a container never asks, it would wait for ever.
+    """
+    if pid <= 0:
+        return False
+    if sys.platform == "win32":
+        return _is_alive_on_windows(pid)
+    if (fields := _linux_status(pid)) is not None:
+        return fields[0] not in "ZX"
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def start_time(pid: int) -> float | None:
+    """When a process began, in seconds as of ``time.time``; None where that is not known."""
+    fields = _linux_status(pid)
+    if fields is None or len(fields) < 20:
+        return None
+    try:
+        ran_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / os.sysconf("SC_CLK_TCK")
+    except (AttributeError, OSError, ValueError):
+        return None
+    return time.time() - ran_s
+
+
+def _linux_status(pid: int) -> list[str] | None:
+    """The fields of ``/proc/PID/stat`` from the state on; None if there are none."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+    except OSError:
+        return None
+    return text.rpartition(")")[2].split() or None
+
+
+def _is_alive_on_windows(pid: int) -> bool:
+    # os.kill would end the process there, whatever the signal.
+    import ctypes
+
+    query_limited_information, still_active = 0x1000, 259
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    handle = kernel.OpenProcess(query_limited_information, False, pid)
+    if not handle:
+        return False
+    code = ctypes.c_ulong()
+    is_known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return bool(is_known) and code.value == still_active

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import interrupts, plan, worker_pool
+from msal_cli.batch import interrupts, plan, workers
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.codecs import header
 from msal_cli.errors import OutputError, UsageError
@@ -200,11 +200,11 @@ def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
         started.update(settings)
         raise OSError(12, "not enough memory")
 
-    monkeypatch.setattr(worker_pool.sys, "platform", "win32")
+    monkeypatch.setattr(workers.sys, "platform", "win32")
     monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
-    monkeypatch.setattr(worker_pool.subprocess, "Popen", start)
+    monkeypatch.setattr(workers.subprocess, "Popen", start)
     with pytest.raises(Exception, match="no worker can be started"):
-        worker_pool.start_worker(None, 1, None)
+        workers.start_worker(None, 1, None)
     assert started["creationflags"] == 0x200
     assert "process_group" not in started
 
@@ -221,7 +221,7 @@ def test_the_program_starts_without_modules_of_posix(module):
     code = (
         f"import sys; sys.modules[{module!r}] = None\n"
         "import msal_cli.cli.denoise, msal_cli.cli.watch, msal_cli.batch.run\n"
-        "import msal_cli.batch.lock, msal_cli.batch.worker, msal_cli.job.pipeline, msal_cli.machine"
+        "import msal_cli.batch.lock, msal_cli.batch.workers, msal_cli.job.pipeline"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 

@@ -20,12 +20,11 @@ from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
 
-from msal_cli.batch import temporary_files
+from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Failed, Interrupt, Message, Returned, Started, Work
-from msal_cli.batch.temporary_files import output_folders
-from msal_cli.batch.worker_pool import WorkerPool
+from msal_cli.batch.workers import WorkerPool
 from msal_cli.errors import ResourceError, UsageError, install_hint
-from msal_cli.storage.atomic import temporary_name
+from msal_cli.storage.atomic import sweep, sweep_after, temporary_name
 from msal_cli.version import __version__
 
 MAX_FILES_PER_TASK = 16
@@ -86,7 +85,7 @@ class DaskEngine:
             for probe in probes:
                 Path(probe).unlink(missing_ok=True)
             # A worker of this machine that was killed with its Dask worker cannot do that itself.
-            temporary_files.sweep(output_folders(self._work.tasks.values()))
+            sweep(output_folders(self._work.tasks.values()))
 
     def _connect(self) -> None:
         try:
@@ -260,13 +259,13 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
         )
     common, limits, retries, tasks = pickle.loads(payload)
 
-    def sweep_after(pid: int, index: int) -> None:
+    def clean_up(pid: int, index: int) -> None:
         folders = output_folders([tasks[index]])
-        temporary_files.sweep_after(pid, [Path(common[0], folder) for folder in folders])
+        sweep_after(pid, [Path(common[0], folder) for folder in folders])
 
     # A worker does as many files at the same time as it has threads.
     work = Work(
-        dict(tasks), run_in_folder, common, limits=limits, retries=retries, on_death=sweep_after
+        dict(tasks), run_in_folder, common, limits=limits, retries=retries, on_death=clean_up
     )
     pool = WorkerPool(work)
     key, is_over = worker.get_current_task(), threading.Event()

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.records import ObjectMark
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.storage import urls
+from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import is_url
 
 T = TypeVar("T")

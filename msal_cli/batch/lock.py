@@ -32,8 +32,8 @@ from pathlib import Path
 from types import TracebackType
 
 from msal_cli.batch.shard import Shard
-from msal_cli.batch.temporary_files import is_alive
 from msal_cli.errors import OutputError, UsageError
+from msal_cli.machine import is_alive
 
 NAME = ".msal-lock"
 _OF_SHARD = re.compile(re.escape(NAME) + r"-(\d{1,9})-of-(\d{1,9})")

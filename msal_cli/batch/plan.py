@@ -7,11 +7,9 @@ import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
-from msal_cli.batch.manifest import read_output_names
-from msal_cli.batch.shard import Shard
-from msal_cli.batch.temporary_files import is_own
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.records import ObjectMark
 from msal_cli.job.settings import (
@@ -22,7 +20,11 @@ from msal_cli.job.settings import (
     refuse_unknown_format,
 )
 from msal_cli.storage import urls
+from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import is_url
+
+if TYPE_CHECKING:
+    from msal_cli.batch.shard import Shard
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,11 @@ class Plan:
         if os.sep == "/" and output.startswith(start) and not place.endswith("/"):
             return output[len(start) :]
         return Path(output).relative_to(place).as_posix()
+
+
+def output_folders(tasks: Iterable[Task]) -> set[Path]:
+    """The folders of this machine that tasks write to."""
+    return {Path(task.output).parent for task in tasks if not is_url(task.output)}
 
 
 def build_plan(
@@ -254,7 +261,11 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
         for index, task in enumerate(plan.tasks)
         if task.output in plan.objects or (not is_url(output) and os.path.lexists(task.output))
     ]
-    own = read_output_names(output) if existing else frozenset()
+    if not existing:
+        return
+    from msal_cli.batch.manifest import read_output_names
+
+    own = read_output_names(output)
     foreign = [plan.tasks[index] for index in existing if plan.manifest_key(index) not in own]
     if foreign and not is_url(output) and ignores_case(Path(output)):
         # An input that was renamed from A.ply to a.ply keeps its output.

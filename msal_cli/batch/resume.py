@@ -8,13 +8,24 @@ import os
 import stat
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from msal_cli.batch.manifest import FileStat, Manifest, ManifestEntry, to_builtin
+from msal_cli.batch.history import RunEntry
+from msal_cli.batch.manifest import (
+    FileStat,
+    Manifest,
+    ManifestEntry,
+    done_line,
+    intent_line,
+    open_folder,
+    open_manifest,
+    to_builtin,
+)
 from msal_cli.batch.plan import Plan
-from msal_cli.errors import OutputError
+from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
 from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.storage.atomic import write_whole
@@ -41,6 +52,8 @@ _FAULTS_OF_FILES = frozenset(
 _MAX_THREADS = 8
 _TASKS_PER_CALL = 32
 _BLOCK_BYTES = 1 << 20
+
+OnDone = Callable[[int, MeshRecord], None]
 
 
 def hash_settings(settings: Settings, members: Sequence[str] = ()) -> str:
@@ -227,6 +240,111 @@ class _FreshnessCheck:
         if was_interrupted and kept and original and kept.size == original.size:
             return FileState(index, restores=True)
         return FileState(index, obstacle=backup)
+
+
+class Journal:
+    """The manifests of all places of a plan: what earlier runs did, and what this one does."""
+
+    def __init__(self, plan: Plan, settings: Settings, cores: int) -> None:
+        self._plan, self._settings, self._cores = plan, settings, cores
+        members = [task.relative for task in plan.tasks] if plan.is_set else []
+        self._hash = hash_settings(settings, members)
+        self.manifests: dict[str, Manifest] = {}
+        self._entry: RunEntry | None = None
+        # Those in which the start of this run is recorded.
+        self._begun: list[Manifest] = []
+        self._stats: dict[int, FileStat | None] = {}
+
+    def read(self) -> None:
+        """Read what earlier runs did, and touch nothing."""
+        self.manifests = {place: open_manifest(place) for place in self._plan.folders()}
+
+    def begin(
+        self,
+        stack: ExitStack,
+        opened: Mapping[str, Manifest],
+        command: tuple[str, ...],
+        on_done: OnDone,
+    ) -> list[int]:
+        """Lock all places but those ``opened``, give what is up to date to ``on_done``, and record
+        the start of this run; the indices of what is to be done.
+
+        ``stack`` releases locks and manifests.
+        """
+        tasks = self._plan.tasks
+        self._entry = RunEntry.start(self._plan, self._settings, command)
+        for place in self._plan.folders():
+            self.manifests[place] = opened.get(place) or open_folder(place, stack, self._plan.shard)
+        todo, restored = self.find_outdated(on_done)
+        for manifest in self.manifests.values():
+            manifest.open()
+            manifest.append([self._entry.start_line()])
+            self._begun.append(manifest)
+        for index in restored:
+            restore_backup(tasks[index])
+        self._append(
+            todo, lambda index, key: intent_line(key, tasks[index].input, tasks[index].output)
+        )
+        self._stats = {n: FileStat.of(tasks[n].input) for n in todo if tasks[n].in_place}
+        return todo
+
+    def find_outdated(self, on_done: OnDone) -> tuple[list[int], list[int]]:
+        """The indices of what is not up to date, and which of it are to be restored from their
+        backups first; the records of the rest go to ``on_done``."""
+        todo: list[int] = []
+        restored: list[int] = []
+        obstacles: list[str] = []
+        with closing(
+            file_states(self._plan, self.manifests, self._hash, threads=self._cores)
+        ) as states:
+            for state in states_of_set(states) if self._plan.is_set else states:
+                if state.obstacle:
+                    obstacles.append(state.obstacle)
+                elif state.record is not None:
+                    on_done(state.index, state.record)
+                else:
+                    todo.append(state.index)
+                    restored += [state.index] if state.restores else []
+        if obstacles:
+            more = f" and {len(obstacles) - 1} more" if len(obstacles) > 1 else ""
+            raise UsageError(
+                f"the backup {obstacles[0]!r}{more} exists and is not the file to be replaced",
+                hint="the original is in it: move it back, or choose another --backup suffix",
+                path=obstacles[0],
+            )
+        return todo, restored
+
+    def note_done(self, finished: Mapping[int, MeshRecord]) -> None:
+        """Record files that are finished; OutputError if that fails."""
+        tasks = self._plan.tasks
+        self._append(
+            finished,
+            lambda index, key: done_line(
+                key, self._hash, finished[index], tasks[index].input, tasks[index].output
+            ),
+        )
+
+    def end(self, *, interrupted: bool) -> None:
+        """Record the end of this run where its start is recorded."""
+        for manifest in self._begun:
+            assert self._entry is not None
+            manifest.append([self._entry.end_line(interrupted=interrupted)])
+
+    def roll_back(self, index: int) -> str:
+        """Undo what a lost worker did in place; why the file must not be tried again, if so."""
+        try:
+            return roll_back(self._plan.tasks[index], self._stats.get(index))
+        except OutputError as error:
+            return error.message
+
+    def _append(self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]) -> None:
+        lines: dict[str, list[dict[str, Any]]] = {}
+        for index in indices:
+            place = self._plan.manifest_dirs[index]
+            if place is not None:
+                lines.setdefault(place, []).append(line(index, self._plan.manifest_key(index)))
+        for place, new_lines in lines.items():
+            self.manifests[place].append(new_lines)
 
 
 def backup_path(task: Task) -> Path:

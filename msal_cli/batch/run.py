@@ -6,23 +6,14 @@ import functools
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from msal_cli.batch import interrupts, temporary_files
-from msal_cli.batch.history import RunEntry
-from msal_cli.batch.manifest import FileStat, done_line, intent_line, open_folder, open_manifest
-from msal_cli.batch.plan import Plan
-from msal_cli.batch.resume import (
-    file_states,
-    hash_settings,
-    restore_backup,
-    roll_back,
-    states_of_set,
-)
+from msal_cli.batch import interrupts
+from msal_cli.batch.plan import Plan, output_folders
 from msal_cli.batch.schedule import (
     Failed,
     Finished,
@@ -34,20 +25,21 @@ from msal_cli.batch.schedule import (
     Work,
     estimate_memory,
 )
-from msal_cli.batch.temporary_files import output_folders
 from msal_cli.errors import OutputError, ResourceError, UsageError
 from msal_cli.job.pipeline import denoise_copy, denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 from msal_cli.job.room import foresee
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, least_memory_bytes
 from msal_cli.machine import megabytes, usable_cores
+from msal_cli.storage.atomic import sweep, sweep_after
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.batch.manifest import Manifest
+    from msal_cli.batch.resume import Journal
     from msal_cli.batch.schedule import EngineFactory, Event, Message, OnEvent
-    from msal_cli.batch.worker import Denoise
+    from msal_cli.batch.workers import Denoise
     from msal_cli.job.pipeline import OnProgress
 
 
@@ -98,7 +90,7 @@ def run(
     stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
     command : the command line, for the manifests and the reports made of them.
     denoise : what does one file, a module-level function; takes ``limits=`` where there are any.
-    engine : processes the files, a single one too; None is ``worker_pool.WorkerPool``.
+    engine : processes the files, a single one too; None is ``workers.WorkerPool``.
     cancellation : ends the run from another thread.  Then a single file runs in a worker, too,
         which can be ended at any time.
     manifests : those of output folders that the caller has opened, and locked, for several runs.
@@ -152,26 +144,28 @@ class _BatchRun:
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
-        members = [task.relative for task in self.plan.tasks] if self.plan.is_set else []
-        self._hash = hash_settings(self.settings, members)
-        self._manifests: dict[str, Manifest] = {}
-        # Those in which the start of this run is recorded.
-        self._begun: list[Manifest] = []
+        # What earlier runs did, and this one does; None for a file that has no manifest.
+        self._journal: Journal | None = None
+        if self.plan.folders():
+            from msal_cli.batch.resume import Journal
+
+            self._journal = Journal(self.plan, self.settings, self._cores)
         self._records: dict[int, MeshRecord] = {}
         self._n_failed = 0
         # Why finished files cannot be recorded.
         self._failure: OutputError | None = None
-        self._stats: dict[int, FileStat | None] = {}
 
     def dry_run(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
+        todo = list(range(len(self.plan.tasks)))
         with interrupts.catch_signals(interrupts.raise_for):
-            self._manifests = {folder: open_manifest(folder) for folder in self.plan.folders()}
-            todo = self._outdated()[0]
+            if self._journal is not None:
+                self._journal.read()
+                todo = self._journal.find_outdated(self._emit_finished)[0]
             if self.plan.is_set and todo:
                 from msal_cli.batch.tile_set import survey_set
 
-                records = survey_set(self.plan, self.settings, self._manifests)
+                records = survey_set(self.plan, self.settings, self._manifests())
             else:
                 records = {
                     index: foresee(
@@ -188,10 +182,13 @@ class _BatchRun:
 
     def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
         """What happened; ``stack`` releases locks and manifests, however this ends."""
-        entry = RunEntry.start(self.plan, self.settings, command)
         try:
             with interrupts.catch_signals(interrupts.raise_for):
-                todo = self._lock_and_plan(stack, entry)
+                folders = {*output_folders(self.plan.tasks), *map(Path, self._local_folders())}
+                sweep(folders)
+                todo = list(range(len(self.plan.tasks)))
+                if self._journal is not None:
+                    todo = self._journal.begin(stack, self.opened, command, self._emit_finished)
             if self.plan.is_set:
                 self._run_set(todo)
             elif self._is_single() or self.plan.is_in_process:
@@ -203,9 +200,11 @@ class _BatchRun:
         except BaseException:
             # Why it ended matters more than that it cannot be recorded.
             with suppress(OutputError):
-                self._append_end(entry, interrupted=True)
+                if self._journal is not None:
+                    self._journal.end(interrupted=True)
             raise
-        self._append_end(entry, interrupted=False)
+        if self._journal is not None:
+            self._journal.end(interrupted=False)
         return self._in_order()
 
     def _is_single(self) -> bool:
@@ -213,62 +212,17 @@ class _BatchRun:
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
         return is_alone and not (self.engine or is_limited or self.cancellation)
 
-    def _append_end(self, entry: RunEntry, *, interrupted: bool) -> None:
-        for manifest in self._begun:
-            manifest.append([entry.end_line(interrupted=interrupted)])
+    def _manifests(self) -> Mapping[str, Manifest]:
+        return {} if self._journal is None else self._journal.manifests
 
-    def _lock_and_plan(self, stack: ExitStack, entry: RunEntry) -> list[int]:
-        """Lock the folders, report what is up to date; the indices of what is to be done."""
-        tasks, folders = self.plan.tasks, self.plan.folders()
-        for folder in folders:
-            self._manifests[folder] = self.opened.get(folder) or open_folder(
-                folder, stack, self.plan.shard
-            )
-        temporary_files.sweep({*output_folders(tasks), *map(Path, _local(folders))})
-        todo, restored = self._outdated()
-        for manifest in self._manifests.values():
-            manifest.open()
-            manifest.append([entry.start_line()])
-            self._begun.append(manifest)
-        for index in restored:
-            restore_backup(tasks[index])
-        self._append_lines(
-            todo, lambda index, key: intent_line(key, tasks[index].input, tasks[index].output)
-        )
-        self._stats = {n: FileStat.of(tasks[n].input) for n in todo if tasks[n].in_place}
-        return todo
-
-    def _outdated(self) -> tuple[list[int], list[int]]:
-        """Report what is up to date; the indices of the rest, and which of it are to be restored
-        from their backups first."""
-        todo: list[int] = []
-        restored: list[int] = []
-        obstacles: list[str] = []
-        with closing(
-            file_states(self.plan, self._manifests, self._hash, threads=self._cores)
-        ) as states:
-            for state in states_of_set(states) if self.plan.is_set else states:
-                if state.obstacle:
-                    obstacles.append(state.obstacle)
-                elif state.record is not None:
-                    self._emit_finished(state.index, state.record)
-                else:
-                    todo.append(state.index)
-                    restored += [state.index] if state.restores else []
-        if obstacles:
-            more = f" and {len(obstacles) - 1} more" if len(obstacles) > 1 else ""
-            raise UsageError(
-                f"the backup {obstacles[0]!r}{more} exists and is not the file to be replaced",
-                hint="the original is in it: move it back, or choose another --backup suffix",
-                path=obstacles[0],
-            )
-        return todo, restored
+    def _local_folders(self) -> list[str]:
+        return [folder for folder in self.plan.folders() if not is_url(folder)]
 
     # The work
 
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
-            temporary_files.sweep_after(os.getpid(), output_folders(self.plan.tasks))
+            sweep_after(os.getpid(), output_folders(self.plan.tasks))
 
         with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
             for index in todo:
@@ -299,15 +253,14 @@ class _BatchRun:
                     self.settings,
                     self.on_event,
                     self.stop_after_failures,
-                    self._manifests,
+                    self._manifests(),
                     self.limits,
                     self.cancellation,
                 )
             )
 
     def _run_engine(self, todo: list[int]) -> None:
-        from msal_cli.batch.worker import denoise_in_worker
-        from msal_cli.batch.worker_pool import WorkerPool
+        from msal_cli.batch.workers import WorkerPool, denoise_in_worker
 
         received: list[int] = []
         tasks = {index: self.plan.tasks[index] for index in todo}
@@ -319,11 +272,9 @@ class _BatchRun:
             (self.denoise, self.settings),
             jobs=self.jobs or self._cores,
             cores=self._cores,
-            folders=tuple(_local(self.plan.folders())),
-            on_death=lambda pid, index: temporary_files.sweep_after(
-                pid, output_folders([tasks[index]])
-            ),
-            on_loss=self._roll_back,
+            folders=tuple(self._local_folders()),
+            on_death=lambda pid, index: sweep_after(pid, output_folders([tasks[index]])),
+            on_loss=lambda index: self._journal.roll_back(index) if self._journal else "",
             limits=self.limits,
             retries=self.retries,
             weights=budget.large,
@@ -376,32 +327,16 @@ class _BatchRun:
 
     def _finish(self, finished: dict[int, MeshRecord]) -> None:
         """Record files in the manifests, then report, also what could not be recorded."""
-        tasks = self.plan.tasks
         finished = {n: _warn_of_memory(record, self.limits) for n, record in finished.items()}
         try:
-            self._append_lines(
-                finished,
-                lambda index, key: done_line(
-                    key, self._hash, finished[index], tasks[index].input, tasks[index].output
-                ),
-            )
+            if self._journal is not None:
+                self._journal.note_done(finished)
         except OutputError as error:
             self._failure = self._failure or error
         for index, record in finished.items():
             # Failures of earlier runs do not count for --max-failures.
             self._n_failed += record.status == "failed"
             self._emit_finished(index, record)
-
-    def _append_lines(
-        self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]
-    ) -> None:
-        lines: dict[str, list[dict[str, Any]]] = {}
-        for index in indices:
-            folder = self.plan.manifest_dirs[index]
-            if folder is not None:
-                lines.setdefault(folder, []).append(line(index, self.plan.manifest_key(index)))
-        for folder, new_lines in lines.items():
-            self._manifests[folder].append(new_lines)
 
     def _emit_finished(self, index: int, record: MeshRecord) -> None:
         self._records[index] = record
@@ -427,13 +362,6 @@ class _BatchRun:
             error=failure,
         )
 
-    def _roll_back(self, index: int) -> str:
-        """Undo what a lost worker did in place; why the file must not be tried again, if so."""
-        try:
-            return roll_back(self.plan.tasks[index], self._stats.get(index))
-        except OutputError as error:
-            return error.message
-
 
 def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:
     """The record, with a warning if more memory was used than the limit."""
@@ -442,10 +370,6 @@ def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:
         return record
     note = f"{megabytes(peak)} of memory were used, more than --memory-limit {megabytes(limit)}"
     return replace(record, warnings=(*record.warnings, note))
-
-
-def _local(folders: Iterable[str]) -> list[str]:
-    return [folder for folder in folders if not is_url(folder)]
 
 
 def check_numbers(jobs: int | None, retries: int, stop_after_failures: int | None) -> None:
@@ -487,7 +411,7 @@ def denoise_in_pool(
     ``left_s`` is what is left of ``limits.timeout_s``, which began with the first byte.  Raises
     ResourceError if no worker can be started, or no time is left (E_TIMEOUT).
     """
-    from msal_cli.batch.worker_pool import WorkerPool
+    from msal_cli.batch.workers import WorkerPool
 
     def on_event(event: Event) -> None:
         if isinstance(event, Progress):

@@ -23,9 +23,9 @@ from msal_cli.analysis.shared_borders import (
     share_borders,
 )
 from msal_cli.analysis.surface_distance import at_other_positions
-from msal_cli.batch import interrupts, temporary_files
+from msal_cli.batch import interrupts
+from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress
-from msal_cli.batch.temporary_files import output_folders
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
 from msal_cli.job.inspection import open_mesh, to_known_error
@@ -41,6 +41,7 @@ from msal_cli.job.settings import (
     is_mesh_name,
     least_memory_bytes,
 )
+from msal_cli.storage.atomic import sweep_after
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
@@ -128,7 +129,7 @@ def denoise_set(
         on_event(Progress(index, stage, done, total))
 
     def clean() -> None:
-        temporary_files.sweep_after(os.getpid(), output_folders(plan.tasks))
+        sweep_after(os.getpid(), output_folders(plan.tasks))
 
     earlier = read_earlier(plan, manifests or {})
     with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):

@@ -105,10 +105,13 @@ class _Session:
 
     def _build_plan(self, settings: Settings) -> Plan:
         from msal_cli.batch import inputs, plan
-        from msal_cli.batch import shard as shards
 
         request = self._request
-        shard = None if request.shard is None else shards.parse_shard(request.shard, os.environ)
+        shard = None
+        if request.shard is not None:
+            from msal_cli.batch.shard import parse_shard
+
+            shard = parse_shard(request.shard, os.environ)
         found = inputs.discover_inputs(
             request.inputs, request.include, request.exclude, output=request.output
         )

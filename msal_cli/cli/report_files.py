@@ -210,8 +210,8 @@ def refuse_target(
 
 
 def _refuse_own(path: str, what: str) -> None:
-    from msal_cli.batch.temporary_files import is_own
     from msal_cli.storage import urls
+    from msal_cli.storage.atomic import is_own
 
     last = urls.name(path) if urls.is_url(path) else Path(path).name
     # Where case does not count, another case is the same file.

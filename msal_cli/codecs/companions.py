@@ -6,7 +6,6 @@ import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from msal_cli.codecs.gltf import names_of_buffers
 from msal_cli.codecs.mesh_file import Companion
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.storage.atomic import Sources, write_whole
@@ -19,6 +18,8 @@ def list_sources(path: str, data: Buffer) -> list[str]:
     that hold the buffers of a .gltf."""
     if not path.lower().removesuffix(".gz").endswith(".gltf"):
         return [path]
+    from msal_cli.codecs.gltf import names_of_buffers
+
     folder = Path(path).parent
     names = names_of_buffers(expand(data, path)[0])
     return [path, *(os.fspath(folder / name) for name in sorted(names))]
@@ -79,6 +80,8 @@ def _names_of_earlier(output_path: str) -> set[str]:
     """The buffers of the .gltf that is at the output's place."""
     if not os.path.isfile(output_path):
         return set()
+    from msal_cli.codecs.gltf import names_of_buffers
+
     try:
         return names_of_buffers(expand(read_whole(output_path), output_path)[0])
     except MsalError:

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 
 from msal_cli.batch.schedule import Failed, Interrupt, Returned, Started, Work
-from msal_cli.batch.worker_pool import WorkerPool
+from msal_cli.batch.workers import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.job.settings import FORECAST
 from msal_cli.storage.atomic import temporary_name

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from msal_cli.batch import worker_pool
+from msal_cli.batch import workers
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import _warn_of_memory, run
@@ -57,9 +57,9 @@ class TestTime:
         assert [type(one) for one in messages] == [Started, Failed]
 
     def test_a_worker_that_never_gets_ready_is_given_up(self, monkeypatch):
-        monkeypatch.setattr(worker_pool, "_READY_WITHIN_S", 0.2)
-        monkeypatch.setattr(worker_pool, "_BOOT", "import time; time.sleep(60)")
-        with pytest.raises(worker_pool.ResourceError, match="end before they start"):
+        monkeypatch.setattr(workers, "_READY_WITHIN_S", 0.2)
+        monkeypatch.setattr(workers, "_BOOT", "import time; time.sleep(60)")
+        with pytest.raises(workers.ResourceError, match="end before they start"):
             heard([("double", 1)])
 
 
@@ -80,7 +80,7 @@ class TestRetries:
 @posix
 def test_a_kill_by_the_system_for_want_of_memory_is_told_apart(monkeypatch):
     counts = iter([4, 4, 4, 5])
-    monkeypatch.setattr(worker_pool, "oom_kills", lambda: next(counts))
+    monkeypatch.setattr(workers, "oom_kills", lambda: next(counts))
     messages = heard([("kill", 0)])
     assert [one.reason for one in messages if isinstance(one, Retried)] == [
         "the worker was killed by SIGKILL"
@@ -103,11 +103,11 @@ class TestMemory:
 
     @linux
     def test_where_the_system_cannot_the_worker_looks_itself(self, monkeypatch):
-        boot = worker_pool._BOOT.replace(
+        boot = workers._BOOT.replace(
             "serve; serve()",
-            "serve; import msal_cli.batch.worker as w, sys; sys.platform = 'other'; serve()",
+            "serve; import msal_cli.batch.workers as w, sys; sys.platform = 'other'; serve()",
         )
-        monkeypatch.setattr(worker_pool, "_BOOT", boot)
+        monkeypatch.setattr(workers, "_BOOT", boot)
         messages = heard(
             [("hold", 600 << 20), ("double", 2)], limits=Limits(memory_bytes=300_000_000), jobs=1
         )

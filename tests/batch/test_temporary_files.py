@@ -10,9 +10,9 @@ import time
 
 import pytest
 
-from msal_cli.batch.temporary_files import is_alive, is_own, start_time, sweep, sweep_after
-from msal_cli.batch.worker_pool import describe_exit
-from msal_cli.storage.atomic import temporary_name
+from msal_cli.batch.workers import describe_exit
+from msal_cli.machine import is_alive, start_time
+from msal_cli.storage.atomic import is_own, sweep, sweep_after, temporary_name
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from msal_cli.batch import run as running
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
-from msal_cli.batch.worker_pool import WorkerPool
+from msal_cli.batch.workers import WorkerPool
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from tests.shapes import noisy, torus

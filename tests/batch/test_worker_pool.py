@@ -13,10 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import worker_pool
+from msal_cli.batch import workers
 from msal_cli.batch.schedule import Failed, Interrupt, Progress, Retried, Returned, Started, Work
-from msal_cli.batch.worker import read_message, write_message
-from msal_cli.batch.worker_pool import WorkerPool
+from msal_cli.batch.workers import WorkerPool, read_message, write_message
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
 from tests.batch.fakes import heard, lost, pool, results
@@ -184,9 +183,7 @@ def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
 
 @posix
 def test_a_worker_that_dies_before_it_starts_is_not_the_files_fault(monkeypatch):
-    monkeypatch.setattr(
-        worker_pool, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)"
-    )
+    monkeypatch.setattr(workers, "_BOOT", "import sys; print('no way', file=sys.stderr); exit(7)")
     with pytest.raises(ResourceError, match=r"exit status 7; no way"):
         heard(pool([("double", 1)] * 5))
     assert children() == []

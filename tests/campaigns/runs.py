@@ -20,7 +20,7 @@ from pathlib import Path
 
 from msal_cli.batch.lock import NAME as LOCK
 from msal_cli.batch.manifest import NAME as MANIFEST
-from msal_cli.batch.temporary_files import is_own
+from msal_cli.storage.atomic import is_own
 from tests.cli.scans import BAD_SCAN, MSAL, ply_text
 from tests.shapes import noisy, torus
 

@@ -11,8 +11,8 @@ import sys
 
 import pytest
 
-from msal_cli.batch import temporary_files as temporaries
 from msal_cli.errors import OutputError
+from msal_cli.storage import atomic as temporaries
 from msal_cli.storage import atomic as writing
 from msal_cli.storage.atomic import make_folders, publish, write_new, write_whole
 
