@@ -18,9 +18,10 @@ manifests of a folder are read.
 Nothing can be appended to an object of a store, so a manifest there is made of parts,
 ``.msal-manifest/RUN-00001.jsonl`` and so on, RUN being the time at which the run began and eight
 random digits.  A part is written whole and never again.  ``intent`` lines are there before the work
-starts; ``done`` lines follow every few seconds, so a run that is killed forgets what it finished in
-the last of them, and those files are done again.  Many parts are merged into one: first the new
-part is written, then the old ones are removed, so that at any moment every line is in some part.
+starts; ``done`` lines that come within seconds of a part wait for later ones, so a run that is
+killed may forget its last files, and those are done again.  Many parts are merged into one: first
+the new part is written, then the old ones are removed, so that at any moment every line is in some
+part.
 """
 
 from __future__ import annotations
@@ -32,7 +33,6 @@ import logging
 import os
 import re
 import sys
-import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
@@ -75,7 +75,6 @@ MAX_PARTS = 50
 """Parts beyond which the next run merges them; each costs a request at every start."""
 
 _MAX_FAILURES = 10
-_LAST_CHANCE_S = 1.5
 
 # Parsing the records, which are rarely needed, would take half of the time of reading.
 _USUAL_DONE = re.compile(
@@ -516,74 +515,44 @@ class ObjectManifest(Manifest):
         super().__init__(url, [self._view])
         # Of shards that start together one merges: else each would write a copy of everything.
         self._merges = shard is None or shard.number == 1
-        self._n_written = 0
-        self._n_failures = 0
-        self._failure: MsalError | None = None
+        self._n_written = self._n_failures = 0
+        self._next_part = 0.0
         self._waiting: list[bytes] = []
-        self._lock = threading.Lock()
-        self._writing = threading.Lock()
-        self._is_closed = threading.Event()
-        self._has_lines = threading.Event()
-        self._thread: threading.Thread | None = None
 
     def open(self) -> None:
         if self._merges and len(self._parts) > MAX_PARTS:
             self._merge_parts()
-        self._thread = threading.Thread(target=self._write_loop, name="msal-manifest", daemon=True)
-        self._thread.start()
 
     def close(self) -> None:
-        """Write what is left; while another exception is being handled a failure is only logged,
-        and not waited for long."""
-        if self._thread is None:
-            return
-        self._is_closed.set()
-        self._has_lines.set()
+        """Write what is left; while another exception is being handled a failure is only logged."""
         is_failing = sys.exc_info()[0] is not None
-        thread, self._thread = self._thread, None
-        thread.join(_LAST_CHANCE_S if is_failing else None)
-        if not self._waiting:
-            return
-        if is_failing:
+        try:
+            self._flush()
+        except OutputError:
+            if not is_failing:
+                raise
             _log.warning("the last lines of the manifest of %r could not be written", self.place)
-            return
-        self._flush()
 
     def _write_lines(self, lines: list[bytes], *, at_once: bool) -> None:
-        with self._lock:
-            self._waiting.extend(lines)
-        if at_once:
-            self._flush()
+        self._waiting += lines
+        if not at_once and time.monotonic() < self._next_part:
             return
-        self._has_lines.set()
-        if self._failure is not None and self._n_failures >= _MAX_FAILURES:
-            raise _store_error(self.place, self._failure)
-
-    def _write_loop(self) -> None:
-        while not self._is_closed.is_set():
-            self._has_lines.wait()
-            self._has_lines.clear()
-            self._is_closed.wait(SECONDS_BETWEEN_PARTS)
-            try:
-                self._flush()
-                self._n_failures = 0
-            except MsalError as error:
-                # The lines wait for the next time: a store may be out of reach for a moment.
-                self._failure = error
-                self._n_failures += 1
-                self._has_lines.set()
+        try:
+            self._flush()
+            self._n_failures = 0
+        except OutputError:
+            # The lines wait for the next time: a store may be out of reach for a moment.
+            self._n_failures += 1
+            if at_once or self._n_failures >= _MAX_FAILURES:
+                raise
+        self._next_part = time.monotonic() + SECONDS_BETWEEN_PARTS
 
     def _flush(self) -> None:
         """Write the lines that wait as a part; they wait on if that fails."""
-        with self._writing:
-            with self._lock:
-                text, n_lines = b"".join(self._waiting), len(self._waiting)
-            if not text:
-                return
-            self._write_part(self._n_written + 1, text)
+        if self._waiting:
+            self._write_part(self._n_written + 1, b"".join(self._waiting))
             self._n_written += 1
-            with self._lock:
-                del self._waiting[:n_lines]
+            self._waiting.clear()
 
     def _write_part(self, number: int, text: bytes) -> None:
         from msal_cli.storage import objects

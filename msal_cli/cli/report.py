@@ -247,7 +247,7 @@ def _read_file(path: Path) -> RunHistory:
     from msal_cli.storage.gzip_streams import read_whole
 
     name = str(path)
-    data = read_whole(name)
+    data = bytes(read_whole(name))
     try:
         at = path.stat().st_mtime_ns
     except OSError as error:

@@ -28,11 +28,9 @@ from msal_cli.storage.gzip_streams import (
     ALWAYS_EXPANDED,
     GZIP_MAGIC,
     MAX_RATIO,
-    read_in_large_pages,
     read_whole,
 )
 from msal_cli.storage.regular import (
-    LARGE_BYTES,
     LOOKED_AT,
     Buffer,
     largest_bytes,
@@ -260,28 +258,22 @@ def read_input(
     FormatError, TruncatedError, TooLargeError, UnsupportedError
         as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
     """
-    is_large = check_beginning(path, format) >= LARGE_BYTES
+    name = os.fspath(path)
     # A library would copy what is no ``bytes``.
-    if is_large and (format or format_of_name(os.fspath(path))) in OWN_FORMATS:
-        return read_in_large_pages(path)
-    return read_whole(path, size)
+    is_own = (format or format_of_name(name)) in OWN_FORMATS
+    return read_whole(
+        path,
+        size,
+        check=lambda file, n_bytes: check_beginning(file, n_bytes, name, format),
+        in_large_pages=is_own,
+    )
 
 
-def check_beginning(path: str | os.PathLike[str], format: str | None = None) -> int:
-    """The size of a file, 0 where the system cannot read it; raises what ``read_input`` would for a
-    large file that cannot be what it says, by its size and its beginning."""
-    try:
-        with open_regular(path) as file:
-            size = os.fstat(file.fileno()).st_size
-            if size > LOOKED_AT:
-                _look(file, size, os.fspath(path), format)
-    except (OSError, ValueError):
-        return 0  # reading it all says why
-    return size
-
-
-def _look(file: BinaryIO, size: int, name: str, format: str | None) -> None:
-    """Raise for a file of ``size`` bytes that cannot be what it says."""
+def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) -> None:
+    """Raise for an open file of ``size`` bytes that cannot be what it says, by its size and its
+    beginning; a small one is the codec's to refuse."""
+    if size <= LOOKED_AT:
+        return
     if size > largest_bytes():
         raise too_large(size)
     head = file.read(LOOKED_AT)

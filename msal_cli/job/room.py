@@ -32,7 +32,7 @@ from msal_cli.job.settings import (
 )
 from msal_cli.kernels import array_files
 from msal_cli.machine import megabytes
-from msal_cli.storage.regular import LOOKED_AT, large_files_allowed
+from msal_cli.storage.regular import LOOKED_AT, large_files_allowed, open_regular
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
@@ -332,14 +332,15 @@ def _check_header(path: str, format: str | None) -> int | None:
     from msal_cli.storage import gzip_streams
 
     try:
-        is_small = os.stat(path).st_size <= LOOKED_AT
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            header.check_beginning(file, size, path, format)
     except (OSError, ValueError):
-        is_small = True
-    if is_small:
-        data, _ = gzip_streams.expand(header.read_input(path, format), path)
-        return len(codecs.open_mesh(data, path, format).vertices)
-    header.check_beginning(path, format)
-    return None
+        size = 0  # reading it says why
+    if size > LOOKED_AT:
+        return None
+    data, _ = gzip_streams.expand(header.read_input(path, format), path)
+    return len(codecs.open_mesh(data, path, format).vertices)
 
 
 def _expected_seconds(n_vertices: int, settings: Settings) -> float:

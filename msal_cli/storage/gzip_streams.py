@@ -34,9 +34,22 @@ _FIRST_PIECE = 1 << 10
 _MAX_PIECE = 1 << 20
 
 
-def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
-    """The bytes of a regular file, or of an object behind a URL, which has ``size`` as far as is
-    known.
+def read_whole(
+    path: str | os.PathLike[str],
+    size: int | None = None,
+    *,
+    check: Callable[[BinaryIO, int], None] | None = None,
+    in_large_pages: bool = False,
+) -> Buffer:
+    """The bytes of a regular file, or of an object behind a URL.
+
+    Parameters
+    ----------
+    size : bytes of an object, as far as that is known.
+    check : called with the open file and its size before anything is read; what it raises passes.
+    in_large_pages : a large file may come as an array of numpy's, to be read only.  It is in large
+        pages where the system has such: to clear thousands of small ones takes longer than to copy
+        what the file holds.
 
     Raises
     ------
@@ -51,7 +64,11 @@ def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
         return remote.read_whole(path, size)
     try:
         with open_regular(path, buffering=0) as file:
-            return _read_to_end(file)
+            expected = os.fstat(file.fileno()).st_size
+            if check is not None:
+                check(file, expected)
+                file.seek(0)
+            return _read_to_end(file, expected, in_large_pages and expected >= LARGE_BYTES)
     except (OSError, ValueError) as failure:
         reason = getattr(failure, "strerror", None) or str(failure)
         is_missing = isinstance(failure, FileNotFoundError)
@@ -66,13 +83,23 @@ def read_whole(path: str | os.PathLike[str], size: int | None = None) -> bytes:
         ) from failure
 
 
-def _read_to_end(file: BinaryIO) -> bytes:
-    """All bytes of an open file, which may have more than its size says, but not without end."""
-    expected = os.fstat(file.fileno()).st_size
+def _read_to_end(file: BinaryIO, expected: int, in_large_pages: bool) -> Buffer:
+    """All bytes of an open file, which may have more than the ``expected``, but not without end."""
     if expected > largest_bytes():
         raise too_large(expected)
     # One byte more than there should be, so that the next piece is the empty one at the end.
-    pieces, size, room = [], 0, expected + 1
+    pieces: list[Buffer] = []
+    size, room = 0, expected + 1
+    if in_large_pages:
+        import numpy as np
+
+        array = np.empty(room, dtype=np.uint8).data
+        while size < room and (got := file.readinto(array[size:])):  # type: ignore[attr-defined]
+            size += got
+        pieces.append(array[:size].toreadonly())
+        if size < room:
+            return pieces[0]
+        room = _MAX_PIECE
     while piece := file.read(room):
         pieces.append(piece)
         size += len(piece)
@@ -80,29 +107,6 @@ def _read_to_end(file: BinaryIO) -> bytes:
             raise too_large(size)
         room = max(expected + 1 - size, _MAX_PIECE)
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
-
-
-def read_in_large_pages(path: str | os.PathLike[str]) -> Buffer:
-    """The bytes of a file, to be read only; for large ones quicker than ``read_whole``.
-
-    An array of numpy's comes in large pages where the system has such, and to clear thousands of
-    small ones takes longer than to copy what the file holds.  Errors as in ``read_whole``.
-    """
-    import numpy as np
-
-    try:
-        with open_regular(path, buffering=0) as file:
-            expected = os.fstat(file.fileno()).st_size
-            room = np.empty(expected + 1, dtype=np.uint8).data
-            size = 0
-            while size <= expected:
-                got = file.readinto(room[size:])  # type: ignore[attr-defined]
-                if not got:
-                    return room[:size].toreadonly()
-                size += got
-    except (OSError, ValueError):
-        pass  # read as any other, for the reason
-    return read_whole(path)
 
 
 def is_gzip_name(name: str) -> bool:

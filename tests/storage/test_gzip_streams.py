@@ -17,7 +17,6 @@ from msal_cli.storage.gzip_streams import (
     ALWAYS_EXPANDED,
     compress,
     expand,
-    read_in_large_pages,
     read_whole,
 )
 
@@ -125,12 +124,12 @@ def test_reading_a_file_and_its_failures(tmp_path):
     path.write_bytes(b"\x00\xff")
     assert read_whole(path) == b"\x00\xff"
     assert read_whole(str(path)) == b"\x00\xff"
-    for size in (0, 1, 70_000):
-        data = bytes(k % 251 for k in range(size))
+    for size in (0, 1, 5 << 20):
+        data = bytes(size)
         path.write_bytes(data)
-        read = read_in_large_pages(path)
+        read = read_whole(path, in_large_pages=True)
         assert bytes(read) == data
-        assert memoryview(read).readonly
+        assert memoryview(read).readonly and isinstance(read, memoryview) == (size > 1)
     for bad in (tmp_path / "missing", tmp_path, "a\0b"):
         with pytest.raises(InputError) as caught:
             read_whole(bad)
@@ -138,7 +137,9 @@ def test_reading_a_file_and_its_failures(tmp_path):
         assert caught.value.path == str(bad)
 
 
-def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch):
+@pytest.mark.parametrize("in_large_pages", [False, True])
+def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch, in_large_pages):
+    monkeypatch.setattr(streams, "LARGE_BYTES", 1)
     path = tmp_path / "a.ply"
     path.write_bytes(b"x" * 1000)
     told = os.fstat
@@ -149,7 +150,7 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch)
         return os.stat_result(status)
 
     monkeypatch.setattr(os, "fstat", smaller)
-    assert bytes(read_in_large_pages(path)) == b"x" * 1000
+    assert bytes(read_whole(path, in_large_pages=in_large_pages)) == b"x" * 1000
 
 
 @given(st.lists(st.binary(max_size=3000), max_size=8), st.binary(max_size=100_000))

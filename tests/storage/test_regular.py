@@ -48,7 +48,7 @@ def test_every_way_to_read_a_mesh_refuses_a_special_file(special):
     with pytest.raises(NotRegularError, match="not a regular file"):
         open_regular(special)
     assert not is_regular(special)
-    for read in (streams.read_whole, streams.read_in_large_pages, header.read_input):
+    for read in (streams.read_whole, header.read_input):
         with pytest.raises(InputError, match="not a regular file") as caught:
             read(special)
         assert caught.value.code == "E_READ"
