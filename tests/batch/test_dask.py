@@ -121,19 +121,6 @@ def test_files_and_records_are_those_of_one_process(folder, cluster):
     assert sorted(one.index for one in events if isinstance(one, Finished)) == list(range(8))
 
 
-def test_each_engine_goes_on_where_the_other_was(folder, cluster):
-    fill(folder, 3)
-    assert statuses(ran(cluster)) == ["written"] * 3
-    fill(folder, 5)
-    assert statuses(run(plan_of(), FAKE, jobs=1, denoise=fakes.denoise)) == [
-        *["up-to-date"] * 3,
-        *["written"] * 2,
-    ]
-    assert statuses(ran(cluster)) == ["up-to-date"] * 5
-    (folder / "in/01.ply").write_text("changed")
-    assert statuses(ran(cluster)).count("written") == 1
-
-
 @posix
 def test_what_breaks_a_process_costs_its_file_and_no_dask_worker(folder, cluster):
     fill(folder, 12, f03="die segfault", f05="die kill once", f07="die midway", f09="die error")
@@ -220,26 +207,6 @@ def test_no_worker_comes(folder, monkeypatch):
             ran(cluster)
     finally:
         cluster.close(timeout=5)
-
-
-@pytest.mark.slow
-def test_the_scheduler_goes(folder):
-    fill(folder, 6, **{f"f{n:02}": "sleep 0.3" for n in range(2, 6)})
-    cluster = started_cluster(1)
-    seen = []
-
-    def on_event(event):
-        seen.append(event)
-        if isinstance(event, Finished) and event.index == 1:
-            ended(cluster)
-
-    with pytest.raises(ResourceError, match=r"cannot go on|no worker"):
-        ran(cluster, on_event=on_event)
-    finished = [one.record for one in seen if isinstance(one, Finished)]
-    assert 2 <= len(finished) < 6
-    again = run(plan_of(), FAKE, jobs=1, denoise=fakes.denoise)
-    assert statuses(again).count("up-to-date") == len(finished)
-    assert set(statuses(again)) == {"up-to-date", "written"}
 
 
 @posix

@@ -14,7 +14,7 @@ from msal_cli.batch import workers
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import _warn_of_memory, run
-from msal_cli.batch.schedule import Failed, Retried, Returned, Started
+from msal_cli.batch.schedule import Failed, Retried, Started
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Limits, Settings
@@ -64,13 +64,6 @@ class TestTime:
 
 
 class TestRetries:
-    @pytest.mark.parametrize("retries", [0, 2])
-    def test_so_many_tries_there_are(self, retries):
-        messages = heard([("exit", 0), ("double", 1)], retries=retries)
-        assert len([one for one in messages if isinstance(one, Retried)]) == retries
-        assert isinstance(messages[-1] if retries else lost(messages)[0], Failed)
-        assert results(messages) == {1: 2}
-
     def test_an_objection_ends_the_tries(self):
         messages = heard([("exit", 0)], on_loss=lambda index: f"task {index} is spoilt")
         assert lost(messages)[0].cause == "changed"
@@ -120,18 +113,6 @@ class TestMemory:
         assert lost(heard([("bad_alloc", 0)], **options))[0].cause == "memory"
         assert lost(heard([("abort", 0)], **options))[0].cause == "crash"
         assert lost(heard([("bad_alloc", 0)]))[0].cause == "crash"
-
-    def test_heavy_tasks_do_not_meet(self):
-        begun, ended, most = set(), set(), 0
-        weights = dict.fromkeys(range(4), 60)
-        crew = fakes.pool([("sleep", 0.05)] * 4, jobs=3, weights=weights, budget_bytes=100)
-        for batch in crew.batches():
-            for one in batch:
-                if isinstance(one, Returned):
-                    ended.add(one.index)
-            begun |= {one.index for one in batch if isinstance(one, Started)}
-            most = max(most, len(begun - ended))
-        assert (len(ended), most) == (4, 1)
 
     def test_one_that_fits_with_no_other_has_all_cores(self):
         tasks = [("threads", 0)] * 3
@@ -201,14 +182,6 @@ class TestInPlace:
         assert "second try" in records[0].warnings[0]
         assert (tmp_path / "in/a.ply").read_text() == "fake REPLACED ONCE"
         assert (tmp_path / "in/a.ply.orig").read_text() == texts["a"]
-
-    def test_a_file_that_is_given_up_is_the_original_again(self, tmp_path):
-        texts = {"a": "replaced always", "b": "x"}
-        records = ran(tmp_path, texts, in_place=True)
-        assert records[0].error.code == "E_CRASH"
-        assert (tmp_path / "in/a.ply").read_text() == texts["a"]
-        again = ran(tmp_path, {}, in_place=True)
-        assert [one.status for one in again] == ["failed", "up-to-date"]
 
     def test_without_a_backup_it_is_never_denoised_twice(self, tmp_path):
         records = ran(tmp_path, {"a": "replaced once", "b": "x"}, in_place=True, backup=None)

@@ -52,14 +52,6 @@ def test_the_second_is_told_who_is_first(tmp_path, holder):
     assert str(tmp_path) in caught.value.message
 
 
-def test_also_within_one_process(tmp_path):
-    with FolderLock(str(tmp_path)), pytest.raises(UsageError, match=f"process {os.getpid()} "):
-        FolderLock(str(tmp_path))
-    with FolderLock(str(tmp_path)):
-        pass
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_dead_hold_nothing(tmp_path, holder):
     holder.send_signal(getattr(signal, "SIGKILL", signal.SIGTERM))
     holder.wait()
@@ -161,18 +153,6 @@ class TestShards:
                 assert ("(shard 1/" in caught.value.message) == (first is not None)
             assert own in locks_in(tmp_path)
         FolderLock(str(tmp_path), second).release()
-
-    def test_the_first_to_end_does_not_free_the_folder(self, tmp_path):
-        first, second = (
-            FolderLock(str(tmp_path), Shard(1, 2)),
-            FolderLock(str(tmp_path), Shard(2, 2)),
-        )
-        first.release()
-        for other in (None, Shard(1, 3)):
-            with pytest.raises(UsageError, match=r"shard 2/2"):
-                FolderLock(str(tmp_path), other)
-        second.release()
-        FolderLock(str(tmp_path)).release()
 
     def test_the_dead_hold_nothing(self, tmp_path):
         with locked_elsewhere(tmp_path, 2, 4):

@@ -155,13 +155,16 @@ def test_outdated_lines_are_dropped_when_they_outweigh(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == [NAME, "a.ply"]
 
 
-def test_a_manifest_that_cannot_be_written_is_an_output_error(tmp_path):
+def test_what_is_no_manifest_is_an_output_error(tmp_path):
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / NAME).symlink_to(tmp_path / "precious")
+    for folder in ("linked", "no such folder"):
+        with pytest.raises(OutputError):
+            FolderManifest(str(tmp_path / folder)).open()
+    assert not (tmp_path / "precious").exists()
     (tmp_path / NAME).mkdir()
     with pytest.raises(OutputError):
         FolderManifest(str(tmp_path))
-    manifest = FolderManifest(str(tmp_path / "no such folder"))
-    with pytest.raises(OutputError):
-        manifest.open()
 
 
 class TestSeveral:
@@ -199,16 +202,6 @@ class TestSeveral:
         noted(tmp_path, line | {"settings": "second"})
         noted(tmp_path, line | {"settings": "third"})
         assert FolderManifest(str(tmp_path)).get("a.ply").settings == "third"
-
-    def test_lines_without_a_time_are_the_oldest(self, tmp_path):
-        old = done_line("a.ply", "old", record(tmp_path), "in")
-        (tmp_path / NAME).write_text(json.dumps(old) + "\n")
-        assert FolderManifest(str(tmp_path)).get("a.ply").record() is not None
-        noted(tmp_path, old | {"settings": "new"}, shard=Shard(1, 2))
-        assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
-        for at in ("soon", None, True, 1.5):
-            (tmp_path / NAME).write_text(json.dumps(old | {"at": at}) + "\n")
-            assert FolderManifest(str(tmp_path)).get("a.ply").settings == "new"
 
     def test_compaction_drops_only_what_is_outdated_in_its_own(self, tmp_path, monkeypatch):
         monkeypatch.setattr(manifests, "_SPARE_LINES", 5)

@@ -225,12 +225,6 @@ class TestForeignFiles:
         (tmp_path / "out/b.ply").unlink()
         assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out")) == 2
 
-    @posix
-    def test_a_broken_link_is_a_foreign_file_too(self, tmp_path, refuses):
-        made(tmp_path, "in/a.ply", "out/x")
-        (tmp_path / "out/a.ply").symlink_to("nowhere")
-        refuses(["a.ply"], [tmp_path / "in"], tmp_path / "out")
-
 
 class TestPlacesThatCannotBe:
     @pytest.mark.parametrize("relative", ["../a.ply", "b/../../a.ply", "/etc/a.ply"])
@@ -268,15 +262,6 @@ class TestInPlace:
         both = planned([tmp_path / "in/a.ply", tmp_path / "in/b.ply"], None, in_place=True)
         assert one.manifest_dirs == (str(tmp_path / "in"),)
         assert both.manifest_dirs == (str(tmp_path / "in"),) * 2
-
-    @pytest.mark.skipif(os.name == "nt", reason="links need rights there")
-    def test_links_within_the_folder_share_its_manifest(self, tmp_path, monkeypatch):
-        made(tmp_path, "in/a.ply", "in/b.ply")
-        (tmp_path / "in/link.ply").symlink_to("b.ply")
-        monkeypatch.chdir(tmp_path)
-        plan = planned(["in"], None, in_place=True)
-        assert set(plan.manifest_dirs) == {"in"}
-        assert sorted(task.output for task in plan.tasks) == ["in/a.ply", "in/b.ply"]
 
     def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):
         made(tmp_path, "a.ply")

@@ -8,9 +8,9 @@ from msal_cli import methods
 from msal_cli.batch import history
 from msal_cli.batch import manifest as manifests
 from msal_cli.batch import shard as shards
-from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
+from msal_cli.batch.inputs import NothingMatched, discover_inputs
 from msal_cli.batch.manifest import PARTS_FOLDER, ObjectManifest, done_line, intent_line
-from msal_cli.batch.plan import build_plan, select_shard
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.errors import InputError, OutputError, UsageError
 from msal_cli.job.pipeline import denoise_bytes
@@ -97,13 +97,6 @@ def test_urls_stand_for_objects_folders_and_patterns(scans):
         discover_inputs(["memory://scans/*.stl"])
 
 
-def test_folders_in_one_run_keep_their_names(scans, tmp_path):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "here/x.obj").write_text(obj(7))
-    names = [one.relative for one in discover_inputs(["memory://scans", str(tmp_path / "here")])]
-    assert names == ["scans/2.obj", "scans/a/0.obj", "scans/a/b/1.obj", "here/x.obj"]
-
-
 @pytest.mark.parametrize(
     "url", ["memory://none", "memory://none.obj", "memory://", "memory:///*.obj", "nosuch://b/x"]
 )
@@ -161,14 +154,6 @@ def test_odd_names_leave_neither_the_prefix_nor_the_folder(tmp_path):
     assert {record.status for record in denoised(output=str(folder))} == {"up-to-date"}
 
 
-def test_an_object_may_be_called_like_a_folder():
-    names = ("a.obj", "a.obj/b.obj", "A.obj")
-    some = [DiscoveredInput(f"memory://scans/{name}", name, "memory://scans") for name in names]
-    assert len(build_plan(some, "memory://out").tasks) == 3
-    with pytest.raises(UsageError, match="file and folder"):
-        build_plan(some, "out")
-
-
 # What comes out
 
 
@@ -195,16 +180,6 @@ def test_one_object_into_one_object(scans):
     assert list(list_objects("memory://out")) == ["x.obj"]
     (record,) = denoised("memory://scans/2.obj", "memory://folder")
     assert record.output == "memory://folder/2.obj"
-
-
-def test_an_object_that_vanished_is_a_row(scans):
-    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-    remote.remove_objects(["memory://scans/2.obj"])
-    records = run(plan, settings())
-    assert sorted(record.status for record in records) == ["failed", "written", "written"]
-    (failed,) = [record for record in records if record.error is not None]
-    assert failed.error.code == "E_READ"
-    assert "no such object" in failed.error.message
 
 
 def test_an_object_that_cannot_be_written_is_a_row(scans, monkeypatch):
@@ -249,24 +224,6 @@ def test_what_changed_is_done_again_and_nothing_else(scans):
     assert states(denoised()) == current
     assert states(denoised(given={"iterations": 2})) == dict.fromkeys(NAMES, "written")
     assert states(denoised(fresh=True)) == dict.fromkeys(NAMES, "written")
-
-
-def test_an_object_at_fault_is_remembered_until_it_changes(scans):
-    write_whole("memory://scans/2.obj", b"v 1 2\n")
-    (first,) = [record for record in denoised() if record.status == "failed"]
-    assert not first.remembered
-    (again,) = [record for record in denoised() if record.status == "failed"]
-    assert again.remembered
-    write_whole("memory://scans/2.obj", obj(2).encode())
-    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
-
-
-def test_shards_share_a_prefix(scans):
-    for number in (1, 2, 1, 2):
-        plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-        run(select_shard(plan, shards.Shard(number, 2)), settings())
-    assert outputs() == expected()
-    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date")
 
 
 def test_an_object_that_changes_while_it_is_read_is_done_again(scans, monkeypatch):
@@ -386,20 +343,6 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
     monkeypatch.setattr(remote, "read_many", late)
     assert ObjectManifest("memory://out").names() == {"a"}
     assert len(calls) == 2
-
-
-def test_a_store_that_takes_no_manifest_ends_the_run(scans, monkeypatch):
-    real = remote.write_whole
-
-    def refusing(url, data):
-        if PARTS_FOLDER in url:
-            raise OutputError("access is denied", hint="ask")
-        return real(url, data)
-
-    monkeypatch.setattr(remote, "write_whole", refusing)
-    with pytest.raises(OutputError, match="access is denied"):
-        denoised()
-    assert not outputs()
 
 
 def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):

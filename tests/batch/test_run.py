@@ -21,7 +21,7 @@ from msal_cli.batch.plan import build_plan, select_shard
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.batch.shard import Shard, parse_shard
-from msal_cli.errors import OutputError, UsageError
+from msal_cli.errors import UsageError
 from msal_cli.job import room
 from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
@@ -170,47 +170,6 @@ class TestRerun:
         after = {path: path.stat().st_mtime_ns for path in (folders / "out").glob("*.ply")}
         assert after == before
 
-    @pytest.mark.parametrize(
-        "change",
-        [
-            lambda f: (f / "in/01.ply").write_text("mesh X"),
-            lambda f: (f / "out/01.ply").write_bytes(b"fake MESH X"),
-            lambda f: (f / "out/01.ply").unlink(),
-        ],
-        ids=["input of same size", "output of same size", "no output"],
-    )
-    def test_what_changed_is_done_again_and_nothing_else(self, folders, change):
-        fill(folders, 4)
-        ran(folders)
-        sizes = {path.name: path.stat() for path in (folders / "in").iterdir()}
-        change(folders)
-        # Touching is not changing, and a change may leave the time as it was.
-        os.utime(folders / "in/00.ply", (0, 0))
-        os.utime(folders / "out/00.ply", (0, 0))
-        os.utime(folders / "in/01.ply", ns=(0, sizes["01.ply"].st_mtime_ns))
-        names, on_event = tried(folders)
-        records = ran(folders, on_event=on_event)
-        assert names == ["01"]
-        assert statuses(records) == ["up-to-date", "written", "up-to-date", "up-to-date"]
-        expected = "fake " + (folders / "in/01.ply").read_text().upper()
-        assert (folders / "out/01.ply").read_text() == expected
-
-    def test_a_file_written_but_not_noted_is_ours(self, folders):
-        """Killed between the move of an output and its line: the rerun must not call it foreign."""
-        fill(folders, 4)
-        ran(folders)
-        path = folders / "out" / NAME
-        lines = path.read_text().splitlines(keepends=True)
-        path.write_text("".join(line for line in lines if '"intent"' in line))
-        assert statuses(ran(folders)) == ["written"] * 4
-
-    def test_out_within_in_does_not_eat_its_own_results(self, folders):
-        fill(folders, 3)
-        for expected in ("written", "up-to-date"):
-            plan = plan_of(folders, output=str(folders / "in/out"))
-            assert statuses(ran(folders, plan=plan)) == [expected] * 3
-        assert len(tree(folders / "in/out")) == 3
-
     def test_the_folder_may_move(self, folders):
         fill(folders, 3)
         ran(folders)
@@ -243,22 +202,6 @@ class TestDryRun:
         before = tree(folders)
         assert statuses(ran(folders, dry_run=True)) == ["up-to-date", "planned", "up-to-date"]
         assert tree(folders) == before
-
-
-class TestPlaces:
-    def test_an_output_folder_that_cannot_be_made(self, folders):
-        fill(folders, 2)
-        plan = plan_of(folders)
-        (folders / "out").write_text("a file came first")
-        with pytest.raises(OutputError, match="cannot be made"):
-            ran(folders, plan=plan)
-
-    def test_an_input_that_vanishes_is_a_failed_row(self, folders):
-        fill(folders, 4)
-        plan = plan_of(folders)
-        (folders / "in/02.ply").unlink()
-        records = ran(folders, plan=plan)
-        assert statuses(records) == ["written", "written", "failed", "written"]
 
 
 class TestInPlace:
@@ -476,18 +419,6 @@ class TestInterrupts:
         assert threading.active_count() == n_threads
 
 
-def test_a_scene_whose_mesh_is_in_another_file_is_never_current(folders):
-    # The manifest has the hash of the .gltf alone, which stays when its buffer changes.
-    for name in ("a.gltf", "b.ply"):
-        (folders / "in" / name).write_text("mesh 1")
-
-    def again():
-        return statuses(ran(folders, plan=plan_of(folders)))
-
-    assert again() == ["written", "written"]
-    assert again() == ["written", "up-to-date"]
-
-
 # Runs after others, or beside them
 
 FAULTS = (
@@ -517,30 +448,6 @@ class TestRememberedFailures:
             assert one.error == two.error
             assert two.remembered == (Path(two.input).stem in FAULTS)
         assert statuses(second).count("failed") == len(codes)
-
-    def test_what_changed_or_is_asked_for_is_tried_again(self, folders):
-        fill(folders, 1, f01="fail E_INDEX", f02="fail E_INDEX")
-        ran(folders)
-        assert rerun(folders)[0] == []
-        assert rerun(folders, retry_failed=True)[0] == ["01", "02"]
-        assert rerun(folders)[0] == []
-        assert rerun(folders, fresh=True)[0] == ["00", "01", "02"]
-        assert rerun(folders, Settings("other"))[0] == ["00", "01", "02"]
-        assert rerun(folders)[0] == ["00", "01", "02"]
-        (folders / "in/02.ply").write_text("fail E_RANGE")
-        (folders / "in/01.ply").write_text("well again")
-        names, records = rerun(folders)
-        assert names == ["01", "02"] and statuses(records) == ["up-to-date", "written", "failed"]
-
-    def test_what_could_not_be_read_is_tried_again(self, folders):
-        fill(folders, 1, f01="fail")
-        ran(folders)
-        assert rerun(folders)[0] == ["01"]
-
-    def test_a_dry_run_tells_it_too(self, folders):
-        fill(folders, 1, f01="fail E_INDEX")
-        ran(folders)
-        assert statuses(ran(folders, dry_run=True)) == ["up-to-date", "failed"]
 
 
 class TestShards:
@@ -576,19 +483,6 @@ class TestShards:
         path = folders / f"out/.msal-manifest-{k}-of-2.jsonl"
         lines = [json.loads(line)["kind"] for line in path.read_text().splitlines()]
         assert lines == ["run", "end"]
-
-    def test_the_temporaries_of_live_shards_stay(self, folders):
-        fill(folders, 4)
-        (folders / "out").mkdir()
-        with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
-            own = f"-{os.getpid()}-"
-            live = fakes.temporary_name("00.ply").replace(own, f"-{other.pid}-")
-            (folders / "out" / live).touch()
-            self.ran(folders, "1/2")
-            assert (folders / "out" / live).exists()
-            other.kill()
-        self.ran(folders, "2/2")
-        assert not (folders / "out" / live).exists()
 
 
 class TestRunLines:

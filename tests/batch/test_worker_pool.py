@@ -152,17 +152,6 @@ class TestReplacement:
         assert pids[0] == pids[3] != pids[4] == pids[5]
 
 
-def test_stop_hands_out_nothing_more():
-    one = pool([("double", n) for n in range(50)], jobs=1)
-    messages = []
-    for batch in one.batches():
-        messages += batch
-        if results(batch):
-            one.stop()
-    assert 1 <= len(results(messages)) < 50
-    assert len(results(messages)) == len([m for m in messages if isinstance(m, Started)])
-
-
 def test_interrupt_ends_all_within_two_seconds_and_keeps_what_was_done():
     deaths = []
     tasks = [("double", 1), ("sleep", 60), ("sleep", 60)]

@@ -128,25 +128,6 @@ def test_whatever_call_fails_the_output_is_whole(tmp_path, monkeypatch, way, ste
     assert n_failed and n_calls > 15 // step
 
 
-def test_a_full_disk_and_the_same_command_with_room(tmp_path):
-    vertices, faces = torus(60, 30)
-    scans = folder_of(tmp_path / "in", big=ply_text(noisy(vertices, 0, 0.01), faces))
-    folder_of(scans, **{f"small{n}": open_scan() for n in range(2)})
-    words = command(scans, tmp_path / "out", "-j", "1")
-
-    def limit():
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
-
-    made = subprocess.run(words, capture_output=True, preexec_fn=limit, check=False)
-    assert made.returncode == 3, made.stderr
-    assert b"File too large (E_WRITE)" in made.stderr
-    assert sorted(contents(tmp_path / "out")) == ["small0.ply", "small1.ply"]
-    assert ended(words)[0] == 0
-    assert sorted(contents(tmp_path / "out")) == ["big.ply", "small0.ply", "small1.ply"]
-
-
 def test_a_manifest_that_is_full_hides_nothing(tmp_path):
     """What was written is counted, although it cannot be noted, and the report is written."""
     scans = folder_of(tmp_path / "in", **{f"s{n:02}": closed_scan(n) for n in range(12)})

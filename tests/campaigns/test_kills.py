@@ -6,7 +6,6 @@ python -m pytest tests/campaigns/test_kills.py -m slow -s
 from __future__ import annotations
 
 import collections
-import json
 import os
 import random
 import re
@@ -21,10 +20,8 @@ from tests.campaigns.runs import (
     IS_LINUX,
     STATUS,
     command,
-    contents,
     ended,
     moment,
-    noted,
     orphans_of,
     scans_in,
     session_of,
@@ -32,7 +29,6 @@ from tests.campaigns.runs import (
     wait_until,
     whole_run,
 )
-from tests.cli.scans import closed_scan, folder_of
 
 pytestmark = [pytest.mark.skipif(not IS_LINUX, reason="finds processes by /proc"), pytest.mark.ci]
 
@@ -85,31 +81,6 @@ def test_kills_cost_nothing(scans, whole, tmp_path, count):
         assert (status, whole.last_faults(output)) == (STATUS, []), (met, said)
         assert "Traceback" not in said
     print(f"\n{dict(met)}")
-
-
-@pytest.mark.slow
-def test_a_worker_killed_in_each_run(tmp_path):
-    n_files = 200
-    scans = folder_of(tmp_path / "in", **{f"{n:03}": closed_scan(n % 7) for n in range(n_files)})
-    assert ended(command(scans, tmp_path / "whole"))[0] == 0
-    choice = random.Random(11)
-    ways = [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP]
-    n_twice = 0
-    for n in range(20):
-        output, report = tmp_path / f"out{n}", tmp_path / f"{n}.json"
-        # Longer than a file ever takes, also on a busy machine.
-        words = command(scans, output, "-j", 2, "--report", report, "--timeout", 20)
-        after = choice.randint(0, n_files - 20)
-        with started(words) as process:
-            wait_until(lambda out=output, least=after: len(noted(out)) >= least, process)
-            wait_until(lambda process=process: workers_of(process), process)
-            os.kill(choice.choice(workers_of(process)), ways[n % len(ways)])
-            said = process.communicate(timeout=600)[1].decode()
-        assert process.returncode == 0, said
-        assert orphans_of(process.pid) == []
-        n_twice += sum(bool(one["warnings"]) for one in json.loads(report.read_bytes())["records"])
-        assert contents(output) == contents(tmp_path / "whole")
-    assert n_twice > 0
 
 
 def workers_of(process):

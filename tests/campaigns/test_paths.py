@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 from pathlib import Path
 
 import pytest
@@ -52,26 +51,6 @@ NAMES = (
 )
 
 
-def tree(folder):
-    """Every name below a folder, links not followed, with the bytes of the files."""
-    found = {}
-    for at, folders, names in os.walk(folder):
-        for name in folders + names:
-            path = Path(at, name)
-            is_plain = path.is_file() and not path.is_symlink()
-            found[str(path.relative_to(folder))] = path.read_bytes() if is_plain else None
-    return found
-
-
-@pytest.fixture
-def outside(tmp_path):
-    """What no run may touch."""
-    folder_of(tmp_path / "outside", precious=SCAN, other=SCAN)
-    before = tree(tmp_path / "outside")
-    yield tmp_path / "outside"
-    assert tree(tmp_path / "outside") == before
-
-
 def statuses(*arguments):
     """Run msal; its exit status and the status of each input's record by the input's name."""
     made = msal("denoise", *arguments, "--method", "msal", "-j", "1", "--json")
@@ -81,7 +60,7 @@ def statuses(*arguments):
     return made.exit_code, {Path(one["input"]).name: one["status"] for one in records}, made.stderr
 
 
-def test_every_name_gets_its_output_and_no_other(tmp_path, outside):
+def test_every_name_gets_its_output_and_no_other(tmp_path):
     scans = tmp_path / "in"
     scans.mkdir()
     for name in NAMES:
@@ -117,44 +96,12 @@ def test_names_of_our_own_are_no_inputs_and_are_not_written_over(tmp_path):
         assert not (tmp_path / "b").exists() and (scans / name).read_bytes() == SCAN
 
 
-def test_manifest_and_lock_that_are_links_do_not_lead_out(tmp_path, outside):
-    scans = folder_of(tmp_path / "in", a=SCAN, b=SCAN)
-    for name in (MANIFEST, ".msal-lock"):
-        output = tmp_path / f"out{name}"
-        output.mkdir()
-        (output / name).symlink_to(outside / "precious.ply")
-        status, _, said = statuses(scans, "-o", output)
-        assert status == 1 and name in said
-
-
 def test_hard_links_in_place_are_as_many_files(tmp_path):
     scans = folder_of(tmp_path / "in", a=SCAN)
     os.link(scans / "a.ply", scans / "b.ply")
     assert statuses(scans, "--in-place")[:2] == (0, {"a.ply": "written", "b.ply": "written"})
     after = contents(scans)
     assert after["a.ply"] == after["b.ply"] != SCAN == after["a.ply.orig"] == after["b.ply.orig"]
-
-
-def test_what_is_no_file(tmp_path, monkeypatch):
-    scans = folder_of(tmp_path / "in", a=SCAN)
-    folder_of(scans / "folder.ply", b=SCAN)
-    os.mkfifo(scans / "fifo.ply")
-    monkeypatch.chdir(scans)
-    with socket.socket(socket.AF_UNIX) as one:
-        one.bind("socket.ply")
-    (scans / "zero.ply").symlink_to("/dev/zero")
-    assert statuses(scans, "-o", tmp_path / "out")[:2] == (
-        0,
-        {"a.ply": "written", "b.ply": "written"},
-    )
-    assert sorted(contents(tmp_path / "out")) == ["a.ply", "folder.ply/b.ply"]
-    for name in ("fifo.ply", "socket.ply", "zero.ply"):
-        assert statuses(scans / name, "-o", tmp_path / "o.ply")[0] == 2
-        assert msal("info", scans / name).exit_code == 2
-    # The other way round: they are no outputs either.
-    for target in (scans / "fifo.ply", scans / "socket.ply", "/dev/null"):
-        assert statuses(scans / "a.ply", "-o", target)[0] in (1, 2)
-    assert os.path.exists("/dev/null") and not os.path.isfile("/dev/null")
 
 
 def test_a_path_too_long_for_the_system(tmp_path):

@@ -156,14 +156,6 @@ def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
     assert cosine.min() > 1 - 1e-9
 
 
-def test_a_limit_that_nobody_reaches_changes_no_byte():
-    data = ply(*noisy())
-    plain, _ = denoise_bytes(data, "a.ply", settings())
-    output, record = denoise_bytes(data, "a.ply", settings(max_move="99e"))
-    assert bytes(output) == bytes(plain)
-    assert record.clamped_vertices == 0
-
-
 def test_single_precision_goes_beyond_the_limit_by_rounding_only():
     vertices, faces = noisy()
     data = ply(vertices + 1000.0, faces, kind="float")
@@ -231,13 +223,6 @@ def test_neighbours_see_locked_vertices_where_they_are(method):
     assert np.abs(pinned - free)[~held].max() > 1e-3 * ready.mesh.mean_edge_length
 
 
-def test_all_locked_is_the_input_byte_for_byte():
-    data = ply(*noisy())
-    output, record = denoise_bytes(data, "a.ply", settings(lock=("x > -1000",)))
-    assert bytes(output) == data
-    assert record.status == "unchanged"
-
-
 def test_the_boundary_is_locked_as_boundary_fixed_does():
     data = ply(*noisy(grid))
     locked, record = denoised(data, lock=("boundary",))
@@ -301,15 +286,6 @@ def test_one_sweep_by_hand():
     assert np.abs(found_there - expected).max() < 1e-13
 
 
-@pytest.mark.parametrize(
-    "method", ["taubin", "hc", "l0", "bilateral_normal", "mean_curvature_flow"]
-)
-def test_methods_without_a_data_term_say_so(method):
-    found = methods.find(method)
-    assert not found.has_data_term(found.validate({}))
-    assert not methods.find("al").has_data_term(methods.find("al").validate({}))
-
-
 def test_trust_is_the_property_over_its_largest_value():
     vertices, faces = noisy()
     quality = random().random(len(vertices)) * 255.0
@@ -326,17 +302,6 @@ def test_trust_is_the_property_over_its_largest_value():
         denoised(ply(vertices, faces, {"q": negative}), weights="q")[0],
         denoised(ply(vertices, faces, {"q": zero}), weights="q")[0],
     )
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian"])
-@pytest.mark.parametrize("kind", ["float", "double"])
-def test_properties_are_read(encoding, kind):
-    vertices, faces = grid()
-    stored = {"confidence": np.arange(len(vertices)) / 8, "quality": np.ones(len(vertices))}
-    file = codecs.open_mesh(ply(vertices, faces, stored, kind, encoding), "a.ply")
-    assert np.array_equal(codecs.vertex_property(file, "confidence"), stored["confidence"])
-    assert np.allclose(codecs.vertex_property(file, "z"), vertices[:, 2])
-    assert codecs.vertex_property(file, "quality").dtype == np.float64
 
 
 def test_properties_behind_lists_are_read():

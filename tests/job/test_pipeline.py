@@ -19,7 +19,6 @@ from msal_cli.codecs import header
 from msal_cli.job import inspection, pipeline
 from msal_cli.job.pipeline import denoise_bytes, denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
-from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
 from tests.shapes import cube, grid, noisy, torus
@@ -153,19 +152,6 @@ def test_a_failure_counts_its_seconds_as_well(scan, tmp_path, seconds_by_looks, 
     assert getattr(record.seconds, broken) > 0.0
 
 
-def test_the_output_holds_what_the_method_made(scan, tmp_path):
-    out = tmp_path / scan.name
-    denoised(scan, out)
-    before = codecs.open_mesh(scan.read_bytes(), scan.name)
-    after = codecs.open_mesh(out.read_bytes(), out.name)
-    ready = prepare_mesh(before.vertices, before.faces)
-    method = methods.find("msal")
-    result = method.denoise(ready.mesh, method.validate({}))
-    expected = ready.to_file_vertices(result.vertices, before.vertices)
-    assert (after.faces == before.faces).all()
-    assert np.abs(after.vertices - expected).max() < 1e-6
-
-
 def test_threads_and_pipes_give_the_same_bytes(scan, tmp_path, monkeypatch):
     outs = [tmp_path / str(i) / scan.name for i in range(2)]
     denoised(scan, outs[0])
@@ -176,14 +162,6 @@ def test_threads_and_pipes_give_the_same_bytes(scan, tmp_path, monkeypatch):
     )
     assert record.error is None
     assert outs[0].read_bytes() == outs[1].read_bytes() == bytes(data)
-
-
-def test_zero_iterations_return_the_very_bytes(scan, tmp_path):
-    out = tmp_path / scan.name
-    record = denoised(scan, out, iterations=0)
-    assert record.status == "unchanged"
-    assert out.read_bytes() == scan.read_bytes()
-    assert record.input_sha256 == record.output_sha256
 
 
 def test_gz_stays_gz(scan, tmp_path):
@@ -226,19 +204,6 @@ def test_strict_refuses_losses(tmp_path):
     assert any("quality" in warning for warning in denoised(path, out).warnings)
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "binary"])
-@pytest.mark.parametrize("precision", ["same", "float32"])
-def test_re_encoding(scan, tmp_path, encoding, precision):
-    out = tmp_path / scan.name
-    record = denoised(scan, out, encoding=encoding, precision=precision)
-    if scan.suffix == ".obj" and encoding == "binary":
-        assert record.error.code == "E_UNSUPPORTED"
-        return
-    assert record.error is None
-    again = codecs.open_mesh(out.read_bytes(), out.name)
-    assert again.encoding.startswith(encoding)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="permission bits of POSIX")
 @pytest.mark.parametrize("name", ["out.ply", "out.obj", "out.glb", "deep/out.stl"])
 def test_an_output_is_as_private_as_its_input(tmp_path, name):
@@ -254,22 +219,6 @@ def test_an_output_is_as_private_as_its_input(tmp_path, name):
     made = [path for path in (tmp_path / "made").rglob("*") if path.is_file()]
     assert len(made) == 2
     assert {path.stat().st_mode & 0o777 for path in made} == {0o600}
-
-
-def test_in_place_with_and_without_a_backup(scan):
-    original = scan.read_bytes()
-    scan.chmod(0o640)
-    task = Task(str(scan), str(scan), scan.name, in_place=True, backup=".orig")
-    record = pipeline.denoise_file(task, settings())
-    assert record.error is None
-    backup = scan.with_name(scan.name + ".orig")
-    assert backup.read_bytes() == original
-    assert scan.read_bytes() != original
-    if os.name == "posix":
-        assert scan.stat().st_mode & 0o777 == 0o640
-    again = pipeline.denoise_file(task, settings())
-    assert again.error.code == "E_WRITE"
-    assert backup.read_bytes() == original
 
 
 def test_a_failure_leaves_the_old_output(scan, tmp_path):

@@ -33,17 +33,6 @@ def names(folder):
     return sorted(os.listdir(folder))
 
 
-def test_pieces_of_every_kind(tmp_path):
-    path = tmp_path / "a.ply"
-    write_whole(path, [b"ab", bytearray(b"cd"), memoryview(b"ef"), b""])
-    assert path.read_bytes() == b"abcdef"
-    write_whole(path, b"whole")
-    assert path.read_bytes() == b"whole"
-    write_whole(str(path), (piece for piece in (b"x", b"y")))
-    assert path.read_bytes() == b"xy"
-    assert names(tmp_path) == ["a.ply"]
-
-
 def mode_of(path):
     return stat.S_IMODE(path.stat().st_mode)
 

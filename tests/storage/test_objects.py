@@ -100,15 +100,6 @@ def test_a_beginning_is_told_with_the_size():
     assert forecast("memory://b/none.ply").memory_bytes is None
 
 
-def test_what_is_missing_is_told():
-    with pytest.raises(InputError, match="no such object") as caught:
-        read_whole("memory://b/none.ply")
-    assert caught.value.code == "E_READ"
-    assert caught.value.hint
-    with pytest.raises(UsageError, match="not known"):
-        read_whole("nosuch://b/x")
-
-
 class NoCredentialsError(Exception):
     """Named like botocore's."""
 
