@@ -192,14 +192,6 @@ def is_out_of_memory(error: BaseException | None) -> bool:
     return False
 
 
-def boot_id(path: Path = Path("/proc/sys/kernel/random/boot_id")) -> str:
-    """What tells one start of this machine from another; empty where the system does not say."""
-    try:
-        return path.read_text().strip()
-    except OSError:
-        return ""
-
-
 def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
     """``499 MB`` or ``3.21 GB``, rounded so that what is refused never looks as if it fitted."""
     unit, digits = (10**6, 0) if n_bytes <= 999 * 10**6 else (10**9, 2)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msal_cli.auto.wishes import ALL, FAMILY, NONE, Choice, Wishes, allow_all
+from msal_cli.auto.wishes import ALL, FAMILY, NONE, Choice, Wishes
 
 if TYPE_CHECKING:
-    from msal_cli.auto.wishes import Allowed, OnStep
+    from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "NONE",
     "Choice",
     "Wishes",
-    "allow_all",
     "choose_method",
 ]
 
@@ -59,14 +58,12 @@ BYTES = 25_000_000
 run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
 
-def choose_method(
-    mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None, is_allowed: Allowed = allow_all
-) -> Choice:
-    """The method and the parameters for ``mesh``, one that ``is_allowed``.
+def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+    """The method and the parameters for ``mesh``.
 
     Vertices that the mesh holds stay where they are.  Where it has trust (``Mesh.trust``) the
     method is one that has a data term, which the trust scales.
     """
     from msal_cli.auto import search
 
-    return search.search(mesh, wishes, on_step, is_allowed)
+    return search.search(mesh, wishes, on_step)

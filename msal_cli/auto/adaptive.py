@@ -31,7 +31,6 @@ from msal_cli.auto.blend_weights import (
     MIN_JUDGED,
     hedge,
     level_masks,
-    may_follow,
     spread_levels,
 )
 from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
@@ -40,11 +39,11 @@ from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
 from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
 from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
 from msal_cli.auto.search import forecast_seconds
-from msal_cli.auto.wishes import FAMILY, NONE, Choice, allow_all
+from msal_cli.auto.wishes import FAMILY, NONE, Choice
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
-    from msal_cli.auto.wishes import Allowed, OnStep
+    from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
 
@@ -80,24 +79,20 @@ surface."""
 def choose_adaptive(
     mesh: Mesh,
     on_step: OnStep | None = None,
-    is_allowed: Allowed = allow_all,
     assume: str | None = None,
 ) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
-    The choice depends on the mesh alone, on what ``is_allowed``: the family always is, and weights
-    by local noise may not be; and on what to ``assume``, see ``Wishes``.
+    The choice depends on the mesh alone, and on what to ``assume``, see ``Wishes``.
     """
     step = on_step or (lambda done, total: None)
     estimate = estimate_noise(mesh)
-    choice = _choose(mesh, estimate, step, is_allowed, assume)
+    choice = _choose(mesh, estimate, step, assume)
     step(1, 1)
     return dataclasses.replace(choice, estimate=estimate)
 
 
-def _choose(
-    mesh: Mesh, estimate: NoiseLevel, on_step: OnStep, is_allowed: Allowed, assume: str | None
-) -> Choice:
+def _choose(mesh: Mesh, estimate: NoiseLevel, on_step: OnStep, assume: str | None) -> Choice:
     edge = mesh.mean_edge_length
     noise = estimate.assume(assume, edge)
     is_unsure = noise.is_unsure
@@ -108,8 +103,8 @@ def _choose(
         why = describe_rest(estimate, noise)
         return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
     noise = noise.assume(NOISE, edge)
-    case = _build_case(mesh, noise, is_allowed)
-    return _choose_by_risk(case, noise, on_step, is_allowed, is_unsure)
+    case = _build_case(mesh, noise)
+    return _choose_by_risk(case, noise, on_step, is_unsure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +128,14 @@ class _Case:
     relax: int
 
 
-def _build_case(mesh: Mesh, noise: NoiseLevel, is_allowed: Allowed) -> _Case:
+def _build_case(mesh: Mesh, noise: NoiseLevel) -> _Case:
     model = build_model(mesh, noise)
     relax, local = 0, np.empty(0)
     levels: tuple[float, ...] = ()
     # Trust scales the pull of one method, not a blend.
     if mesh.trust is None:
         relax = count_relaxing(mesh, model)
-        if model.shares is not None and may_follow(is_allowed):
+        if model.shares is not None:
             local = local_levels(mesh)
             levels = spread_levels(local[mesh.topology.has_ring])
     model = model.along_normals()
@@ -151,9 +146,7 @@ def _build_case(mesh: Mesh, noise: NoiseLevel, is_allowed: Allowed) -> _Case:
     return _Case(base, model, edges, local, levels, relax)
 
 
-def _choose_by_risk(
-    case: _Case, noise: NoiseLevel, on_step: OnStep, is_allowed: Allowed, is_unsure: bool
-) -> Choice:
+def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: bool) -> Choice:
     """The setting with the least estimated error, or the share of one that has it in the worse case
     where it ``is_unsure`` that there is noise."""
     mesh = case.mesh
@@ -172,7 +165,7 @@ def _choose_by_risk(
     runs = CandidateRuns(part, model, count, edges)
     is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
     is_rough = not is_drawn and surface_kind(runs.result(ROBUST_LEARNED)) == TEXTURED
-    candidates = _candidates(case, is_drawn, is_allowed)
+    candidates = _candidates(case, is_drawn)
     total = len(candidates) * (2 if is_drawn else 1) + 1
     shares = np.ones(len(candidates))
     judge: SteinRisk | None = None
@@ -241,7 +234,7 @@ def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
     return np.array(weights) if any(weights) else np.ones(1)
 
 
-def _candidates(case: _Case, is_drawn: bool, is_allowed: Allowed) -> list[Candidate]:
+def _candidates(case: _Case, is_drawn: bool) -> list[Candidate]:
     """What is tried, the usual one first; with trust only what has a data term."""
     mesh = case.mesh
     found = [wiener_al(case.edges, case.model.rings), ROBUST_MSAL]
@@ -251,16 +244,7 @@ def _candidates(case: _Case, is_drawn: bool, is_allowed: Allowed) -> list[Candid
     if is_drawn:
         return found
     is_small = len(mesh.vertices) <= SMALL
-    linear = [
-        (methods.find(candidate.method), candidate)
-        for candidate in LINEAR
-        if is_small or candidate.cost <= MAX_COST
-    ]
-    return found + [
-        candidate
-        for method, candidate in linear
-        if is_allowed(method, method.validate(candidate.given))
-    ]
+    return found + [candidate for candidate in LINEAR if is_small or candidate.cost <= MAX_COST]
 
 
 def _keep_input(noise: NoiseLevel, why: str) -> Choice:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli import methods
 from msal_cli.arrays import Flags, Floats
 
 if TYPE_CHECKING:
@@ -14,7 +13,6 @@ if TYPE_CHECKING:
 
     from msal_cli.auto.risk import Risk
     from msal_cli.auto.sample_patch import Part
-    from msal_cli.auto.wishes import Allowed
 
 
 FLOOR = 0.02
@@ -159,15 +157,6 @@ MIN_RATIO, MIN_GAP = 1.25, 0.01
 
 MIN_JUDGED = 200
 """Vertices that a level of local noise needs for weights of its own."""
-
-FOLLOWING_BLEND = {"members": "0.5:1*al", "levels": "0:1"}
-"""A blend whose weights follow local noise."""
-
-
-def may_follow(is_allowed: Allowed) -> bool:
-    """Whether blends whose weights follow local noise are allowed."""
-    blend = methods.find("blend")
-    return is_allowed(blend, blend.validate(FOLLOWING_BLEND))
 
 
 def spread_levels(local: Floats) -> tuple[float, ...]:

@@ -33,7 +33,6 @@ from msal_cli.auto.blend_weights import (
     best_weights,
     hedge,
     level_masks,
-    may_follow,
     round_weights,
     spread_levels,
 )
@@ -77,14 +76,14 @@ from msal_cli.auto.sample_patch import (
     select_patch,
     surface_kind,
 )
-from msal_cli.auto.wishes import NONE, Choice, Wishes, allow_all
+from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.mesh import Mesh
 from msal_cli.methods._triangles import even_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.auto.wishes import Allowed, OnStep
+    from msal_cli.auto.wishes import OnStep
 
 
 RUN = 1.7
@@ -161,9 +160,7 @@ def forecast_seconds(n_vertices: int) -> float:
     return SECONDS * filters
 
 
-def search(
-    mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None, is_allowed: Allowed = allow_all
-) -> Choice:
+def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """The best method or blend for ``mesh``; see ``auto.choose_method``."""
     edge = mesh.mean_edge_length
     estimate = estimate_noise(mesh)
@@ -175,7 +172,7 @@ def search(
         choice = choose_least(noise, wishes, describe_rest(estimate, noise), CLEAN)
     else:
         noise = noise.assume(NOISE, edge)
-        choice = _Search(mesh, wishes, noise, on_step, is_allowed, is_unsure).choose()
+        choice = _Search(mesh, wishes, noise, on_step, is_unsure).choose()
     return dataclasses.replace(choice, estimate=estimate)
 
 
@@ -188,13 +185,12 @@ class _Search:
         wishes: Wishes,
         noise: NoiseLevel,
         on_step: OnStep | None,
-        is_allowed: Allowed,
         is_unsure: bool = False,
     ) -> None:
         self.levels: tuple[float, ...]
         self.is_unsure = is_unsure
         self.mesh, self.wishes, self.noise = mesh, wishes, noise
-        self._on_step, self._is_allowed = on_step, is_allowed
+        self._on_step = on_step
         edges = noise.rms_edges if noise.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
         edges -= doubt * self._width * noise.mean_edges
@@ -216,7 +212,7 @@ class _Search:
         self.model = model.at_level(self.level).along_normals()
         # Of the mesh as the blend gets it, and without the wishes.
         self.local, self.levels = np.empty(0), ()
-        if self.model.shares is not None and mesh.trust is None and may_follow(is_allowed):
+        if self.model.shares is not None and mesh.trust is None:
             self.local = local_levels(mesh)
             self.levels = spread_levels(self.local[mesh.topology.has_ring])
         self._whole: CandidateRuns | None = None
@@ -401,8 +397,6 @@ class _Search:
         method = methods.find(candidate.method)
         if self.mesh.trust is not None:
             return method.has_data_term(method.validate(candidate.given))
-        if not self._is_allowed(method, method.validate(candidate.settings(WEAK))):
-            return False
         return candidate.cost * len(self.mesh.vertices) <= spare
 
     def _noise_edges(self, mesh: Mesh) -> float:

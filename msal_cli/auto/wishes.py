@@ -6,28 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.methods import Method
 
     OnStep = Callable[[int, int], None]
     """Called as ``on_step(done, total)`` while candidates are looked at."""
-
-    Allowed = Callable[[Method, Mapping[str, Any]], bool]
-    """Called as ``is_allowed(method, parameters)`` with complete parameters: whether such a method
-    may be chosen."""
 
 NONE = "none"
 """In place of a method: the mesh stays as it is."""
 
 FAMILY, ALL = "family", "all"
 """Among what was chosen: AL and MSAL with the schedules of equation (2), or all methods."""
-
-
-def allow_all(method: Method, parameters: Mapping[str, Any]) -> bool:
-    """``Allowed`` for every method."""
-    return True
 
 
 @dataclass(frozen=True)

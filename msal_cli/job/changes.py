@@ -193,7 +193,7 @@ def measure(
             leeway=NAMED_LEEWAY if is_named else 1.0,
         )
     if harm is not None:
-        warnings.append((harm.code, damage_words(harm)))
+        warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"))
     fields = {
         "displacement": displacement_field(statistics, before.mean_edge_length),
         "normal_change": NormalChange(
@@ -208,11 +208,6 @@ def measure(
         "area": area_changed(surface.area_before, surface.area_after),
     }
     return Measured(fields, tuple(warnings), harm)
-
-
-def damage_words(harm: Harm) -> str:
-    """The text of the warning about a harmful change."""
-    return f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"
 
 
 def count_self_intersections(before: Mesh, after: Mesh) -> SelfIntersections:
@@ -266,11 +261,6 @@ def is_ruled_by_spike(fidelity: Floats | None) -> bool:
 
     if fidelity is None:
         return False
-    sample = fidelity[:: fidelity_step(len(fidelity))]
+    sample = fidelity[:: max(len(fidelity) // _MAX_SAMPLED, 1)]
     sample = sample[sample > 0.0]
     return len(sample) > 0 and float(np.quantile(sample, 0.99)) < _RULED
-
-
-def fidelity_step(n_vertices: int) -> int:
-    """k where of so many vertices the lambda of every k-th one is looked at."""
-    return max(n_vertices // _MAX_SAMPLED, 1)

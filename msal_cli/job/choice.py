@@ -9,14 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import NONE, Wishes, allow_all, choose_method
+from msal_cli.auto import NONE, Wishes, choose_method
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
 
 if TYPE_CHECKING:
     from msal_cli.analysis.harm import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.auto.wishes import Allowed
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method
 
@@ -106,21 +105,20 @@ def choose(
     mesh: Mesh,
     wishes: Mapping[str, Any] | None,
     on_step: Callable[[int, int], None],
-    is_allowed: Allowed = allow_all,
     assume: str | None = None,
 ) -> Preparation:
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
-    the family of equation (2) where they are None, with what to ``assume``; see ``Allowed``."""
+    the family of equation (2) where they are None, with what to ``assume``."""
     from msal_cli import methods
     from msal_cli.auto import adaptive
 
     auto_seconds = None
     if wishes is None:
-        choice = adaptive.choose_adaptive(mesh, on_step, is_allowed, assume)
+        choice = adaptive.choose_adaptive(mesh, on_step, assume)
         auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
         wishes = {} if assume is None else {"assume": assume}
     else:
-        choice = choose_method(mesh, Wishes(**wishes), on_step, is_allowed)
+        choice = choose_method(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
     parameters = {} if method is None else method.validate(choice.parameters)

@@ -123,29 +123,22 @@ class Lock:
     def __str__(self) -> str:
         return f"{self.name} {self.comparison} {self.value!r}"
 
-    def select(self, values: Floats, is_single: bool | None = None) -> Flags:
+    def select(self, values: Floats) -> Flags:
         """For which of the property's values (n,) it is so.
 
         A property in single precision is compared in single precision: what was stored as 0.2 is
-        0.2, and not a little more.  Of a part of the values ``is_single`` says what all are.
+        0.2, and not a little more.
         """
         import numpy as np
 
         value: Any = self.value
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             single = np.float32(value)
-        if np.isfinite(single) and (self.is_single(values) if is_single is None else is_single):
+            is_single = bool((values.astype(np.float32) == values).all())
+        if np.isfinite(single) and is_single:
             value = float(single)
         result: Flags = COMPARISONS[self.comparison](values, value)
         return result
-
-    @staticmethod
-    def is_single(values: Floats) -> bool:
-        """Whether values (n,) of a property are in single precision."""
-        import numpy as np
-
-        with np.errstate(over="ignore", invalid="ignore"):
-            return bool((values.astype(np.float32) == values).all())
 
 
 def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
@@ -284,27 +277,20 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
 
     values = codecs.vertex_property(mesh_file, name)
     finite = np.isfinite(values)
-    bad = None if finite.all() else int(np.argmin(finite))
-    largest = float(values.max(initial=0.0))
-    require_trust(name, bad, largest)
-    return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
-
-
-def require_trust(name: str, bad: int | None, largest: float) -> None:
-    """Refuse a property that means nothing as trust: ``bad`` is the first vertex where it is not
-    finite, ``largest`` its largest value."""
-    if bad is not None:
+    if not finite.all():
         raise ContentError(
             f"the property {name!r} is not finite",
             code="E_NONFINITE",
-            where=f"vertex {bad}",
+            where=f"vertex {int(np.argmin(finite))}",
             hint="mend it, or denoise without --weights",
         )
+    largest = float(values.max(initial=0.0))
     if largest <= 0.0:
         raise ContentError(
             f"the property {name!r} is nowhere above 0, so that no vertex is to be trusted",
             hint="choose another property, or denoise without --weights",
         )
+    return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
 
 
 def _spread_largest(ready: PreparedMesh, values: Floats) -> Floats:

@@ -21,12 +21,17 @@ Reader = Callable[[Any], Any]
 
 
 def about(description: str) -> dict[str, str]:
-    """The metadata of a field that every record has: what the JSON Schema says of it."""
+    """The metadata of a field: what the JSON Schema says of it."""
     return {"description": description}
 
 
+def required(description: str) -> Any:
+    """A field that every record has, with its description."""
+    return dataclasses.field(metadata=about(description))
+
+
 def known(description: str, default: Any = None) -> Any:
-    """A field with its description for the JSON Schema; None, or ``default``, if not known."""
+    """A field with its description; None, or ``default``, if not known."""
     return dataclasses.field(default=default, metadata=about(description))
 
 

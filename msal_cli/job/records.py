@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from msal_cli.job.plain_data import ScreenRepr, about, known
+from msal_cli.job.plain_data import ScreenRepr, about, known, required
 
 SCHEMA = "msal.report/1"
 
@@ -32,23 +32,21 @@ class Volume:
     A volume that is not valid has no figures, also in records of earlier versions that had some.
     """
 
-    before: float | None = field(
-        metadata=about(
-            "enclosed volume before, whichever side the normals point to, cubed file units; null "
-            "if it is not valid, as the next three"
-        )
+    before: float | None = required(
+        "enclosed volume before, whichever side the normals point to, cubed file units; null "
+        "if it is not valid, as the next three"
     )
-    after: float | None = field(
-        metadata=about("enclosed volume after, negative if the surface passed through itself")
+    after: float | None = required(
+        "enclosed volume after, negative if the surface passed through itself"
     )
-    change: float | None = field(metadata=about("after - before"))
-    change_percent: float | None = field(
-        metadata=about("change in percent of |before|; null if nothing is enclosed before")
+    change: float | None = required("after - before")
+    change_percent: float | None = required(
+        "change in percent of |before|; null if nothing is enclosed before"
     )
-    valid: bool = field(
-        metadata=about("whether the volume means anything: the surface is closed and orientable")
+    valid: bool = required(
+        "whether the volume means anything: the surface is closed and orientable"
     )
-    reason: str = field(metadata=about("why it does not; empty if it does"))
+    reason: str = required("why it does not; empty if it does")
 
     def __post_init__(self) -> None:
         if not self.valid:
@@ -60,9 +58,9 @@ class Volume:
 class Area:
     """Surface area in squared file units."""
 
-    before: float = field(metadata=about("area before, squared file units"))
-    after: float = field(metadata=about("area after, squared file units"))
-    change_percent: float | None = field(metadata=about("change in percent of the area before"))
+    before: float = required("area before, squared file units")
+    after: float = required("area after, squared file units")
+    change_percent: float | None = required("change in percent of the area before")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,40 +68,40 @@ class SurfaceDistance:
     """Distances from the vertices of one mesh to the surface of another, in file units and in
     mean edge lengths of the mesh before."""
 
-    mean: float = field(metadata=about("mean distance, file units"))
-    rms: float = field(metadata=about("root mean square distance, file units"))
-    p95: float = field(metadata=about("distance that 95 % of the vertices stay below, file units"))
-    max: float = field(metadata=about("largest distance, file units"))
-    mean_edges: float = field(metadata=about("mean distance, mean edge lengths"))
-    rms_edges: float = field(metadata=about("root mean square distance, mean edge lengths"))
-    p95_edges: float = field(metadata=about("distance that 95 % stay below, mean edge lengths"))
-    max_edges: float = field(metadata=about("largest distance, mean edge lengths"))
+    mean: float = required("mean distance, file units")
+    rms: float = required("root mean square distance, file units")
+    p95: float = required("distance that 95 % of the vertices stay below, file units")
+    max: float = required("largest distance, file units")
+    mean_edges: float = required("mean distance, mean edge lengths")
+    rms_edges: float = required("root mean square distance, mean edge lengths")
+    p95_edges: float = required("distance that 95 % stay below, mean edge lengths")
+    max_edges: float = required("largest distance, mean edge lengths")
 
 
 @dataclass(frozen=True, slots=True)
 class Displacement(SurfaceDistance):
     """How far the vertices that faces use moved, in file units and in mean edge lengths."""
 
-    moved_vertices: int = field(metadata=about("vertices that moved at all"))
+    moved_vertices: int = required("vertices that moved at all")
 
 
 @dataclass(frozen=True, slots=True)
 class NormalChange:
     """Angle between each face's normal before and after, in degrees."""
 
-    mean_deg: float = field(metadata=about("mean angle, degrees"))
-    max_deg: float = field(metadata=about("largest angle, degrees"))
+    mean_deg: float = required("mean angle, degrees")
+    max_deg: float = required("largest angle, degrees")
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseReading:
     """One way to explain the roughness of a mesh."""
 
-    kind: str = field(metadata=about("noise or texture"))
-    level_edges: float = field(
-        metadata=about("noise that there is then, mean edge lengths; 0 if all of it is texture")
+    kind: str = required("noise or texture")
+    level_edges: float = required(
+        "noise that there is then, mean edge lengths; 0 if all of it is texture"
     )
-    probability: float = field(metadata=about("probability, 0 to 1"))
+    probability: float = required("probability, 0 to 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +111,11 @@ class NoiseEstimate:
     Records of earlier versions have the first two fields only, or none from ``kind`` on.
     """
 
-    mean_edges: float = field(
-        metadata=about(
-            "standard deviation along the direction: the normals, an axis, or each coordinate "
-            "where it is isotropic; mean edge lengths"
-        )
+    mean_edges: float = required(
+        "standard deviation along the direction: the normals, an axis, or each coordinate "
+        "where it is isotropic; mean edge lengths"
     )
-    file_units: float = field(metadata=about("the same in file units"))
+    file_units: float = required("the same in file units")
     low_edges: float | None = known(
         "lower end of an interval for it, as if all that may be texture were, mean edge lengths"
     )
@@ -168,21 +164,19 @@ class NoiseEstimate:
 class MethodUsed:
     """The method and every one of its parameters, defaults included."""
 
-    name: str = field(
-        metadata=about(
-            "name of the method; none where the choice or --min-noise left the mesh as it is, "
-            "adaptive or auto where it was not chosen yet"
-        )
+    name: str = required(
+        "name of the method; none where the choice or --min-noise left the mesh as it is, "
+        "adaptive or auto where it was not chosen yet"
     )
-    parameters: dict[str, Any] = field(metadata=about("every parameter by name, defaults included"))
+    parameters: dict[str, Any] = required("every parameter by name, defaults included")
 
 
 @dataclass(frozen=True, slots=True)
 class RunnerUp:
     """What was nearly chosen by --auto, and its estimated error."""
 
-    label: str = field(metadata=about("method and parameters in words"))
-    risk_edges: float = field(metadata=about("estimated error of its result, mean edge lengths"))
+    label: str = required("method and parameters in words")
+    risk_edges: float = required("estimated error of its result, mean edge lengths")
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,33 +187,23 @@ class ChoiceMade:
     same by hand.
     """
 
-    reason: str = field(metadata=about("in one sentence: the noise, the surface, the method"))
-    surface: str | None = field(
-        metadata=about(
-            "machined, organic, textured or clean, as it seems; null where it was not looked at"
-        )
+    reason: str = required("in one sentence: the noise, the surface, the method")
+    surface: str | None = required(
+        "machined, organic, textured or clean, as it seems; null where it was not looked at"
     )
-    noise_edges: float = field(
-        metadata=about("noise that the choice was made for, mean edge lengths")
+    noise_edges: float = required("noise that the choice was made for, mean edge lengths")
+    risk_edges: float | None = required(
+        "estimated error of the result (null if none was estimated), mean edge lengths"
     )
-    risk_edges: float | None = field(
-        metadata=about(
-            "estimated error of the result (null if none was estimated), mean edge lengths"
-        )
+    tried: int = required("candidates that were looked at")
+    runners_up: tuple[RunnerUp, ...] = required(
+        "the next best candidates, best first, at most three"
     )
-    tried: int = field(metadata=about("candidates that were looked at"))
-    runners_up: tuple[RunnerUp, ...] = field(
-        metadata=about("the next best candidates, best first, at most three")
+    wishes: dict[str, Any] = required(
+        "what was wished for: prefer, keep, strength, budget, assume; without --auto only "
+        "assume, or nothing"
     )
-    wishes: dict[str, Any] = field(
-        metadata=about(
-            "what was wished for: prefer, keep, strength, budget, assume; without --auto only "
-            "assume, or nothing"
-        )
-    )
-    repeat: tuple[str, ...] = field(
-        metadata=about("options of msal denoise that do the same without --auto")
-    )
+    repeat: tuple[str, ...] = required("options of msal denoise that do the same without --auto")
     among: str = known(
         "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
         "methods and their mixtures, with --auto",
@@ -251,8 +235,8 @@ class Seconds:
 class Failure:
     """Why a file was not written: a stable code, the reason, the place and what to do."""
 
-    code: str = field(metadata=about("stable code of the error, such as E_TRUNCATED"))
-    message: str = field(metadata=about("what is wrong, one sentence"))
+    code: str = required("stable code of the error, such as E_TRUNCATED")
+    message: str = required("what is wrong, one sentence")
     hint: str = known("what to do about it; may be empty", "")
     where: str = known("place in the file, such as a vertex or a line; may be empty", "")
 
@@ -266,25 +250,21 @@ class GateResult:
     could not be counts as broken.
     """
 
-    expression: str = field(metadata=about("what breaks the gate, as it was given"))
-    broken: bool = field(metadata=about("true if it is so for this file, or cannot be decided"))
-    decided: bool = field(metadata=about("false if a value is not known on which it depends"))
-    values: dict[str, float | None] = field(
-        metadata=about("values of the names in the expression, in the units of their fields")
+    expression: str = required("what breaks the gate, as it was given")
+    broken: bool = required("true if it is so for this file, or cannot be decided")
+    decided: bool = required("false if a value is not known on which it depends")
+    values: dict[str, float | None] = required(
+        "values of the names in the expression, in the units of their fields"
     )
-    reason: str = field(
-        metadata=about("those values in words, or why the gate could not be decided")
-    )
+    reason: str = required("those values in words, or why the gate could not be decided")
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectMark:
     """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
 
-    size: int = field(metadata=about("bytes"))
-    tag: str = field(
-        metadata=about("entity tag, or what the store gives in its place; empty if it gives none")
-    )
+    size: int = required("bytes")
+    tag: str = required("entity tag, or what the store gives in its place; empty if it gives none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,12 +272,10 @@ class SelfIntersections:
     """Pairs of faces that intersect each other before and after, and how many of those after did
     not before; that is None where the faces are not the same."""
 
-    before: int = field(metadata=about("pairs of faces that intersect before"))
-    after: int = field(metadata=about("pairs of faces that intersect after"))
-    created: int | None = field(
-        metadata=about(
-            "pairs that intersect after and did not before; null where the faces are not the same"
-        )
+    before: int = required("pairs of faces that intersect before")
+    after: int = required("pairs of faces that intersect after")
+    created: int | None = required(
+        "pairs that intersect after and did not before; null where the faces are not the same"
     )
 
 
@@ -306,7 +284,7 @@ class Reference:
     """An output against its reference, the true mesh at ``path``: the figures of a
     ``ComparisonRecord`` whose ``before`` is the reference."""
 
-    path: str = field(metadata=about("path of the reference"))
+    path: str = required("path of the reference")
     correspondence: Literal["vertices", "surface"] | None = known(
         "as in a ComparisonRecord: vertices or surface"
     )
@@ -339,14 +317,12 @@ class FieldsFile:
     """The PLY with fields beside an output: their names, and which one its colours show, by which
     map, from ``low`` to ``high``."""
 
-    path: str = field(metadata=about("where it is"))
-    names: tuple[str, ...] = field(
-        metadata=about("the fields, which are properties of its vertices")
-    )
-    coloured: str = field(metadata=about("the field that its vertex colours show"))
-    map: str = field(metadata=about("sequential: pale to dark; diverging: blue, pale, brown"))
-    low: float = field(metadata=about("value of the first colour, in the unit of the field"))
-    high: float = field(metadata=about("value of the last colour, in the unit of the field"))
+    path: str = required("where it is")
+    names: tuple[str, ...] = required("the fields, which are properties of its vertices")
+    coloured: str = required("the field that its vertex colours show")
+    map: str = required("sequential: pale to dark; diverging: blue, pale, brown")
+    low: float = required("value of the first colour, in the unit of the field")
+    high: float = required("value of the last colour, in the unit of the field")
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,33 +344,24 @@ class TileSetPart:
     """What a file is within the tile set that was denoised as one mesh; border vertices at one
     place of the file count once."""
 
-    files: int = field(metadata=about("files of the set that could be read"))
-    neighbours: tuple[str, ...] = field(
-        metadata=about("files, by their relative paths, that share border vertices with this one")
+    files: int = required("files of the set that could be read")
+    neighbours: tuple[str, ...] = required(
+        "files, by their relative paths, that share border vertices with this one"
     )
-    shared_vertices: int = field(metadata=about("border vertices that other files have, too"))
-    welded_vertices: int = field(
-        metadata=about(
-            "of these, those for which the position of another file was taken, which stores fewer "
-            "digits"
-        )
+    shared_vertices: int = required("border vertices that other files have, too")
+    welded_vertices: int = required(
+        "of these, those for which the position of another file was taken, which stores fewer "
+        "digits"
     )
-    largest_weld: float = field(
-        metadata=about(
-            "largest distance before between vertices of this file and others that are one, file "
-            "units"
-        )
+    largest_weld: float = required(
+        "largest distance before between vertices of this file and others that are one, file units"
     )
-    unmatched_vertices: int = field(
-        metadata=about(
-            "border vertices that lie at the border of another file but are no vertices of it"
-        )
+    unmatched_vertices: int = required(
+        "border vertices that lie at the border of another file but are no vertices of it"
     )
-    fixed_border_vertices: int = field(
-        metadata=about(
-            "border vertices that were held in their place because a file that failed, or is "
-            "gone since an earlier run, may share them"
-        )
+    fixed_border_vertices: int = required(
+        "border vertices that were held in their place because a file that failed, or is "
+        "gone since an earlier run, may share them"
     )
     low: tuple[float, float, float] | None = known(
         "least coordinates of its border vertices before, file units; null if it has none"
@@ -413,13 +380,11 @@ class MeshRecord(ScreenRepr):
     otherwise.
     """
 
-    input: str = field(metadata=about("path of the input as it was found, - for standard input"))
-    status: Status = field(
-        metadata=about(
-            "written; unchanged: written, but no vertex moved, so the bytes are the input's; "
-            "up-to-date: the output of an earlier run is current, and the figures are that run's; "
-            "planned: not dealt with; failed: see error"
-        )
+    input: str = required("path of the input as it was found, - for standard input")
+    status: Status = required(
+        "written; unchanged: written, but no vertex moved, so the bytes are the input's; "
+        "up-to-date: the output of an earlier run is current, and the figures are that run's; "
+        "planned: not dealt with; failed: see error"
     )
     output: str | None = known("path of the output, - for standard output; null if there is none")
     schema: str = known("name and version of this schema", SCHEMA)
@@ -578,8 +543,8 @@ class ComparisonRecord(ScreenRepr):
     of ``after``'s vertices to ``before``'s surface.
     """
 
-    before: str = field(metadata=about("path of the reference"))
-    after: str = field(metadata=about("path of the mesh that is compared with it"))
+    before: str = required("path of the reference")
+    after: str = required("path of the mesh that is compared with it")
     schema: str = "msal.compare/1"
     version: str = ""
     correspondence: Literal["vertices", "surface"] | None = known(

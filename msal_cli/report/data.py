@@ -28,6 +28,7 @@ from msal_cli.job.plain_data import (
     as_data,
     from_data,
     known,
+    required,
     value_at,
 )
 from msal_cli.job.records import DONE, SCHEMA, MeshRecord
@@ -92,16 +93,14 @@ class Run:
     ``machine`` describes the system and the libraries; it is empty where that is not known.
     """
 
-    version: str = field(metadata=about("version of msal"))
-    command: tuple[str, ...] = field(
-        metadata=about("the command as it was given, program name first")
+    version: str = required("version of msal")
+    command: tuple[str, ...] = required("the command as it was given, program name first")
+    settings: Mapping[str, Any] = required(
+        "what decides the output beside the input: method, parameters, conversion"
     )
-    settings: Mapping[str, Any] = field(
-        metadata=about("what decides the output beside the input: method, parameters, conversion")
-    )
-    started: str = field(metadata=about("when the run began, UTC, ISO 8601"))
-    finished: str = field(metadata=about("when it ended, UTC, ISO 8601"))
-    seconds: float = field(metadata=about("wall-clock seconds between the two"))
+    started: str = required("when the run began, UTC, ISO 8601")
+    finished: str = required("when it ended, UTC, ISO 8601")
+    seconds: float = required("wall-clock seconds between the two")
     interrupted: bool = known("true if the run was ended before all files were dealt with", False)
     machine: Mapping[str, str] = field(
         default_factory=dict,
@@ -113,10 +112,10 @@ class Run:
 class Spread:
     """The lowest, the median and the highest of a figure over ``files`` files."""
 
-    files: int = field(metadata=about("files that the figure is over"))
-    lowest: float = field(metadata=about("lowest value"))
-    median: float = field(metadata=about("median"))
-    highest: float = field(metadata=about("highest value"))
+    files: int = required("files that the figure is over")
+    lowest: float = required("lowest value")
+    median: float = required("median")
+    highest: float = required("highest value")
 
 
 @dataclass(frozen=True)
@@ -128,29 +127,21 @@ class Totals:
     those whose volume can be trusted, up-to-date ones included.
     """
 
-    files: int = field(metadata=about("records in this report"))
-    written: int = field(metadata=about("files written with some vertex moved, or in another form"))
-    unchanged: int = field(
-        metadata=about("files written byte for byte as they were, because no vertex moved")
+    files: int = required("records in this report")
+    written: int = required("files written with some vertex moved, or in another form")
+    unchanged: int = required("files written byte for byte as they were, because no vertex moved")
+    up_to_date: int = required("files whose output of an earlier run is current")
+    planned: int = required("files not dealt with: by a dry run, or because the run ended before")
+    failed: int = required("files that failed")
+    gate_broken: int = required("files written or up to date that break a gate")
+    chosen: Mapping[str, int] = required(
+        "files written, unchanged or up to date by the method that was chosen, the most "
+        "frequent first; empty where the method was given"
     )
-    up_to_date: int = field(metadata=about("files whose output of an earlier run is current"))
-    planned: int = field(
-        metadata=about("files not dealt with: by a dry run, or because the run ended before")
-    )
-    failed: int = field(metadata=about("files that failed"))
-    gate_broken: int = field(metadata=about("files written or up to date that break a gate"))
-    chosen: Mapping[str, int] = field(
-        metadata=about(
-            "files written, unchanged or up to date by the method that was chosen, the most "
-            "frequent first; empty where the method was given"
-        )
-    )
-    vertices: int = field(metadata=about("vertices of the files denoised in this run"))
-    work_seconds: float = field(
-        metadata=about("sum of the seconds of the files denoised in this run")
-    )
-    volume_change_percent: Spread | None = field(
-        metadata=about("change of volume over the files whose volume is valid")
+    vertices: int = required("vertices of the files denoised in this run")
+    work_seconds: float = required("sum of the seconds of the files denoised in this run")
+    volume_change_percent: Spread | None = required(
+        "change of volume over the files whose volume is valid"
     )
 
 

@@ -17,7 +17,7 @@ import stat
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -126,49 +126,6 @@ def write_new(
     return True
 
 
-def publish(
-    source: str | os.PathLike[str],
-    path: str | os.PathLike[str],
-    size: int,
-    *,
-    sources: Sources = (),
-) -> tuple[int, str] | None:
-    """Give a file that was written in parts, ``source``, its name, as ``write_whole`` does.
-
-    It is flushed to the disk, its ``size`` bytes are counted, and it is moved, or copied where the
-    name is on another file system or in a store; then ``source`` is no longer there.
-    Permission bits, links and what is returned are those of ``write_whole``.
-
-    Raises
-    ------
-    OutputError
-        if the system refuses, with the reason.
-    """
-    if isinstance(path, str) and is_url(path):
-        known = write_whole(path, _read_pieces(source))
-        os.unlink(source)
-        return known
-    target = Path(path)
-    try:
-        mode = _choose_mode(target, sources)
-        with open(source, "r+b") as file:
-            mode.apply(file.fileno(), source)
-            os.fsync(file.fileno())
-            _require_size(os.fstat(file.fileno()).st_size, size)
-        try:
-            _move(Path(source), target)
-        except OSError as failure:
-            if failure.errno != errno.EXDEV:
-                raise
-            _write(target, _read_pieces(source), sources, _move)
-            os.unlink(source)
-        else:
-            flush_folder(target.parent)
-    except (OSError, ValueError) as failure:
-        raise _not_written(path, failure) from failure
-    return None
-
-
 def make_folders(folder: str | os.PathLike[str]) -> None:
     """Make a folder and all above it that are missing, however deep; OSError if that fails.
 
@@ -204,7 +161,7 @@ def _write(
     target: Path,
     buffers: Iterable[Buffer],
     sources: Sources,
-    publish: Callable[[Path, Path], None],
+    place: Callable[[Path, Path], None],
 ) -> None:
     mode = _choose_mode(target, sources)
     temporary = target.with_name(temporary_name(target.name))
@@ -226,7 +183,7 @@ def _write(
             _require_size(os.fstat(handle).st_size, expected)
         finally:
             os.close(handle)
-        publish(temporary, target)
+        place(temporary, target)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -237,12 +194,6 @@ def _write(
 def _require_size(written: int, expected: int) -> None:
     if written != expected:
         raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
-
-
-def _read_pieces(path: str | os.PathLike[str]) -> Iterator[bytes]:
-    with open(path, "rb", buffering=0) as file:
-        while piece := file.read(_PIECE):
-            yield piece
 
 
 @dataclass(frozen=True)

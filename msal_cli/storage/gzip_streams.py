@@ -140,9 +140,14 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
     if bytes(view[:2]) != GZIP_MAGIC:
         if not is_gzip_name(name):
             return data, False
-        raise refuse_content(len(view))
-    largest = largest_bytes() if limit is None else limit
-    pieces = expand_pieces(lambda at, n: view[at : at + n], len(view), largest, limit is None)
+        if not view:
+            raise TruncatedError("the file is empty", hint="copy or export it again")
+        raise FormatError(
+            "the name ends in .gz but the content is not gzip",
+            where="byte 0",
+            hint="rename the file, or compress it",
+        )
+    pieces = _expand_pieces(view, limit)
     # A library would copy what is no ``bytes``.
     return (_gather(pieces) if isinstance(data, memoryview) else b"".join(pieces)), True
 
@@ -160,36 +165,15 @@ def _gather(pieces: Iterable[bytes]) -> memoryview:
     return room[:size].data.toreadonly()
 
 
-def refuse_content(size: int) -> InputError:
-    """The error for a file of ``size`` bytes whose name ends in ``.gz``, but whose content is not
-    compressed."""
-    if not size:
-        return TruncatedError("the file is empty", hint="copy or export it again")
-    return FormatError(
-        "the name ends in .gz but the content is not gzip",
-        where="byte 0",
-        hint="rename the file, or compress it",
-    )
-
-
-def expand_pieces(
-    read: Callable[[int, int], Buffer], size: int, largest: int, is_watched: bool
-) -> Iterator[bytes]:
-    """What gzip's members expand to, piece by piece; errors as in ``expand``.
-
-    Parameters
-    ----------
-    read : called as ``read(at, n)``: n bytes from ``at`` on, fewer at the end.
-    size : bytes of the compressed data.
-    largest : the most bytes to expand to.
-    is_watched : it must not be more than ``MAX_RATIO`` allows either.
-    """
+def _expand_pieces(data: memoryview, limit: int | None) -> Iterator[bytes]:
+    """What gzip's members expand to, piece by piece; errors and ``limit`` as in ``expand``."""
+    size = len(data)
     expanded = 0
     position = 0
     while position < size:
-        begin = bytes(read(position, 2))
+        begin = bytes(data[position : position + 2])
         # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
-        if position and begin[0] == 0 and _is_zero(read, position, size):
+        if position and begin[0] == 0 and not _has_content(data, position):
             break
         if position and begin not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
             raise FormatError(
@@ -202,17 +186,16 @@ def expand_pieces(
         # over by ``unused_data``.
         piece = _FIRST_PIECE
         while not member.eof:
-            part = read(position, piece)
-            if not len(part):
+            part = data[position : position + piece]
+            if not part:
                 raise TruncatedError(
                     f"the compressed data end after {position} bytes, in the middle",
                     where=f"byte {position}",
                     hint="the file was cut short; copy it again",
                 )
-            allowed = largest
-            if is_watched:
-                # A bomb is known by its first pieces.
-                allowed = min(largest, max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part))))
+            # A bomb is known by its first pieces.
+            allowed = max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part)))
+            allowed = min(largest_bytes(), allowed) if limit is None else limit
             try:
                 text = member.decompress(part, max(allowed - expanded, 0) + 1)
             except zlib.error as failure:
@@ -234,31 +217,27 @@ def expand_pieces(
             piece = min(2 * piece, _MAX_PIECE)
 
 
-def _is_zero(read: Callable[[int, int], Buffer], at: int, size: int) -> bool:
-    """Whether all bytes from ``at`` on are zero; a piece at a time, since there may be
+def _has_content(data: memoryview, at: int) -> bool:
+    """Whether a byte from ``at`` on is not zero; a piece at a time, since there may be
     gigabytes."""
-    pieces = (read(first, _MAX_PIECE) for first in range(at, size, _MAX_PIECE))
-    return not any(bytes(piece).strip(b"\0") for piece in pieces)
+    firsts = range(at, len(data), _MAX_PIECE)
+    return any(bytes(data[first : first + _MAX_PIECE]).strip(b"\0") for first in firsts)
 
 
 def compress(data: Buffer) -> Buffer:
     """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
-    pieces = compress_pieces([data])
-    return b"".join(pieces) if memoryview(data).nbytes < LARGE_BYTES else _gather(pieces)
+    view = memoryview(data).cast("B")
+    pieces = _compress_pieces(view)
+    return b"".join(pieces) if len(view) < LARGE_BYTES else _gather(pieces)
 
 
-def compress_pieces(pieces: Iterable[Buffer]) -> Iterator[bytes]:
-    """The same of data in pieces, which may be of any size."""
+def _compress_pieces(view: memoryview) -> Iterator[bytes]:
     deflate = zlib.compressobj(6, zlib.DEFLATED, -15)
-    checksum = size = 0
     yield GZIP_MAGIC + b"\x08\x00" + bytes(4) + b"\x00\xff"
-    for piece in pieces:
-        view = memoryview(piece).cast("B")
-        checksum = zlib.crc32(view, checksum)
-        size += len(view)
-        for at in range(0, len(view), _MAX_PIECE):
-            yield deflate.compress(view[at : at + _MAX_PIECE])
+    for at in range(0, len(view), _MAX_PIECE):
+        yield deflate.compress(view[at : at + _MAX_PIECE])
     yield deflate.flush()
+    checksum, size = zlib.crc32(view), len(view)
     yield checksum.to_bytes(4, "little") + (size & 0xFFFFFFFF).to_bytes(4, "little")
 
 
@@ -272,17 +251,16 @@ def sha256_meanwhile(data: Buffer) -> Callable[[], str]:
     Other threads run on: a second core hashes while the first one parses, and even a single core
     hashes while the disk writes.
     """
-    if len(data) < THREAD_BYTES:
-        digits = hashlib.sha256(data).hexdigest()
-        return lambda: digits
     state = hashlib.sha256()
     thread = threading.Thread(target=state.update, args=(data,), daemon=True)
     try:
-        thread.start()
+        if len(data) >= THREAD_BYTES:
+            thread.start()
     except RuntimeError:
-        # The system gives no more threads.
-        digits = hashlib.sha256(data).hexdigest()
-        return lambda: digits
+        pass  # the system gives no more threads
+    if thread.ident is None:
+        state.update(data)
+        return state.hexdigest
 
     def wait() -> str:
         thread.join()

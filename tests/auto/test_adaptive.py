@@ -12,7 +12,7 @@ from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
-from msal_cli.auto import FAMILY, NONE, adaptive, allow_all
+from msal_cli.auto import FAMILY, NONE, adaptive
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.auto.test_search import angle
 from tests.shapes import ball, cube, torus
@@ -101,7 +101,7 @@ def test_impulsive_noise_is_filtered_for_its_root_mean_square():
     noise = estimate_noise(mesh)
     assert noise.is_impulsive
     assert adaptive.choose_adaptive(mesh).reason.startswith("impulsive noise")
-    case = adaptive._build_case(mesh, noise, allow_all)
+    case = adaptive._build_case(mesh, noise)
     assert case.edges == pytest.approx(noise.rms_edges)
 
 
@@ -181,6 +181,3 @@ def test_noise_that_neighbours_share_may_take_a_linear_filter():
     choice = adaptive.choose_adaptive(mesh)
     made = result_of(mesh, choice.method, choice.parameters)
     assert angle(true, made) < 1.05 * angle(true, result_of(mesh, "taubin", {}))
-    # Methods with other needs, such as tiles, keep to the family.
-    kept = adaptive.choose_adaptive(mesh, None, lambda method, _: method.name in ("al", "msal"))
-    assert kept.method in ("al", "msal")

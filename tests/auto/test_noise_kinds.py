@@ -21,7 +21,6 @@ from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import count_relaxing
 from msal_cli.auto.sample_patch import select_patch
 from msal_cli.auto.search import _Search
-from msal_cli.auto.wishes import allow_all
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods.blend import parse_levels
 from tests.auto.test_search import angle, made_by
@@ -134,7 +133,7 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     true = prepare_mesh(vertices, faces).mesh
     shared = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
     mesh = shared.with_vertices(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
-    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None, allow_all)
+    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
     choice = search.choose()
     made = made_by(choice, mesh)
     angles = [angle(true, one) for one in (mesh, made)]
@@ -149,7 +148,7 @@ def test_noise_like_no_draw_is_left_to_the_learned_filter_and_linear_ones(kind):
     true = pair("shared")[1]
     mesh = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.06, seed=1, rings=1)))
     choices = [
-        _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None, allow_all).choose()
+        _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None).choose()
         for confidence in (0.5, 0.99)
     ]
     # Whatever else it may be.

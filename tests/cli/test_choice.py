@@ -79,7 +79,7 @@ def choose(monkeypatch):
     def fix(name="msal", given=None):
         arrived = []
 
-        def search(mesh, wishes, on_step=None, is_allowed=None):
+        def search(mesh, wishes, on_step=None):
             arrived.append(wishes)
             noise = dataclasses.replace(estimate_noise(mesh), mean_edges=0.11)
             runners_up = (("AL, 3 sweeps", 0.0724),)

@@ -151,9 +151,3 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch,
 
     monkeypatch.setattr(os, "fstat", smaller)
     assert bytes(read_whole(path, in_large_pages=in_large_pages)) == b"x" * 1000
-
-
-@given(st.lists(st.binary(max_size=3000), max_size=8), st.binary(max_size=100_000))
-def test_compressed_bytes_do_not_depend_on_pieces(pieces, last):
-    data = b"".join([*pieces, last])
-    assert b"".join(streams.compress_pieces([*pieces, memoryview(last)])) == compress(data)
