@@ -25,14 +25,18 @@ HEAD = """<!-- made by docs/make_api_page.py: change the docstrings and run it a
 # All functions, records and errors
 
 Everything is in `msal_cli`, as in `import msal_cli as msal`. [python.md](python.md) explains it
-with examples. `help(msal.denoise)` shows the same text as this page.
+with examples. `help(msal.denoise)` shows all there is to a name, with errors and examples.
+What an argument means is said once: under the first function that has it.
 
 """
 RECORDS = """## Records
 
 Functions return records, and the reports of the command have the same fields:
-[report.md](report.md). `null` is `None` in Python.
+[report.md](report.md) says what each means, `help(msal.DenoiseResult)` as well. `null` is `None` in
+Python.
 
+| record | what it is | fields |
+|---|---|---|
 """
 _SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 
@@ -53,31 +57,25 @@ def signature(function: Any) -> str:
     return f"```python\n{line}\n```\n"
 
 
-def sections(documentation: str) -> str:
-    """A docstring as Markdown: prose, tables of arguments and of errors, code."""
-    first, *rest = _SECTION.split(documentation)
+def describe(function: Any, seen: set[tuple[str, str]]) -> str:
+    """The beginning of a docstring, and the arguments that are not among those ``seen``."""
+    first, *rest = _SECTION.split(inspect.getdoc(function) or "")
     parts = [*prose(first.strip("\n"), "")]
     for title, body in zip(rest[::2], rest[1::2], strict=True):
-        parts.append(f"**{title}**\n")
-        body = body.strip("\n")
-        if title == "Examples":
-            body = re.sub(r"^>>> |  # doctest:.*", "", body, flags=re.MULTILINE)
-            # As ruff formats the code of pages.
-            body = re.sub(r"^(import .*\n)(?!import|\n)", r"\1\n", body, flags=re.MULTILINE)
-            parts.append(f"```python\n{body}\n```\n")
-        elif title in ("Parameters", "Attributes"):
-            parts.append(table(re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body, re.M)))
-        elif title == "Raises":
-            parts.append(table(re.findall(r"^(\S.*)\n((?:^ .*\n?)+)", body, re.M), "error"))
-        else:
-            parts.extend(prose(body, ""))
+        if title == "Parameters":
+            found = re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body.strip("\n"), re.M)
+            new = [entry for entry in found if entry not in seen]
+            seen.update(new)
+            parts.append(table(new) if new else "")
+        elif title == "Returns":
+            parts.append(f"Returns: {inline(body)}\n")
     return "\n".join(parts) + "\n"
 
 
-def table(entries: list[tuple[str, str]], head: str = "name") -> str:
+def table(entries: list[tuple[str, str]]) -> str:
     """Names and what they mean."""
-    rows = "".join(f"| {names(one)} | {inline(text)} |\n" for one, text in entries)
-    return f"| {head} | meaning |\n|---|---|\n{rows}"
+    rows = "".join(f"| {names(words)} | {inline(text)} |\n" for words, text in entries)
+    return f"| name | meaning |\n|---|---|\n{rows}"
 
 
 def names(text: str) -> str:
@@ -86,27 +84,13 @@ def names(text: str) -> str:
 
 
 def record(cls: type) -> str:
-    """A record: its docstring, its fields and its properties."""
-    rows = []
-    for one in dataclasses.fields(cls):  # type: ignore[arg-type]
-        text = str(one.metadata.get("description", ""))
-        rows.append(f"| `{one.name}` | {code(one.type)} | {inline(text)} |\n")
+    """A record: its first sentence, its fields and its properties."""
+    fields = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
     for name, value in vars(cls).items():
         if isinstance(value, property) and not name.startswith("_"):
-            kind = inspect.signature(value.fget).return_annotation
-            rows.append(f"| `{name}` | {code(kind)} | {inline(inspect.getdoc(value) or '')} |\n")
-    text = sections(inspect.getdoc(cls) or "")
-    return (
-        f"### `{cls.__name__}`\n\n{text}\n| field | type | meaning |\n|---|---|---|\n"
-        + "".join(rows)
-        + "\n"
-    )
-
-
-def code(annotation: Any) -> str:
-    """A type that may stand in a table."""
-    text = annotation if isinstance(annotation, str) else annotation.__name__
-    return "`" + text.replace("|", "\\|") + "`"
+            fields.append(name)
+    first = inline((inspect.getdoc(cls) or "").split("\n\n")[0])
+    return f"| `{cls.__name__}` | {first} | {', '.join(f'`{name}`' for name in fields)} |\n"
 
 
 def page() -> str:
@@ -117,10 +101,11 @@ def page() -> str:
     records = [one for one in found if inspect.isclass(one) and one not in errors]
     text = HEAD + "## Functions\n\n"
     # As python.md does: what most people need comes first.
-    for one in sorted(functions, key=lambda one: not one.__name__.startswith("denoise")):
-        text += f"### `{one.__name__}`\n\n{signature(one)}\n{sections(inspect.getdoc(one) or '')}\n"
+    seen: set[tuple[str, str]] = set()
+    for function in sorted(functions, key=lambda found: not found.__name__.startswith("denoise")):
+        text += f"### `{function.__name__}`\n\n{signature(function)}\n{describe(function, seen)}\n"
     text += RECORDS + "".join(map(record, records))
-    text += "## Errors\n\n| class | is a | when |\n|---|---|---|\n"
+    text += "\n## Errors\n\n| class | is a | when |\n|---|---|---|\n"
     for one in sorted(errors, key=lambda one: (len(one.__mro__), one.__name__)):
         meaning = inline((inspect.getdoc(one) or "").split("\n\n")[0])
         text += f"| `{one.__name__}` | `{one.__base__.__name__}` | {meaning} |\n"

@@ -22,7 +22,7 @@ HEAD = """<!-- made by docs/make_command_page.py: change the options and run it 
 
 [usage.md](usage.md) explains the options with examples. `msal denoise --help` shows those that most
 people need, and `msal denoise --help-all` shows all of them, as this page does. So do the other
-commands.
+commands. An option that means the same in several commands is explained once.
 
 """
 
@@ -62,19 +62,19 @@ def row(option: click.Option, context: click.Context) -> str:
     names, text = option.get_help_record(context) or ("", "")
     # click writes the default and the range behind the text.
     text, _, extra = text.partition("  [")
-    extra = extra.removesuffix("]")
-    default = re.search(r"default: ([^;]*)", extra)
-    allowed = re.sub(r"default: [^;]*(; )?", "", extra)
+    parts = re.split(r"; |\] +\[", extra.removesuffix("]")) if extra else []
+    allowed = [part for part in parts if re.search(r"x[<>]=?|[<>]=?x", part)]
+    default = "; ".join(part for part in parts if part not in allowed).removeprefix("default: ")
     words = re.search(r" \[(\w[\w|-]*)\]$", names)
     if words:
         names = names[: words.start()] + " WORD"
         text += " WORD is one of " + words[1].replace("|", ", ") + "."
     text = inline(text)
     if allowed:
-        text += f" Allowed: {code(allowed)}."
+        text += f" Allowed: {code(allowed[0])}."
     if default:
-        text += f" *Default:* {default_text(default[1])}"
-    return f"| {', '.join(code(one) for one in re.split(r', (?=-)', names))} | {text} |\n"
+        text += f" *Default:* {default_text(default)}"
+    return f"| {', '.join(code(name) for name in re.split(r', (?=-)', names))} | {text} |\n"
 
 
 def default_text(text: str) -> str:
@@ -82,8 +82,8 @@ def default_text(text: str) -> str:
     return inline(text) if " " in text else code(text)
 
 
-def section(name: str) -> str:
-    """All about one command."""
+def section(name: str, seen: set[str]) -> str:
+    """All about one command but the rows of options that are ``seen``, which it adds to."""
     top = click.Context(program, info_name="msal", terminal_width=1000, **program.context_settings)
     command = program.get_command(top, name)
     assert command is not None
@@ -93,9 +93,16 @@ def section(name: str) -> str:
     body = (command.help or "").strip()
     if body != COMMANDS[name]:
         text += prose(body.removeprefix(COMMANDS[name]))
+    shared: list[str] = []
     for title, options in groups(command, context):
-        rows = "".join(row(option, context) for option in options)
-        text += f"**{title}**\n\n| option | meaning |\n|---|---|\n{rows}\n"
+        found = {option.opts[-1]: row(option, context) for option in options}
+        rows = [line for line in found.values() if line not in seen]
+        shared += [name for name, line in found.items() if line in seen]
+        seen.update(rows)
+        if rows:
+            text += f"**{title}**\n\n| option | meaning |\n|---|---|\n{''.join(rows)}\n"
+    if shared:
+        text += f"As above: {', '.join(map(code, shared))}.\n\n"
     if command.epilog:
         text += prose(command.epilog)
     return text
@@ -111,7 +118,8 @@ def groups(command: click.Command, context: click.Context) -> list[tuple[str, li
 
 def page() -> str:
     """The whole page."""
-    return HEAD + "".join(map(section, COMMANDS)).rstrip("\n") + "\n"
+    seen: set[str] = set()
+    return HEAD + "".join(section(name, seen) for name in COMMANDS).rstrip("\n") + "\n"
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ the index.  The pages depend on nothing else; a test fails where this was forgot
 
 from __future__ import annotations
 
+import collections
 import re
 import textwrap
 from collections.abc import Iterator
@@ -16,6 +17,8 @@ from pathlib import Path
 from msal_cli import methods
 from msal_cli.cli.methods import SHORTCUTS
 from msal_cli.methods import Method, ParameterSpec
+
+HEAD = "| parameter | default | allowed | meaning | more is |\n|---|---|---|---|---|\n"
 
 FOLDER = Path(__file__).resolve().parent / "methods"
 MADE = "<!-- made by docs/make_method_pages.py: change the method and run it again -->\n"
@@ -60,7 +63,27 @@ def prose(description: str, name: str) -> Iterator[str]:
             yield f"{inline(block, name)}\n"
 
 
-def row(spec: ParameterSpec) -> str:
+SHARED = 3
+"""Methods with the same parameter from which the index explains it for all of them."""
+
+Meaning = tuple[str, str, str, str]
+
+
+def meaning(spec: ParameterSpec) -> Meaning:
+    """All that is said of a parameter but its default."""
+    return spec.name, spec.range_text, spec.help, spec.more
+
+
+def shared_specs(all_methods: list[Method]) -> dict[Meaning, ParameterSpec]:
+    """The parameters that the index explains, by their meaning: names that mean one thing."""
+    specs = [spec for method in all_methods for spec in method.parameters]
+    counts = collections.Counter(map(meaning, specs))
+    common = {meaning(spec): spec for spec in specs if counts[meaning(spec)] >= SHARED}
+    names = collections.Counter(spec.name for spec in common.values())
+    return {key: spec for key, spec in common.items() if names[spec.name] == 1}
+
+
+def row(spec: ParameterSpec, default: str) -> str:
     """The table's row of a parameter."""
     names = [f"`{spec.name}`"]
     if spec.name in SHORTCUTS:
@@ -70,7 +93,7 @@ def row(spec: ParameterSpec) -> str:
     allowed = ", ".join(f"`{word}`" for word in spec.choices) or f"`{spec.range_text}`"
     cells = (
         ", ".join(names),
-        f"`{spec.default}`",
+        default,
         allowed,
         inline(spec.help) + (f" ({spec.unit})" if spec.unit else ""),
         inline(spec.more),
@@ -78,7 +101,21 @@ def row(spec: ParameterSpec) -> str:
     return f"| {' | '.join(cells)} |\n"
 
 
-def page(method: Method) -> str:
+def parameters(method: Method, shared: dict[Meaning, ParameterSpec]) -> Iterator[str]:
+    """The parameters of a method: a table of its own ones, a sentence on the others."""
+    own = [spec for spec in method.parameters if meaning(spec) not in shared]
+    others = [spec for spec in method.parameters if meaning(spec) in shared]
+    if own:
+        yield HEAD + "".join(row(spec, f"`{spec.default}`") for spec in own)
+    if others:
+        pairs = ", ".join(f"`{spec.name}` (`{spec.default}`)" for spec in others)
+        yield (
+            f"{'Further ones' if own else 'Those'} and their defaults, explained at "
+            f"[all methods](README.md#shared-parameters): {pairs}.\n"
+        )
+
+
+def page(method: Method, shared: dict[Meaning, ParameterSpec]) -> str:
     """All about one method."""
     before, _, rest = method.description.partition("Source:")
     _, _, body = before.partition("\n")
@@ -92,9 +129,7 @@ def page(method: Method) -> str:
             f"```sh\nmsal denoise scan.ply -o smooth.ply --method {method.name}\n```\n",
             *blocks,
             "## Parameters\n",
-            "Further names in the first column are options, and symbols that `--set` takes too.\n",
-            "| parameter | default | allowed | meaning | more is |\n|---|---|---|---|---|\n"
-            + "".join(row(spec) for spec in method.parameters),
+            *parameters(method, shared),
             "## Source\n",
             f"{inline(method.source)}\n",
         ]
@@ -104,30 +139,37 @@ def page(method: Method) -> str:
 def index(all_methods: list[Method]) -> str:
     """The table of all methods, and which of them take a schedule."""
     rows = "".join(
-        f"| [`{one.name}`]({one.name}.md) | {inline(one.summary)} | {inline(one.source)} |\n"
-        for one in all_methods
+        f"| [`{method.name}`]({method.name}.md) | {inline(method.summary)} |\n"
+        for method in all_methods
     )
     scheduled = [
-        f"[`{one.name}`]({one.name}.md)"
-        for one in all_methods
-        if any("plain" in spec.choices for spec in one.parameters)
+        f"[`{method.name}`]({method.name}.md)"
+        for method in all_methods
+        if any("plain" in spec.choices for spec in method.parameters)
     ]
     return (
         MADE
         + "\n"
         + INDEX
-        + "| method | what it does | source |\n|---|---|---|\n"
+        + "| method | what it does |\n|---|---|\n"
         + rows
         + "\n`--schedule plain|constant|multiscale|robust|wiener` composes the iterations of "
         f"`msal` with another operator: {', '.join(scheduled)} take it. `msal` itself takes the "
-        "last three.\n"
+        "last three.\n\n"
+        "## Shared parameters\n\n"
+        "Each page has the default. Further names in the first column are options, and symbols "
+        "that `--set` takes too.\n\n"
+        + HEAD
+        + "".join(row(spec, "") for spec in shared_specs(all_methods).values())
     )
 
 
 def pages() -> dict[str, str]:
     """Every page by its file name."""
     found = [methods.find(name) for name in methods.names()]
-    return {"README.md": index(found)} | {f"{one.name}.md": page(one) for one in found}
+    shared = shared_specs(found)
+    made = {f"{method.name}.md": page(method, shared) for method in found}
+    return {"README.md": index(found)} | made
 
 
 def committed() -> dict[str, str]:
