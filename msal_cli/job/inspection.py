@@ -12,7 +12,7 @@ from msal_cli import machine
 from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.job.changes import defect_fields, noise_field
 from msal_cli.job.records import Failure, InfoRecord
-from msal_cli.job.room import room_for_files
+from msal_cli.job.room import require_order, room_for_files
 
 if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile, Surface
@@ -32,9 +32,11 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
 
 
 def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
-    """The mesh of a file, fit for computing; ContentError if it is not."""
+    """The mesh of a file, fit for computing; ContentError if it is not, ResourceError if its order
+    is random and there is not enough memory for that."""
     from msal_cli.mesh import prepare_mesh
 
+    require_order(mesh_file.faces, len(mesh_file.vertices))
     return prepare_mesh(
         mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
     )
