@@ -83,8 +83,8 @@ class _Selection:
 
 def discover_inputs(
     inputs: Sequence[str],
-    include: Iterable[str] = (),
-    exclude: Iterable[str] = (),
+    include: Sequence[str] = (),
+    exclude: Sequence[str] = (),
     *,
     output: str | None = None,
 ) -> tuple[DiscoveredInput, ...]:
@@ -122,23 +122,23 @@ def discover_inputs(
     everything: dict[tuple[str, str], DiscoveredInput] = {}
     empty: list[str] = []
     for text, (input_type, mark) in zip(inputs, types, strict=True):
-        prefix = f"{_folder_name(text)}/" if input_type == "folder" and len(folders) > 1 else ""
-        root, parts = _split_pattern(text) if input_type == "pattern" else (text, ())
-        selection = _Selection(parts)
         found: Iterable[DiscoveredInput]
         if input_type == "file":
             path = text if is_url(text) else str(Path(text))
             name = urls.name(text) if is_url(text) else Path(text).name
             found = [DiscoveredInput(path, name, "", mark)]
-        elif is_url(text):
-            found = _list_store(root, prefix, selection, output)
         else:
-            found = _list_tree(Path(root), prefix, selection, excluded, own_output)
+            prefix = f"{_folder_name(text)}/" if input_type == "folder" and len(folders) > 1 else ""
+            root, parts = _split_pattern(text) if input_type == "pattern" else (text, ())
+            if is_url(text):
+                found = _list_store(root, prefix, _Selection(parts), output)
+            else:
+                found = _list_tree(Path(root), prefix, _Selection(parts), excluded, own_output)
         kept = [
             file
             for file in found
-            if (not included or included.matches(file.relative))
-            and not excluded.matches(file.relative)
+            if (not include or included.matches(file.relative))
+            and not (exclude and excluded.matches(file.relative))
         ]
         empty += [] if kept else [text]
         for file in kept:

@@ -29,7 +29,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
@@ -50,7 +49,7 @@ _PAUSE_S = (0.02, 0.1)
 _log = logging.getLogger("msal.batch")
 
 
-class FolderLock:
+class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
     """Lock a folder for this process; use it with ``with`` or call ``release``.
 
     ``shard`` shares the folder with the other shards of the same N.
@@ -83,15 +82,7 @@ class FolderLock:
                 )
             time.sleep(random.uniform(*_PAUSE_S))
 
-    def __enter__(self) -> FolderLock:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self.release()
 
     def release(self) -> None:

@@ -135,8 +135,10 @@ def build_plan(
         tasks = [_mirror(file, output, to) for file in found]
         manifest_dirs = [output] * len(tasks)
     plan = Plan(tuple(tasks), tuple(manifest_dirs), fresh, retry_failed, is_set=is_set)
-    plan = _subset(plan, _distinct_tasks(plan.tasks))
-    check_outputs(plan.tasks)
+    if len(plan.tasks) > 1:
+        plan = _subset(plan, _distinct_tasks(plan.tasks))
+        _refuse_collisions(plan.tasks)
+    _check_outputs(plan.tasks)
     if output is not None and manifest_dirs[:1] != [None]:
         if is_url(output):
             plan = replace(plan, objects=_list_outputs(output, plan.tasks))
@@ -302,9 +304,8 @@ def _list_outputs(url: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
 # Refusals before anything is touched
 
 
-def check_outputs(tasks: Sequence[Task]) -> None:
-    """UsageError for an output that collides with another, an input, a folder or our files."""
-    _refuse_collisions(tasks)
+def _check_outputs(tasks: Sequence[Task]) -> None:
+    """UsageError for an output that is an input, a folder or one of our files."""
     # An input that was named itself may be called like the manifest, the lock or a temporary file.
     for task in tasks:
         if is_own(urls.name(task.output) if is_url(task.output) else Path(task.output).name):

@@ -83,7 +83,7 @@ _OUT_OF_MEMORY = re.compile(
     re.IGNORECASE,
 )
 
-_STUCK = "the worker does not even end when it is killed; look at the disks that it works on"
+_STUCK = "the worker did not exit after SIGKILL; check for a hung disk or network mount"
 
 _log = logging.getLogger("msal.batch")
 

@@ -203,7 +203,14 @@ def compare_meshes(
         moved = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
         record = _by_surface(record, first, second)
     if with_intersections:
-        record = replace(record, self_intersections=_self_intersections(reference, moved, is_same))
+        from msal_cli.analysis.measures import count_self_intersections
+
+        if is_same:
+            counts = changes.count_self_intersections(reference, moved)
+        else:
+            own = count_self_intersections(reference)
+            counts = SelfIntersections(own, count_self_intersections(moved), None)
+        record = replace(record, self_intersections=counts)
     return _with_distances(record, reference, moved) if to_surface else record
 
 
@@ -264,10 +271,9 @@ def prepare_surface(surface: Surface, name: str) -> PreparedMesh:
     """The mesh of a surface and its vertex map; an error has the path ``name``."""
     from msal_cli.mesh import prepare_mesh
 
+    are_distinct = surface.merged_vertices > 0
     try:
-        return prepare_mesh(
-            surface.vertices, surface.faces, are_distinct=surface.merged_vertices > 0
-        )
+        return prepare_mesh(surface.vertices, surface.faces, are_distinct=are_distinct)
     except MsalError as error:
         error.path = error.path or name
         raise
@@ -337,17 +343,6 @@ def _with_orientation(
             record = _add_warning(record, f"{word}: {enclosure.words}")
     return replace(
         record, inside_out_before=before.is_inside_out, inside_out_after=after.is_inside_out
-    )
-
-
-def _self_intersections(before: Mesh, after: Mesh, is_same: bool) -> SelfIntersections:
-    """The counts of two meshes; which are new is known where their faces are the same."""
-    from msal_cli.analysis.measures import count_self_intersections
-
-    if is_same:
-        return changes.count_self_intersections(before, after)
-    return SelfIntersections(
-        count_self_intersections(before), count_self_intersections(after), None
     )
 
 

@@ -289,8 +289,15 @@ class FileRun:
             output.make_folder_of(task.output)
             sources = list_sources(task.input, data)
             # Before the output: as soon as that exists, all that belongs to it does.
-            self._write_fields(sources)
-            sidecars = self._carry_sidecars(task, made, sources)
+            if self._fields_file is not None:
+                self._write_fields(*self._fields_file, sources)
+            sidecars: tuple[str, ...] = ()
+            if made.references and not task.in_place:
+                sidecars = self._carry_sidecars(made, task)
+            if made.companions:
+                from msal_cli.codecs.companions import write_companions
+
+                sidecars += write_companions(made.companions, task.output, sources)
             mark = atomic.write_whole(task.output, [made.data], sources=sources)
             self.know(output_object=None if mark is None else ObjectMark(*mark))
         return self.finish(task.output, sidecars=sidecars)
@@ -310,7 +317,9 @@ class FileRun:
         settings = self._settings
         with self.stage("connectivity"):
             ready = self.prepare_mesh(mesh_file)
-            constraints = self._build_constraints(ready, mesh_file, pinned)
+            constraints = None
+            if settings.max_move or settings.lock or settings.weights or pinned is not None:
+                constraints = self._build_constraints(ready, mesh_file, pinned)
             mesh_file.forget_vertices()
         given = ready.mesh if constraints is None else constraints.mesh
         chosen = self._prepare(given)
@@ -394,12 +403,10 @@ class FileRun:
 
     def _build_constraints(
         self, ready: PreparedMesh, mesh_file: Surface, pinned: Flags | None
-    ) -> Constraints | None:
-        """What keeps vertices of this file near their place; None if nothing does."""
+    ) -> Constraints:
+        """What keeps vertices of this file near their place."""
         settings = self._settings
         given = (settings.max_move, settings.lock, settings.weights)
-        if given == (None, (), None) and pinned is None:
-            return None
         from msal_cli.job.constraints import build_constraints
 
         constraints = build_constraints(ready, mesh_file, *given, pinned)
@@ -437,30 +444,21 @@ class FileRun:
 
     # Beside the output
 
-    def _write_fields(self, sources: Sources) -> None:
-        """Write the file of fields, if it was requested; only a file of fields is replaced."""
-        if self._fields_file is None:
-            return
+    def _write_fields(self, data: Buffer, described: FieldsFile, sources: Sources) -> None:
+        """Write the file of fields; only a file of fields is replaced."""
         from msal_cli.job import fields
         from msal_cli.storage import atomic, urls
 
-        data, described = self._fields_file
         if not urls.is_url(described.path):
             fields.refuse_foreign(described.path)
         atomic.write_whole(described.path, [data], sources=sources)
         self.know(fields=described)
 
-    def _carry_sidecars(self, task: Task, made: output.Output, sources: Sources) -> tuple[str, ...]:
-        """Notes on the files beside the output, copied or written, that it names."""
-        notes: tuple[str, ...] = ()
-        if made.references and not task.in_place:
-            from msal_cli.storage import sidecars
+    def _carry_sidecars(self, made: output.Output, task: Task) -> tuple[str, ...]:
+        """Notes on the files that an output names, copied beside it."""
+        from msal_cli.storage import sidecars
 
-            notes = tuple(sidecars.carry(made.references, task.input, task.output))
-            marked = (note for note in notes if note.startswith("warning: "))
-            self.warn(*(note.removeprefix("warning: ") for note in marked))
-        if made.companions:
-            from msal_cli.codecs.companions import write_companions
-
-            notes += write_companions(made.companions, task.output, sources)
+        notes = sidecars.carry(made.references, task.input, task.output)
+        marked = (note for note in notes if note.startswith("warning: "))
+        self.warn(*(note.removeprefix("warning: ") for note in marked))
         return notes

@@ -151,18 +151,14 @@ Assignment = tuple[str, str, Any]
 
 
 class _Setting(NamedTuple):
-    """The spelling on the command line, and what a value must be."""
+    """The spelling on the command line, and what a value must be, if it is not any."""
 
     option: str
-    check: Check
+    check: Check | None = None
 
 
 def _refusal(label: str, value: object, allowed: str) -> UsageError:
     return UsageError(f"{label} = {value!r} is not allowed", hint=f"allowed: {allowed}")
-
-
-def _as_given(value: Any, label: str, unit: str | None) -> Any:
-    return value
 
 
 def _word_of(words: tuple[str, ...]) -> Check:
@@ -197,8 +193,6 @@ def _least_noise(value: Any, label: str, unit: str | None) -> str:
 
 
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
-    if not value:
-        return ()
     from msal_cli.job.constraints import BOUNDARY, parse_lock
 
     return tuple(str(parse_lock(text, label) or BOUNDARY) for text in to_texts(value))
@@ -228,16 +222,16 @@ _SETTINGS = {
     "assume": _Setting("--assume", _word_of(get_args(Assumption))),
     "max_move": _Setting("--max-move", _length),
     "lock": _Setting("--lock", _locks),
-    "weights": _Setting("--weights", _as_given),
-    "despike": _Setting("--despike", _as_given),
+    "weights": _Setting("--weights"),
+    "despike": _Setting("--despike"),
     "min_noise": _Setting("--min-noise", _least_noise),
     "to": _Setting("--to", _output_format),
     "encoding": _Setting("--encoding", _word_of(get_args(Encoding))),
     "precision": _Setting("--precision", _word_of(get_args(Precision))),
-    "strict": _Setting("--strict", _as_given),
+    "strict": _Setting("--strict"),
     "format": _Setting("--format", _input_format),
     "fields": _Setting("--fields", _field_names),
-    "tile_set": _Setting("--tile-set", _as_given),
+    "tile_set": _Setting("--tile-set"),
 }
 """What a user may give beside a method and its parameters, by the names of the Python API."""
 
@@ -264,9 +258,9 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
 
     unit = given.get("unit")
     values = {
-        name: setting.check(given[name], label(name), unit)
+        name: setting.check(given[name], label(name), unit) if setting.check else given[name]
         for name, setting in _SETTINGS.items()
-        if given.get(name) is not None
+        if given.get(name) not in (None, ())
     }
     wishes = {name: values.pop(name) for name in _WISHES if name in values}
     method, parameters = _choose_method(given.get("method"), given["parameters"], wishes)

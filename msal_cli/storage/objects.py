@@ -337,27 +337,15 @@ def _tag(info: dict[str, Any]) -> str:
     return ""
 
 
-_UNREACHABLE = {
-    "ClientConnectionError",
-    "ConnectTimeoutError",
-    "ConnectionClosedError",
-    "ConnectionError",
-    "EndpointConnectionError",
-    "FSTimeoutError",
-    "HTTPClientError",
-    "ReadTimeoutError",
-    "TimeoutError",
-    "gaierror",
-}
-_WITHOUT_CREDENTIALS = {
-    "CredentialRetrievalError",
-    "DefaultCredentialsError",
-    "NoCredentialsError",
-    "PartialCredentialsError",
-    "ProfileNotFound",
-    "RefreshError",
-    "TokenRetrievalError",
-}
+# Names of exceptions, of libraries that need not be here.
+_UNREACHABLE = re.compile(
+    "(ClientConnection|ConnectTimeout|ConnectionClosed|Connection|EndpointConnection|FSTimeout|"
+    "HTTPClient|ReadTimeout|Timeout)Error|gaierror"
+)
+_WITHOUT_CREDENTIALS = re.compile(
+    "((CredentialRetrieval|DefaultCredentials|NoCredentials|PartialCredentials|TokenRetrieval)"
+    "Error|ProfileNotFound|RefreshError)"
+)
 
 
 def _explain(failure: BaseException) -> tuple[str, str]:
@@ -373,7 +361,7 @@ def _explain(failure: BaseException) -> tuple[str, str]:
         if "bucket" in said.lower():
             return "there is no such bucket", "check the bucket's name"
         return "there is no such object", "it may have been removed meanwhile; check the name"
-    if kinds & _WITHOUT_CREDENTIALS:
+    if any(map(_WITHOUT_CREDENTIALS.fullmatch, kinds)):
         return (
             f"there are no credentials ({said})",
             "set AWS_PROFILE, AWS_ACCESS_KEY_ID or the store's own variables; "
@@ -381,7 +369,7 @@ def _explain(failure: BaseException) -> tuple[str, str]:
         )
     if "PermissionError" in kinds:
         return f"access is denied ({said})", "check the credentials and what they may do there"
-    if kinds & _UNREACHABLE:
+    if any(map(_UNREACHABLE.fullmatch, kinds)):
         return (
             f"the store cannot be reached ({said})",
             "check the network and, where it is set, AWS_ENDPOINT_URL; then run again",

@@ -65,12 +65,17 @@ def carry(
         with code ``E_SIDECAR`` if another file has the place; with ``E_WRITE`` if copying fails.
     """
     if any(isinstance(path, str) and is_url(path) for path in (input_path, output_path)):
-        return _left_behind(references)
+        # A second run could not see which run owns a name.
+        names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        said = f"{', '.join(names[:3])}{more}"
+        return (f"warning: not copied to or from an object store: {said}",) if names else ()
     source_folder = Path(input_path).parent
     target_folder = Path(output_path).parent
     notes: list[str] = []
     done: set[str] = set()
-    budget = _Budget(MAX_BYTES)
+    # Bytes that may still be carried.
+    budget = [MAX_BYTES]
     waiting = list(references)
     while waiting:
         reference = waiting.pop(0)
@@ -88,16 +93,6 @@ def carry(
         if _is_within(library, source_folder):
             waiting.extend(_from(reference, name) for name in _textures(library))
     return tuple(note for note in notes if note)
-
-
-def _left_behind(references: Sequence[str]) -> tuple[str, ...]:
-    """Between stores nothing is copied: a second run could not see which run owns a name."""
-    names = [name for name in dict.fromkeys(references) if not _is_absolute(name)]
-    if not names:
-        return ()
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    said = f"{', '.join(names[:3])}{more}"
-    return (f"warning: not copied to or from an object store: {said}",)
 
 
 def _from(library: str, name: str) -> str:
@@ -124,21 +119,7 @@ def _relative(reference: str, folder: Path) -> Path | None:
     return literal
 
 
-class _Budget:
-    """Bytes that may still be carried."""
-
-    def __init__(self, left: int) -> None:
-        self._left = left
-
-    def take(self, size: int) -> bool:
-        """Take ``size`` bytes, if so many are left."""
-        if size > self._left:
-            return False
-        self._left -= size
-        return True
-
-
-def _carry(reference: str, source_folder: Path, target_folder: Path, budget: _Budget) -> str:
+def _carry(reference: str, source_folder: Path, target_folder: Path, budget: list[int]) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
     relative = _relative(reference, source_folder)
     if relative is None:
@@ -155,11 +136,13 @@ def _carry(reference: str, source_folder: Path, target_folder: Path, budget: _Bu
     try:
         if target.exists() and target.samefile(source):
             return ""
-        if not budget.take(source.stat().st_size):
+        size = source.stat().st_size
+        if size > budget[0]:
             return (
                 f"warning: {reference} is not copied: more than {MAX_BYTES:,} bytes belong to "
                 "one mesh"
             )
+        budget[0] -= size
         if target.exists() and _is_same(source, target):
             return f"{reference} is in place already"
     except OSError as failure:
@@ -199,22 +182,19 @@ def _copy(source: Path, target: Path) -> None:
         if not write_new(target, _pieces(source), sources=[source]) and not _is_same(
             source, target
         ):
-            raise _take(source, target)
+            raise OutputError(
+                f"there is another {target.name} beside the output than {source}, which the input "
+                "names",
+                code="E_SIDECAR",
+                path=os.fspath(target),
+                hint="write meshes with different materials to separate output folders",
+            )
     except OSError as failure:
         raise OutputError(
             f"{source.name} cannot be copied beside the output: {failure.strerror}",
             path=os.fspath(target),
             hint="check the permissions of the output folder, and of the file",
         ) from failure
-
-
-def _take(source: Path, target: Path) -> OutputError:
-    return OutputError(
-        f"there is another {target.name} beside the output than {source}, which the input names",
-        code="E_SIDECAR",
-        path=os.fspath(target),
-        hint="write meshes with different materials to separate output folders",
-    )
 
 
 def _pieces(source: Path) -> Iterator[bytes]:
