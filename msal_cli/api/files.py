@@ -14,7 +14,7 @@ from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.plan import Plan, build_plan
-from msal_cli.batch.run import check_limits, check_numbers, run
+from msal_cli.batch.run import check_options, run
 from msal_cli.batch.schedule import Event, Finished
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
@@ -107,7 +107,7 @@ def denoise_file(
     source, target = os.fsdecode(input), os.fsdecode(output)
     with explained_errors(path=source):
         limits = Limits(max_faces=max_faces)
-        check_limits(limits)
+        check_options(limits)
         gates, settings = _parse(denoise_file, given)
         plan = build_plan(discover_inputs([source], output=target), target, to=settings.to)
         if len(plan.tasks) != 1 or plan.manifest_dirs != (None,):
@@ -211,8 +211,7 @@ def denoise_folder(
     sources = [os.fsdecode(path) for path in paths]
     with explained_errors(", ".join(sources)):
         limits = Limits(timeout, memory_limit, max_faces)
-        check_limits(limits)
-        check_numbers(jobs, retries, max_failures)
+        check_options(limits, jobs, retries, max_failures)
         gates, settings = _parse(denoise_folder, given)
         target = None if output is None else os.fsdecode(output)
         plan = build_plan(

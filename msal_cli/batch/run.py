@@ -105,24 +105,13 @@ def run(
         workers are gone, finished files are whole and recorded, and running the plan again goes on
         from there.
     """
-    check_numbers(jobs, retries, stop_after_failures)
-    check_limits(limits)
+    check_options(limits, jobs, retries, stop_after_failures)
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
     with ExitStack() as stack:
-        batch_run = _BatchRun(
-            plan,
-            settings,
-            denoise,
-            on_event or (lambda event: None),
-            jobs=jobs,
-            limits=limits,
-            retries=retries,
-            stop_after_failures=stop_after_failures,
-            engine=engine,
-            cancellation=cancellation,
-            opened=manifests or {},
-        )
+        options = (jobs, limits, retries, stop_after_failures, engine, cancellation)
+        report = on_event or (lambda event: None)
+        batch_run = _BatchRun(plan, settings, denoise, report, *options, manifests or {})
         if dry_run:
             return batch_run.dry_run()
         return batch_run.execute(stack, tuple(command))
@@ -190,7 +179,8 @@ class _BatchRun:
                 if self._journal is not None:
                     todo = self._journal.begin(stack, self.opened, command, self._emit_finished)
             if self.plan.is_set:
-                self._run_set(todo)
+                if todo:
+                    self._finish(self._denoise_set())
             elif self._is_single() or self.plan.is_in_process:
                 self._run_in_process(todo)
             elif todo:
@@ -242,22 +232,12 @@ class _BatchRun:
                 if self._failure is not None:
                     return
 
-    def _run_set(self, todo: list[int]) -> None:
-        """Denoise all files as one mesh, led by this process."""
-        if todo:
-            from msal_cli.batch.tile_set import denoise_set
+    def _denoise_set(self) -> dict[int, MeshRecord]:
+        from msal_cli.batch.tile_set import denoise_set
 
-            self._finish(
-                denoise_set(
-                    self.plan,
-                    self.settings,
-                    self.on_event,
-                    self.stop_after_failures,
-                    self._manifests(),
-                    self.limits,
-                    self.cancellation,
-                )
-            )
+        stop, manifests = self.stop_after_failures, self._manifests()
+        options = (self.on_event, stop, manifests, self.limits, self.cancellation)
+        return denoise_set(self.plan, self.settings, *options)
 
     def _run_engine(self, todo: list[int]) -> None:
         from msal_cli.batch.workers import WorkerPool, denoise_in_worker
@@ -295,7 +275,8 @@ class _BatchRun:
                 for messages in batches:
                     self._handle_messages(messages)
                     # Tasks that have begun are finished, and that is reported, too.
-                    if self._failure is not None or self._has_too_many_failures():
+                    most = self.stop_after_failures
+                    if self._failure is not None or (most is not None and self._n_failed >= most):
                         engine.stop()
             except Interrupt:
                 interrupts.raise_for(received[0] if received else signal.SIGINT)
@@ -319,9 +300,6 @@ class _BatchRun:
                 name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
         self._finish(finished)
-
-    def _has_too_many_failures(self) -> bool:
-        return self.stop_after_failures is not None and self._n_failed >= self.stop_after_failures
 
     # The results
 
@@ -372,8 +350,14 @@ def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:
     return replace(record, warnings=(*record.warnings, note))
 
 
-def check_numbers(jobs: int | None, retries: int, stop_after_failures: int | None) -> None:
-    """UsageError for a number that means nothing."""
+def check_options(
+    limits: Limits,
+    jobs: int | None = None,
+    retries: int = 1,
+    stop_after_failures: int | None = None,
+) -> None:
+    """UsageError for limits within which no file can be denoised, and for numbers that mean
+    nothing."""
     if jobs is not None and jobs < 1:
         raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
     if stop_after_failures is not None and stop_after_failures < 1:
@@ -382,10 +366,6 @@ def check_numbers(jobs: int | None, retries: int, stop_after_failures: int | Non
         )
     if retries < 0:
         raise UsageError(f"the number of retries must be at least 0, not {retries}")
-
-
-def check_limits(limits: Limits) -> None:
-    """UsageError for limits within which no file can be denoised."""
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.max_faces is not None and limits.max_faces < 1:

@@ -271,11 +271,11 @@ def _denoise_in_worker(
     import tempfile
 
     from msal_cli.batch import interrupts
-    from msal_cli.batch.run import check_limits, denoise_in_pool
+    from msal_cli.batch.run import check_options, denoise_in_pool
     from msal_cli.job.settings import Task
     from msal_cli.storage import gzip_streams
 
-    check_limits(limits)
+    check_options(limits)
     # The folder must be removed, whatever ends this.
     with (
         interrupts.catch_signals(interrupts.raise_for),
