@@ -321,19 +321,15 @@ def _list_tree(
                     continue
                 below.append((path, name, real, is_beyond_link or is_link))
         waiting += sorted(below, key=lambda item: item[1], reverse=True)
-    _warn_outside(sorted(outside), root)
-
-
-def _warn_outside(links: Sequence[str], root: Path) -> None:
-    for link in links[:_LINKS_NAMED]:
+    for link in sorted(outside)[:_LINKS_NAMED]:
         _log.warning(
             "the link %r leads out of the input folder %r and is skipped; "
             "name the folder itself as an input to have it too",
             link,
             str(root),
         )
-    if len(links) > _LINKS_NAMED:
-        _log.warning("%d more links lead out of it", len(links) - _LINKS_NAMED)
+    if len(outside) > _LINKS_NAMED:
+        _log.warning("%d more links lead out of it", len(outside) - _LINKS_NAMED)
 
 
 def _is_skipped(name: str, with_hidden: bool) -> bool:

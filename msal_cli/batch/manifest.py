@@ -237,7 +237,12 @@ def read_lines(path: Path) -> Iterator[tuple[bytes, LineSpan]]:
 def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str | None:
     """The entry in a line, the kind of a line that is about a run, or None if it makes no sense."""
     try:
-        data = _load_json(line)
+        # Without the record where that can be left out: in a string the quotes would have
+        # backslashes, so this is where it begins.
+        usual = _USUAL_DONE.fullmatch(line)
+        data = json.loads(usual[1] + b"}" if usual else line) | (
+            {"at": int(usual[2])} if usual else {}
+        )
         kind = data["kind"]
         if kind not in _ENTRY_KINDS or data.get("format", FORMAT) != FORMAT:
             return kind if kind in RUN_KINDS else None
@@ -260,15 +265,6 @@ def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str
         return None
     texts = (entry.name, entry.input_sha256, entry.output_sha256)
     return entry if all(isinstance(text, str) for text in texts) else None
-
-
-def _load_json(line: bytes) -> Any:
-    """What a line says, without the record where that can be left out; errors as of JSON."""
-    usual = _USUAL_DONE.fullmatch(line)
-    if usual is None:
-        return json.loads(line)
-    # In a string the quotes would have backslashes, so this is where the record begins.
-    return json.loads(usual[1] + b"}") | {"at": int(usual[2])}
 
 
 def _parse_version(data: Mapping[str, Any]) -> FileStat | ObjectMark | None:

@@ -29,7 +29,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -588,20 +588,11 @@ def _read_messages(worker: WorkerProcess, output_reader: threading.Thread, inbox
 
 
 def _read_output(worker: WorkerProcess) -> None:
-    handle = worker.process.stderr.fileno()  # type: ignore[union-attr]
-    rest = b""
-    while part := os.read(handle, 1 << 16):
-        *lines, rest = (rest + part).split(b"\n")
-        rest = rest[-4096:]
-        _note(worker, lines)
-    _note(worker, [rest] if rest else [])
-
-
-def _note(worker: WorkerProcess, lines: Sequence[bytes]) -> None:
-    for line in lines:
-        text = line[:4096].decode(errors="replace").rstrip()
-        worker.last_lines.append(text)
-        _log.debug("worker %d prints: %s", worker.process.pid, text)
+    with open(worker.process.stderr.fileno(), "rb", closefd=False) as file:  # type: ignore[union-attr]
+        while line := file.readline(1 << 16):
+            text = line[:4096].decode(errors="replace").rstrip()
+            worker.last_lines.append(text)
+            _log.debug("worker %d prints: %s", worker.process.pid, text)
 
 
 # Inside a worker
@@ -652,7 +643,10 @@ def serve() -> None:
     outgoing = _Outgoing(answers)
     try:
         assignment: Assignment = read_message(orders)
-        _log_to_parent(outgoing, assignment.log_level)
+        root = logging.getLogger()
+        root.addHandler(_ParentLog(outgoing))
+        root.setLevel(logging.WARNING)
+        logging.getLogger("msal").setLevel(assignment.log_level)
     except EOFError:
         return
     except BaseException:
@@ -800,13 +794,6 @@ class _ParentLog(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._outgoing.send("log", record.name, record.levelno, self.format(record))
-
-
-def _log_to_parent(outgoing: _Outgoing, level: int) -> None:
-    root = logging.getLogger()
-    root.addHandler(_ParentLog(outgoing))
-    root.setLevel(logging.WARNING)
-    logging.getLogger("msal").setLevel(level)
 
 
 def memory_bytes(pid: int | str, name: str) -> int:

@@ -135,18 +135,15 @@ def with_references(
 
     There is a path for each record.  Records without an output stay as they are.
     """
-    return [
-        replace(record, reference=_measure_against(path, record.output, format))
-        if record.output is not None and record.status in WITH_OUTPUT
-        else record
-        for record, path in zip(records, references, strict=True)
-    ]
-
-
-def _measure_against(path: str, output: str, format: str | None) -> Reference:
-    record = compare_files(path, output, format)
     shared = {field.name for field in fields(Reference)} - {"path"}
-    return Reference(path, **{name: getattr(record, name) for name in shared})
+    measured = []
+    for record, path in zip(records, references, strict=True):
+        if record.output is not None and record.status in WITH_OUTPUT:
+            made = compare_files(path, record.output, format)
+            reference = Reference(path, **{name: getattr(made, name) for name in shared})
+            record = replace(record, reference=reference)
+        measured.append(record)
+    return measured
 
 
 def compare_meshes(

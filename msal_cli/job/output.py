@@ -180,16 +180,13 @@ def keep_backup(task: Task, data: Buffer) -> None:
     backup = task.input + str(task.backup)
     if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
         return
-    if not _is_backup(backup) or gzip_streams.read_whole(backup) != data:
+    # A link could lead to the very file that is to be replaced.
+    is_file = os.path.isfile(backup) and not os.path.islink(backup)
+    if not is_file or gzip_streams.read_whole(backup) != data:
         raise OutputError(
             f"the backup {backup!r} exists and is not this file",
             hint="move it away or choose another --backup suffix",
         )
-
-
-def _is_backup(path: str) -> bool:
-    """Whether a backup may be there: a link could lead to the very file that is to be replaced."""
-    return os.path.isfile(path) and not os.path.islink(path)
 
 
 def write_output(
@@ -246,7 +243,13 @@ def add_noise_to_file(
     compress = target.lower().endswith(".gz") if target != "-" else is_compressed
     is_kept = not n_moved and compress == is_compressed
     if n_moved:
-        output = _replace_positions(mesh_file, vertices)
+        try:
+            output = mesh_file.replaced(vertices)
+        except MsalError as error:
+            if error.code == "E_RANGE":
+                error.hint = "choose a lower --level: this file's numbers are near their limit"
+            raise
+        mesh_file.check(output, vertices)
     else:
         output = data if is_kept else gzip_streams.expand(data, name)[0]
     path = None if target == "-" else target
@@ -260,17 +263,6 @@ def add_noise_to_file(
         warnings=mesh_file.warnings,
         companions=companions,
     )
-
-
-def _replace_positions(mesh_file: MeshFile, vertices: Floats) -> Buffer:
-    try:
-        output = mesh_file.replaced(vertices)
-    except MsalError as error:
-        if error.code == "E_RANGE":
-            error.hint = "choose a lower --level: this file's numbers are near their limit"
-        raise
-    mesh_file.check(output, vertices)
-    return output
 
 
 def read_weights(mesh_file: Surface, ready: PreparedMesh, name: str) -> Floats:

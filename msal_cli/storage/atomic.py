@@ -349,7 +349,11 @@ def sweep(folders: Iterable[str | Path]) -> int:
     def is_stale(match: re.Match[str], path: Path) -> bool:
         written = path.lstat().st_mtime
         is_ours = match["machine"] == machine_tag()
-        is_dead = is_ours and not _may_be_writing(int(match["pid"]), written)
+        is_dead = False
+        if is_ours:
+            began = start_time(int(match["pid"]))
+            is_late = began is not None and began >= written + _CLOCK_TOLERANCE_S
+            is_dead = is_late or not is_alive(int(match["pid"]))
         return is_dead or time.time() - written > _STALE_AFTER_S
 
     return sum(_remove_matching(Path(folder), is_stale) for folder in folders)
@@ -362,14 +366,6 @@ def sweep_after(pid: int, folders: Iterable[str | Path]) -> int:
         return match["machine"] == machine_tag() and int(match["pid"]) == pid
 
     return sum(_remove_matching(Path(folder), is_its) for folder in folders)
-
-
-def _may_be_writing(pid: int, written: float) -> bool:
-    """Whether a process lives and is old enough to have changed a file at that time."""
-    if not is_alive(pid):
-        return False
-    began = start_time(pid)
-    return began is None or began < written + _CLOCK_TOLERANCE_S
 
 
 def _remove_matching(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:
