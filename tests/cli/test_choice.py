@@ -22,9 +22,7 @@ from tests.cli.scans import (
     closed_scan,
     folder_of,
     msal,
-    open_scan,
     ply_text,
-    process,
     record_of,
     records_of,
 )
@@ -317,19 +315,6 @@ def test_trust_without_effect_is_a_warning(tmp_path, choose):
     assert record["warnings"][0] == (
         "--weights has no effect: al has no pull to the scanned positions"
     )
-
-
-def test_the_same_bytes_with_any_jobs_and_threads(tmp_path):
-    scans = folder_of(tmp_path / "in", a=closed_scan(), b=open_scan(), c=closed_scan(5))
-    made = []
-    for count in ("1", "2"):
-        output = tmp_path / f"out{count}"
-        words = ("denoise", scans, "-o", output, "--auto", "--strength", "0.5", "-j", count, "-q")
-        done = process(*words, "--json", env={"MSAL_THREADS": count})
-        assert done.returncode == 0, done.stderr
-        choices = [(r["method"], r["choice"]) for r in json.loads(done.stdout)["records"]]
-        made.append(([(output / f"{name}.ply").read_bytes() for name in "abc"], choices))
-    assert made[0] == made[1]
 
 
 # --assume

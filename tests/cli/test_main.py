@@ -187,10 +187,10 @@ def test_what_is_to_be_written_is_written_although_nobody_reads_the_words(tmp_pa
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full")
-@pytest.mark.parametrize("command", ["denoise", "info", "methods", "--help"])
+@pytest.mark.parametrize("command", ["denoise", "info", "--help"])
 def test_an_output_that_cannot_be_written_is_fatal(tmp_path, command):
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
-    arguments = {"denoise": [scan, "-o", "-"], "info": [scan], "methods": []}.get(command, [])
+    arguments = {"denoise": [scan, "-o", "-"], "info": [scan]}.get(command, [])
     with open("/dev/full", "wb") as full:
         made = process(
             command, *arguments, capture_output=False, stdout=full, stderr=subprocess.PIPE

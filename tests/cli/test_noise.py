@@ -19,7 +19,7 @@ def test_the_command_offers_every_kind():
     assert tuple(KINDS) == _KINDS
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["gaussian", "property", "view"])
 def test_only_positions_change(scan, kind):
     target = scan.with_name("out.ply")
     words = ["--property", "x"] if kind == "property" else []
