@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks import ground_truth
 from benchmarks.noise_kinds import KINDS, SHAPES, outcomes, write_tables
 from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
@@ -301,6 +302,23 @@ def test_machined_shapes(shape):
     assert len(wrong) <= 2, wrong
     far = [(one.kind, one.error) for one in found if one.is_right and abs(one.error) > 0.2]
     assert len(far) <= 2, far
+
+
+@pytest.mark.parametrize("shape", ["bracket", "star_prism"])
+def test_noise_that_neighbours_share_on_flats(shape):
+    """Everywhere the same, so half of the probability is enough to name it."""
+    (outcome,) = outcomes([shape], ["shared, 1 ring"])
+    assert outcome.is_right
+    assert abs(outcome.error) < 0.1
+
+
+def test_white_noise_on_relief_is_not_called_shared():
+    """It was, at four times its level, and more than the noise was taken away."""
+    true = ground_truth.sources()["rock"]()
+    noisy = true.with_vertices(add_noise(true, AddedNoise("gaussian-normal", 0.05, seed=3)))
+    noise = estimate_noise(noisy)
+    assert noise.character.kind != "correlated"
+    assert noise.mean_edges < 0.1
 
 
 def test_the_benchmark_counts(monkeypatch):

@@ -36,9 +36,16 @@ if TYPE_CHECKING:
 MIN_VERTICES = 64
 """Vertices below which nothing is said: two rings are most of the mesh."""
 
-NAMED, SURE_SHARED = 0.5, 0.72
-"""Share of the probability of noise that its most probable kind needs to be named; and probability
-of noise that neighbours share, which removes most of a relief where there is none."""
+NAMED = 0.5
+"""Share of the probability of noise that its most probable kind needs to be named."""
+
+PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
+"""Probability of noise that neighbours share, which removes most of a relief where there is none:
+where wide fits leave the same everywhere and ``PLAIN_MISFIT`` holds, elsewhere, and where a smooth
+relief would leave that as well."""
+
+PLAIN_MISFIT = 0.06
+"""Misfit of the levels by scale below which shared noise explains them."""
 
 QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 """Mean edge lengths below which noise that neighbours may share has to be as probable as the
@@ -83,9 +90,7 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Estimate:
         return _without_noise(white, 1.0, "few vertices")
     evidence = gather_evidence(mesh, white)
     verdict = classify(evidence.numbers, _possible_kinds(evidence))
-    is_named = verdict.probability >= (
-        SURE_SHARED if verdict.kind == "correlated" else NAMED * verdict.noise
-    )
+    is_named = verdict.probability >= _naming_probability(verdict, evidence)
     if _is_white_on_relief(white, verdict):
         verdict = dataclasses.replace(_with_level(verdict, white.level.mean_edges), kind="white")
     elif not is_named and verdict.level > white.level.mean_edges:
@@ -151,12 +156,25 @@ def _is_white_on_relief(white: WhiteEstimate, verdict: Verdict) -> bool:
     return white.level.mean_edges > MAX_SEEN[min(verdict.rings, 2)] * verdict.level
 
 
+def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
+    """Probability from which the kind is named."""
+    if verdict.kind != "correlated":
+        return NAMED * verdict.noise
+    colour = evidence.colour
+    if colour is None:
+        return SURE_SHARED
+    if colour.is_relief:
+        return RELIEF_SHARED
+    is_plain = colour.is_floor and colour.misfit < PLAIN_MISFIT
+    return PLAIN_SHARED if is_plain else SURE_SHARED
+
+
 def _needed_probability(verdict: Verdict, evidence: Evidence) -> float:
     """Probability of noise from which there is some.
 
     A trace of noise that neighbours share is hardly seen, and relief is, once it is gone; detail on
-    a part of a design is more frequent than noise on a part of a scan, and blocks on a grid are
-    designs as well.
+    a part of a design is more frequent than noise on a part of a scan, what neighbours share has a
+    floor where it is noise, and blocks on a grid are designs as well.
     """
     level = verdict.level
     if verdict.kind == "view" and evidence.axis is not None:
@@ -164,7 +182,9 @@ def _needed_probability(verdict: Verdict, evidence: Evidence) -> float:
     if verdict.kind in SHARED_KINDS and level < QUIET:
         return SURE_NOISE
     is_detail = verdict.kind == "uneven" and evidence.loud_correlation > 0.0
-    if is_detail or verdict.kind == "staircase":
+    colour = evidence.colour
+    is_patchy = verdict.kind == "correlated" and colour is not None and not colour.is_floor
+    if is_detail or is_patchy or verdict.kind == "staircase":
         return SURE_DESIGN
     return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
 

@@ -72,6 +72,7 @@ class Evidence:
     Attributes
     ----------
     survey : fits over one to six rings.
+    colour : over how many rings the noise is shared, if it is alike everywhere.
     axis : the best one for noise along an axis.
     steps : depths in steps.
     differences : levels by region, where they differ.
@@ -83,6 +84,7 @@ class Evidence:
     """
 
     survey: Survey
+    colour: Colour | None
     axis: AxisEvidence | None
     steps: StepEvidence
     differences: Differences | None
@@ -126,6 +128,7 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
     )
     return Evidence(
         survey=survey,
+        colour=colour,
         axis=axis,
         steps=steps,
         differences=differences,
