@@ -42,10 +42,11 @@ NAMED = 0.5
 PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
 """Probability of noise that neighbours share, which removes most of a relief where there is none:
 where wide fits leave the same everywhere and ``PLAIN_MISFIT`` holds, elsewhere, and where a smooth
-relief would leave that as well."""
+relief would leave that as well, or ``POOR_MISFIT`` is exceeded."""
 
-PLAIN_MISFIT = 0.06
-"""Misfit of the levels by scale below which shared noise explains them."""
+PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
+"""Misfits of the levels by scale below which shared noise explains them, and above which it hardly
+does."""
 
 QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 """Mean edge lengths below which noise that neighbours may share has to be as probable as the
@@ -163,7 +164,7 @@ def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
     colour = evidence.colour
     if colour is None:
         return SURE_SHARED
-    if colour.is_relief:
+    if colour.is_relief or colour.misfit > POOR_MISFIT:
         return RELIEF_SHARED
     is_plain = colour.is_floor and colour.misfit < PLAIN_MISFIT
     return PLAIN_SHARED if is_plain else SURE_SHARED
