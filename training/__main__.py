@@ -18,8 +18,8 @@ import numpy as np
 
 from msal_cli import codecs
 from msal_cli.codecs import detection
-from msal_cli.kernels.normal_descriptors import VECTORS, WIDE_FILTERED
-from msal_cli.kernels.normal_regression import Network
+from msal_cli.kernels.normal_descriptors import WIDE_FILTERED
+from msal_cli.kernels.normal_regression import EARLIER, Network, count_vectors
 from msal_cli.methods._cascade import write_networks
 from msal_cli.storage import gzip_streams
 from training.regression import Schedule, train_network
@@ -36,9 +36,9 @@ def build_parser() -> argparse.ArgumentParser:
     add("--clean", type=Path, metavar="FOLDER", help="clean meshes of your own, in addition")
     add("--stages", type=int, default=3)
     add("--hidden", type=int, default=96, help="numbers in each hidden layer")
-    add("--copies", type=int, default=13, help="noisy meshes of every shape")
-    add("--samples", type=int, default=1_700_000, help="faces that each stage learns from")
-    add("--epochs", type=int, default=14, help="passes over the samples")
+    add("--copies", type=int, default=18, help="noisy meshes of every shape")
+    add("--samples", type=int, default=2_800_000, help="faces that each stage learns from")
+    add("--epochs", type=int, default=15, help="passes over the samples")
     add("--quick", action="store_true", help="few and small shapes: to see that it works")
     return parser
 
@@ -65,7 +65,7 @@ def main(words: list[str] | None = None) -> int:
         per_mesh = max(options.samples // len(meshes), 1)
         inputs, targets, weights, n_vectors = collect_samples(meshes, per_mesh, generator)
         report(f"stage {stage + 1}: {inputs.shape[0]} samples of {inputs.shape[1]} numbers")
-        base = VECTORS + 1 if stage else WIDE_FILTERED
+        base = count_vectors(stage) - EARLIER + 1 if stage else WIDE_FILTERED
         networks.append(
             train_network(
                 inputs,

@@ -35,11 +35,14 @@ class Kind:
     least_rings: int = 0
 
 
+WHITE = "gaussian-normal"
+"""White noise along the normals."""
+
 MIXTURE = (
     Kind("none", 8.0),
-    Kind("gaussian-normal", 3.0, 0.003, 0.04),
-    Kind("gaussian-normal", 20.0, 0.08, 0.75),
-    Kind("gaussian-normal", 9.0, 0.05, 0.2),
+    Kind(WHITE, 3.0, 0.003, 0.04),
+    Kind(WHITE, 20.0, 0.08, 0.75),
+    Kind(WHITE, 9.0, 0.05, 0.2),
     Kind("gaussian", 7.0, 0.03, 0.35),
     Kind("correlated", 13.0, 0.05, 0.35, rings=4, least_rings=1),
     Kind("view", 8.0, 0.05, 0.4, rings=2),
@@ -52,12 +55,12 @@ MIXTURE = (
 )
 
 
-def draw_noise(mesh: Mesh, generator: Generator) -> Floats:
-    """Positions (n, 3) of the mesh with noise of a drawn kind and level."""
+def draw_noise(mesh: Mesh, generator: Generator) -> tuple[Floats, bool]:
+    """Positions (n, 3) with noise of a drawn kind and level, and whether that is white."""
     shares = np.array([kind.share for kind in MIXTURE])
     kind = MIXTURE[int(generator.choice(len(MIXTURE), p=shares / shares.sum()))]
     if kind.name == "none":
-        return mesh.vertices
+        return mesh.vertices, True
     direction = generator.standard_normal(3)
     noise = AddedNoise(
         kind.name,
@@ -69,7 +72,7 @@ def draw_noise(mesh: Mesh, generator: Generator) -> Floats:
         step=float(generator.uniform(0.1, 0.8)),
         border=float(generator.choice([0.0, 0.2])),
     )
-    return add_noise(mesh, noise)
+    return add_noise(mesh, noise), kind.name == WHITE
 
 
 def _draw_fraction(name: str, generator: Generator) -> float:

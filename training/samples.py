@@ -14,9 +14,11 @@ from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_regression import Descriptors, Network
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.methods._cascade import Cascade
-from msal_cli.methods.learned import STAGE_PASSES
+from msal_cli.methods.learned import STAGE_PASSES, resolve_noise
+from training import relief
 from training.noise_mixture import draw_noise
 from training.scans import draw_scan
+from training.surface import LabelledMesh
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -29,6 +31,14 @@ ROUGH_SHARE = 0.25
 
 N_WAVES = 16
 """Plane waves of which that relief is the sum."""
+
+RELIEF_SHARE = 0.15
+"""Copies that get relief of ``training.relief`` instead."""
+
+RELIEFS = ("scales", "scales", "cobbles", "hair", "weave", "dents", "rough")
+
+STRETCH_SHARE = 0.2
+"""Copies that are flattened along one or two ways: their triangles become narrow."""
 
 COARSE_SHARE = 0.25
 """Copies of a shape at which it is decimated: its detail comes closer to the edges' length."""
@@ -47,6 +57,13 @@ UNKNOWN_SHARE = 0.35
 
 LEAST_ERROR = 0.015
 """Deviation of the levels that clean meshes are estimated at, mean edge lengths."""
+
+ESTIMATED_SHARE = 0.6
+"""Meshes whose noise is what the estimate says of them, with the errors that it has; for the
+others it is drawn."""
+
+NAMED_SHARE, MISNAMED_SHARE = 0.85, 0.1
+"""Meshes of white noise that it is named for, and meshes of other noise that is named white."""
 
 LOW_SHARE = 0.1
 """Meshes whose noise is given as less than it is."""
@@ -71,7 +88,6 @@ class NoisyMesh:
     truth : (m, 3) true unit normals; zeros where they are not known.
     positions : (n, 3) after the stages so far.
     earlier : (m, 3) normals of the last stage; None before the first.
-    descriptors : for the next stage, once they are made.
     weight : how much its errors count.
     """
 
@@ -79,7 +95,6 @@ class NoisyMesh:
     truth: Floats
     positions: Floats
     earlier: Floats | None = None
-    descriptors: Descriptors | None = None
     weight: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -91,15 +106,13 @@ class NoisyMesh:
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)).mean())
 
     def describe(self) -> Descriptors:
-        """The descriptors for the next stage, which ``advance`` uses again."""
-        self.descriptors = self.cascade.describe(self.positions, self.earlier)
-        return self.descriptors
+        """The descriptors for the next stage; ``cascade.release`` gives their memory back."""
+        return self.cascade.describe(self.positions, self.earlier)
 
     def advance(self, network: Network) -> None:
         """Take the stage of ``network``."""
-        assert self.descriptors is not None
-        self.earlier = self.descriptors.predict(network)
-        self.descriptors = None
+        self.earlier = self.describe().predict(network)
+        self.cascade.release()
         self.positions = self.cascade.fit(self.positions, self.earlier, STAGE_PASSES)
 
 
@@ -135,6 +148,28 @@ def roughen(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats
     return mesh.vertices + amount * heights[:, None] * mesh.vertex_normals(), mesh.faces
 
 
+def carve(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats, Ints]:
+    """The mesh with relief of ``training.relief``, 3.5 to 14 edges long and rather steep."""
+    mesh = prepare_mesh(vertices, faces).mesh
+    unit = mesh.mean_edge_length
+    wavelength = float(np.exp(generator.uniform(np.log(3.5), np.log(14.0))))
+    maker = getattr(relief, f"make_{generator.choice(RELIEFS)}")
+    labelled = LabelledMesh(
+        mesh.vertices / unit, mesh.faces.astype(np.int64), np.zeros(len(mesh.faces), np.int64)
+    )
+    amount = wavelength * float(generator.uniform(0.03, 0.15))
+    carved = relief.apply_relief(labelled, maker, wavelength, amount, generator)
+    return carved.vertices * unit, mesh.faces
+
+
+def stretch(vertices: Floats, generator: Generator) -> Floats:
+    """The vertices flattened to 0.4 of their extent or more along three drawn axes."""
+    axes = np.linalg.qr(generator.standard_normal((3, 3)))[0]
+    factors = np.exp(generator.uniform(np.log(0.4), 0.0, 3))
+    stretched: Floats = (vertices @ axes * factors) @ axes.T
+    return stretched
+
+
 def choose_patch(vertices: Floats, faces: Ints, generator: Generator) -> Ints:
     """Indices of at most ``PATCH_FACES`` of the faces, those nearest to a random one."""
     if len(faces) <= PATCH_FACES:
@@ -151,10 +186,14 @@ def draw_meshes(shapes: Iterable[Shape], copies: int, generator: Generator) -> l
     for _, vertices, faces in shapes:
         for _ in range(copies):
             shape = vertices, faces
+            if generator.random() < STRETCH_SHARE:
+                shape = stretch(vertices, generator), faces
             if generator.random() < COARSE_SHARE:
                 shape = coarsen(vertices, faces, generator)
             if generator.random() < ROUGH_SHARE:
                 shape = roughen(*shape, generator)
+            elif generator.random() < RELIEF_SHARE / (1.0 - ROUGH_SHARE):
+                shape = carve(*shape, generator)
             one = _scan(*shape, generator) if generator.random() < SCAN_SHARE else None
             made.append(one or _add_noise(*shape, generator))
     return made
@@ -162,9 +201,10 @@ def draw_meshes(shapes: Iterable[Shape], copies: int, generator: Generator) -> l
 
 def _add_noise(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh:
     clean = prepare_mesh(vertices, faces[choose_patch(vertices, faces, generator)]).mesh
-    noisy = clean.with_vertices(draw_noise(clean, generator))
+    positions, is_white = draw_noise(clean, generator)
+    noisy = clean.with_vertices(positions)
     truth = face_normals(clean.vertices, clean.faces)
-    return _start(noisy, clean.vertices, truth, generator)
+    return _start(noisy, clean.vertices, truth, is_white, generator)
 
 
 def _scan(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh | None:
@@ -187,12 +227,18 @@ def _scan(vertices: Floats, faces: Ints, generator: Generator) -> NoisyMesh | No
         or len(noisy.mesh.faces) < len(chosen)
     ):
         return None
-    return _start(noisy.mesh, true_points[used] - noisy.origin, truth[chosen], generator)
+    true_vertices = true_points[used] - noisy.origin
+    return _start(noisy.mesh, true_vertices, truth[chosen], False, generator)
 
 
-def _start(mesh: Mesh, true_vertices: Floats, truth: Floats, generator: Generator) -> NoisyMesh:
+def _start(
+    mesh: Mesh, true_vertices: Floats, truth: Floats, is_white: bool, generator: Generator
+) -> NoisyMesh:
     noise = draw_estimate(mesh, true_vertices, generator)
-    return NoisyMesh(Cascade(mesh, "free", noise), truth, mesh.vertices)
+    is_named = bool(generator.random() < (NAMED_SHARE if is_white else MISNAMED_SHARE))
+    if generator.random() < ESTIMATED_SHARE:
+        noise, is_named = resolve_noise(mesh, 0.0)
+    return NoisyMesh(Cascade(mesh, "free", noise, is_named), truth, mesh.vertices)
 
 
 def draw_estimate(mesh: Mesh, true_vertices: Floats, generator: Generator) -> float | None:
@@ -229,6 +275,7 @@ def collect_samples(
         axes = descriptors.axes[chosen]
         targets.append(np.einsum("kij,kj->ki", axes, one.truth[chosen].astype(np.float32)))
         weights.append(np.full(len(chosen), one.weight, dtype=np.float32))
+        one.cascade.release()
     all_weights = np.concatenate(weights)
     all_weights /= all_weights.mean(dtype=np.float64)
     return np.concatenate(inputs), np.concatenate(targets), all_weights, n_vectors

@@ -152,6 +152,12 @@ RECIPES = (
     Recipe("metaballs", "isotropic", "hair", 3.0, 0.35),
     Recipe("head", "isotropic", "orange_peel", 30.0, 2.0, "cut"),
     Recipe("torus", "isotropic", "letters", 15.0, 0.6, "cut"),
+    Recipe("polyhedron", "subdivided"),
+    Recipe("random_csg", "subdivided"),
+    Recipe("bracket", "subdivided"),
+    Recipe("cut_sphere", "subdivided"),
+    Recipe("lens", "subdivided"),
+    Recipe("random_csg", "jagged", "rough", 4.0, 0.3),
 )
 QUICK = 12
 

@@ -158,8 +158,25 @@ def lay_vectors(first, last, points, marks, per_reach, near_start, near, n_read,
 
 
 @compiled
-def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):
-    """Sums of w, w n for four ranges: 16 sums from the place ``to`` on."""
+def add_narrow(rows, block, sums, to):
+    """Sums of w and w n with the narrow weights."""
+    for place in range(to, to + R4):
+        sums[place] = _0
+    for k in range(rows):
+        row = k * ENTRY
+        for lane in range(LANES):
+            at = row + lane
+            w = block[at + NARROW_WEIGHT]
+            o = to + lane
+            sums[o] += w
+            sums[o + R1] += w * block[at + NX]
+            sums[o + R2] += w * block[at + NY]
+            sums[o + R3] += w * block[at + NZ]
+
+
+@compiled
+def add_ranges(rows, per_1, per_2, per_3, block, sums, to):
+    """Sums of w, w n with the wide weights for three ranges and for all: 16 sums from ``to`` on."""
     for place in range(to, to + R16):
         sums[place] = _0
     for k in range(rows):
@@ -167,14 +184,12 @@ def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):
         for lane in range(LANES):
             at = row + lane
             nx, ny, nz = block[at + NX], block[at + NY], block[at + NZ]
-            w, jump = block[at + weight], block[at + JUMP]
-            a, b = _1 - jump * per_1, _1 - jump * per_2
-            c, d = _1 - jump * per_3, _1 - jump * per_4
+            w, jump = block[at + WIDE_WEIGHT], block[at + JUMP]
+            a, b, c = _1 - jump * per_1, _1 - jump * per_2, _1 - jump * per_3
             a = a if a > _0 else _0
             b = b if b > _0 else _0
             c = c if c > _0 else _0
-            d = d if d > _0 else _0
-            a, b, c, d = w * a * a, w * b * b, w * c * c, w * d * d
+            a, b, c = w * a * a, w * b * b, w * c * c
             o = to + lane
             sums[o] += a
             sums[o + R1] += a * nx
@@ -188,16 +203,16 @@ def add_ranges(rows, weight, per_1, per_2, per_3, per_4, block, sums, to):
             sums[o + R9] += c * nx
             sums[o + R10] += c * ny
             sums[o + R11] += c * nz
-            sums[o + R12] += d
-            sums[o + R13] += d * nx
-            sums[o + R14] += d * ny
-            sums[o + R15] += d * nz
+            sums[o + R12] += w
+            sums[o + R13] += w * nx
+            sums[o + R14] += w * ny
+            sums[o + R15] += w * nz
 
 
 @compiled
 def add_tensor(rows, block, sums, to):
-    """Sums of w n n^T and w n with the wide weights: xx, xy, xz, yy, yz, zz, x, y, z."""
-    for place in range(to, to + R9):
+    """Sums of w n n^T with the wide weights: xx, xy, xz, yy, yz, zz."""
+    for place in range(to, to + R6):
         sums[place] = _0
     for k in range(rows):
         row = k * ENTRY
@@ -213,9 +228,6 @@ def add_tensor(rows, block, sums, to):
             sums[o + R3] += wy * ny
             sums[o + R4] += wy * nz
             sums[o + R5] += wz * nz
-            sums[o + R6] += wx
-            sums[o + R7] += wy
-            sums[o + R8] += wz
 
 
 @compiled
@@ -258,8 +270,9 @@ def add_scatter(rows, mean, block, sums):
 
 
 @compiled
-def add_plane(rows, weight, per_range, block, sums, to):
-    """Sums of w, w d and w d d^T, ten from the place ``to`` on; ``per_range`` 0: all ranges."""
+def add_plane(rows, per_range, block, sums, to):
+    """Sums of w, w d and w d d^T with the wide weights, ten from ``to`` on; ``per_range`` 0: all
+    ranges."""
     for place in range(to, to + R10):
         sums[place] = _0
     for k in range(rows):
@@ -269,7 +282,7 @@ def add_plane(rows, weight, per_range, block, sums, to):
             x, y, z = block[at + X], block[at + Y], block[at + Z]
             part = _1 - block[at + JUMP] * per_range
             part = part if part > _0 else _0
-            w = block[at + weight] * part * part
+            w = block[at + WIDE_WEIGHT] * part * part
             o = to + lane
             wx, wy, wz = w * x, w * y, w * z
             sums[o] += w

@@ -24,7 +24,6 @@ from msal_cli.kernels.near_blocks import (
     FIVE,
     FOUR,
     LANES,
-    NARROW_WEIGHT,
     R1,
     R2,
     R3,
@@ -35,7 +34,7 @@ from msal_cli.kernels.near_blocks import (
     R12,
     R16,
     SIX,
-    WIDE_WEIGHT,
+    add_narrow,
     add_pair,
     add_plane,
     add_ranges,
@@ -50,86 +49,80 @@ from msal_cli.kernels.near_blocks import (
 )
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, most_neighbours
 
-NARROW_RANGES = (0.35, 0.7, 1.1)
-WIDE_RANGES = (0.2, 0.4, 0.7, 1.2)
+WIDE_RANGES = (0.4, 0.7, 1.2)
 """Ranges s of the differences between unit normals; one more mean has all of them."""
 
 _0, _1 = np.float32(0.0), np.float32(1.0)
 _TINY = np.float32(1e-30)
-_NARROW_1, _NARROW_2, _NARROW_3 = (np.float32(1.0 / s**2) for s in NARROW_RANGES)
-_WIDE_1, _WIDE_2, _WIDE_3, _WIDE_4 = (np.float32(1.0 / s**2) for s in WIDE_RANGES)
+_WIDE_1, _WIDE_2, _WIDE_3 = (np.float32(1.0 / s**2) for s in WIDE_RANGES)
 
 
-VECTORS = 22
-"""Unit vectors of a face, beside those of earlier stages."""
+VECTORS = 14
+"""Unit vectors of a face, beside those of other filters and of earlier stages."""
 
 NORMAL = 0
-NARROW_MEAN = 4
-WIDE_FILTERED = 7
-WIDE_MEAN = 9
-GUIDE = 13
-GUIDED = 14
-REFINED = 16
-TWICE = 18
-WIDER = 20
-"""The places of: the face's own normal; narrow ranges 0.35, 0.7, 1.1 from 1 on and all; wide ranges
-0.2, 0.4, 0.7 and 1.2 from 5 on, and all; planes (wide, wide of range 0.7, narrow) from 10 on; the
-guide; the normals filtered twice by it; by the third wide range; the second of these once more,
-and the wide mean."""
+NARROW_MEAN = 1
+WIDE_FILTERED = 3
+WIDE_MEAN = 5
+PLANE = 6
+REFINED = 8
+TWICE = 10
+WIDER = 12
+"""The places of: the face's own normal; the narrow mean; the wide ranges 0.4, 0.7 and 1.2 from 2
+on, and all; planes (wide, wide of range 0.7); the normals filtered by the second wide range; that
+range once more; the wide mean once more."""
 
-NUMBERS = 27
-"""Numbers of a face: the shares of the weight within each range, narrow and wide (7); the roots of
-the second and third eigenvalue; the deviations from the wide and the narrow plane, the height
-above the first, the distance from its middle; faces near; scatter of the normals, its least and
-mean among those near; the own unit, and the own area, each over itself plus the mean; the four
-ripples, their means among those near."""
+NUMBERS = 21
+"""Numbers of a face: the shares of the wide weight within each range; the roots of the second and
+third eigenvalue; the deviation from the wide plane, the height above it, the distance from its
+middle; faces near; scatter of the normals, its mean among those near; the own unit, and the own
+area, each over itself plus the mean; the four ripples, their means among those near."""
 
-PATCHES = np.uint64(16)
-"""Faces near that may lend their mean as a guide."""
+DEVIATION, SCATTER, UNIT = 5, 9, 11
+"""The places of the deviation from the plane, the own scatter, the own unit."""
 
 _PER_MOST = np.float32(1.0 / 64.0)
 
 
 @compiled
-def describe(start, stop, points, marks, per_reach, near_start, near, width, table, numbers, axes):
-    """Fill the first vectors (all up to the guide) and the first 15 numbers of each face.
+def describe(
+    start, stop, points, marks, per_reach, near_start, near, width, table, per_face, numbers, axes
+):
+    """Fill the vectors up to the planes, and the first ten numbers, of each face.
 
-    ``table`` has ``width`` vectors of each face, ``numbers`` NUMBERS, ``axes`` three vectors; all
-    are flat and in single precision, but for ``points``; see ``lay_neighbours``.
+    ``table`` has ``width`` vectors of each face, ``numbers`` ``per_face`` numbers, ``axes`` three
+    vectors; all are flat and in single precision, but for ``points``; see ``lay_neighbours``.
     """
     widest = most_neighbours(start, stop, near_start) + ONE
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
-    sums = np.empty(np.int64(R16 * np.uint64(5)), dtype=np.float32)
-    vectors = np.empty(np.int64(R3 * np.uint64(13)), dtype=np.float32)
+    sums = np.empty(np.int64(R16 * np.uint64(3)), dtype=np.float32)
+    vectors = np.empty(np.int64(R3 * np.uint64(REFINED)), dtype=np.float32)
     values = np.empty(np.int64(R6), dtype=np.float32)
     own_axes = np.empty(np.int64(R9), dtype=np.float32)
-    spread = np.empty(np.int64(R9), dtype=np.float32)
+    spread = np.empty(np.int64(R6), dtype=np.float32)
     skews = np.empty(np.int64(R3), dtype=np.float32)
     scatter = np.empty(np.int64(R2), dtype=np.float32)
     own = np.empty(np.int64(R3), dtype=np.float32)
-    last = np.uint64(stop)
-    narrow, wide, tensor = ZERO, R16, R16 + R16
-    planes = tensor + R9
+    last, per_face = np.uint64(stop), np.uint64(per_face)
+    wide, narrow = ZERO, R16
+    tensor = narrow + R4
+    planes = tensor + R6
     for first in range(np.uint64(start), last, LANES):
         rows = lay_neighbours(first, last, points, marks, per_reach, near_start, near, block, own)
         close = weigh_block(rows, block, own)
-        add_ranges(close, NARROW_WEIGHT, _NARROW_1, _NARROW_2, _NARROW_3, _0, block, sums, narrow)
-        add_ranges(rows, WIDE_WEIGHT, _WIDE_1, _WIDE_2, _WIDE_3, _WIDE_4, block, sums, wide)
+        add_narrow(close, block, sums, narrow)
+        add_ranges(rows, _WIDE_1, _WIDE_2, _WIDE_3, block, sums, wide)
         add_tensor(rows, block, sums, tensor)
-        add_plane(rows, WIDE_WEIGHT, _0, block, sums, planes)
-        add_plane(rows, WIDE_WEIGHT, _WIDE_3, block, sums, planes + R10)
-        add_plane(close, NARROW_WEIGHT, _0, block, sums, planes + R10 + R10)
+        add_plane(rows, _0, block, sums, planes)
+        add_plane(rows, _WIDE_2, block, sums, planes + R10)
         for at in range(R3):
             vectors[at] = own[at]
+        normalise(sums, narrow + R1, own, vectors, np.uint64(NARROW_MEAN))
         for k in range(np.uint64(4)):
-            normalise(sums, narrow + k * R4 + R1, own, vectors, ONE + k)
-            normalise(sums, wide + k * R4 + R1, own, vectors, np.uint64(5) + k)
-        normalise(sums, tensor + R6, own, vectors, np.uint64(WIDE_MEAN))
-        fit_plane(sums, planes, np.uint64(WIDE_FILTERED), vectors, np.uint64(10), ZERO, spread)
-        fit_plane(sums, planes + R10, np.uint64(WIDE_FILTERED), vectors, np.uint64(11), R3, spread)
-        fit_plane(
-            sums, planes + R10 + R10, np.uint64(NARROW_MEAN), vectors, np.uint64(12), R6, spread
-        )
+            normalise(sums, wide + k * R4 + R1, own, vectors, TWO + k)
+        base = np.uint64(WIDE_FILTERED)
+        fit_plane(sums, planes, base, vectors, np.uint64(PLANE), ZERO, spread)
+        fit_plane(sums, planes + R10, base, vectors, np.uint64(PLANE) + ONE, R3, spread)
         find_axes(sums, tensor, own_axes, values)
         add_skews(rows, own_axes, block, skews)
         turn_axes(skews, own_axes)
@@ -141,84 +134,70 @@ def describe(start, stop, points, marks, per_reach, near_start, near, width, tab
                 break
             f = first + lane
             place = THREE * np.uint64(width) * f
-            for k in range(THREE * np.uint64(GUIDE)):
+            for k in range(THREE * np.uint64(REFINED)):
                 table[place + k] = vectors[k * R1 + lane]
             for k in range(np.uint64(9)):
                 axes[np.uint64(9) * f + k] = own_axes[k * R1 + lane]
-            _write_numbers(lane, sums, values, spread, scatter, numbers, np.uint64(NUMBERS) * f)
+            _write_numbers(lane, sums, values, spread, scatter, numbers, per_face * f)
             near_count = np.float32(near_start[f + ONE] - near_start[f])
-            numbers[np.uint64(NUMBERS) * f + np.uint64(13)] = near_count * _PER_MOST
+            numbers[per_face * f + np.uint64(8)] = near_count * _PER_MOST
 
 
 @compiled
 def _write_numbers(lane, sums, values, spread, scatter, numbers, to):
     """The numbers of one face but those of its neighbours', from the sums of its block."""
-    narrow = sums[lane + R12]
+    narrow = sums[lane + R16]
     narrow = _1 / (narrow if narrow > _TINY else _TINY)
-    wide = sums[lane + R16 + R16 + R9]
+    wide = sums[lane + R12]
     wide = _1 / (wide if wide > _TINY else _TINY)
-    for k in range(np.uint64(3)):
-        numbers[to + k] = sums[lane + k * R4] * narrow
-    for k in range(np.uint64(4)):
-        numbers[to + THREE + k] = sums[lane + R16 + k * R4] * wide
+    for k in range(THREE):
+        numbers[to + k] = sums[lane + k * R4] * wide
     second, third = values[R1 + lane] * wide, values[R2 + lane] * wide
-    numbers[to + np.uint64(7)] = np.sqrt(second if second > _0 else _0)
-    numbers[to + np.uint64(8)] = np.sqrt(third if third > _0 else _0)
-    square, other = spread[lane], spread[R6 + lane]
-    numbers[to + np.uint64(9)] = np.sqrt(square if square > _0 else _0)
-    numbers[to + np.uint64(10)] = np.sqrt(other if other > _0 else _0)
-    numbers[to + np.uint64(11)] = spread[R1 + lane]
-    numbers[to + np.uint64(12)] = np.sqrt(spread[R2 + lane])
+    numbers[to + np.uint64(3)] = np.sqrt(second if second > _0 else _0)
+    numbers[to + np.uint64(4)] = np.sqrt(third if third > _0 else _0)
+    square = spread[lane]
+    numbers[to + np.uint64(DEVIATION)] = np.sqrt(square if square > _0 else _0)
+    numbers[to + np.uint64(6)] = spread[R1 + lane]
+    numbers[to + np.uint64(7)] = np.sqrt(spread[R2 + lane])
     mean = scatter[R1 + lane] * narrow
-    numbers[to + np.uint64(14)] = np.sqrt(np.sqrt(scatter[lane] * mean))
+    numbers[to + np.uint64(SCATTER)] = np.sqrt(np.sqrt(scatter[lane] * mean))
 
 
 @compiled
-def pick_guides(start, stop, marks, near_start, near, ripples, width, table, numbers):
-    """Fill the guide of each face and the numbers that it takes from those near.
+def average_around(start, stop, marks, near_start, near, ripples, per_face, numbers):
+    """Fill the numbers that a face takes from those near, and its own ripples.
 
-    The guide is the narrow mean of the face with the least scatter among the first ``PATCHES``
-    near: beside an edge one whose patch lies on one side of it.  ``ripples`` has five numbers of
-    each face; the first is its scatter.
+    ``ripples`` has five numbers of each face; the first is its scatter.
     """
-    width = THREE * np.uint64(width)
-    per_face = np.uint64(NUMBERS)
+    per_face = np.uint64(per_face)
     for f in range(np.uint64(start), np.uint64(stop)):
         own = FIVE * f
-        best, least = np.uint64(f), ripples[own]
-        total, first, second = least, ripples[own + ONE], ripples[own + TWO]
+        total, first, second = ripples[own], ripples[own + ONE], ripples[own + TWO]
         third, sideways = ripples[own + THREE], ripples[own + FOUR]
         area = marks[FOUR * f + THREE]
         row, end = near_start[f], near_start[f + ONE]
         for entry in range(row, end):
             j = np.uint64(near[entry])
             at = FIVE * j
-            value = ripples[at]
-            total += value
+            total += ripples[at]
             first += ripples[at + ONE]
             second += ripples[at + TWO]
             third += ripples[at + THREE]
             sideways += ripples[at + FOUR]
             area += marks[FOUR * j + THREE]
-            if entry - row < PATCHES and value < least:
-                best, least = j, value
-        for axis in range(THREE):
-            value = table[width * best + THREE * np.uint64(NARROW_MEAN) + axis]
-            table[width * f + THREE * np.uint64(GUIDE) + axis] = value
         per_count = _1 / np.float32(end - row + ONE)
         to = per_face * f
-        numbers[to + np.uint64(15)] = least
-        numbers[to + np.uint64(16)] = total * per_count
+        numbers[to + np.uint64(10)] = total * per_count
         mean = area / np.float64(end - row + ONE)
         both = marks[FOUR * f + THREE] + mean
         share = marks[FOUR * f + THREE] / both if both > 0.0 else 0.5
-        numbers[to + np.uint64(18)] = np.float32(share)
+        numbers[to + np.uint64(12)] = np.float32(share)
         for k in range(FOUR):
-            numbers[to + np.uint64(19) + k] = ripples[own + ONE + k]
-        numbers[to + np.uint64(23)] = first * per_count
-        numbers[to + np.uint64(24)] = second * per_count
-        numbers[to + np.uint64(25)] = third * per_count
-        numbers[to + np.uint64(26)] = sideways * per_count
+            numbers[to + np.uint64(13) + k] = ripples[own + ONE + k]
+        numbers[to + np.uint64(17)] = first * per_count
+        numbers[to + np.uint64(18)] = second * per_count
+        numbers[to + np.uint64(19)] = third * per_count
+        numbers[to + np.uint64(20)] = sideways * per_count
 
 
 @compiled

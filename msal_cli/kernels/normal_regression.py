@@ -14,20 +14,21 @@ from msal_cli.kernels.faces import faces_within
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.kernels.near_blocks import WIDE
 from msal_cli.kernels.normal_descriptors import (
-    GUIDE,
-    GUIDED,
+    DEVIATION,
     NARROW_MEAN,
     NORMAL,
     NUMBERS,
     REFINED,
+    SCATTER,
     TWICE,
+    UNIT,
     VECTORS,
     WIDE_FILTERED,
     WIDE_MEAN,
     WIDER,
+    average_around,
     describe,
     filter_jointly,
-    pick_guides,
 )
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import median
@@ -37,21 +38,31 @@ from msal_cli.kernels.vectors import ONE, THREE, TWO
 MAX_NEAR = 63
 """Faces near one at most, beside itself."""
 
+OTHERS = 4
+"""Normals of the outcomes of other filters, given for a mesh: vectors of every stage."""
+
+GUIDED = 2
+"""Vectors of every stage behind these: the face's own normals filtered by the first of them, with
+two ranges."""
+
 EARLIER = 4
 """Vectors that a later stage has in addition: the scanned normal, that of the stage before, and
 the first filtered by the second, with two ranges."""
+
+STATISTICS = 5
+"""Numbers of a face, behind the others, that are given for a mesh."""
 
 ROOT_3 = 3.0**0.5
 """The edge of equilateral triangles over the distance of their centroids."""
 
 EXCHANGED = 6
 """Vectors that faces read of those near: the normal, the wide filtered one, the wide mean, the
-guide, the scanned normal, that of the stage before."""
+first of the other filters, the scanned normal, that of the stage before."""
 
 SAMPLED = 1 << 15
 """Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
 
-GLOBALS = 10
+GLOBALS = 11
 """Inputs that are the same for all faces of a mesh."""
 
 _FOUR, _FIVE = np.uint64(4), np.uint64(5)
@@ -177,13 +188,36 @@ def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
+class Evidence:
+    """What is known of a scan before its faces are described; see ``methods/_evidence``.
+
+    Attributes
+    ----------
+    noise : standard deviation, mean edge lengths; None where it is not known.
+    is_white : whether that is white noise along the normals.
+    normals : OTHERS arrays (m, 3): normals that other filters give.
+    statistics : (m, STATISTICS) of the surroundings of each face.
+    """
+
+    noise: float | None
+    is_white: bool
+    normals: tuple[Floats32, ...]
+    statistics: Floats32
+
+
+def count_vectors(stage: int) -> int:
+    """Vectors of each face in a stage, counted from 0."""
+    return VECTORS + OTHERS + GUIDED + (EARLIER if stage else 0)
+
+
+@dataclass(frozen=True, eq=False)
 class Descriptors:
     """What is known of every face.
 
     Attributes
     ----------
-    vectors : (m, k, 3) candidates for its normal, VECTORS of them or EARLIER more.
-    numbers : (m, NUMBERS).
+    vectors : (m, k, 3) candidates for its normal, as many as ``count_vectors`` says.
+    numbers : (m, NUMBERS + STATISTICS).
     axes : (m, 3, 3) the axes that the vectors are seen along.
     globals : (GLOBALS,) the same for all faces.
     """
@@ -194,16 +228,16 @@ class Descriptors:
     globals: Floats32
 
     def inputs(self) -> Floats32:
-        """What the network sees of each face, (m, 3 k + NUMBERS + GLOBALS)."""
+        """What the network sees of each face, (m, 3 k + NUMBERS + STATISTICS + GLOBALS)."""
         m, width = self.vectors.shape[:2]
-        own = np.empty((m, 3 * width + NUMBERS), dtype=np.float32)
+        own = np.empty((m, 3 * width + self.numbers.shape[1]), dtype=np.float32)
         over_ranges(collect_inputs, m, *self._flat(), own)
         return np.concatenate([own, np.broadcast_to(self.globals, (m, GLOBALS))], axis=1)
 
     def _flat(self) -> tuple[int, Floats32, int, Floats32, Floats32]:
         width = self.vectors.shape[1]
         flat = self.vectors.reshape(-1), self.numbers.reshape(-1), self.axes.reshape(-1)
-        return width, flat[0], NUMBERS, flat[1], flat[2]
+        return width, flat[0], self.numbers.shape[1], flat[1], flat[2]
 
     def predict(self, network: Network) -> Floats:
         """The unit normals (m, 3) that the network gives."""
@@ -271,19 +305,20 @@ class NormalDescriber:
     faces : (m, 3).
     centroids : (m, 3) of the scan, file units, from which the faces near each are found.
     ring_start, ring : rows of the faces that share an edge with each face.
-    noise : its standard deviation, mean edge lengths; None where it is not known.
+    evidence : what is known of the scan.
     """
 
     def __init__(
-        self, faces: Ints, centroids: Floats, ring_start: Ints, ring: Ints, noise: float | None
+        self, faces: Ints, centroids: Floats, ring_start: Ints, ring: Ints, evidence: Evidence
     ) -> None:
         m = len(faces)
         self.around = find_neighbourhoods(centroids, ring_start, ring)
-        self.noise = noise
+        self.evidence = evidence
         self._corners = faces.reshape(-1).view(np.uint32)
         self._marks = np.empty(4 * m, dtype=np.float32)
-        self._table = np.empty(m * 3 * (VECTORS + EARLIER), dtype=np.float32)
-        self._numbers = np.empty((m, NUMBERS), dtype=np.float32)
+        self._table = np.empty(m * 3 * count_vectors(1), dtype=np.float32)
+        self._numbers = np.empty((m, NUMBERS + STATISTICS), dtype=np.float32)
+        self._numbers[:, NUMBERS:] = evidence.statistics
         self._axes = np.empty((m, 3, 3), dtype=np.float32)
         self._ripples = np.empty((m, 5), dtype=np.float32)
         self._exchange = np.empty(m * 3 * EXCHANGED, dtype=np.float32)
@@ -306,7 +341,7 @@ class NormalDescriber:
             stage.
         """
         m = len(normals)
-        width = VECTORS + (EARLIER if earlier else 0)
+        width = count_vectors(1 if earlier else 0)
         table = self._table[: 3 * m * width].reshape(m, width, 3)
         numbers, ripples, around = self._numbers, self._ripples, self.around
         rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
@@ -317,15 +352,16 @@ class NormalDescriber:
         per_reach = 1.0 / (WIDE * np.where(units > 0.0, units, unit))
         near = around.near_start.view(np.uint64), around.near.view(np.uint32)
         of = centroids.reshape(-1), self._marks, per_reach, *near
-        to = width, table.reshape(-1), numbers.reshape(-1)
+        to_numbers = numbers.shape[1], numbers.reshape(-1)
+        to = width, table.reshape(-1), *to_numbers
         over_ranges(describe, m, *of, *to, self._axes.reshape(-1))
-        numbers[:, 17] = units / (units + unit)
-        scatter = np.ascontiguousarray(numbers[:, 14])
+        numbers[:, UNIT] = units / (units + unit)
+        scatter = np.ascontiguousarray(numbers[:, SCATTER])
         flat = ripples.reshape(-1)
         over_ranges(_gather_ripples, m, self._corners, heights.reshape(-1), units, scatter, flat)
-        over_ranges(pick_guides, m, self._marks, *near, flat, *to)
+        over_ranges(average_around, m, self._marks, *near, flat, *to_numbers)
         self._filter_jointly(of, table, earlier)
-        values = _find_globals(table, numbers, ripples, self.noise)
+        values = _find_globals(table, numbers, ripples, self.evidence)
         return Descriptors(table, numbers, self._axes, values)
 
     def _filter_jointly(
@@ -337,15 +373,23 @@ class NormalDescriber:
         """Fill the vectors that are filtered by others."""
         m, n_read = len(table), EXCHANGED if earlier else EXCHANGED - 2
         exchange = self._exchange[: 3 * m * n_read].reshape(m, n_read, 3)
-        for place, slot in enumerate((NORMAL, WIDE_FILTERED, WIDE_MEAN, GUIDE)):
+        for place, slot in enumerate((NORMAL, WIDE_FILTERED, WIDE_MEAN)):
             exchange[:, place] = table[:, slot]
-        tasks = [(3, 0, GUIDED), (1, 0, REFINED), (1, 1, TWICE), (2, 2, WIDER)]
-        ranges = [(0.3, 0.6), (0.25, 0.5), (0.25, 0.5), (0.25, 0.7)]
+        exchange[:, 3] = self.evidence.normals[0]
+        for place, normals in enumerate(self.evidence.normals, start=VECTORS):
+            table[:, place] = normals
+            has_none = ~normals.any(axis=1)
+            if has_none.any():
+                table[has_none, place] = table[has_none, NORMAL]
+        guided = VECTORS + OTHERS
+        tasks = [(1, 0, REFINED), (1, 1, TWICE), (2, 2, WIDER), (3, 0, guided)]
+        ranges = [(0.25, 0.5), (0.25, 0.5), (0.25, 0.7), (0.3, 0.6)]
         if earlier is not None:
-            for place, one in enumerate(earlier):
-                exchange[:, 4 + place] = one
-                table[:, VECTORS + place] = one
-            tasks.append((5, 4, VECTORS + 2))
+            own = guided + GUIDED
+            for place, before in enumerate(earlier):
+                exchange[:, 4 + place] = before
+                table[:, own + place] = before
+            tasks.append((5, 4, own + 2))
             ranges.append((0.3, 0.6))
         per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
         width, flat = table.shape[1], (exchange.reshape(-1), table.reshape(-1))
@@ -353,15 +397,17 @@ class NormalDescriber:
 
 
 def _find_globals(
-    table: Floats32, numbers: Floats32, ripples: Floats32, noise: float | None
+    table: Floats32, numbers: Floats32, ripples: Floats32, evidence: Evidence
 ) -> Floats32:
     """What the whole mesh is like: medians of differences between means, of the deviation from
-    planes, of scatter and ripples; whether the noise is known, and its level."""
+    planes, of scatter and ripples; the level of the noise, whether it is known, and as white."""
     step = max(len(table) // SAMPLED, 1)
     table, numbers, ripples = table[::step], numbers[::step], ripples[::step]
     own, narrow, wide = table[:, NORMAL], table[:, NARROW_MEAN], table[:, WIDE_MEAN]
     of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
-    of += [numbers[:, 9], *ripples.T]
-    values = [median(one.astype(np.float64)) for one in of] + [noise or 0.0]
+    of += [numbers[:, DEVIATION], *ripples.T]
+    values = [median(column.astype(np.float64)) for column in of] + [evidence.noise or 0.0]
     bounded = [value / (value + 0.1) for value in values]
-    return np.array([*bounded, float(noise is not None)], dtype=np.float32)
+    is_known = evidence.noise is not None
+    flags = [float(is_known), float(is_known and evidence.is_white)]
+    return np.array(bounded + flags, dtype=np.float32)

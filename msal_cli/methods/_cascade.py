@@ -20,27 +20,26 @@ from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
 from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
-from msal_cli.kernels.normal_descriptors import NUMBERS, VECTORS
+from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
-    EARLIER,
     GLOBALS,
+    STATISTICS,
     Descriptors,
     Network,
     NormalDescriber,
+    count_vectors,
     measure_ripples,
 )
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.vertex_update import untangle, update_vertices
 from msal_cli.mesh import Mesh
+from msal_cli.methods._evidence import average_around, gather_evidence
 from msal_cli.methods._sweeps import free_vertices
 
 WEIGHTS = Path(__file__).parent / "weights"
 """The folder of the trained weights."""
 
 FORMAT = 1
-
-AROUND = 6
-"""Passes by which powers are averaged around a vertex."""
 
 MIN_WHITE, MAX_WHITE = 0.65, 2.0
 """Bounds of the lower quartile and of the mean of the powers of the finest ripples, over that of
@@ -60,16 +59,18 @@ DOUBT = 0.01
 class Cascade:
     """The stages of one mesh: descriptors of where it is, and vertices that fit new normals.
 
-    ``noise`` is that of the mesh, mean edge lengths; None where it is not known.
+    ``noise`` is that of the mesh, mean edge lengths; None where it is not known.  ``is_white`` says
+    that it is white noise along the normals.
     """
 
-    def __init__(self, mesh: Mesh, boundary: str, noise: float | None) -> None:
+    def __init__(
+        self, mesh: Mesh, boundary: str, noise: float | None, is_white: bool = False
+    ) -> None:
         self.mesh = mesh
         self.free = free_vertices(mesh, boundary)
-        centroids = face_centroids(mesh.vertices, mesh.faces)
-        rings = face_rings(mesh.faces, mesh.topology, "edge")
-        self.describer = NormalDescriber(mesh.faces, centroids, *rings, noise)
         self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)[0]
+        self.evidence = gather_evidence(mesh, noise, is_white)
+        self._describer: NormalDescriber | None = None
 
     def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
         """The descriptors of all faces with the vertices at ``positions`` (n, 3).
@@ -78,12 +79,20 @@ class Cascade:
         call overwrites what this one gives.
         """
         mesh = self.mesh
+        if self._describer is None:
+            rings = face_rings(mesh.faces, mesh.topology, "edge")
+            centroids = face_centroids(mesh.vertices, mesh.faces)
+            self._describer = NormalDescriber(mesh.faces, centroids, *rings, self.evidence)
         normals, areas = face_normals_and_areas(positions, mesh.faces)
         centroids = face_centroids(positions, mesh.faces)
         at_vertices = mesh.with_vertices(positions).vertex_normals()
         heights = measure_ripples(positions, at_vertices, mesh.topology)
         before = None if earlier is None else (self.scanned, earlier)
-        return self.describer.describe(normals, areas, centroids, heights, before)
+        return self._describer.describe(normals, areas, centroids, heights, before)
+
+    def release(self) -> None:
+        """Give the memory of the descriptors back; the next ones take it again."""
+        self._describer = None
 
     def fit(
         self,
@@ -115,20 +124,14 @@ def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
     normals = mesh.with_vertices(positions).vertex_normals()
     taken = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     taken /= noise * mesh.mean_edge_length
-
-    def average(values: Floats) -> Floats:
-        for _ in range(AROUND):
-            values = (ring_means(values, *links.one_ring) * count + values) / (count + 1.0)
-        return values
-
     ripples = np.where(count > 0, ring_means(taken, *links.one_ring) - taken, 0.0)
-    power = average(ripples * ripples * (count / (count + 1.0)))
+    power = average_around(ripples * ripples * (count / (count + 1.0)), links)
     mean = float(power.mean())
     if mean > MAX_WHITE or np.quantile(power, 0.25) < MIN_WHITE:
         return positions
     level = np.sqrt(np.maximum(UNEVEN * power / max(mean, 1.0) ** 2, 1.0))
     back = restoration(taken / level, links.ring_start, links.ring, 1.0, CAUTION).returned
-    shape = average(back * back)
+    shape = average_around(back * back, links)
     back *= level * shape / (shape + DOUBT) * (noise * mesh.mean_edge_length)
     return positions - back[:, None] * normals
 
@@ -171,8 +174,8 @@ def _check_sizes(stages: list[list[int]], count: int) -> None:
     """Refuse layers that do not fit the descriptors: the kernels do not check the sizes."""
     expected = 0
     for stage, sizes in enumerate(stages):
-        vectors = VECTORS + (EARLIER if stage else 0)
-        inputs = 3 * vectors + NUMBERS + GLOBALS
+        vectors = count_vectors(stage)
+        inputs = 3 * vectors + NUMBERS + STATISTICS + GLOBALS
         is_fit = len(sizes) == 4 and sizes[0] == inputs and sizes[3] == vectors
         if not is_fit or sizes[1] != sizes[2]:
             raise InternalError(

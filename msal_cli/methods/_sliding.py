@@ -62,13 +62,22 @@ def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> 
     )
 
 
-@cached_by_mesh
 def sideways_share(mesh: Mesh) -> float:
     """Noise within the surface over that along the normals, per direction; inf without the latter.
 
-    It is computed once for a mesh.  Noise is what is left of the positions when the umbrella is
-    applied twice, by the median over the vertices within the surface; uneven sampling counts as
-    noise within it.
+    Uneven sampling counts as noise within the surface.
+    """
+    heights, ways = measure_second_umbrella(mesh)
+    return ways / heights if heights > 0.0 else np.inf
+
+
+@cached_by_mesh
+def measure_second_umbrella(mesh: Mesh) -> tuple[float, float]:
+    """Standard deviations of what is left of the positions when the umbrella is applied twice,
+    along the normals and in each direction within the surface, file units.
+
+    Medians over the vertices within the surface decide; without any of these both are 0.  They are
+    computed once for a mesh.
     """
     links = mesh.topology
     second = apply_umbrella(mesh, apply_umbrella(mesh, mesh.vertices))
@@ -78,7 +87,6 @@ def sideways_share(mesh: Mesh) -> float:
     across = np.sqrt(np.einsum("ij,ij->i", second, second))
     inner = links.has_ring & ~links.boundary
     if not inner.any():
-        return np.inf
+        return 0.0, 0.0
     # Medians of |x| and of the length of (x, y) for standard normal numbers.
-    heights, ways = median(np.abs(along[inner])) / 0.6745, median(across[inner]) / 1.1774
-    return ways / heights if heights > 0.0 else np.inf
+    return median(np.abs(along[inner])) / 0.6745, median(across[inner]) / 1.1774

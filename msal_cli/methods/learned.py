@@ -5,13 +5,15 @@ by neighbours, along the view, in steps of depth, uneven, staircases of voxels a
 networks were trained on meshes made by script, with all of these.  Each of the ``iterations``
 stages looks at every face and the faces near it, and makes
 
-- vectors: the normal, its means over two reaches and many ranges of difference (biweights
-  (1 - |n_i - n_j|^2 / s^2)^2), means guided by the most consistent patch and by other means, planes
-  fitted to the centroids; from the second stage on the scanned normal, the stage before, and the
-  scanned normals filtered by it;
+- vectors: the normal, its means over two reaches and three ranges of difference (biweights
+  (1 - |n_i - n_j|^2 / s^2)^2), means guided by other means, planes fitted to the centroids; the
+  normals that other filters give the scan (``wiener``, its sweeps alone, ``windowed_sinc`` with
+  two pass bands), and the own ones filtered by the first of these; from the second stage on the
+  scanned normal, the stage before, and the scanned normals filtered by it;
 - numbers: which part of the weight lies within each range, how the normals and the positions
   scatter here and around, how rough the surface is when umbrellas are applied once, twice and three
-  times; the same over the whole mesh, and the ``noise``.
+  times, and how that compares with white noise of the level in the surroundings, which part of what
+  the sweeps took is shape; the same over the whole mesh, the ``noise``, and whether it is white.
 
 A network of two hidden layers gives every vector a coefficient.  The combination, normalised, is
 the new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted to
@@ -80,7 +82,7 @@ class Parameters:
         more="smoother flat and round parts, sharper edges",
     )
     vertex_iterations: int = parameter(
-        40,
+        20,
         "passes that fit the scanned vertices to the normals of the last stage",
         low=0,
         high=1000,
@@ -108,7 +110,8 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     if not stages:
         return Result(positions, seconds={"normals": 0.0, "sweeps": 0.0})
     noise, is_white = resolve_noise(mesh, parameters.noise)
-    cascade = Cascade(mesh, parameters.boundary, noise)
+    is_returned = is_white if parameters.texture == "auto" else parameters.texture == "returned"
+    cascade = Cascade(mesh, parameters.boundary, noise, is_returned)
     normals = None
     timer.start_sweeps()
     networks = load_networks()
@@ -123,7 +126,6 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     assert normals is not None
     positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
     positions = cascade.untangle(positions, normals)
-    is_returned = is_white if parameters.texture == "auto" else parameters.texture == "returned"
     if noise and is_returned:
         positions = return_texture(mesh, positions, noise)
     return timer.finish(positions)
@@ -133,14 +135,19 @@ def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool]:
     """The level in mean edge lengths, ``given`` or else estimated, and whether the noise is white.
 
     No level where none says what is wrong: on staircases, and where the estimate finds hardly any
-    noise and is not sure that there is none.  Where it is unsure it is taken for noise: who names
-    the method wants that.  Noise that is given is taken for white.
+    noise of an unknown kind.  Where it is unsure it is taken for noise: who names the method wants
+    that.  Noise that is given, and a trace of it on a clean mesh, is taken for white.
     """
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
     if given:
         return given, True
-    level = estimate_noise(mesh).assume(NOISE, mesh.mean_edge_length)
+    estimate = estimate_noise(mesh)
+    level = estimate.assume(NOISE, mesh.mean_edge_length)
     kind = level.character.kind
-    is_open = kind == "staircase" or (kind == "unknown" and level.mean_edges < MIN_KNOWN)
+    if kind == "staircase":
+        return None, False
+    if estimate.is_negligible:
+        return level.mean_edges, True
+    is_open = kind == "unknown" and level.mean_edges < MIN_KNOWN
     return None if is_open else level.mean_edges, kind == "white"

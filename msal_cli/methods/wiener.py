@@ -50,6 +50,7 @@ from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_filters import joint_bilateral
+from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.sweeps import Plain, run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
@@ -130,6 +131,23 @@ class Parameters(NormalParameters):
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Restored:
+    """A scan without its noise, before its normals are filtered.
+
+    Attributes
+    ----------
+    smooth, positions : (n, 3) after the sweeps, and with what they took beyond noise given back.
+    returned : (n,) what was given back along the normals, file units.
+    share : (n,) which part of what was taken that is.
+    """
+
+    smooth: Floats
+    positions: Floats
+    returned: Floats
+    share: Floats
+
+
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """The filter over ``mesh``; see the module's description."""
     if not parameters.iterations:
@@ -138,18 +156,30 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     noise = resolve_noise_level(mesh, parameters.noise)
     laplacian = anisotropic_laplacian(mesh, parameters)
     timer.start_sweeps()
+    restored = restore(mesh, laplacian, parameters, noise, on_sweep)
+    positions = restored.positions
+    if noise > 0.0 and parameters.normal_iterations:
+        positions = fit_to_normals(mesh, parameters, positions, noise)
+    return timer.finish(positions, {"fidelity": restored.share})
+
+
+def restore(
+    mesh: Mesh,
+    laplacian: AnisotropicLaplacian,
+    parameters: Parameters,
+    noise: float,
+    on_sweep: OnSweep,
+) -> Restored:
+    """The sweeps of ``mesh``, and what comes back for ``noise`` in file units."""
     smooth = run_sweeps(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
     normals, links = laplacian.normals, mesh.topology
-
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
     found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)
     positions = smooth - found.returned[:, None] * normals
-    if noise > 0.0 and parameters.normal_iterations:
-        positions = _fit_to_normals(mesh, parameters, positions, noise)
-    return timer.finish(positions, {"fidelity": found.share})
+    return Restored(smooth, positions, found.returned, found.share)
 
 
-def _fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
+def fit_to_normals(mesh: Mesh, parameters: Parameters, guide: Floats, noise: float) -> Floats:
     """Positions (n, 3) from ``guide`` (n, 3), fitted to the scan's normals as the guide's faces
     group them; ``noise`` in file units.
     """

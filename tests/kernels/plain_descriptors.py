@@ -39,30 +39,26 @@ def plane_normal(points, weights, base):
 
 
 class Plain:
-    """Vectors (m, 22, 3) and numbers of every face, as ``describe_normals`` has them."""
+    """Vectors (m, 14, 3) and numbers of every face, as ``NormalDescriber`` has them."""
 
     def __init__(self, normals, areas, centroids, near, units):
         self.normals, self.areas = normals, areas / areas.mean()
         self.centroids, self.near, self.units = centroids, near, units
         m = len(normals)
-        self.vectors = np.zeros((m, 22, 3))
-        self.numbers = np.zeros((m, 19))
+        self.vectors = np.zeros((m, 14, 3))
+        self.numbers = np.zeros((m, 13))
         self.tensors = np.zeros((m, 3, 3))
         for f in range(m):
             self.describe(f)
         for f in range(m):
-            best = min([f, *near[f][:16]], key=lambda g: self.numbers[g, 14])
-            self.vectors[f, 13] = self.vectors[best, 4]
-            self.numbers[f, 15] = self.numbers[best, 14]
             row = [f, *near[f]]
-            self.numbers[f, 16] = self.numbers[row, 14].mean()
+            self.numbers[f, 10] = self.numbers[row, 9].mean()
             mean_area = self.areas[row].mean()
-            self.numbers[f, 18] = self.areas[f] / (self.areas[f] + mean_area)
+            self.numbers[f, 12] = self.areas[f] / (self.areas[f] + mean_area)
         for guide, of, to, ranges in (
-            (13, 0, 14, (0.3, 0.6)),
-            (7, 0, 16, (0.25, 0.5)),
-            (7, 7, 18, (0.25, 0.5)),
-            (9, 9, 20, (0.25, 0.7)),
+            (3, 0, 8, (0.25, 0.5)),
+            (3, 3, 10, (0.25, 0.5)),
+            (5, 5, 12, (0.25, 0.7)),
         ):
             for k, s in enumerate(ranges):
                 self.vectors[:, to + k] = [
@@ -86,31 +82,25 @@ class Plain:
         row, wide_away, wide = self.weights(f, WIDE)
         _, _, narrow = self.weights(f, NARROW)
         jump = ((n[row] - n[f]) ** 2).sum(axis=1)
-        for k, s in enumerate((0.35, 0.7, 1.1, np.inf)):
-            w = narrow * biweight(jump / s**2)
-            vectors[1 + k] = to_unit(w @ n[row])
-            if k < 3:
-                numbers[k] = w.sum() / narrow.sum()
-        for k, s in enumerate((0.2, 0.4, 0.7, 1.2, np.inf)):
+        vectors[1] = to_unit(narrow @ n[row])
+        for k, s in enumerate((0.4, 0.7, 1.2, np.inf)):
             w = wide * biweight(jump / s**2)
-            vectors[5 + k] = to_unit(w @ n[row])
-            if k < 4:
-                numbers[3 + k] = w.sum() / wide.sum()
+            vectors[2 + k] = to_unit(w @ n[row])
+            if k < 3:
+                numbers[k] = w.sum() / wide.sum()
         # All in wide reaches.
-        vectors[10], square, numbers[11], numbers[12] = plane_normal(wide_away, wide, vectors[7])
-        numbers[9] = np.sqrt(square)
+        vectors[6], square, numbers[6], numbers[7] = plane_normal(wide_away, wide, vectors[3])
+        numbers[5] = np.sqrt(square)
         ranged = wide * biweight(jump / 0.7**2)
-        vectors[11] = plane_normal(wide_away, ranged, vectors[7])[0]
-        vectors[12], square, _, _ = plane_normal(wide_away, narrow, vectors[4])
-        numbers[10] = np.sqrt(square)
+        vectors[7] = plane_normal(wide_away, ranged, vectors[3])[0]
         self.tensors[f] = np.einsum("k,ki,kj->ij", wide, n[row], n[row]) / wide.sum()
         values = np.maximum(np.linalg.eigvalsh(self.tensors[f]), 0)
-        numbers[7], numbers[8] = np.sqrt(values[1]), np.sqrt(values[0])
-        numbers[13] = len(self.near[f]) / 64
-        scatter = ((n[row] - vectors[4]) ** 2).sum(axis=1)
+        numbers[3], numbers[4] = np.sqrt(values[1]), np.sqrt(values[0])
+        numbers[8] = len(self.near[f]) / 64
+        scatter = ((n[row] - vectors[1]) ** 2).sum(axis=1)
         mean = narrow @ scatter / narrow.sum()
-        numbers[14] = (scatter[narrow > 0].max() * mean) ** 0.25
-        numbers[17] = self.units[f] / (self.units[f] + self.units.mean())
+        numbers[9] = (scatter[narrow > 0].max() * mean) ** 0.25
+        numbers[11] = self.units[f] / (self.units[f] + self.units.mean())
 
     def axes(self, f):
         """Eigenvectors, greatest eigenvalue first, each turned to where the normals lean."""

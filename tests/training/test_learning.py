@@ -10,8 +10,8 @@ pytest.importorskip("skimage")
 pytest.importorskip("fast_simplification")
 pytest.importorskip("fcpw")
 
-from msal_cli.kernels.normal_descriptors import VECTORS, WIDE_FILTERED
-from msal_cli.kernels.normal_regression import GLOBALS, NUMBERS
+from msal_cli.kernels.normal_descriptors import NUMBERS, WIDE_FILTERED
+from msal_cli.kernels.normal_regression import GLOBALS, STATISTICS, count_vectors
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 from training import noise_mixture, regression
@@ -42,7 +42,9 @@ def test_every_kind_of_noise_is_drawn(monkeypatch):
         monkeypatch.setattr(noise_mixture, "MIXTURE", (kind,))
         levels = []
         for seed in range(4):
-            away = draw_noise(mesh, draw(seed)) - mesh.vertices
+            positions, is_white = draw_noise(mesh, draw(seed))
+            away = positions - mesh.vertices
+            assert is_white == (kind.name in ("none", "gaussian-normal"))
             levels.append(np.sqrt((away**2).sum(axis=1).mean()) / mesh.mean_edge_length)
         if kind.name == "none":
             assert max(levels) == 0.0
@@ -87,8 +89,8 @@ def test_the_noise_that_is_given_is_nearly_right_or_missing():
 
 def test_samples_have_targets_along_the_axes_of_their_inputs(samples):
     meshes, (inputs, targets, weights, n_vectors) = samples
-    assert inputs.shape[1] == 3 * VECTORS + NUMBERS + GLOBALS
-    assert n_vectors == VECTORS
+    assert inputs.shape[1] == 3 * count_vectors(0) + NUMBERS + STATISTICS + GLOBALS
+    assert n_vectors == count_vectors(0)
     assert len(inputs) == len(targets) == len(weights)
     assert np.abs(np.linalg.norm(targets, axis=1) - 1).max() < 1e-5
     assert weights.mean() == pytest.approx(1.0, abs=1e-5)
