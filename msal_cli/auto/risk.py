@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.candidates import ROBUST, SMOOTHER
+from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED
 from msal_cli.auto.noise_model import ISOTROPIC, build_model
 from msal_cli.auto.sample_patch import select_patch
 from msal_cli.methods._triangles import even_out
@@ -501,7 +501,7 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     runs = [run_of(given) for given in filters]
     is_gaussian = model.is_gaussian and not noise.is_impulsive
     trials = CandidateRuns(part, model, lambda: None)
-    first: Floats = trials.positions([SMOOTHER if is_gaussian else ROBUST], np.ones(1))
+    first: Floats = trials.positions([LEARNED if is_gaussian else ROBUST_LEARNED], np.ones(1))
     judge: SteinRisk | SimulatedRisk
     if is_gaussian:
         judge = SteinRisk(part, model, part.mesh.with_vertices(first).vertex_normals("uniform"))

@@ -1,12 +1,11 @@
-"""The search: candidates on parts of the mesh, their errors estimated, the best blend of them.
+"""The search: candidates on a part of the mesh, their errors estimated, the best blend of them.
 
 1. The noise is estimated.  Where there is none to speak of nothing is done, see ``choices``.
-2. Every candidate that the budget allows runs on a small part of the mesh and on a probe of it, and
-   Stein's lemma gives the error of any blend of them; the best blend is a first result.
-3. The members of that and the best by themselves are tried on a larger part.  If the first result
-   has sharp edges between smooth parts, or noise could hide them, expensive filters join in.
-4. A simulation: the best result so far is taken as the truth, and noise is added to it.
-5. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
+2. The learned filter runs on a part of the mesh.  If what it leaves is machined, it is the choice.
+3. Else every candidate that the budget allows runs there.  Stein's lemma gives the error of any
+   blend of them, and a simulation does: the best result so far is taken as the truth, and noise is
+   added to it.
+4. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
 Noise that no draw is like has a shorter search: the learned filter and wide linear ones, on a
@@ -41,9 +40,8 @@ from msal_cli.auto.candidates import (
     FARTHER,
     LEARNED,
     LINEAR,
-    ROBUST,
+    PULLED,
     ROBUST_LEARNED,
-    SMOOTHER,
     Candidate,
 )
 from msal_cli.auto.choices import (
@@ -101,15 +99,8 @@ SECONDS = 1.3e-7
 SEARCH = 0.4
 """Part of the budget that may go into looking at candidates."""
 
-GLANCE = 4_000
-"""Vertices that all candidates are tried on: enough to tell which are worth a longer look."""
-
 PART = 6_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
-
-LONGER_LOOK, SECOND_LOOK = 6, 3
-"""The best single candidates that are simulated in addition to the members of the first blend, and
-of the second."""
 
 MIN_WEIGHT = 0.04
 """Members below this weight are left out."""
@@ -128,11 +119,11 @@ much."""
 UNEVEN_WIDTH = 0.18
 """The same width, as it is taken for noise that is not the same everywhere."""
 
-HEAVY = 0.35
-"""Noise in mean edge lengths under which no first result shows whether there are sharp edges."""
-
 WEAK = 0.1
 """White noise in mean edge lengths below which a range scan may have more that neighbours share."""
+
+_RUNS = 5
+"""Runs of a candidate in a search: its own, two probes, two simulations."""
 
 THOUSANDTHS = 1000
 """Steps of weights."""
@@ -146,18 +137,10 @@ _KEEP = {"edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
 
 
 def forecast_seconds(n_vertices: int) -> float:
-    """Seconds of one core for a search and its result, by the costs of the candidates and for all
-    that a machined part is tried with."""
-    costs = [
-        candidate.cost
-        for candidate in CANDIDATES
-        if candidate is not LEARNED and not candidate.is_last_resort
-    ]
-    last = [candidate.cost for candidate in CANDIDATES if candidate.is_last_resort]
-    longer = LONGER_LOOK * sum(costs) / len(costs) + LEARNED.cost + sum(last)
-    glance, study = min(n_vertices, GLANCE), min(n_vertices, PART)
-    filters = 2 * glance * sum(costs) + 5 * study * longer + n_vertices * LEARNED.cost
-    return SECONDS * filters
+    """Seconds of one core for a search and its result, by the costs of the candidates."""
+    study = min(n_vertices, PART)
+    filters = _RUNS * study * sum(candidate.cost for candidate in CANDIDATES)
+    return SECONDS * (filters + n_vertices * LEARNED.cost)
 
 
 def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
@@ -219,43 +202,30 @@ class _Search:
 
     def choose(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
-        usable = [candidate for candidate in CANDIDATES if self._is_usable(candidate)]
+        known = CANDIDATES if self.mesh.trust is None else PULLED
+        usable = [candidate for candidate in known if self._is_usable(candidate)]
         # A budget of one run leaves nothing for trials.
-        usable = usable or [min(CANDIDATES, key=lambda candidate: candidate.cost)]
-        later = [candidate for candidate in usable if candidate is LEARNED]
-        last = [candidate for candidate in usable if candidate.is_last_resort]
-        at_first = [candidate for candidate in usable if candidate not in (*later, *last)] or usable
-        if later and not (self.is_unsure or self._is_drawn):
-            return self._choose_by_mirror(surface_kind(self._trials(PART).result(ROBUST_LEARNED)))
-        self._total = 2 * len(at_first) + 5 * (LONGER_LOOK + len(later + last)) + 1
-        glance = self._trials(GLANCE)
-        risk = self._look(glance, at_first)
-        weights = self._best([risk])
-        surface = surface_kind(glance.part.mesh.with_vertices(glance.positions(at_first, weights)))
-        shortlist = self._shortlist(risk, weights, LONGER_LOOK)
-        members = [at_first[k] for k in shortlist]
-        weights = weights[shortlist]
-        tried = len(at_first)
-        is_sharp = self._may_be_sharp(surface)
-        later += last if is_sharp else []
-        later = [candidate for candidate in later if candidate not in members]
-        members += later
-        weights = np.concatenate([weights, np.zeros(len(later))])
-        tried += len(later)
-        study = self._trials(PART)
-        first = study.positions(members, weights)
-        again = study.simulate(members, first)
-        weights = self._best([again.risk()])
-        # Only the best are simulated twice.
-        shortlist = self._shortlist(again.risk(), weights, SECOND_LOOK)
-        members, weights = [members[k] for k in shortlist], weights[shortlist]
+        usable = usable or [min(known, key=lambda candidate: candidate.cost)]
+        study, surface = self._trials(PART), ORGANIC
+        pilot = usable[0]
+        if pilot is LEARNED:
+            is_drawn = self.is_unsure or self._is_drawn
+            surface = surface_kind(study.result(LEARNED if is_drawn else ROBUST_LEARNED))
+            if not is_drawn:
+                return self._choose_by_mirror(surface)
+            if surface == MACHINED and self.wishes.prefer == "balanced":
+                usable = [LEARNED]
+        self._total = _RUNS * len(usable) + 1
+        first = study.positions([pilot], np.ones(1))
         judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
-        if self._is_gaussian and self._doubt > 0.0 and not is_sharp:
-            judges.append((study.by_stein(members, first, PROBES), self._doubt))
-            both = [judges[0][0].risk().counted(self._doubt), again.risk().of(shortlist)]
-            weights = self._best(both)
-        judges.append((study.simulate(members, study.positions(members, weights)), 1.0))
-        return self._choice(study, members, judges, surface, tried)
+        if len(usable) > 1:
+            if self._is_gaussian and self._doubt > 0.0:
+                judges.append((study.by_stein(usable, first, PROBES), self._doubt))
+            again = study.simulate(usable, first)
+            weights = self._best(_risks([*judges, (again, 1.0)]))
+            first = study.positions(usable, weights)
+        judges.append((study.simulate(usable, first), 1.0))
+        return self._choice(study, usable, judges, surface, len(usable))
 
     def _choose_by_mirror(self, surface: str) -> Choice:
         """The best blend of the learned filter and wide linear ones.
@@ -285,14 +255,6 @@ class _Search:
         self.unit = mirrors[0].level
         judges: list[tuple[SteinRisk | SimulatedRisk, float]] = [(judge, 1.0) for judge in mirrors]
         return self._choice(study, members, judges, surface, len(members))
-
-    def _look(self, glance: CandidateRuns, candidates: Sequence[Candidate]) -> Risk:
-        """The risk of all candidates, by Stein's lemma where it holds."""
-        if self._is_gaussian:
-            first = glance.positions([SMOOTHER], np.ones(1))
-            return glance.by_stein(candidates, first, 1).risk()
-        first = glance.positions([ROBUST], np.ones(1))
-        return glance.simulate(candidates, first).risk()
 
     def _by_level(
         self, part: Part, judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], weights: Floats
@@ -388,9 +350,6 @@ class _Search:
         level = self.noise.mean_edges
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
-    def _may_be_sharp(self, surface: str) -> bool:
-        return surface == MACHINED or self._noise_edges(self.mesh) >= HEAVY
-
     def _is_usable(self, candidate: Candidate) -> bool:
         """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
         spare = self.allowance * (1.0 - SEARCH)
@@ -419,11 +378,6 @@ class _Search:
             places, tilts = risk.log_errors(FLOOR)
             score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
-
-    def _shortlist(self, risk: Risk, weights: Floats, count: int) -> list[int]:
-        """The members of a first blend, and so many of the best by themselves."""
-        best = np.argsort(self._scores([risk]), kind="stable")[:count]
-        return sorted({*np.flatnonzero(weights >= 0.01).tolist(), *best.tolist()})
 
     def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
         """The best weights, rounded, of few members whose runs over the mesh fit the budget."""

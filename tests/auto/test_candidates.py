@@ -38,7 +38,8 @@ def test_a_farther_reach_is_a_multiple_of_the_noise():
 
 
 def test_every_name_is_in_use():
-    used = {one.method for one in (*CANDIDATES, *candidates.LINEAR)}
+    tried = (*CANDIDATES, *candidates.PULLED, *candidates.LINEAR, candidates.FLATTENER)
+    used = {candidate.method for candidate in tried}
     # The others are schedules that the plain command chooses.
     assert set(NAMES) == used | set(candidates._KINDS.values())
     assert set(candidates._WORDS) <= set(NAMES)
@@ -47,8 +48,8 @@ def test_every_name_is_in_use():
 def test_labels_read_like_words():
     assert label("al", iterations=1, mollify=2) == "AL (1 sweep, 2 mollifications)"
     assert label("msal", K=0.25, mollify=1) == "MSAL (K = 0.25, 1 mollification)"
-    assert label("guided_normal", similarity=0.6, iterations=21) == (
-        "guided normals (sigma_r 0.6, 21 iterations)"
+    assert label("bilateral_normal", similarity=0.6, iterations=21) == (
+        "bilateral normals (sigma_s 0.6, 21 iterations)"
     )
     assert label("learned") == "learned"
     assert label("windowed_sinc", pass_band=0.1, iterations=20) == (

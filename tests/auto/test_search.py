@@ -132,12 +132,16 @@ def test_noise_at_few_vertices_is_called_impulsive(mesh, spiky):
     assert chosen(mesh, budget=1.0).reason.startswith("noise ")
 
 
-def test_keeping_texture_moves_less_and_keeping_shape_more():
-    # Bumps of two edges' length on a torus, and noise beneath them.
+@pytest.fixture(scope="module")
+def bumpy():
+    """Bumps of two edges' length on a torus, and noise beneath them."""
     vertices, faces = torus(60, 30)
-    bumps = 0.02 * np.sin(9.0 * vertices[:, 0]) * np.sin(9.0 * vertices[:, 1])
-    vertices[:, 2] += bumps
-    mesh = prepare_mesh(noisy(vertices, 0, 0.04), faces).mesh
+    vertices[:, 2] += 0.02 * np.sin(9.0 * vertices[:, 0]) * np.sin(9.0 * vertices[:, 1])
+    return prepare_mesh(noisy(vertices, 0, 0.04), faces).mesh
+
+
+def test_keeping_texture_moves_less_and_keeping_shape_more(bumpy):
+    mesh = bumpy
     texture, plain, shape = (
         moved_edges(mesh, made_by(chosen(mesh, **wish), mesh))
         for wish in ({"keep": "texture"}, {}, {"keep": "shape"})
@@ -159,7 +163,8 @@ def test_what_is_preferred_comes_out_better():
     # Within what an estimate may err.
     assert errors["positions"][0] <= 1.02 * errors["normals"][0]
     assert errors["normals"][1] <= 1.02 * errors["positions"][1]
-    assert errors["volume"][2] < 0.5 * errors["normals"][2]
+    assert errors["volume"][2] <= errors["normals"][2]
+    assert errors["volume"][2] < 0.001
 
 
 @pytest.mark.parametrize("budget", [1.0, 1.2, 2.0])
@@ -176,8 +181,8 @@ def test_the_choice_keeps_within_the_budget(large, budget):
         assert choice.runners_up == ()
 
 
-def test_weights_are_whole_hundredths_of_methods_that_were_tried(mesh):
-    choice = chosen(mesh)
+def test_weights_are_whole_hundredths_of_methods_that_were_tried(bumpy):
+    choice = chosen(bumpy)
     members = members_of(choice)
     assert len(members) == choice.parameters["members"].count("*") > 1
     assert sum(weight for weight, _ in members) <= 1.0 + 1e-9

@@ -179,7 +179,7 @@ def test_whole_hundredths_are_written_short():
 def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
     most = max(methods.find(one.method).bytes_per_face for one in CANDIDATES)
     assert BLEND.bytes_per_face >= most + KEPT_PER_FACE
-    of_plain = {"blend", "hc", "taubin"}
+    of_plain = {"blend", "hc", "msal", "taubin"}
     assert {one.method for one in CANDIDATES} | of_plain == set(selection.METHODS)
 
 
