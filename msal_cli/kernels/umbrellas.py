@@ -14,7 +14,7 @@ the next term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
+from msal_cli.kernels.vectors import ONE, THREE, TWO
 
 
 @compiled
@@ -158,49 +159,68 @@ KEPT = 0.99904
 
 
 @compiled
-def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weight, after, moves):
-    """``twice`` (now + U now / 2) - (twice - 1) before, and its term added to the moves."""
-    for i in range(start, stop):
-        m = ring_start[i + 1] - ring_start[i]
-        share = 0.5 / m if m else 0.0
-        for axis in range(3):
-            here = now[i, axis]
-            total = 0.0
-            for at in range(ring_start[i], ring_start[i + 1]):
-                total += now[ring[at], axis] - here
-            value = twice * (here + share * total) - (twice - 1.0) * before[i, axis]
-            after[i, axis] = value
-            moves[i, axis] += weight * (value - x[i, axis])
+def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weights, after, moves):
+    """``twice`` (now + U now / 2) - (twice - 1) before, and its terms, by one weight for each
+    filter, added to the moves of the filters; positions and moves are flat."""
+    rest = twice - 1.0
+    for i in range(np.uint64(start), np.uint64(stop)):
+        at, end = ring_start[i], ring_start[i + ONE]
+        share = 0.5 / np.float64(end - at) if end > at else 0.0
+        o = THREE * i
+        hx, hy, hz = now[o], now[o + ONE], now[o + TWO]
+        tx = ty = tz = 0.0
+        for place in range(at, end):
+            k = THREE * np.uint64(ring[place])
+            tx += now[k] - hx
+            ty += now[k + ONE] - hy
+            tz += now[k + TWO] - hz
+        vx = twice * (hx + share * tx) - rest * before[o]
+        vy = twice * (hy + share * ty) - rest * before[o + ONE]
+        vz = twice * (hz + share * tz) - rest * before[o + TWO]
+        after[o], after[o + ONE], after[o + TWO] = vx, vy, vz
+        vx, vy, vz = vx - x[o], vy - x[o + ONE], vz - x[o + TWO]
+        for one in range(len(weights)):
+            moves[one, o] += weights[one] * vx
+            moves[one, o + ONE] += weights[one] * vy
+            moves[one, o + TWO] += weights[one] * vz
 
 
 def smooth_by_windowed_sinc(
     vertices: Floats,
     ring_start: Ints,
     ring: Ints,
-    coefficients: Floats,
+    coefficients: Sequence[Floats],
     on_pass: Callable[[int, int], None] | None = None,
-) -> Floats:
-    """The vertices (n, 3) filtered, each ring row (n + 1,), (...,) being averaged over.
+) -> list[Floats]:
+    """The vertices (n, 3) as each filter leaves them, ring rows (n + 1,), (...,) averaged over.
 
-    ``coefficients`` (passes + 1,) are those of the terms; the sum of all is taken for 1, so that
-    what is constant stays, and so does a vertex whose row is empty.
+    The ``coefficients`` (passes + 1,) of a filter are those of its terms; the sum of all is taken
+    for 1, so that what is constant stays, and so does a vertex whose row is empty.  Filters share
+    the polynomials.
     """
-    moves = np.zeros_like(vertices)
-    before = now = vertices
+    count = max(len(terms) for terms in coefficients) - 1
+    weights = np.zeros((count + 1, len(coefficients)))
+    for place, terms in enumerate(coefficients):
+        weights[: len(terms), place] = terms
+    x = np.ascontiguousarray(vertices).reshape(-1)
+    rows = ring_start.view(np.uint32), ring.view(np.uint32)
+    moves = np.zeros((len(coefficients), len(x)))
+    before = now = x
     spare: list[Floats] = []
-    count = len(coefficients) - 1
     for done in range(1, count + 1):
-        after = spare.pop() if spare else np.empty_like(vertices)
-        term = 1.0 if done == 1 else 2.0, float(coefficients[done])
-        rows = vertices, ring_start, ring, before, now
-        over_ranges(_next_polynomial, len(vertices), *rows, *term, after, moves)
-        if before is not vertices:
+        after = spare.pop() if spare else np.empty_like(x)
+        twice = 1.0 if done == 1 else 2.0
+        outcome = after, moves
+        over_ranges(
+            _next_polynomial, len(vertices), x, *rows, before, now, twice, weights[done], *outcome
+        )
+        if before is not x:
             spare.append(before)
         before, now = now, after
         if on_pass is not None:
             on_pass(done, count)
-    moves += vertices
-    return moves
+    moves += x
+    return [move.reshape(-1, 3) for move in moves]
 
 
 def sinc_coefficients(pass_band: float, passes: int) -> Floats:

@@ -44,9 +44,8 @@ def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool) -> Evidence
     restored = wiener.restore(mesh, laplacian, parameters, unit, _ignore)
     outcomes = [wiener.fit_to_normals(mesh, parameters, restored.positions, unit), restored.smooth]
     rings = ring_of(mesh, windowed_sinc.Parameters().boundary)
-    for iterations, pass_band in SINCS:
-        coefficients = sinc_coefficients(pass_band, iterations)
-        outcomes.append(smooth_by_windowed_sinc(mesh.vertices, *rings, coefficients, _ignore))
+    terms = [sinc_coefficients(pass_band, iterations) for iterations, pass_band in SINCS]
+    outcomes += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
     normals = tuple(face_normals(outcome, mesh.faces).astype(np.float32) for outcome in outcomes)
     return Evidence(noise, is_white, normals, _measure_surroundings(mesh, restored, unit))
 

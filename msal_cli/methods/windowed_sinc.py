@@ -62,5 +62,5 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     rings = ring_of(mesh, parameters.boundary)
     timer.start_sweeps()
     coefficients = sinc_coefficients(parameters.pass_band, parameters.iterations)
-    vertices = smooth_by_windowed_sinc(mesh.vertices, *rings, coefficients, on_sweep)
+    (vertices,) = smooth_by_windowed_sinc(mesh.vertices, *rings, [coefficients], on_sweep)
     return timer.finish(vertices)
