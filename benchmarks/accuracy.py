@@ -16,9 +16,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from benchmarks import accuracy_tables, accuracy_trials, ground_truth
-from benchmarks.accuracy_grid import defaults, grid
-from benchmarks.accuracy_outcomes import AUTO, Outcome, Outcomes
+from benchmarks.accuracy_grid import Setting, defaults, grid
+from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome, Outcomes
+from benchmarks.plain_accuracy import plain
 from msal_cli.auto import Wishes
 
 COMMON = {
@@ -30,6 +33,10 @@ COMMON = {
 """Members that the classes share with those that the goals were set for."""
 
 PARTS = ("classes", "wishes", "robustness", "reasons")
+"""What is printed by default."""
+
+CHOICES = "choices"
+"""A part that takes minutes: what the command chooses, beside the learned filter by name."""
 
 Rows = dict[str, dict[str, Outcome]]
 
@@ -71,6 +78,28 @@ def print_classes(found: dict[str, Rows]) -> None:
         print("\n".join(accuracy_tables.models(rows, grid())), flush=True)
 
 
+def print_choices(held: Outcomes, quick: bool) -> None:
+    """The means of every class and each case, as the command makes them without a parameter."""
+    learned = Setting("learned", {})
+    rows: dict[str, list[str]] = {}
+    means: dict[str, list[list[tuple[float, float]]]] = {}
+    for case in ground_truth.cases(quick):
+        found = held.of(case, [learned], {AUTO: Wishes()})
+        made = [found[NOISY], plain(*case.made()), found[learned.text], found[AUTO]]
+        pairs = [(outcome.angle_deg, outcome.vertex_percent) for outcome in made]
+        means.setdefault(case.of, []).append(pairs)
+        cells = " | ".join(f"{angle:.2f} / {error:.1f}" for angle, error in pairs)
+        rows.setdefault(case.of, []).append(f"| {case.name} | {cells} | {made[-1].reason} |")
+    print("| class | noisy | plain command | `learned` | **`--auto`** |\n|---|--:|--:|--:|--:|")
+    for of, pairs_of_cases in means.items():
+        mean = np.mean(pairs_of_cases, axis=0)
+        cells = " | ".join(f"{angle:.2f} / {error:.1f}" for angle, error in mean)
+        print(f"| {of} ({len(pairs_of_cases)}) | {cells} |")
+    print("\n| mesh | noisy | plain command | `learned` | **`--auto`** | chosen |")
+    print("|---|--:|--:|--:|--:|---|")
+    print("\n".join(line for lines in rows.values() for line in lines))
+
+
 def print_wishes(held: Outcomes, quick: bool) -> None:
     """The table of wishes."""
     rows = {
@@ -99,7 +128,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--cache", type=Path, help="JSON file that keeps what was run")
     parser.add_argument("--quick", action="store_true", help="leave igea and the dragon out")
     parser.add_argument("--again", action="store_true", help="run --auto anew")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="default: all")
+    parser.add_argument("--parts", nargs="+", choices=(*PARTS, CHOICES), default=PARTS)
     arguments = parser.parse_args(words)
     try:
         held = Outcomes(arguments.cache)
@@ -111,6 +140,8 @@ def main(words: list[str] | None = None) -> None:
         found = class_rows(held, arguments.quick)
         if "classes" in arguments.parts:
             print_classes(found)
+    if CHOICES in arguments.parts:
+        print_choices(held, arguments.quick)
     if "wishes" in arguments.parts:
         print_wishes(held, arguments.quick)
     if "robustness" in arguments.parts:
