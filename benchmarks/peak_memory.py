@@ -25,11 +25,12 @@ from msal_cli.storage import gzip_streams
 _CHILD = """
 import sys
 from dataclasses import asdict
-from msal_cli import methods, selection
+from msal_cli import methods
+from msal_cli.auto import Wishes
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import AUTO, Settings, Task
 source, target, name = sys.argv[1:]
-given = asdict(selection.Wishes()) if name == AUTO else methods.find(name).validate({})
+given = asdict(Wishes()) if name == AUTO else methods.find(name).validate({})
 record = denoise_file(Task(source, target, "x"), Settings(name, given))
 assert record.error is None, record.error
 for line in open("/proc/self/status"):
