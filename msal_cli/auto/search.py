@@ -279,10 +279,10 @@ class _Search:
         return hedge(gain, moved)
 
     def _strengthen(
-        self, study: CandidateRuns, members: Sequence[Candidate], rows: Floats
+        self, study: CandidateRuns, members: Sequence[Candidate], rows: Floats, strength: float
     ) -> tuple[list[Candidate], Floats]:
         """The members and weights (levels, k) with one more, so that vertices move as much farther
-        as the strength asks for."""
+        as the ``strength`` asks for."""
         part, used = study.part, np.flatnonzero(rows.any(axis=0)).tolist()
         spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
         spare -= sum(members[k].cost for k in used)
@@ -302,7 +302,7 @@ class _Search:
                 weight = np.interp(self.local[numbers], self.levels, rows[:, k])[:, None]
             base += weight * study.moves(members[k])
         moves = [study.moves(candidate)[part.judged] + evened for candidate in stronger]
-        k, share = strengthen(base[part.judged] + evened, moves, self.wishes.strength)
+        k, share = strengthen(base[part.judged] + evened, moves, strength)
         mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
         weights = np.stack([round_weights(row, THOUSANDTHS) for row in mixed])
         return [*members, stronger[k]], weights
@@ -414,9 +414,11 @@ class _Search:
         weights = self._prune(members, risks)
         rows = self._by_level(study.part, judges, weights)
         share = wished_share(self.wishes) * (self._hedge(risks, weights) if self.is_unsure else 1.0)
-        is_strengthened = self.wishes.strength > 0.0 and bool(rows.any())
+        # Only the smooth shape is wanted: farther, whatever the filters make of more noise.
+        strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
+        is_strengthened = strength > 0.0 and bool(rows.any())
         if is_strengthened:
-            members, rows = self._strengthen(study, members, rows)
+            members, rows = self._strengthen(study, members, rows, strength)
         share = round(share, 3)
         self._finish()
         edge = self.mesh.mean_edge_length
