@@ -120,6 +120,8 @@ CHANGING = (
     (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|\+00:00)?", "TIME"),
     (r"\d+\.\d+\.\d+(?:\.?(?:dev|post|rc)\w*)?", "VERSION"),
     (r"(?m) +[\d,]+ +\d+\.\d\d(?=  |$)", "  RATE TIME"),
+    # Where no face is flipped.
+    (r" +\d+\.\d\d(?=  [a-z])", "  TIME"),
     (r" {2,}", "  "),
     (r"(?m)^.*(?:vertices/s|time  |files? in ).*$", "TIMES"),
     (r"\b(?:\d+ min )?\d[\d,]*(?:\.\d+)? (?:s|ms|seconds|MB|GB)\b", "AMOUNT"),
