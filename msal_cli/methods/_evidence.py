@@ -17,7 +17,12 @@ from msal_cli.kernels.geometry import face_normals, ring_means
 from msal_cli.kernels.normal_regression import STATISTICS, Evidence, measure_ripples
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.mesh import Mesh
-from msal_cli.methods import wiener, windowed_sinc
+from msal_cli.methods._restoration import (
+    RestorationParameters,
+    Restored,
+    fit_to_normals,
+    restore,
+)
 from msal_cli.methods._rings import ring_of
 from msal_cli.methods._sliding import measure_second_umbrella
 from msal_cli.methods._sweeps import anisotropic_laplacian
@@ -39,11 +44,11 @@ def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool) -> Evidence
     """The evidence for ``mesh``; ``noise`` in mean edge lengths, None where it is not known."""
     level = max(_guess_level(mesh) if noise is None else noise, MIN_LEVEL)
     unit = level * mesh.mean_edge_length
-    parameters = wiener.Parameters()
+    parameters = RestorationParameters()
     laplacian = anisotropic_laplacian(mesh, parameters)
-    restored = wiener.restore(mesh, laplacian, parameters, unit, _ignore)
-    outcomes = [wiener.fit_to_normals(mesh, parameters, restored.positions, unit), restored.smooth]
-    rings = ring_of(mesh, windowed_sinc.Parameters().boundary)
+    restored = restore(mesh, laplacian, parameters, unit, _ignore)
+    outcomes = [fit_to_normals(mesh, parameters, restored.positions, unit), restored.smooth]
+    rings = ring_of(mesh, "curve")
     terms = [sinc_coefficients(pass_band, iterations) for iterations, pass_band in SINCS]
     outcomes += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
     normals = tuple(face_normals(outcome, mesh.faces).astype(np.float32) for outcome in outcomes)
@@ -60,7 +65,7 @@ def _guess_level(mesh: Mesh) -> float:
     return heights / (float(np.sqrt(WHITE_POWERS[1])) * (mesh.mean_edge_length or 1.0))
 
 
-def _measure_surroundings(mesh: Mesh, restored: wiener.Restored, unit: float) -> Floats32:
+def _measure_surroundings(mesh: Mesh, restored: Restored, unit: float) -> Floats32:
     """Numbers from 0 to 1 of the surroundings of each face, (m, STATISTICS); ``unit`` is the noise
     in file units."""
     links = mesh.topology

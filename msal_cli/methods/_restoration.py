@@ -1,0 +1,160 @@
+"""A scan without white noise: sweeps of AL, what they took beyond noise given back, normals fitted.
+
+It is what ``wiener`` does, and what the learned filter looks at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from msal_cli.arrays import Floats
+from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
+from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.normal_filters import joint_bilateral
+from msal_cli.kernels.operators import AnisotropicLaplacian
+from msal_cli.kernels.restoration import restoration
+from msal_cli.kernels.sweeps import Plain, run_sweeps
+from msal_cli.kernels.vertex_update import update_vertices
+from msal_cli.mesh import Mesh
+from msal_cli.methods._contract import OnSweep, parameter
+from msal_cli.methods._sweeps import (
+    NormalParameters,
+    caution_parameter,
+    free_vertices,
+    noise_parameter,
+)
+
+
+@dataclass(frozen=True)
+class RestorationParameters(NormalParameters):
+    """Parameters of the Wiener-filtered residual and of the normals that follow it."""
+
+    iterations: int = parameter(
+        6,
+        "plain sweeps at the beginning; 0 returns the mesh as it is",
+        symbol="n",
+        low=0,
+        high=1000,
+        more="smoother under strong noise, hardly else",
+    )
+    mollify: int = parameter(
+        2,
+        "passes that average the normals over the one-ring before the first sweep",
+        low=0,
+        high=100,
+        more="smoother normals: flatter flats under heavy noise, softer edges",
+    )
+    noise: float = noise_parameter(of="")
+    caution: float = caution_parameter(0.75, of="")
+    normal_iterations: int = parameter(
+        3,
+        "passes over the face normals; 0 leaves this step out",
+        low=0,
+        high=1000,
+        more="smoother",
+    )
+    similarity: float = parameter(
+        2.25,
+        "width of the Gaussian of the differences between unit normals of the result, over the "
+        "noise in mean edge lengths",
+        symbol="sigma_s",
+        low=0.01,
+        high=100.0,
+        more="smoother; edges of larger angles go",
+    )
+    closeness: float = parameter(
+        1.25,
+        "width of the Gaussian of the distances between centroids",
+        symbol="sigma_c",
+        low=0.01,
+        high=100.0,
+        unit="mean distances of the centroids of faces that share an edge",
+        more="smoother, up to the plain average of the neighbours",
+    )
+    scan_share: float = parameter(
+        0.75,
+        "share of the scan's normals in those that are filtered, beside those of the result",
+        low=0.0,
+        high=1.0,
+        more="positions closer to the scan, and finer texture; less is smoother",
+    )
+    vertex_iterations: int = parameter(
+        2,
+        "passes that fit the vertices to the filtered normals",
+        low=0,
+        high=1000,
+        more="faces closer to their normals",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Restored:
+    """A scan without its noise, before its normals are filtered.
+
+    Attributes
+    ----------
+    smooth, positions : (n, 3) after the sweeps, and with what they took beyond noise given back.
+    returned : (n,) what was given back along the normals, file units.
+    share : (n,) which part of what was taken that is.
+    """
+
+    smooth: Floats
+    positions: Floats
+    returned: Floats
+    share: Floats
+
+
+def restore(
+    mesh: Mesh,
+    laplacian: AnisotropicLaplacian,
+    parameters: RestorationParameters,
+    noise: float,
+    on_sweep: OnSweep,
+) -> Restored:
+    """The sweeps of ``mesh``, and what comes back for ``noise`` in file units."""
+    smooth = run_sweeps(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
+    normals, links = laplacian.normals, mesh.topology
+    residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
+    found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)
+    positions = smooth - found.returned[:, None] * normals
+    return Restored(smooth, positions, found.returned, found.share)
+
+
+def fit_to_normals(
+    mesh: Mesh, parameters: RestorationParameters, guide: Floats, noise: float
+) -> Floats:
+    """Positions (n, 3) from ``guide`` (n, 3), fitted to the scan's normals as the guide's faces
+    group them; ``noise`` in file units.
+    """
+    faces = mesh.faces
+    like, areas = face_normals_and_areas(guide, faces)
+    scanned, _ = face_normals_and_areas(mesh.vertices, faces)
+    centroids = face_centroids(guide, faces)
+    across_edges = face_rings(faces, mesh.topology, "edge")
+    unit = mean_centroid_distance(centroids, *across_edges)
+    ring_start, ring = face_rings(faces, mesh.topology, "vertex")
+    scan_share = parameters.scan_share
+    normals = scan_share * scanned + (1.0 - scan_share) * like
+    lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+    normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    for _ in range(parameters.normal_iterations):
+        normals = joint_bilateral(
+            normals,
+            like,
+            centroids,
+            areas,
+            ring_start.astype(np.int64),
+            ring,
+            sigma_s=parameters.closeness * (unit or mesh.mean_edge_length),
+            sigma_r=parameters.similarity * noise / mesh.mean_edge_length,
+        )
+    return update_vertices(
+        guide,
+        normals,
+        faces,
+        mesh.topology,
+        free_vertices(mesh, parameters.boundary),
+        parameters.vertex_iterations,
+    )
