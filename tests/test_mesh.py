@@ -158,3 +158,18 @@ def test_vertices_known_to_be_distinct_need_no_welding():
     assert one.defects == two.defects
     assert np.array_equal(one.mesh.vertices, two.mesh.vertices)
     assert np.array_equal(one.mesh.faces, two.mesh.faces)
+
+
+def test_a_mesh_with_few_vertices_moved_knows_what_it_would_compute():
+    vertices, faces = torus()
+    mesh = prepare_mesh(vertices, faces).mesh
+    moved = np.array([3, 4, 17, len(mesh.vertices) - 1])
+    positions = mesh.vertices.copy()
+    ways = np.random.default_rng(0).normal(size=(len(moved), 3))
+    positions[moved] += mesh.mean_edge_length * ways
+    known, computed = mesh.with_moved(positions, moved), mesh.with_vertices(positions)
+    assert known.mean_edge_length == computed.mean_edge_length != mesh.mean_edge_length
+    for mollify in (0, 1):
+        normals = known.vertex_normals("uniform", mollify)
+        assert np.array_equal(normals, computed.vertex_normals("uniform", mollify))
+        assert not np.array_equal(normals, mesh.vertex_normals("uniform", mollify))

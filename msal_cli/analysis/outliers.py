@@ -110,6 +110,8 @@ class _Search:
             self.may_move &= ~mesh.fixed_vertices
         self.scores = np.full(n, outliers.NOT_JUDGED)
         self.flags = np.zeros(n, dtype=np.bool_)
+        # Of the others as they are now, once it is estimated.
+        self.noise: NoiseLevel | None = None
 
     def run(self) -> Outliers:
         """All passes."""
@@ -149,6 +151,8 @@ class _Search:
         design that were moved look like noise."""
         from msal_cli.analysis.noise_estimate import estimate_noise
 
+        if not are_certain and share <= USUAL:
+            return False
         after = self._noise()
         # What looks like noise, and is not, is detail, which outliers exceed as well.
         is_detail = after.is_negligible and after.is_unsure
@@ -163,7 +167,10 @@ class _Search:
         """The noise of all others."""
         from msal_cli.analysis.noise_estimate import estimate_noise
 
-        return estimate_noise(self.mesh.with_vertices(self.positions))
+        if self.noise is None:
+            moved = np.flatnonzero(self.flags)
+            self.noise = estimate_noise(self.mesh.with_moved(self.positions, moved))
+        return self.noise
 
     def _are_beyond(self, noise_edges: float) -> bool:
         """Whether the outliers went much further than noise of so many mean edge lengths does."""
@@ -210,6 +217,7 @@ class _Search:
 
     def _move(self, which: Longs, targets: Floats) -> None:
         self.positions[which] = targets
+        self.noise = None
         self._score(outliers.mark_two_rings(which, self.mesh.topology))
 
 

@@ -97,7 +97,8 @@ def _in_space(vertices: Floats) -> NDArray[np.int64]:
     for axis in range(3):
         cell = np.minimum((vertices[:, axis] - low[axis]) * (CELLS / extent), CELLS - 1)
         key |= apart[cell.astype(np.int32)] << axis
-    return np.argsort(key, kind="stable")
+    # Sorted with their places below them, keys are in order as by a stable sort, and sooner.
+    return np.sort((key.astype(np.int64) << 32) | np.arange(len(key))) & 0xFFFFFFFF
 
 
 def _grow(

@@ -7,10 +7,12 @@ normal, and a zero vector takes its place.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import arctangents
@@ -176,6 +178,55 @@ def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
 
 
 @compiled
+def _mark_rings(chosen, ring_start, ring, marks):
+    for i in chosen:
+        marks[i] = True
+        for at in range(ring_start[i], ring_start[i + 1]):
+            marks[ring[at]] = True
+
+
+def mark_rings(chosen: Longs, links: Connectivity) -> Flags:
+    """The vertices ``chosen`` (c,) and those at most one edge away from one, (n,)."""
+    marks = np.zeros(len(links.ring_start) - 1, dtype=np.bool_)
+    _mark_rings(chosen, *links.one_ring, marks)
+    return marks
+
+
+@compiled
+def _normals_at(start, stop, chosen, vertices, faces, face_start, incident, normals):
+    """Renew the unit normals of the vertices ``chosen``, their faces counting alike, as
+    ``_normal_sums`` and ``_unit_sums`` compute them; how many vanish."""
+    vanished = 0
+    for at in range(start, stop):
+        i = chosen[at]
+        sx = sy = sz = weight = 0.0
+        for place in range(face_start[i], face_start[i + 1]):
+            f = incident[place]
+            nx, ny, nz, _ = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+            sx += nx
+            sy += ny
+            sz += nz
+            weight += (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
+        length = np.sqrt(sx * sx + sy * sy + sz * sz)
+        if length > VANISHED * weight:
+            normals[i, 0], normals[i, 1], normals[i, 2] = sx / length, sy / length, sz / length
+        else:
+            vanished += 1
+    return vanished
+
+
+def renew_normals(
+    known: Floats, vertices: Floats, faces: Ints, links: Connectivity, moved: Longs
+) -> Floats | None:
+    """Normals (n, 3) as ``vertex_normals`` with weighting ``uniform`` gives them, from those
+    ``known`` before the vertices ``moved`` (c,) were elsewhere; None where one vanishes."""
+    chosen = np.flatnonzero(mark_rings(moved, links))
+    normals = known.copy()
+    around = vertices, faces, *links.incidence, normals
+    return None if any(over_ranges(_normals_at, len(chosen), chosen, *around)) else normals
+
+
+@compiled
 def _mollify(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
         sx = sy = sz = 0.0
@@ -281,21 +332,88 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
         counts[row] = count + filled
 
 
-def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
-    """Mean length of the unique edges, in file units; zero without edges.
+@compiled
+def _add_edges_at(chosen, is_chosen, vertices, ring_start, ring, bins):
+    """Add the edges that have one of the ``chosen`` ends, each once; how many they are."""
+    lengths = np.empty(LENGTHS_AT_ONCE)
+    bits = lengths.view(np.int64)
+    count = filled = 0
+    for i in chosen:
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            if k > i or not is_chosen[k]:
+                dx = vertices[k, 0] - vertices[i, 0]
+                dy = vertices[k, 1] - vertices[i, 1]
+                dz = vertices[k, 2] - vertices[i, 2]
+                lengths[filled] = np.sqrt(dx * dx + dy * dy + dz * dz)
+                filled += 1
+                if filled == LENGTHS_AT_ONCE:
+                    _add_exactly(bits, filled, bins)
+                    count += filled
+                    filled = 0
+    _add_exactly(bits, filled, bins)
+    return count + filled
 
-    It is the float64 next to the mean of their lengths as they are computed, in whatever order: the
-    sum is a whole number of 2^-1075, which does not depend on the number of threads.
+
+def _exact_sum(bins: Longs) -> int:
+    """What ``_add_exactly`` has added up, in units of 2^-1075."""
+    total, sums = 0, bins.reshape(2, POWERS)
+    for power in np.flatnonzero(sums.any(axis=0)).tolist():
+        total += ((int(sums[0, power]) << 26) + int(sums[1, power])) << power
+    return total
+
+
+@dataclass(frozen=True)
+class EdgeSum:
+    """The lengths of all edges of a mesh, added up exactly.
+
+    Attributes
+    ----------
+    total : their sum, file units times 2^1075.
+    count : how many they are.
+    """
+
+    total: int
+    count: int
+
+    @property
+    def mean(self) -> float:
+        """Mean length, file units: the float64 next to it; zero without edges."""
+        # Python rounds a quotient of integers once, however large they are.
+        return self.total / (self.count << 1075) if self.count else 0.0
+
+
+def sum_edges(vertices: Floats, ring_start: Ints, ring: Ints) -> EdgeSum:
+    """The lengths of all unique edges, as they are computed.
+
+    The sum is a whole number of 2^-1075, which does not depend on the number of threads.
     """
     rows = max(1, min(len(vertices) // MIN_RANGE, threads()))
     bins, counts = np.zeros((rows, 2 * POWERS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
     over_ranges(_add_edge_lengths, rows, vertices, ring_start, ring, bins, counts, smallest=1)
-    total, count = 0, int(counts.sum())
-    sums = bins.sum(axis=0).reshape(2, POWERS)
-    for power in np.flatnonzero(sums.any(axis=0)).tolist():
-        total += ((int(sums[0, power]) << 26) + int(sums[1, power])) << power
-    # Python rounds a quotient of integers once, however large they are.
-    return total / (count << 1075) if count else 0.0
+    return EdgeSum(_exact_sum(bins.sum(axis=0)), int(counts.sum()))
+
+
+def renew_edge_sum(
+    known: EdgeSum, before: Floats, after: Floats, moved: Longs, ring_start: Ints, ring: Ints
+) -> EdgeSum:
+    """The sum after the vertices ``moved`` (c,) are elsewhere, from that before."""
+    is_moved = np.zeros(len(before), dtype=np.bool_)
+    is_moved[moved] = True
+    totals = []
+    for vertices in (before, after):
+        bins = np.zeros(2 * POWERS, dtype=np.int64)
+        _add_edges_at(moved, is_moved, vertices, ring_start, ring, bins)
+        totals.append(_exact_sum(bins))
+    return EdgeSum(known.total - totals[0] + totals[1], known.count)
+
+
+def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
+    """Mean length of the unique edges, in file units; zero without edges.
+
+    It is the float64 next to the mean of their lengths as they are computed, in whatever order.
+    """
+    return sum_edges(vertices, ring_start, ring).mean
 
 
 @compiled
@@ -311,6 +429,36 @@ def _ring_means(start, stop, values, ring_start, ring, result):
 def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
     """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
     return fill_array(_ring_means, values.shape, values, ring_start, ring)
+
+
+@compiled
+def _slide(start, stop, x, normals, free, share, ring_start, ring, result):
+    for i in range(start, stop):
+        m = ring_start[i + 1] - ring_start[i]
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = ring[at]
+            sx += x[k, 0]
+            sy += x[k, 1]
+            sz += x[k, 2]
+        dx = (sx / m if m else x[i, 0]) - x[i, 0]
+        dy = (sy / m if m else x[i, 1]) - x[i, 1]
+        dz = (sz / m if m else x[i, 2]) - x[i, 2]
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        height = (dx * nx + dz * nz) + dy * ny
+        part = share if free[i] else 0.0
+        result[i, 0] = x[i, 0] + part * (dx - height * nx)
+        result[i, 1] = x[i, 1] + part * (dy - height * ny)
+        result[i, 2] = x[i, 2] + part * (dz - height * nz)
+
+
+def slide(
+    vertices: Floats, normals: Floats, free: Flags, share: float, ring_start: Ints, ring: Ints
+) -> Floats:
+    """Vertices (n, 3) of which those ``free`` (n,) go this share of the way to the mean of their
+    one-ring, across their ``normals`` (n, 3)."""
+    known = vertices, normals, free, share, ring_start, ring
+    return fill_array(_slide, vertices.shape, *known)
 
 
 @compiled

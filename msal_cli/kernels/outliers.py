@@ -173,20 +173,20 @@ def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals
 
 
 @compiled
-def _solve(matrix, right):
-    """Solve the normal equations in place; what they do not determine becomes small."""
+def _solve(equations, coefficients):
+    """Solve the normal equations, right sides in column ``TERMS``; what they do not determine
+    becomes small."""
     for pivot in range(TERMS):
-        scale = 1.0 / max(matrix[pivot, pivot], 1e-9)
+        scale = 1.0 / max(equations[pivot, pivot], 1e-9)
         for row in range(pivot + 1, TERMS):
-            factor = matrix[row, pivot] * scale
-            for column in range(pivot, TERMS):
-                matrix[row, column] -= factor * matrix[pivot, column]
-            right[row] -= factor * right[pivot]
+            factor = equations[row, pivot] * scale
+            for column in range(pivot, TERMS + 1):
+                equations[row, column] -= factor * equations[pivot, column]
     for pivot in range(TERMS - 1, -1, -1):
-        rest = right[pivot]
+        rest = equations[pivot, TERMS]
         for column in range(pivot + 1, TERMS):
-            rest -= matrix[pivot, column] * right[column]
-        right[pivot] = rest / max(matrix[pivot, pivot], 1e-9)
+            rest -= equations[pivot, column] * coefficients[column]
+        coefficients[pivot] = rest / max(equations[pivot, pivot], 1e-9)
 
 
 @compiled
@@ -203,31 +203,60 @@ def _rank(values, count, share, ranking):
 
 
 @compiled
-def _fit(count, local, weights, rests, ranking, matrix, coefficients):
-    """Fit degree 2 to the points ``local``[1:count] (u, w, height) by weights that get less for
+def _median(values, count, below, ranking):
+    """As ``_rank`` for a half of some dozens of values, without branches; ``below`` is for how many
+    are below each."""
+    total = 0.0
+    for at in range(1, count):
+        below[at] = 0
+        total += values[at]
+    if not total < np.inf:
+        return _rank(values, count, 0.5, ranking)
+    for other in range(1, count):
+        value = values[other]
+        for at in range(1, count):
+            below[at] += value < values[at]
+    place = np.int64(0.5 * (count - 1))
+    # Of alike ones all have the same number below, and the greatest up to the place is theirs.
+    most, median = -1, 0.0
+    for at in range(1, count):
+        if most < below[at] <= place:
+            most = below[at]
+            median = values[at]
+    return median
+
+
+@compiled
+def _fit(count, local, weights, rests, below, ranking, terms, equations, coefficients):
+    """Fit degree 2 to the points ``local``[:, 1:count] (u, w, height) by weights that get less for
     those far from it; the median of what is left over."""
-    terms = np.empty(TERMS)
+    for at in range(1, count):
+        u, w = local[0, at], local[1, at]
+        terms[at, 0], terms[at, 1], terms[at, 2] = 1.0, u, w
+        terms[at, 3], terms[at, 4], terms[at, 5] = u * u, u * w, w * w
     median = 0.0
     for _ in range(FITS):
         for row in range(TERMS):
-            coefficients[row] = 0.0
-            for column in range(TERMS):
-                matrix[row, column] = 0.0
-        for at in range(1, count):
-            u, w = local[at, 0], local[at, 1]
-            terms[0], terms[1], terms[2] = 1.0, u, w
-            terms[3], terms[4], terms[5] = u * u, u * w, w * w
-            for row in range(TERMS):
-                weighted = weights[at] * terms[row]
-                coefficients[row] += weighted * local[at, 2]
-                for column in range(TERMS):
-                    matrix[row, column] += weighted * terms[column]
+            # Sums that are variables stay in registers.
+            c0 = c1 = c2 = c3 = c4 = c5 = right = 0.0
+            for at in range(1, count):
+                weighted = weights[at] * terms[at, row]
+                c0 += weighted
+                c1 += weighted * terms[at, 1]
+                c2 += weighted * terms[at, 2]
+                c3 += weighted * terms[at, 3]
+                c4 += weighted * terms[at, 4]
+                c5 += weighted * terms[at, 5]
+                right += weighted * local[2, at]
+            equations[row, 0], equations[row, 1], equations[row, 2] = c0, c1, c2
+            equations[row, 3], equations[row, 4], equations[row, 5] = c3, c4, c5
+            equations[row, TERMS] = right
         for row in range(3, TERMS):
-            matrix[row, row] += STIFFNESS
-        _solve(matrix, coefficients)
+            equations[row, row] += STIFFNESS
+        _solve(equations, coefficients)
         for at in range(1, count):
-            rests[at] = abs(local[at, 2] - _height(local[at, 0], local[at, 1], coefficients))
-        median = _rank(rests, count, 0.5, ranking)
+            rests[at] = abs(local[2, at] - _height(local[0, at], local[1, at], coefficients))
+        median = _median(rests, count, below, ranking)
         width = WIDTH * median + MIN_WIDTH
         for at in range(1, count):
             share = width * width / (width * width + rests[at] * rests[at])
@@ -321,10 +350,12 @@ def _judge(
     after, before = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
     following, outer = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
     normals, outer_normals = np.empty((MAX_FACES, 3)), np.empty((MAX_FACES, 3))
-    normal, local = np.empty(3), np.empty((MAX_VERTICES, 3))
+    normal, local = np.empty(3), np.empty((3, MAX_VERTICES))
     weights, rests = np.empty(MAX_VERTICES), np.empty(MAX_VERTICES)
+    below = np.empty(MAX_VERTICES, dtype=np.int64)
     ranking, lengths = np.empty(MAX_LENGTHS), np.empty(MAX_LENGTHS)
-    matrix, coefficients = np.empty((TERMS, TERMS)), np.empty(TERMS)
+    terms, equations = np.empty((MAX_VERTICES, TERMS)), np.empty((TERMS, TERMS + 1))
+    coefficients = np.empty(TERMS)
     for at in range(start, stop):
         i = chosen[at]
         scores[at] = NOT_JUDGED
@@ -384,11 +415,11 @@ def _judge(
         for near in range(count):
             k = found[near]
             dx, dy, dz = (x[k, 0] - cx) * scale, (x[k, 1] - cy) * scale, (x[k, 2] - cz) * scale
-            local[near, 0] = dx * ux + dy * uy + dz * uz
-            local[near, 1] = dx * wx + dy * wy + dz * wz
-            local[near, 2] = dx * nx + dy * ny + dz * nz
+            local[0, near] = dx * ux + dy * uy + dz * uz
+            local[1, near] = dx * wx + dy * wy + dz * wz
+            local[2, near] = dx * nx + dy * ny + dz * nz
             weights[near] = agreements[k] ** 4
-        noise = _fit(count, local, weights, rests, ranking, matrix, coefficients)
+        noise = _fit(count, local, weights, rests, below, ranking, terms, equations, coefficients)
         dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
         u, w = dx * ux + dy * uy + dz * uz, dx * wx + dy * wy + dz * wz
         along = np.sqrt(u * u + w * w)

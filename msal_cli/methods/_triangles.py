@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from msal_cli.analysis.measures import apply_umbrella
 from msal_cli.mesh import Mesh
 
 STEP = 0.5
@@ -21,15 +18,14 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     Noise in all directions makes jagged triangles, across which normals err whatever the heights
     are.  Heights along the normal stay as they are, and so do vertices at open edges.
     """
+    from msal_cli.kernels.geometry import slide
+
     links = mesh.topology
     normals = mesh.vertex_normals("uniform", MOLLIFY)
     free = links.has_ring & ~links.boundary
     if mesh.fixed_vertices is not None:
         free &= ~mesh.fixed_vertices
-    share = np.where(free, STEP, 0.0)
     positions = mesh.vertices
     for _ in range(passes):
-        ways = apply_umbrella(mesh, positions)
-        ways -= np.einsum("ij,ij->i", ways, normals)[:, None] * normals
-        positions = positions + share[:, None] * ways
+        positions = slide(positions, normals, free, STEP, *links.one_ring)
     return mesh.with_vertices(positions) if passes else mesh
