@@ -24,6 +24,7 @@ from msal_cli.job.settings import DEFAULT_BACKUP
 if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
     from msal_cli.report.data import Run
+    from msal_cli.report.html import Gallery
 
 
 def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = None) -> None:
@@ -45,14 +46,21 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             )
         if not is_step_summary(name):
             report.writer(name)
-        path = os.path.normcase(os.path.realpath(name))
-        if urls.is_url(name):
-            path = urls.identity(name)
+        is_remote = urls.is_url(name)
+        path = urls.identity(name) if is_remote else os.path.normcase(os.path.realpath(name))
         if path in seen:
             raise UsageError(f"the report {name!r} is given twice")
         seen.add(path)
         refuse_target(name, "the report", taken)
-        _refuse_unwritable(name)
+        # The folder itself may still have to be made, as that of the outputs often has.
+        parents = [] if is_remote else Path(name).absolute().parents
+        folder = next((parent for parent in parents if parent.exists()), None)
+        can_write = folder and folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+        if not is_remote and not can_write:
+            raise UsageError(
+                f"the report {name!r} cannot be written to the folder {str(folder)!r}",
+                hint="choose another place",
+            )
 
 
 def write(
@@ -89,7 +97,12 @@ def write(
                 _append_to_summary(name, run, records)
                 continue
             if _is_page(name):
-                data = _render_page(name, run, records, backup, without_pictures, quiet)
+                from msal_cli.report import html
+
+                pictures = html.EMPTY_GALLERY
+                if not without_pictures:
+                    pictures = _draw_pictures(name, records, backup, quiet)
+                data = html.render(run, records, pictures)
             else:
                 data = report.writer(name, has_all_columns=csv_columns == "all")(run, records)
             # A signal must not leave a temporary file, which no later run would remove.
@@ -105,58 +118,35 @@ def _is_page(name: str) -> bool:
     return name.lower().endswith(".html") and not is_step_summary(name)
 
 
-def _render_page(
-    name: str,
-    run: Run,
-    records: Sequence[MeshRecord],
-    backup: str | None,
-    without_pictures: bool,
-    quiet: bool,
-) -> bytes:
+def _draw_pictures(
+    page: str, records: Sequence[MeshRecord], backup: str | None, quiet: bool
+) -> Gallery:
+    """The pictures of a page; they are kept beside a local one for the next time."""
     import time
     from contextlib import suppress
 
     from msal_cli.batch import interrupts
-    from msal_cli.cli import console, progress
+    from msal_cli.cli import progress
     from msal_cli.job.output import write_output
-    from msal_cli.report import gallery, html
+    from msal_cli.report import gallery
     from msal_cli.report.facts import format_count, seconds_text
-    from msal_cli.report.gallery import PictureCache, cache_path
-    from msal_cli.report.html import EMPTY_GALLERY
     from msal_cli.storage.urls import is_url
 
-    pictures = EMPTY_GALLERY
-    if not without_pictures:
-        with progress.picture_bar(quiet=quiet) as on_file:
-            begun = time.monotonic()
-            kept = "" if is_url(name) else cache_path(name)
-            cache = PictureCache(kept)
-            backup = DEFAULT_BACKUP if backup is None else backup
-            pictures = gallery.build_gallery(records, backup=backup, on_file=on_file, cache=cache)
-        if cache.n_drawn and not quiet:
-            files = format_count(cache.n_drawn, "file")
-            console.say(f"pictures of {files} in {seconds_text(time.monotonic() - begun)}")
-        archive = cache.to_bytes() if kept else None
-        if archive is not None:
-            # It saves time, and no page is worth less without it.
-            with suppress(OutputError), interrupts.catch_signals(interrupts.raise_for):
-                write_output(kept, archive)
-    return html.render(run, records, pictures)
-
-
-def _refuse_unwritable(name: str) -> None:
-    from msal_cli.storage.urls import is_url
-
-    if is_url(name):
-        return
-    path = Path(name)
-    # The folder itself may still have to be made, as that of the outputs often has.
-    folder = next((parent for parent in path.absolute().parents if parent.exists()), None)
-    if folder is None or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise UsageError(
-            f"the report {name!r} cannot be written to the folder {str(folder)!r}",
-            hint="choose another place",
-        )
+    begun = time.monotonic()
+    archive = "" if is_url(page) else gallery.cache_path(page)
+    cache = gallery.PictureCache(archive)
+    backup = DEFAULT_BACKUP if backup is None else backup
+    with progress.picture_bar(quiet=quiet) as on_file:
+        pictures = gallery.build_gallery(records, backup=backup, on_file=on_file, cache=cache)
+    if cache.n_drawn and not quiet:
+        files = format_count(cache.n_drawn, "file")
+        console.say(f"pictures of {files} in {seconds_text(time.monotonic() - begun)}")
+    data = cache.to_bytes() if archive else None
+    if data is not None:
+        # It saves time, and no page is worth less without it.
+        with suppress(OutputError), interrupts.catch_signals(interrupts.raise_for):
+            write_output(archive, data)
+    return pictures
 
 
 _LOG_LINE = rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} "
@@ -188,14 +178,10 @@ def refuse_target(
     device or a pipe; for one of ``taken``, and for another mesh that is there.
     """
     from msal_cli.batch.plan import identify_file
-    from msal_cli.job.settings import is_mesh_name
     from msal_cli.storage.urls import is_url
 
     is_remote = is_url(name)
-    for path in (name,) if is_remote else (name, os.path.realpath(name)):
-        _refuse_own(path, f"{what} {name!r}")
-        if replaces is None and is_mesh_name(path):
-            raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
+    _refuse_name(name, what, may_be_mesh=replaces is not None)
     here = identify_file(name) or os.path.realpath(name)
     for path in taken:
         if here == (identify_file(path) or os.path.realpath(path)):
@@ -209,14 +195,21 @@ def refuse_target(
     _refuse_mesh(name, what, replaces)
 
 
-def _refuse_own(path: str, what: str) -> None:
+def _refuse_name(name: str, what: str, *, may_be_mesh: bool = False) -> None:
+    """Refuse names of msal's own files and of meshes, also behind links; UsageError."""
+    from msal_cli.job.settings import is_mesh_name
     from msal_cli.storage import urls
     from msal_cli.storage.atomic import is_own
 
-    last = urls.name(path) if urls.is_url(path) else Path(path).name
-    # Where case does not count, another case is the same file.
-    if is_own(last.lower()):
-        raise UsageError(f"{what} would have the name of a file of msal's own", hint=_ANOTHER)
+    is_remote = urls.is_url(name)
+    for path in (name,) if is_remote else (name, os.path.realpath(name)):
+        # Where case does not count, another case is the same file.
+        if is_own((urls.name(path) if is_remote else Path(path).name).lower()):
+            raise UsageError(
+                f"{what} {name!r} would have the name of a file of msal's own", hint=_ANOTHER
+            )
+        if not may_be_mesh and is_mesh_name(path):
+            raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
 
 
 def _refuse_mesh(name: str, what: str, replaces: str | None) -> None:
@@ -252,13 +245,9 @@ def open_log(name: str) -> io.TextIOWrapper:
     which might be a mesh, an input or a file of msal's own; OSError and ValueError if it cannot be
     opened.
     """
-    from msal_cli.job.settings import is_mesh_name
     from msal_cli.storage.regular import open_regular
 
-    for path in (name, os.path.realpath(name)):
-        _refuse_own(path, f"the log file {name!r}")
-        if is_mesh_name(path):
-            raise UsageError(f"the log file {name!r} would be called like a mesh", hint=_ANOTHER)
+    _refuse_name(name, "the log file")
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
     # A pipe without a reader is an error, and is not waited for.
     for flag in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_NOINHERIT"):
