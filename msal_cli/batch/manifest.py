@@ -512,7 +512,8 @@ class ObjectManifest(Manifest):
         # Of shards that start together one merges: else each would write a copy of everything.
         self._merges = shard is None or shard.number == 1
         self._n_written = self._n_failures = 0
-        self._next_part = 0.0
+        # The start of a run goes with what it intends, in one part.
+        self._next_part = time.monotonic() + SECONDS_BETWEEN_PARTS
         self._waiting: list[bytes] = []
 
     def open(self) -> None:

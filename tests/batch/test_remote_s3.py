@@ -169,7 +169,9 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     assert sum(path in ("/scans", "/out") for _, path in requests) == 2 + 2
     assert not [path for _, path in requests if path.startswith("/scans/")]
     assert not [path for _, path in requests if re.match(r"/out/x/[^.]", path)]
-    assert len(requests) < 12
+    # Beside the parts of the manifest, of which a slow run has more.
+    parts = [path for _, path in requests if ".msal-manifest/" in path]
+    assert len(requests) - len(parts) < 12
 
     # An object that changed, and an output that somebody else wrote, are done again.
     write_whole("s3://out/x/2.obj", b"x" * len(expected["2.obj"]))
