@@ -289,17 +289,20 @@ def test_report_page_has_every_field_and_no_other() -> None:
     text = (ROOT / "docs/report.md").read_text("utf-8")
     sections = re.split(r"^#+ ", text, flags=re.MULTILINE)
 
-    def listed(*titles: str) -> set[str]:
+    def assert_lists(expected: set[str], *titles: str) -> None:
         parts = [part for part in sections if part.partition("\n")[0] in titles]
         assert len(parts) == len(titles)
-        return {row for part in parts for row in re.findall(r"^\| `([\w.]+)` \|", part, re.M)}
+        rows = re.findall(r"^\| (`.+?`) \|", "\n".join(parts), re.M)
+        listed = {name for row in rows for name in re.findall(r"`([^`]+)`", row)}
+        assert listed <= expected
+        assert expected <= {name for part in parts for name in re.findall(r"`([\w.]+)`", part)}
 
     kinds = {name.partition(".")[0] for name in fields(records.MeshRecord) if "." in name}
     inner = [f"`{kind}`" for kind in kinds]
-    assert listed("The record", *inner) == fields(records.MeshRecord)
-    assert listed("`msal info --json`") == fields(InfoRecord)
-    assert listed("`totals`") == fields(Totals)
-    assert listed("The run (JSON only)") == fields(Run) | {"schema", "totals", "records"}
+    assert_lists(fields(records.MeshRecord), "The record", *inner)
+    assert_lists(fields(InfoRecord), "`msal info --json`")
+    assert_lists(fields(Totals), "`totals`")
+    assert_lists(fields(Run) | {"schema", "totals", "records"}, "The run (JSON only)")
 
 
 def test_every_error_code_is_documented() -> None:
