@@ -26,9 +26,8 @@ MADE = "<!-- made by docs/make_method_pages.py: change the method and run it aga
 INDEX = """# Methods
 
 `msal denoise scan.ply -o smooth.ply --method NAME` runs the method of that name, `--set NAME=VALUE`
-sets any of its parameters, and `msal methods NAME` prints what its page tells.
-[algorithm.md](../algorithm.md) has the formulas of `al` and `msal` in full, and says which
-setting suits which surface.
+sets any of its parameters, and `msal methods NAME` prints what its page says.
+[algorithm.md](../algorithm.md#which-setting) says which setting suits which surface.
 
 """
 
@@ -64,7 +63,7 @@ def prose(description: str, name: str) -> Iterator[str]:
 
 
 SHARED = 3
-"""Methods with the same parameter from which the index explains it for all of them."""
+"""From how many methods with the same parameter on the index explains it for all of them."""
 
 Meaning = tuple[str, str, str, str]
 
@@ -75,12 +74,23 @@ def meaning(spec: ParameterSpec) -> Meaning:
 
 
 def shared_specs(all_methods: list[Method]) -> dict[Meaning, ParameterSpec]:
-    """The parameters that the index explains, by their meaning: names that mean one thing."""
+    """The parameters that the index explains, by their meaning: of each name the most frequent."""
     specs = [spec for method in all_methods for spec in method.parameters]
     counts = collections.Counter(map(meaning, specs))
-    common = {meaning(spec): spec for spec in specs if counts[meaning(spec)] >= SHARED}
-    names = collections.Counter(spec.name for spec in common.values())
-    return {key: spec for key, spec in common.items() if names[spec.name] == 1}
+    # The most frequent meaning of each name stands last, and stays.
+    common = {key[0]: key for key, count in reversed(counts.most_common()) if count >= SHARED}
+    by_meaning = {meaning(spec): spec for spec in specs}
+    return {key: by_meaning[key] for key in common.values()}
+
+
+def allowed(spec: ParameterSpec) -> str:
+    """The words or the range of values that a parameter may have."""
+    if spec.choices:
+        return ", ".join(f"`{word}`" for word in spec.choices)
+    closed = re.fullmatch(r"(\S+) <= \w+ <= (\S+)( \(whole number\))?", spec.range_text)
+    if not closed:
+        return f"`{spec.range_text}`"
+    return f"{closed[1]} to {closed[2]}{', whole' if closed[3] else ''}"
 
 
 def row(spec: ParameterSpec, default: str) -> str:
@@ -90,11 +100,10 @@ def row(spec: ParameterSpec, default: str) -> str:
         names.append(f"`{SHORTCUTS[spec.name]}`")
     if spec.symbol and spec.symbol != spec.name:
         names.append(f"`{spec.symbol}`")
-    allowed = ", ".join(f"`{word}`" for word in spec.choices) or f"`{spec.range_text}`"
     cells = (
         ", ".join(names),
         default,
-        allowed,
+        allowed(spec),
         inline(spec.help) + (f" ({spec.unit})" if spec.unit else ""),
         inline(spec.more),
     )
@@ -110,8 +119,8 @@ def parameters(method: Method, shared: dict[Meaning, ParameterSpec]) -> Iterator
     if others:
         pairs = ", ".join(f"`{spec.name}` (`{spec.default}`)" for spec in others)
         yield (
-            f"{'Further ones' if own else 'Those'} and their defaults, explained at "
-            f"[all methods](README.md#shared-parameters): {pairs}.\n"
+            f"{'Others' if own else 'Those'} ([shared](README.md#shared-parameters)), "
+            f"with their defaults: {pairs}.\n"
         )
 
 
@@ -126,7 +135,6 @@ def page(method: Method, shared: dict[Meaning, ParameterSpec]) -> str:
             MADE,
             f"# `{method.name}`\n",
             f"**{inline(method.summary)}**\n",
-            f"```sh\nmsal denoise scan.ply -o smooth.ply --method {method.name}\n```\n",
             *blocks,
             "## Parameters\n",
             *parameters(method, shared),
