@@ -9,8 +9,9 @@ import dataclasses
 import inspect
 import re
 import sys
+import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
@@ -31,30 +32,50 @@ What an argument means is said once: under the first function that has it.
 """
 RECORDS = """## Records
 
-Functions return records, and the reports of the command have the same fields:
-[report.md](report.md) says what each means, `help(msal.DenoiseResult)` as well. `null` is `None` in
-Python.
+Functions return records with the fields of the [reports](report.md); `null` is `None` in Python.
 
 | record | what it is | fields |
 |---|---|---|
 """
+MIN_SHARED = 4
+"""Arguments of a function before from which on a signature names them in a comment."""
+
 _SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 
 
-def signature(function: Any) -> str:
-    """A function with its arguments, one a line where they are many."""
-    arguments = []
-    found = list(inspect.signature(function).parameters.values())
-    for at, one in enumerate(found):
-        if one.kind is one.KEYWORD_ONLY and (at == 0 or found[at - 1].kind is not one.kind):
-            arguments.append("*")
-        star = {one.VAR_KEYWORD: "**", one.VAR_POSITIONAL: "*"}.get(one.kind, "")
-        text = f"{star}{one.name}: {one.annotation}"
-        arguments.append(text if one.default is one.empty else f"{text} = {one.default!r}")
-    line = f"{function.__name__}({', '.join(arguments)})"
+def signature(function: Any, listed: dict[str, str]) -> str:
+    """A function with its arguments, one a line where they are many.
+
+    Many arguments that are alike in a function before, by their text in ``listed``, stand in a
+    comment; the others are added there.
+    """
+    arguments = list(inspect.signature(function).parameters.values())
+    texts = {one.name: argument(one) for one in arguments}
+    keywords = [one.name for one in arguments if one.kind is one.KEYWORD_ONLY]
+    as_before = [name for name in keywords if texts[name] in listed]
+    if len(as_before) < MIN_SHARED:
+        as_before = []
+    lines = []
+    for name, text in texts.items():
+        if keywords and name == keywords[0]:
+            lines.append("*,")
+        if name not in as_before:
+            lines.append(f"{text},")
+    if as_before:
+        names = f"and of {listed[texts[as_before[-1]]]}: {', '.join(as_before)}"
+        lines[-1:-1] = [f"# {line}" for line in textwrap.wrap(names, 78)]
+    listed |= dict.fromkeys(texts.values(), function.__name__)
+    line = f"{function.__name__}({' '.join(lines).removesuffix(',')})"
     if len(line) > 80:
-        line = f"{function.__name__}(\n    " + ",\n    ".join(arguments) + ",\n)"
+        line = f"{function.__name__}(\n    " + "\n    ".join(lines) + "\n)"
     return f"```python\n{line}\n```\n"
+
+
+def argument(parameter: inspect.Parameter) -> str:
+    """An argument with its type and its default."""
+    star = {parameter.VAR_KEYWORD: "**", parameter.VAR_POSITIONAL: "*"}.get(parameter.kind, "")
+    text = f"{star}{parameter.name}: {parameter.annotation}"
+    return text if parameter.default is parameter.empty else f"{text} = {parameter.default!r}"
 
 
 def describe(function: Any, seen: set[tuple[str, str]]) -> str:
@@ -83,14 +104,28 @@ def names(text: str) -> str:
     return re.sub(r"\w+", lambda word: word[0] if word[0] == "to" else f"`{word[0]}`", text)
 
 
-def record(cls: type) -> str:
+def record(cls: type, in_reports: dict[type, str]) -> str:
     """A record: its first sentence, its fields and its properties."""
-    fields = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
-    for name, value in vars(cls).items():
-        if isinstance(value, property) and not name.startswith("_"):
-            fields.append(name)
+    if cls in in_reports:
+        fields = f"[report.md](report.md#{in_reports[cls]})"
+    else:
+        names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+        for name, value in vars(cls).items():
+            if isinstance(value, property) and not name.startswith("_"):
+                names.append(name)
+        fields = ", ".join(f"`{name}`" for name in names)
     first = inline((inspect.getdoc(cls) or "").split("\n\n")[0])
-    return f"| `{cls.__name__}` | {first} | {', '.join(f'`{name}`' for name in fields)} |\n"
+    return f"| `{cls.__name__}` | {first} | {fields} |\n"
+
+
+def records_of_reports() -> dict[type, str]:
+    """The anchors of report.md by the record that has its fields there."""
+    anchors: dict[type, str] = {msal.MeshRecord: "the-record"}
+    for name, hint in get_type_hints(msal.MeshRecord).items():
+        for cls in (hint, *get_args(hint)):
+            if dataclasses.is_dataclass(cls):
+                anchors[cls] = name
+    return anchors
 
 
 def page() -> str:
@@ -102,9 +137,12 @@ def page() -> str:
     text = HEAD + "## Functions\n\n"
     # As python.md does: what most people need comes first.
     seen: set[tuple[str, str]] = set()
+    listed: dict[str, str] = {}
     for function in sorted(functions, key=lambda found: not found.__name__.startswith("denoise")):
-        text += f"### `{function.__name__}`\n\n{signature(function)}\n{describe(function, seen)}\n"
-    text += RECORDS + "".join(map(record, records))
+        text += f"### `{function.__name__}`\n\n{signature(function, listed)}\n"
+        text += f"{describe(function, seen)}\n"
+    anchors = records_of_reports()
+    text += RECORDS + "".join(record(cls, anchors) for cls in records)
     text += "\n## Errors\n\n| class | is a | when |\n|---|---|---|\n"
     for one in sorted(errors, key=lambda one: (len(one.__mro__), one.__name__)):
         meaning = inline((inspect.getdoc(one) or "").split("\n\n")[0])
