@@ -32,18 +32,13 @@ def inline(text: str) -> str:
     parts = re.split(r"`([^`]+)`", " ".join(text.split()))
     for at, part in enumerate(parts):
         if at % 2:
-            parts[at] = code(part)
+            parts[at] = f"`{part}`"
         else:
             escaped = re.sub(r"([*_\\|]|<(?=[A-Za-z/!]))", r"\\\1", part)
             parts[at] = re.sub(
                 r"(?<![\w-])(?:msal )?--[a-z][a-z-]*[a-z](?![\w=-])", r"`\g<0>`", escaped
             )
     return "".join(parts)
-
-
-def code(text: str) -> str:
-    """Code that may stand in a table."""
-    return "`" + text.replace("|", "\\|") + "`"
 
 
 def prose(text: str) -> str:
@@ -57,8 +52,8 @@ def prose(text: str) -> str:
     return "\n\n".join(blocks) + "\n\n"
 
 
-def row(option: click.Option, context: click.Context) -> str:
-    """The table's row of an option."""
+def line(option: click.Option, context: click.Context) -> str:
+    """The line of an option in a list."""
     names, text = option.get_help_record(context) or ("", "")
     # click writes the default and the range behind the text.
     text, _, extra = text.partition("  [")
@@ -71,19 +66,24 @@ def row(option: click.Option, context: click.Context) -> str:
         text += " WORD is one of " + words[1].replace("|", ", ") + "."
     text = inline(text)
     if allowed:
-        text += f" Allowed: {code(allowed[0])}."
+        text += f" Allowed: `{allowed[0]}`."
     if default:
         text += f" *Default:* {default_text(default)}"
-    return f"| {', '.join(code(name) for name in re.split(r', (?=-)', names))} | {text} |\n"
+    return f"- {code(re.split(r', (?=-)', names))}: {text}\n"
+
+
+def code(names: list[str]) -> str:
+    """Names as code, with commas between them."""
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def default_text(text: str) -> str:
     """A default: a value as code, or words that describe it."""
-    return inline(text) if " " in text else code(text)
+    return inline(text) if " " in text else f"`{text}`"
 
 
 def section(name: str, seen: set[str]) -> str:
-    """All about one command but the rows of options that are ``seen``, which it adds to."""
+    """All about one command but the options that are ``seen``, which it adds to."""
     top = click.Context(program, info_name="msal", terminal_width=1000, **program.context_settings)
     command = program.get_command(top, name)
     assert command is not None
@@ -95,14 +95,14 @@ def section(name: str, seen: set[str]) -> str:
         text += prose(body.removeprefix(COMMANDS[name]))
     shared: list[str] = []
     for title, options in groups(command, context):
-        found = {option.opts[-1]: row(option, context) for option in options}
-        rows = [line for line in found.values() if line not in seen]
-        shared += [name for name, line in found.items() if line in seen]
-        seen.update(rows)
-        if rows:
-            text += f"**{title}**\n\n| option | meaning |\n|---|---|\n{''.join(rows)}\n"
+        found = {option.opts[-1]: line(option, context) for option in options}
+        items = [item for item in found.values() if item not in seen]
+        shared += [name for name, item in found.items() if item in seen]
+        seen.update(items)
+        if items:
+            text += f"**{title}**\n\n{''.join(items)}\n"
     if shared:
-        text += f"As above: {', '.join(map(code, shared))}.\n\n"
+        text += f"As above: {code(shared)}.\n\n"
     if command.epilog:
         text += prose(command.epilog)
     return text

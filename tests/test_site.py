@@ -25,7 +25,7 @@ def test_the_committed_page_is_current(maker):
     assert maker.PAGE.read_text("utf-8") == maker.page(), "run python docs/refresh.py"
 
 
-def test_every_option_is_in_the_table_of_its_command():
+def test_every_option_is_in_the_lists_of_its_command():
     sections = re.split(r"^## msal ", COMMANDS.page(), flags=re.MULTILINE)[1:]
     by_name = {text.split("\n")[0]: text for text in sections}
     context = click.Context(program)
@@ -45,7 +45,7 @@ def test_every_name_of_the_api_has_its_place():
 
 def test_texts_of_help_become_markdown():
     assert COMMANDS.inline("with --in-place: a_b '*.ply', `a|b`") == (
-        r"with `--in-place`: a\_b '\*.ply', `a\|b`"
+        r"with `--in-place`: a\_b '\*.ply', `a|b`"
     )
 
 
