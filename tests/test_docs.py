@@ -292,8 +292,8 @@ def test_report_page_has_every_field_and_no_other() -> None:
     def assert_lists(expected: set[str], *titles: str) -> None:
         parts = [part for part in sections if part.partition("\n")[0] in titles]
         assert len(parts) == len(titles)
-        rows = re.findall(r"^\| (`.+?`) \|", "\n".join(parts), re.M)
-        listed = {name for row in rows for name in re.findall(r"`([^`]+)`", row)}
+        items = re.findall(r"^- (`[^:]+`): ", "\n".join(parts), re.M)
+        listed = {name for item in items for name in re.findall(r"`([^`]+)`", item)}
         assert listed <= expected
         assert expected <= {name for part in parts for name in re.findall(r"`([\w.]+)`", part)}
 
