@@ -18,8 +18,6 @@ from msal_cli import methods
 from msal_cli.cli.methods import SHORTCUTS
 from msal_cli.methods import Method, ParameterSpec
 
-HEAD = "| parameter | default | allowed | meaning | more is |\n|---|---|---|---|---|\n"
-
 FOLDER = Path(__file__).resolve().parent / "methods"
 MADE = "<!-- made by docs/make_method_pages.py: change the method and run it again -->\n"
 
@@ -93,29 +91,27 @@ def allowed(spec: ParameterSpec) -> str:
     return f"{closed[1]} to {closed[2]}{', whole' if closed[3] else ''}"
 
 
-def row(spec: ParameterSpec, default: str) -> str:
-    """The table's row of a parameter."""
-    names = [f"`{spec.name}`"]
-    if spec.name in SHORTCUTS:
-        names.append(f"`{SHORTCUTS[spec.name]}`")
-    if spec.symbol and spec.symbol != spec.name:
-        names.append(f"`{spec.symbol}`")
-    cells = (
-        ", ".join(names),
-        default,
-        allowed(spec),
-        inline(spec.help) + (f" ({spec.unit})" if spec.unit else ""),
-        inline(spec.more),
-    )
-    return f"| {' | '.join(cells)} |\n"
+def item(spec: ParameterSpec, default: str = "") -> str:
+    """A parameter in a list: names, default, allowed values, meaning and direction."""
+    names = [
+        spec.name,
+        SHORTCUTS.get(spec.name, ""),
+        spec.symbol if spec.symbol != spec.name else "",
+    ]
+    head = ", ".join(f"`{name}`" for name in names if name)
+    if default:
+        head += f" = `{default}`"
+    unit = f" ({spec.unit})" if spec.unit else ""
+    more = f" More is {inline(spec.more)}." if spec.more else ""
+    return f"- {head} ({allowed(spec)}): {inline(spec.help)}{unit}.{more}\n"
 
 
 def parameters(method: Method, shared: dict[Meaning, ParameterSpec]) -> Iterator[str]:
-    """The parameters of a method: a table of its own ones, a sentence on the others."""
+    """The parameters of a method: a list of its own ones, a sentence on the others."""
     own = [spec for spec in method.parameters if meaning(spec) not in shared]
     others = [spec for spec in method.parameters if meaning(spec) in shared]
     if own:
-        yield HEAD + "".join(row(spec, f"`{spec.default}`") for spec in own)
+        yield "".join(item(spec, f"{spec.default}") for spec in own)
     if others:
         pairs = ", ".join(f"`{spec.name}` (`{spec.default}`)" for spec in others)
         yield (
@@ -165,10 +161,8 @@ def index(all_methods: list[Method]) -> str:
         f"`msal` with another operator: {', '.join(scheduled)} take it. `msal` itself takes the "
         "last three.\n\n"
         "## Shared parameters\n\n"
-        "Each page has the default. Further names in the first column are options, and symbols "
-        "that `--set` takes too.\n\n"
-        + HEAD
-        + "".join(row(spec, "") for spec in shared_specs(all_methods).values())
+        "Each page has the default. Further names are options, and symbols that `--set` takes.\n\n"
+        + "".join(item(spec) for spec in shared_specs(all_methods).values())
     )
 
 
