@@ -103,7 +103,8 @@ def item(spec: ParameterSpec, default: str = "") -> str:
         head += f" = `{default}`"
     unit = f" ({spec.unit})" if spec.unit else ""
     more = f" More is {inline(spec.more)}." if spec.more else ""
-    return f"- {head} ({allowed(spec)}): {inline(spec.help)}{unit}.{more}\n"
+    text = inline(spec.help) + unit
+    return f"- {head} ({allowed(spec)}): {text}{'' if text.endswith('.') else '.'}{more}\n"
 
 
 def parameters(method: Method, shared: dict[Meaning, ParameterSpec]) -> Iterator[str]:
