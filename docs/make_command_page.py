@@ -61,9 +61,12 @@ def line(option: click.Option, context: click.Context) -> str:
     allowed = [part for part in parts if re.search(r"x[<>]=?|[<>]=?x", part)]
     default = "; ".join(part for part in parts if part not in allowed).removeprefix("default: ")
     words = re.search(r" \[(\w[\w|-]*)\]$", names)
-    if words:
+    if words and "|-" in words[1]:
+        # Not to be taken for options.
         names = names[: words.start()] + " WORD"
         text += " WORD is one of " + words[1].replace("|", ", ") + "."
+    elif words:
+        names = f"{names[: words.start()]} {words[1]}"
     text = inline(text)
     if allowed:
         text += f" Allowed: `{allowed[0]}`."
