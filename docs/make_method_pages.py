@@ -11,7 +11,7 @@ from __future__ import annotations
 import collections
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 from msal_cli import methods
@@ -71,14 +71,23 @@ def meaning(spec: ParameterSpec) -> Meaning:
     return spec.name, spec.range_text, spec.help, spec.more
 
 
-def shared_specs(all_methods: list[Method]) -> dict[Meaning, ParameterSpec]:
-    """The parameters that the index explains, by their meaning: of each name the most frequent."""
-    specs = [spec for method in all_methods for spec in method.parameters]
-    counts = collections.Counter(map(meaning, specs))
-    # The most frequent meaning of each name stands last, and stays.
-    common = {key[0]: key for key, count in reversed(counts.most_common()) if count >= SHARED}
-    by_meaning = {meaning(spec): spec for spec in specs}
-    return {key: by_meaning[key] for key in common.values()}
+def shared_specs(all_methods: list[Method]) -> dict[Meaning, list[str]]:
+    """The methods by the parameters that the index explains: those of several methods."""
+    users: dict[Meaning, list[str]] = {}
+    for method in all_methods:
+        for spec in method.parameters:
+            users.setdefault(meaning(spec), []).append(method.name)
+    return {key: names for key, names in users.items() if len(names) >= SHARED}
+
+
+def shared_items(all_methods: list[Method]) -> Iterator[str]:
+    """The parameters that the index explains; one of several meanings with its methods."""
+    shared = shared_specs(all_methods)
+    specs = {meaning(spec): spec for method in all_methods for spec in method.parameters}
+    counts = collections.Counter(name for name, *_ in shared)
+    for key, names in sorted(shared.items(), key=lambda pair: pair[0][0]):
+        of = f" of {', '.join(names)}" if counts[key[0]] > 1 else ""
+        yield item(specs[key], of=of)
 
 
 def allowed(spec: ParameterSpec) -> str:
@@ -91,7 +100,7 @@ def allowed(spec: ParameterSpec) -> str:
     return f"{closed[1]} to {closed[2]}{', whole' if closed[3] else ''}"
 
 
-def item(spec: ParameterSpec, default: str = "") -> str:
+def item(spec: ParameterSpec, default: str = "", of: str = "") -> str:
     """A parameter in a list: names, default, allowed values, meaning and direction."""
     names = [
         spec.name,
@@ -104,10 +113,10 @@ def item(spec: ParameterSpec, default: str = "") -> str:
     unit = f" ({spec.unit})" if spec.unit else ""
     more = f" More is {inline(spec.more)}." if spec.more else ""
     text = inline(spec.help) + unit
-    return f"- {head} ({allowed(spec)}): {text}{'' if text.endswith('.') else '.'}{more}\n"
+    return f"- {head}{of} ({allowed(spec)}): {text}{'' if text.endswith('.') else '.'}{more}\n"
 
 
-def parameters(method: Method, shared: dict[Meaning, ParameterSpec]) -> Iterator[str]:
+def parameters(method: Method, shared: Container[Meaning]) -> Iterator[str]:
     """The parameters of a method: a list of its own ones, a sentence on the others."""
     own = [spec for spec in method.parameters if meaning(spec) not in shared]
     others = [spec for spec in method.parameters if meaning(spec) in shared]
@@ -121,7 +130,7 @@ def parameters(method: Method, shared: dict[Meaning, ParameterSpec]) -> Iterator
         )
 
 
-def page(method: Method, shared: dict[Meaning, ParameterSpec]) -> str:
+def page(method: Method, shared: Container[Meaning]) -> str:
     """All about one method."""
     before, _, rest = method.description.partition("Source:")
     _, _, body = before.partition("\n")
@@ -163,7 +172,7 @@ def index(all_methods: list[Method]) -> str:
         "last three.\n\n"
         "## Shared parameters\n\n"
         "Each page has the default. Further names are options, and symbols that `--set` takes.\n\n"
-        + "".join(item(spec) for spec in shared_specs(all_methods).values())
+        + "".join(shared_items(all_methods))
     )
 
 
