@@ -87,16 +87,10 @@ def describe(function: Any, seen: set[tuple[str, str]]) -> str:
             found = re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body.strip("\n"), re.M)
             new = [entry for entry in found if entry not in seen]
             seen.update(new)
-            parts.append(table(new) if new else "")
+            parts.append("".join(f"- {names(words)}: {inline(text)}\n" for words, text in new))
         elif title == "Returns":
             parts.append(f"Returns: {inline(body)}\n")
     return "\n".join(parts) + "\n"
-
-
-def table(entries: list[tuple[str, str]]) -> str:
-    """Names and what they mean."""
-    rows = "".join(f"| {names(words)} | {inline(text)} |\n" for words, text in entries)
-    return f"| name | meaning |\n|---|---|\n{rows}"
 
 
 def names(text: str) -> str:

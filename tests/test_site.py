@@ -49,7 +49,7 @@ def test_texts_of_help_become_markdown():
     )
 
 
-def test_arguments_become_tables_once():
+def test_arguments_are_listed_once():
     def function():
         """What.
 
@@ -61,8 +61,8 @@ def test_arguments_become_tables_once():
         """
 
     seen = set()
-    assert "| `a` | one two. |\n| `b`, `c` | three |\n" in API.describe(function, seen)
-    assert "|" not in API.describe(function, seen)
+    assert "- `a`: one two.\n- `b`, `c`: three\n" in API.describe(function, seen)
+    assert "- `" not in API.describe(function, seen)
 
 
 def test_the_first_page_leads_to_all_pages_in_few_groups():
