@@ -310,7 +310,7 @@ def test_every_error_code_is_documented() -> None:
     for path in (ROOT / "msal_cli").rglob("*.py"):
         used |= set(re.findall(r"\"(E_[A-Z_]+)\"", path.read_text("utf-8")))
     text = (ROOT / "docs/formats.md").read_text("utf-8")
-    listed = set(re.findall(r"^\| `(E_[A-Z_]+)` \|", text, re.MULTILINE))
+    listed = set(re.findall(r"^- `(E_[A-Z_]+)`: ", text, re.MULTILINE))
     assert listed == used
 
 
