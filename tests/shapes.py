@@ -62,6 +62,21 @@ def cube() -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.array(faces, dtype=np.int32)
 
 
+def box(*sizes: int) -> tuple[np.ndarray, np.ndarray]:
+    """A box with so many edges of length 1 along each axis; closed once its sides are welded."""
+    parts, faces, count = [], [], 0
+    for axis in range(3):
+        across, up = (axis + 1) % 3, (axis + 2) % 3
+        for side in (0, 1):
+            flat, triangles = grid(sizes[up] + 1, sizes[across] + 1)
+            part = np.zeros_like(flat)
+            part[:, across], part[:, up], part[:, axis] = flat[:, 0], flat[:, 1], side * sizes[axis]
+            parts.append(part)
+            faces.append((triangles if side else triangles[:, ::-1]) + count)
+            count += len(part)
+    return np.concatenate(parts), np.concatenate(faces).astype(np.int32)
+
+
 def ball(around: int = 48, across: int = 24) -> tuple[np.ndarray, np.ndarray]:
     """The unit sphere about the origin in ``across`` bands from pole to pole along z, outward."""
     u, v = np.meshgrid(np.arange(around), np.arange(1, across), indexing="ij")

@@ -15,8 +15,7 @@ from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
 from msal_cli.analysis.noise_estimate.level import DIRECTIONS
 from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
 from msal_cli.mesh import prepare_mesh
-from tests.analysis.test_outliers import box
-from tests.shapes import ball, cube, grid, torus
+from tests.shapes import ball, box, cube, grid, torus
 
 SLANTED = (1.0, 2.0, -3.0)
 

@@ -11,28 +11,13 @@ from benchmarks import ground_truth, machined_shapes
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
 from msal_cli.analysis.outliers import MAX_SHARE, find_outliers
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import ball, cube, grid, torus
+from tests.shapes import ball, box, cube, grid, torus
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 
 def torus_mesh():
     return prepare_mesh(*torus(96, 48)).mesh
-
-
-def box(*sizes):
-    """A closed box with so many edges of length 1 along each axis."""
-    parts, faces, count = [], [], 0
-    for axis in range(3):
-        across, up = (axis + 1) % 3, (axis + 2) % 3
-        for side in (0, 1):
-            flat, triangles = grid(sizes[up] + 1, sizes[across] + 1)
-            part = np.zeros_like(flat)
-            part[:, across], part[:, up], part[:, axis] = flat[:, 0], flat[:, 1], side * sizes[axis]
-            parts.append(part)
-            faces.append((triangles if side else triangles[:, ::-1]) + count)
-            count += len(part)
-    return np.concatenate(parts), np.concatenate(faces).astype(np.int32)
 
 
 def cone(height, rings=12, around=24):

@@ -13,8 +13,7 @@ from msal_cli.auto.sample_patch import (
     surface_kind,
 )
 from msal_cli.mesh import Mesh, prepare_mesh
-from tests.analysis.test_outliers import box
-from tests.shapes import ball, cube, grid, torus
+from tests.shapes import ball, box, cube, grid, torus
 
 CUBE = prepare_mesh(*box(8, 8, 8)).mesh
 SLAB = prepare_mesh(box(16, 16, 16)[0] * [1.0, 1.0, 0.2], box(16, 16, 16)[1]).mesh

@@ -4,37 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli import methods
+from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.mesh import prepare_mesh
 from tests import paper
-from tests.shapes import cube, fan, grid, noisy, torus
+from tests.methods.runs import SHAPES, denoise
+from tests.methods.runs import run_in_file as run
+from tests.shapes import fan, grid, noisy, torus
+
+ALL_SHAPES = SHAPES | {"far away": (noisy(torus()[0], 4) + [4.65e6, 1.2e6, 300.0], torus()[1])}
 
 
-def run(name, vertices, faces, **given):
-    """File positions after a method."""
-    ready = prepare_mesh(vertices, faces)
-    method = methods.find(name)
-    result = method.denoise(ready.mesh, method.validate(given))
-    return ready.to_file_vertices(result.vertices, vertices)
-
-
-SHAPES = {
-    "torus": (noisy(torus()[0], 1), torus()[1]),
-    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
-    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
-    "far away": (noisy(torus()[0], 4) + [4.65e6, 1.2e6, 300.0], torus()[1]),
-    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
-}
-
-
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", ALL_SHAPES)
 @pytest.mark.parametrize("mollify", [0, 1, 2])
 @pytest.mark.parametrize("iterations", [1, 4])
 def test_kernels_agree_with_the_paper(shape, mollify, iterations):
-    vertices, faces = SHAPES[shape]
+    vertices, faces = ALL_SHAPES[shape]
     centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     size = np.ptp(vertices, axis=0).max()
     rounding = np.abs(vertices).max() * np.finfo(float).eps
@@ -49,7 +36,6 @@ def test_kernels_agree_with_the_paper(shape, mollify, iterations):
         assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     level=st.floats(0.0, 0.5),
@@ -69,8 +55,6 @@ def test_one_sweep_worked_by_hand():
     # g = e^(-1/18) three times and e^(-25/18), d = sum(g h) / sum(g).
     vertices, faces = fan([1.0, 1.0, 1.0, 5.0])
     ready = prepare_mesh(vertices, faces)
-    from msal_cli.kernels.operators import AnisotropicLaplacian
-
     links = ready.mesh.topology
     up = np.tile([0.0, 0.0, 1.0], (5, 1))
     free = np.ones(5, dtype=bool)
@@ -126,8 +110,7 @@ def test_normals_stay_those_of_the_input():
     ready = prepare_mesh(vertices, faces)
     normals = ready.mesh.vertex_normals("uniform", 1)
     for name in ("al", "msal"):
-        method = methods.find(name)
-        out = method.denoise(ready.mesh, method.validate({"n": 50})).vertices
+        out = denoise(name, ready.mesh, n=50)
         drift = np.cross(out - ready.mesh.vertices, normals)
         assert np.abs(drift).max() <= 2 * np.finfo(float).eps * np.abs(ready.mesh.vertices).max()
 

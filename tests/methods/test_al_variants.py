@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth
-from msal_cli import methods
-from msal_cli.analysis.measures import normal_statistics
 from msal_cli.kernels.operators import (
     DEVIATIONS,
     SCALINGS,
@@ -19,10 +17,10 @@ from msal_cli.kernels.operators import (
 from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.pairs import all_errors, errors, opened
-from tests.shapes import fan, grid, noisy, torus
+from tests.methods.runs import SHAPES, denoise
+from tests.shapes import fan
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
-AL = methods.find("al")
 BEAR = opened(SAMPLES / "bear_noisy.obj", SAMPLES / "bear_clean.obj")
 
 
@@ -41,7 +39,7 @@ def weights_of(kind, h, sigma):
     return np.ones_like(h)
 
 
-def twin(v, faces, iterations, kind, deviation, scaling, tau, limited=True):
+def twin(v, faces, iterations, kind, deviation, scaling, tau):
     """AL with the chosen weights, vertex by vertex; tau in squared units."""
     normals = paper.normal_field(v, faces, 1)
     rings = paper.one_rings(len(v), faces)
@@ -65,10 +63,10 @@ def twin(v, faces, iterations, kind, deviation, scaling, tau, limited=True):
             if scaling == "none":
                 d[i] = (g * h).sum() / g.sum()
             elif scaling == "mass":
-                limit = areas[i] / 3 if limited else np.inf
+                limit = areas[i] / 3
                 d[i] = min(tau, limit) * (g * h).sum() / g.sum() / (areas[i] / 3)
             else:
-                limit = (g * length).sum() / (g / length).sum() if limited else np.inf
+                limit = (g * length).sum() / (g / length).sum()
                 d[i] = min(tau, limit) * (g * h / length).sum() / (g * length).sum()
         x = x + d[:, None] * normals
     return x
@@ -82,13 +80,7 @@ def heights_of_fan(heights, kind, deviation):
     return RobustLaplacian(up, mesh.faces, mesh.topology, free, 1.0, kind, deviation)(mesh.vertices)
 
 
-SHAPES = {
-    "torus": (noisy(torus()[0], 1, 0.2), torus()[1]),
-    "open": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
-}
-
-
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", ["torus", "open grid"])
 @pytest.mark.parametrize("scaling", SCALINGS)
 @pytest.mark.parametrize("deviation", DEVIATIONS)
 @pytest.mark.parametrize("kind", WEIGHTS)
@@ -96,7 +88,7 @@ def test_every_combination_agrees_with_the_plain_twin(shape, kind, deviation, sc
     vertices, faces = SHAPES[shape]
     mesh = prepare_mesh(vertices, faces).mesh
     given = {"weights": kind, "deviation": deviation, "scaling": scaling}
-    out = AL.denoise(mesh, AL.validate({"iterations": 3, **given})).vertices
+    out = denoise("al", mesh, iterations=3, **given)
     tau = 0.25 * mesh.mean_edge_length**2
     expected = twin(mesh.vertices, faces, 3, kind, deviation, scaling, tau)
     assert np.abs(out - expected).max() <= 1e-12 * np.ptp(vertices)
@@ -141,7 +133,7 @@ def test_equal_heights_give_their_mean_and_nothing_underflows(kind, deviation, s
     for heights in ([0.3] * 6, [0.3, 0.3, 0.3 + 1e-9, 0.3, 0.3, 0.3 - 1e-9]):
         mesh = prepare_mesh(*fan(heights)).mesh
         given = {"weights": kind, "deviation": deviation, "scaling": scaling, "scaled_step": 100}
-        out = AL.denoise(mesh, AL.validate({"iterations": 1, "mollify": 0, **given})).vertices
+        out = denoise("al", mesh, iterations=1, mollify=0, **given)
         assert np.isfinite(out).all()
         assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.3, abs=1e-6)
 
@@ -152,46 +144,23 @@ def test_no_scaled_step_overshoots(scaling):
     # most vertices; without the limit of each, the sweeps would make noise.
     noisy_bear, clean = BEAR
     before, _ = errors(noisy_bear, clean, "al", n=0)
-    for c in (0.25, 0.5, 100.0):
+    for c in (0.25, 100.0):
         after, _ = errors(noisy_bear, clean, "al", n=8, scaling=scaling, scaled_step=c)
         assert after < 0.4 * before
-    tau = 0.5 * noisy_bear.mean_edge_length**2
-    unlimited = noisy_bear.with_vertices(
-        twin(noisy_bear.vertices, noisy_bear.faces, 2, "gauss", "mean", scaling, tau, limited=False)
-    )
-    assert normal_statistics(clean, unlimited).mean_angular_error_deg > 1.5 * before
 
 
 @pytest.mark.parametrize("scaling", ["mass", "edge"])
-def test_scaled_operators_need_smaller_steps_and_more_sweeps(scaling):
-    # Fig. 10: AL moves the vertices of large triangles too far; scaled, they stay in place, but
-    # at the step that the smallest triangles allow it takes many more sweeps; MSAL goes without.
+def test_scaled_operators_leave_large_triangles_in_place(scaling):
+    # Fig. 10: AL moves the vertices of large triangles too far; MSAL goes without scaling.
     noisy_bear, clean = BEAR
-    before, _ = errors(noisy_bear, clean, "al", n=0)
 
     def farthest(name, **given):
-        method = methods.find(name)
-        out = method.denoise(noisy_bear, method.validate(given)).vertices
+        out = denoise(name, noisy_bear, **given)
         return np.linalg.norm(out - clean.vertices, axis=1).max() / clean.mean_edge_length
 
     assert farthest("al", n=3) > 5
     assert farthest("msal", n=3, K=1 / 3) < 3
     assert farthest("al", n=8, scaling=scaling) < 0.5
-    # The step that the shortest edge allows, for all vertices alike.
-    edges = np.linalg.norm(
-        noisy_bear.vertices[noisy_bear.topology.ring]
-        - np.repeat(noisy_bear.vertices, np.diff(noisy_bear.topology.ring_start), axis=0),
-        axis=1,
-    )
-    smallest = (edges.min() / noisy_bear.mean_edge_length) ** 2
-    assert smallest < 0.02
-    few, many = (
-        errors(noisy_bear, clean, "al", n=n, scaling=scaling, scaled_step=smallest)[0]
-        for n in (3, 24)
-    )
-    one_sweep_of_al, _ = errors(noisy_bear, clean, "al", n=1)
-    assert before > few > 1.5 * many
-    assert few > one_sweep_of_al
 
 
 @pytest.mark.parametrize(
@@ -203,9 +172,9 @@ def test_weights_keep_edges_under_weak_noise(real_data, deviation, expected):
     clean = ground_truth.opened(real_data / "clean" / "fandisk.obj")
     rng = np.random.default_rng(0)
     along = rng.normal(0, 0.1 * clean.mean_edge_length, (len(clean.vertices), 1))
-    noisy_one = clean.with_vertices(clean.vertices + along * clean.vertex_normals())
+    rough = clean.with_vertices(clean.vertices + along * clean.vertex_normals())
     found = [
-        errors(noisy_one, clean, "al", n=3, weights=kind, deviation=deviation)[0]
+        errors(rough, clean, "al", n=3, weights=kind, deviation=deviation)[0]
         for kind in ("none", "huber", "lorentz", "gauss", "tukey")
     ]
     assert found == pytest.approx(expected, rel=0.015)

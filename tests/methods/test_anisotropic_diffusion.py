@@ -2,47 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
-from msal_cli import methods
 from msal_cli.kernels.curvature import edge_curvatures
 from msal_cli.kernels.faces import flaps
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepare_mesh
-from tests.methods.pairs import errors, opened
-from tests.shapes import grid, noisy, torus
+from tests.methods.runs import denoise, free_vertices, scan, small_scan
+from tests.shapes import box, noisy
 
-METHOD = methods.find("anisotropic_diffusion")
-
-
-def diffused(mesh, **given):
-    return METHOD.denoise(mesh, METHOD.validate(given)).vertices
-
-
-def scan(level=0.12, seed=3, shape=torus, **size):
-    vertices, faces = shape(**size)
-    return prepare_mesh(noisy(vertices, seed, level), faces).mesh
-
-
-def box(cells=6):
-    """A cube of edge length ``cells`` with unit cells, closed."""
-    points, faces = {}, []
-
-    def at(point):
-        return points.setdefault(tuple(int(c) for c in point), len(points))
-
-    axes = np.eye(3, dtype=int)
-    for axis in range(3):
-        u, v = axes[(axis + 1) % 3], axes[(axis + 2) % 3]
-        for side in (0, cells):
-            for i in range(cells):
-                for j in range(cells):
-                    p = side * axes[axis] + i * u + j * v
-                    a, b, c, d = at(p), at(p + u), at(p + u + v), at(p + v)
-                    for face in ((a, b, c), (a, c, d)):
-                        faces.append(face if side else face[::-1])
-    return np.array(list(points), dtype=float), np.array(faces, dtype=np.int32)
+diffused = functools.partial(denoise, "anisotropic_diffusion")
 
 
 def edges_with_faces(faces):
@@ -108,20 +80,9 @@ def twin(mesh, variant, tau, iterations, threshold, r, free):
 )
 @pytest.mark.parametrize(("threshold", "falloff"), [(0.3, 10.0), (0.15, 3.0), (5.0, 10.0)])
 def test_it_agrees_with_the_literal_twin(variant, shape, boundary, threshold, falloff):
-    mesh = (
-        scan(shape=torus, around=14, across=9)
-        if shape == "torus"
-        else scan(shape=grid, rows=9, columns=8)
-    )
-    free = (
-        ~mesh.topology.boundary if boundary == "fixed" else np.ones(len(mesh.vertices), dtype=bool)
-    )
-    given = {
-        "variant": variant,
-        "boundary": boundary,
-        "threshold": threshold,
-        "falloff": falloff,
-    }
+    mesh = small_scan(shape)
+    free = free_vertices(mesh, boundary)
+    given = {"variant": variant, "boundary": boundary, "threshold": threshold, "falloff": falloff}
     found = diffused(mesh, time_step=0.01, iterations=3, **given)
     expected = twin(mesh, variant, 0.01, 3, threshold, falloff, free)
     # Angles by arccos lose half the digits where faces are flat, which the noise prevents.
@@ -144,14 +105,14 @@ def test_the_automatic_threshold_is_that_by_hand():
 
 
 def test_a_clean_box_is_left_alone():
-    vertices, faces = box()
+    vertices, faces = box(6, 6, 6)
     mesh = prepare_mesh(vertices, faces).mesh
     assert (diffused(mesh) == mesh.vertices).all()
 
 
 @pytest.mark.parametrize("variant", ["amc", "pmc"])
 def test_edges_of_a_noisy_box_stay_and_sides_get_flat(variant):
-    vertices, faces = box(10)
+    vertices, faces = box(10, 10, 10)
     clean = prepare_mesh(vertices, faces).mesh
     mesh = clean.with_vertices(noisy(clean.vertices, 1, 0.15))
     steps = 10 if variant == "amc" else 40
@@ -187,15 +148,3 @@ def test_no_time_step_is_too_long(variant):
     before, _ = area_and_volume(mesh.vertices, mesh.faces)
     assert area_and_volume(moved, mesh.faces)[0] < before
     assert np.abs(moved).max() < 1.05 * np.abs(mesh.vertices).max()
-
-
-@pytest.mark.parametrize(
-    ("pair", "after_60", "after_120"), [("Fandisk0.3", 5.08, 4.15), ("SharpSphere0.3", 12.7, 10.2)]
-)
-def test_it_is_as_good_as_a_prototype(real_data, pair, after_60, after_120):
-    # The prototype averaged without weights and took steps by a percentile of the mass.
-    folder = real_data / "pairs" / pair
-    scans = opened(folder / "Noisy.obj", folder / "Original.obj")
-    for iterations, angle in ((60, after_60), (120, after_120)):
-        given = {"time_step": 0.05, "iterations": iterations}
-        assert errors(*scans, "anisotropic_diffusion", **given)[0] < 1.02 * angle

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -11,17 +13,10 @@ from msal_cli.kernels.bilateral import BallBilateral
 from msal_cli.kernels.operators import RingBilateral
 from msal_cli.mesh import prepare_mesh
 from tests import paper
-from tests.methods.pairs import all_errors
-from tests.shapes import cube, fan, grid, noisy, torus
+from tests.methods.runs import SHAPES, run_in_file
+from tests.shapes import fan
 
-
-def run(vertices, faces, **given):
-    """File positions after the filter."""
-    ready = prepare_mesh(vertices, faces)
-    method = methods.find("bilateral")
-    return ready.to_file_vertices(
-        method.denoise(ready.mesh, method.validate(given)).vertices, vertices
-    )
+run = functools.partial(run_in_file, "bilateral")
 
 
 def mean_edge(v, rings):
@@ -76,14 +71,6 @@ def twin(
         if K is not None:
             x = x + (sigma / sigma.max())[:, None] * (v - start)
     return x
-
-
-SHAPES = {
-    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
-    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
-    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
-    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
-}
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -166,10 +153,3 @@ def test_a_radius_needs_the_variant_that_has_one():
         methods.find("bilateral").validate({"radius": "2"})
     assert "fleishman" in caught.value.hint
     methods.find("bilateral").validate({"rho": "2", "variant": "fleishman"})
-
-
-def test_the_one_ring_is_no_better_than_al(real_data):
-    # "our BF does not generate significantly better results than AL" (section 2.3).
-    ours = np.array(all_errors(real_data, "bilateral"))
-    al = np.array(all_errors(real_data, "al", iterations=3))
-    assert np.abs(ours[:, 0] / al[:, 0] - 1).max() < 0.04

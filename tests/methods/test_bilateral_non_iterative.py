@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
-from msal_cli import methods
 from msal_cli.kernels.bilateral import ProjectionAverage
 from msal_cli.mesh import prepare_mesh
 from tests import paper
+from tests.methods.plain_normals import normals_and_areas
+from tests.methods.runs import SHAPES, run_in_file
 from tests.methods.test_bilateral import mean_edge
-from tests.shapes import cube, grid, noisy, torus
+from tests.shapes import cube, grid, noisy
 
-
-def run(vertices, faces, **given):
-    """File positions after the filter."""
-    ready = prepare_mesh(vertices, faces)
-    method = methods.find("bilateral_non_iterative")
-    return ready.to_file_vertices(
-        method.denoise(ready.mesh, method.validate(given)).vertices, vertices
-    )
-
-
-def unit_normals(x, faces):
-    crossed = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]])
-    return crossed / np.linalg.norm(crossed, axis=1)[:, None]
+run = functools.partial(run_in_file, "bilateral_non_iterative")
 
 
 def flooded(i, x, faces, centroids, radius):
@@ -52,19 +43,14 @@ def twin(v, faces, sigma_f, sigma_g):
     unit = mean_edge(v, paper.one_rings(len(v), faces))
     sigma_f, sigma_g = sigma_f * unit, sigma_g * unit
     c = v[faces].mean(axis=1)
-    area = (
-        np.linalg.norm(
-            np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]]), axis=1
-        )
-        / 2
-    )
+    _, area = normals_and_areas(v, faces)
     around = [flooded(i, v, faces, c, 2 * sigma_f) for i in range(len(v))]
     smooth = v.copy()
     for i, near in enumerate(around):
         if near:  # a limit that the paper leaves out
             w = area[near] * gauss(np.linalg.norm(c[near] - v[i], axis=1), sigma_f / 2)
             smooth[i] = (w[:, None] * c[near]).sum(axis=0) / w.sum()
-    n = unit_normals(smooth, faces)
+    n, _ = normals_and_areas(smooth, faces)
     out = v.copy()
     for i, near in enumerate(around):
         if near:
@@ -73,14 +59,6 @@ def twin(v, faces, sigma_f, sigma_g):
             w *= gauss(s, sigma_g)
             out[i] = (w[:, None] * (v[i] - s[:, None] * n[near])).sum(axis=0) / w.sum()
     return out
-
-
-SHAPES = {
-    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
-    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
-    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
-    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
-}
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -113,11 +113,17 @@ FIGURES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "given", "angles", "angle_rel", "errors", "error_rel"), FIGURES)
+SLOW = {"anisotropic_diffusion", "guided_normal", "l0", "static_dynamic"}
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "angles", "angle_rel", "errors", "error_rel"),
+    [pytest.param(*row, marks=[pytest.mark.ci] if row[0] in SLOW else []) for row in FIGURES],
+)
 def test_figures_on_known_truth(real_data, name, given, angles, angle_rel, errors, error_rel):
     wanted = [pair for pair, angle in zip(PAIRS, angles, strict=True) if angle is not None]
     found = np.array(all_errors(real_data, name, wanted, **given))
     for column, expected, rel in ((0, angles, angle_rel), (1, errors, error_rel)):
         if expected:
-            known = [value for value in expected if value is not None]
-            assert found[:, column] == pytest.approx(known, rel=rel)
+            numbers = [value for value in expected if value is not None]
+            assert found[:, column] == pytest.approx(numbers, rel=rel)

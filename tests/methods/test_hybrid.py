@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
 from msal_cli import methods
 from msal_cli.mesh import prepare_mesh
 from tests import paper
-from tests.shapes import cube, grid, noisy, roof, torus
+from tests.methods import runs
+from tests.shapes import cube, grid, noisy, roof
 
 
 def result(vertices, faces, **given):
@@ -17,10 +20,7 @@ def result(vertices, faces, **given):
     return ready, method.denoise(ready.mesh, method.validate(given))
 
 
-def run(vertices, faces, **given):
-    """File positions after the filter."""
-    ready, out = result(vertices, faces, **given)
-    return ready.to_file_vertices(out.vertices, vertices)
+run = functools.partial(runs.run_in_file, "hybrid")
 
 
 def lloyd(values, count):
@@ -29,7 +29,7 @@ def lloyd(values, count):
     centres = [order[(2 * j + 1) * len(order) // (2 * count)] for j in range(count)]
     while True:
         label = [min(range(count), key=lambda j, x=x: (abs(x - centres[j]), j)) for x in values]
-        mine = [[x for x, one in zip(values, label, strict=True) if one == j] for j in range(count)]
+        mine = [[x for x, at in zip(values, label, strict=True) if at == j] for j in range(count)]
         moved = [np.mean(m) if m else c for m, c in zip(mine, centres, strict=True)]
         if np.allclose(moved, centres, rtol=0, atol=1e-13):
             return np.array(label)
@@ -67,10 +67,9 @@ def twin(v, faces, sweeps, presmooth=3, count=3, angle=25.0, K=0.5, r=0.25, rim=
     return x, feature
 
 
-ROOF = noisy(roof(7, 7, 0.7)[0], 2, 0.1), roof(7, 7, 0.7)[1]
 SHAPES = {
-    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
-    "roof": ROOF,
+    "torus": runs.SHAPES["torus"],
+    "roof": (noisy(roof(7, 7, 0.7)[0], 2, 0.1), roof(7, 7, 0.7)[1]),
     "cube": (noisy(cube()[0], 3, 0.02), cube()[1]),
 }
 
@@ -109,9 +108,7 @@ def test_features_are_the_ridge():
 
 def test_without_features_or_further_sweeps_it_is_al():
     vertices, faces = SHAPES["torus"]
-    al = methods.find("al")
-    mesh = prepare_mesh(vertices, faces).mesh
-    expected = al.denoise(mesh, al.validate({"n": 3})).vertices
+    expected = runs.denoise("al", prepare_mesh(vertices, faces).mesh, n=3)
     out = result(vertices, faces, iterations=3, crease_angle_deg=180)[1]
     assert (out.vertices == expected).all()
     assert not out.fields["feature"].any()

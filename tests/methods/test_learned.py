@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
 import itertools
 import json
 
@@ -10,11 +12,9 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.measures import normal_statistics
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.errors import InternalError
 from msal_cli.mesh import prepare_mesh
-from msal_cli.methods import find
 from msal_cli.methods._cascade import (
     WEIGHTS,
     load_networks,
@@ -23,33 +23,15 @@ from msal_cli.methods._cascade import (
     write_networks,
 )
 from msal_cli.methods.learned import resolve_noise
-from tests.shapes import ball, grid, torus
+from tests.methods.runs import denoise, error_deg
+from tests.shapes import ball, box, grid, torus
 
-
-def run(mesh, **given):
-    method = find("learned")
-    return method.denoise(mesh, method.validate(given)).vertices
-
-
-def error_deg(true, positions):
-    return normal_statistics(true, true.with_vertices(positions)).mean_angular_error_deg
+run = functools.partial(denoise, "learned")
 
 
 def block(n=14):
-    """A block with sharp edges: every side a grid of n x n squares, cut in triangles."""
-    points, faces = [], []
-    for axis in range(3):
-        for side in (0, 1):
-            i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-            place = np.empty((n + 1, n + 1, 3))
-            place[..., axis] = side * n
-            place[..., (axis + 1) % 3], place[..., (axis + 2) % 3] = i, j
-            at = len(points) * (n + 1) ** 2 + np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-            a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
-            both = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
-            faces.append(both if side else both[:, ::-1])
-            points.append(place.reshape(-1, 3))
-    return prepare_mesh(np.concatenate(points), np.concatenate(faces).astype(np.int32)).mesh
+    """A block with sharp edges."""
+    return prepare_mesh(*box(n, n, n)).mesh
 
 
 def smooth():
@@ -59,7 +41,7 @@ def smooth():
 def test_the_weights_fit_into_400_kb_and_match_their_header():
     assert (WEIGHTS / "learned.f32").stat().st_size < 400_000
     header = json.loads((WEIGHTS / "learned.json").read_text())
-    sizes = [pair for one in header["stages"] for pair in itertools.pairwise(one)]
+    sizes = [pair for sizes in header["stages"] for pair in itertools.pairwise(sizes)]
     floats = sum(b * (a + 1) for a, b in sizes)
     assert (WEIGHTS / "learned.f32").stat().st_size == 4 * floats
     assert len(load_networks()) == 3
@@ -69,26 +51,39 @@ def test_networks_come_back_as_they_were_written(tmp_path):
     networks = load_networks()
     write_networks(tmp_path / "own.json", networks, {"trained_by": "a test"})
     again = read_networks(tmp_path / "own.json")
-    for one, other in zip(networks, again, strict=True):
-        for layer, same in zip(one.layers, other.layers, strict=True):
+    for network, copy in zip(networks, again, strict=True):
+        for layer, same in zip(network.layers, copy.layers, strict=True):
             assert (layer[0] == same[0]).all()
             assert (layer[1] == same[1]).all()
 
 
-@pytest.mark.parametrize("harm", ["cut", "changed", "no header", "no JSON", "missing"])
-def test_damaged_weights_are_refused(tmp_path, harm):
-    write_networks(tmp_path / "own.json", load_networks(), {})
-    data = tmp_path / "own.f32"
-    if harm == "cut":
-        data.write_bytes(data.read_bytes()[:-4])
-    elif harm == "changed":
-        data.write_bytes(b"\1" + data.read_bytes()[1:])
-    elif harm == "no JSON":
-        (tmp_path / "own.json").write_text("{")
-    else:
-        (data if harm == "missing" else tmp_path / "own.json").unlink()
-    with pytest.raises(InternalError):
-        read_networks(tmp_path / "own.json")
+@pytest.mark.parametrize(
+    ("harm", "words"),
+    [
+        ("cut", "damaged"),
+        ("changed", "damaged"),
+        ("too short", r"are [\d,]+ numbers instead of"),
+        *((f"layer {layer}", "in stage 2") for layer in range(4)),
+        *((harm, None) for harm in ("no header", "no JSON", "missing")),
+    ],
+)
+def test_damaged_weights_are_refused(tmp_path, harm, words):
+    path, data = tmp_path / "own.json", tmp_path / "own.f32"
+    write_networks(path, load_networks(), {})
+    header, floats = json.loads(path.read_text()), data.read_bytes()
+    if harm in ("cut", "too short"):
+        data.write_bytes(floats[:-4])
+    if harm == "too short":
+        header["sha256"] = hashlib.sha256(floats[:-4]).hexdigest()
+    if harm == "changed":
+        data.write_bytes(b"\1" + floats[1:])
+    if harm.startswith("layer"):
+        header["stages"][1][int(harm[-1])] += 1
+    path.write_text("{" if harm == "no JSON" else json.dumps(header))
+    if harm in ("missing", "no header"):
+        (data if harm == "missing" else path).unlink()
+    with pytest.raises(InternalError, match=words):
+        read_networks(path)
 
 
 @pytest.mark.parametrize(
@@ -165,14 +160,6 @@ def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
     )
     assert resolve_noise(noisy, 0.0) == (None, False)
     assert np.isfinite(run(noisy)).all()
-
-
-def test_stages_beyond_the_third_go_on():
-    true = block(6)
-    noisy = true.with_vertices(add_noise(true, AddedNoise("gaussian-normal", 0.3)))
-    three, four = run(noisy, iterations=3), run(noisy, iterations=4)
-    assert (three != four).any()
-    assert error_deg(true, four) < 1.5 * error_deg(true, three) + 1.0
 
 
 def test_texture_is_returned_for_white_noise_or_when_it_is_asked_for():

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli import methods
+from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_restoration as plain
-from tests.shapes import ball, cube, grid, noisy, torus
+from tests.methods.runs import SHAPES
+from tests.shapes import ball, noisy, torus
 
 
 def run(vertices, faces, name="msal", **given):
@@ -34,14 +36,6 @@ def spiked(vertices):
     return result
 
 
-SHAPES = {
-    "torus": (noisy(torus()[0], 1), torus()[1]),
-    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
-    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
-    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
-}
-
-
 def centred(shape):
     vertices, faces = SHAPES[shape]
     return vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2, faces
@@ -57,7 +51,6 @@ def test_robust_is_what_its_definition_says(shape, quantile, mollify):
     assert np.abs(actual - expected).max() < 1e-12 * np.ptp(vertices)
 
 
-@settings(max_examples=20, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     level=st.floats(0.0, 0.5),
@@ -99,16 +92,14 @@ def test_wiener_is_what_its_definition_says(shape, noise, caution):
     )
 
 
-def test_wiener_estimates_the_noise_unless_told():
-    from msal_cli.analysis.noise_estimate import estimate_noise
-
+def test_wiener_estimates_the_noise_unless_it_is_given():
     vertices, faces = torus(64, 32)
     vertices = noisy(vertices, 1)
-    told = estimate_noise(prepare_mesh(vertices, faces).mesh).mean_edges
+    level = estimate_noise(prepare_mesh(vertices, faces).mesh).mean_edges
     by_itself = run(vertices, faces, schedule="wiener").vertices
-    assert np.allclose(by_itself, run(vertices, faces, schedule="wiener", noise=told).vertices)
+    assert np.allclose(by_itself, run(vertices, faces, schedule="wiener", noise=level).vertices)
     assert not np.allclose(
-        by_itself, run(vertices, faces, schedule="wiener", noise=3 * told).vertices
+        by_itself, run(vertices, faces, schedule="wiener", noise=3 * level).vertices
     )
 
 

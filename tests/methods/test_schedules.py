@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.mesh import prepare_mesh
-from tests.shapes import noisy, torus
+from tests.methods.runs import denoise, scan
 
 SCHEDULED = [
     name
@@ -18,14 +19,12 @@ SCHEDULED = [
 
 @pytest.fixture(scope="module")
 def mesh():
-    vertices, faces = torus()
-    return prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
+    return scan(0.05, 0)
 
 
 @pytest.fixture(params=SCHEDULED)
 def run(request, mesh):
-    method = methods.find(request.param)
-    return lambda **given: method.denoise(mesh, method.validate(given)).vertices
+    return functools.partial(denoise, request.param, mesh)
 
 
 def moved(mesh, vertices):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.analysis.measures import normal_statistics
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import _sliding
 from msal_cli.methods._sliding import SIDEWAYS, sideways_share, undo_sliding
+from tests.methods.runs import denoise, error_deg
 from tests.shapes import grid, torus
 
 SLIDING = [
@@ -26,11 +26,6 @@ def scan():
     heights = 0.08 * np.random.default_rng(0).normal(size=len(vertices))
     ready = prepare_mesh(vertices + heights[:, None] * normals, faces)
     return ready.mesh, ready.mesh.with_vertices(vertices - ready.origin)
-
-
-def run(name, mesh, **given):
-    method = methods.find(name)
-    return method.denoise(mesh, method.validate(given)).vertices
 
 
 def test_every_filter_of_normals_has_the_choice():
@@ -57,27 +52,24 @@ def test_heights_over_a_plane_stay():
 @pytest.mark.parametrize("name", SLIDING)
 def test_it_comes_closer_where_the_noise_was_along_the_normals(name):
     mesh, true = scan()
-    few = {"iterations": 5} if name != "l0" else {}
-    found = {sliding: run(name, mesh, sliding=sliding, **few) for sliding in ("kept", "undone")}
+    few = {"iterations": 3 if name != "l0" else 20}
+    found = {sliding: denoise(name, mesh, sliding=sliding, **few) for sliding in ("kept", "undone")}
     by_itself = "undone" if name == "learned" else "kept"
-    assert (found[by_itself] == run(name, mesh, **few)).all()
+    assert (found[by_itself] == denoise(name, mesh, **few)).all()
     kept, undone = (
-        np.linalg.norm(found[one] - true.vertices, axis=1).mean() for one in ("kept", "undone")
+        np.linalg.norm(found[way] - true.vertices, axis=1).mean() for way in ("kept", "undone")
     )
     assert undone < 0.97 * kept
-    angles = {
-        one: normal_statistics(true, mesh.with_vertices(found[one])).mean_angular_error_deg
-        for one in found
-    }
+    angles = {way: error_deg(true, positions) for way, positions in found.items()}
     assert angles["undone"] < 1.03 * angles["kept"]
 
 
 @pytest.mark.parametrize("name", SLIDING)
 def test_no_iterations_change_no_bit_and_what_is_held_stays(name):
     mesh, _ = scan()
-    assert (run(name, mesh, iterations=0, sliding="undone") == mesh.vertices).all()
+    assert (denoise(name, mesh, iterations=0, sliding="undone") == mesh.vertices).all()
     held = np.arange(len(mesh.vertices)) % 3 == 0
-    found = run(name, mesh.with_constraints(held, None), iterations=2, sliding="undone")
+    found = denoise(name, mesh.with_constraints(held, None), iterations=2, sliding="undone")
     assert np.abs(found[held] - mesh.vertices[held]).max() < 1e-14
 
 
@@ -89,7 +81,7 @@ def test_auto_undoes_it_only_where_the_noise_was_along_the_normals():
     ).mesh
     for mesh, as_with in ((along, "undone"), (every_way, "kept")):
         by_itself, expected = (
-            run("guided_normal", mesh, iterations=3, sliding=one) for one in ("auto", as_with)
+            denoise("guided_normal", mesh, iterations=3, sliding=way) for way in ("auto", as_with)
         )
         assert (by_itself == expected).all()
 

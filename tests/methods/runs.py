@@ -1,0 +1,58 @@
+"""Methods run on meshes, and meshes that several tests run them on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msal_cli import methods
+from msal_cli.analysis.measures import normal_statistics
+from msal_cli.mesh import Mesh, prepare_mesh
+from tests.shapes import cube, grid, noisy, torus
+
+SHAPES = {
+    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
+    "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
+    "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
+    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
+}
+"""Vertices (n, 3) and faces (m, 3) with noise."""
+
+
+def denoise(name: str, mesh: Mesh, on_sweep=None, **given) -> np.ndarray:
+    """Positions (n, 3) of a mesh after a method."""
+    method = methods.find(name)
+    return method.denoise(mesh, method.validate(given), on_sweep).vertices
+
+
+def run(name: str, vertices, faces, on_sweep=None, **given) -> tuple[Mesh, np.ndarray]:
+    """The prepared mesh, and its positions after a method."""
+    mesh = prepare_mesh(vertices, faces).mesh
+    return mesh, denoise(name, mesh, on_sweep, **given)
+
+
+def run_in_file(name: str, vertices, faces, **given) -> np.ndarray:
+    """Positions in the coordinates of the file after a method."""
+    ready = prepare_mesh(vertices, faces)
+    return ready.to_file_vertices(denoise(name, ready.mesh, **given), vertices)
+
+
+def scan(level=0.12, seed=3, shape=torus, **size) -> Mesh:
+    vertices, faces = shape(**size)
+    return prepare_mesh(noisy(vertices, seed, level), faces).mesh
+
+
+def small_scan(shape: str, level=0.12, seed=3) -> Mesh:
+    """A torus or an open grid that plain twins are quick for."""
+    if shape == "torus":
+        return scan(level, seed, torus, around=12, across=8)
+    return scan(level, seed, grid, rows=9, columns=8)
+
+
+def free_vertices(mesh: Mesh, boundary: str) -> np.ndarray:
+    """Which vertices a rule at open edges lets move."""
+    return ~mesh.topology.boundary if boundary == "fixed" else np.ones(len(mesh.vertices), bool)
+
+
+def error_deg(true: Mesh, positions) -> float:
+    """Mean angle between the face normals of positions (n, 3) and the true ones."""
+    return normal_statistics(true, true.with_vertices(positions)).mean_angular_error_deg

@@ -1,0 +1,239 @@
+"""Umbrella operators: formulas, hand-worked cases, transfer functions and limits of stability."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msal_cli import methods
+from msal_cli.analysis.measures import area_and_volume
+from msal_cli.errors import UsageError
+from msal_cli.kernels.umbrellas import ScaleDependentUmbrella, sinc_coefficients
+from msal_cli.mesh import prepare_mesh
+from tests import paper
+from tests.methods.plain_rings import hc, rows, scale_dependent_umbrella, umbrella
+from tests.methods.runs import SHAPES, denoise, run
+from tests.shapes import fan, grid, noisy, torus
+
+TAUBIN = methods.find("taubin")
+BOUNDARIES = pytest.mark.parametrize("boundary", ["curve", "free", "fixed"])
+
+
+def stretched(seed=3):
+    """An open sheet whose edge lengths differ by a factor of about a hundred."""
+    vertices, faces = grid(12, 12)
+    vertices[:, :2] = 1.55 ** vertices[:, :2]
+    rng = np.random.default_rng(seed)
+    vertices[:, 2] = rng.normal(0, 0.1, len(vertices)) * vertices[:, :2].min(axis=1)
+    return vertices, faces
+
+
+def wave_on_torus(wave, around=240, across=12):
+    """Heights that are an eigenvector of the umbrella operator, and its frequency k."""
+    u = np.repeat(np.arange(around), across)
+    vertices = np.stack([u, np.tile(np.arange(across), around), np.zeros(len(u))], axis=1) * 1.0
+    vertices[:, 2] = np.cos(2 * np.pi * wave * u / around)
+    # Of the six neighbours two keep u, two have u + 1 and two u - 1.
+    return vertices, torus(around, across)[1], 1 - (2 + 4 * np.cos(2 * np.pi * wave / around)) / 6
+
+
+def assert_twin(mesh, out, expected, least=1e-2):
+    assert np.abs(out - expected).max() <= 1e-12 * np.ptp(mesh.vertices)
+    assert np.abs(out - mesh.vertices).max() > least
+
+
+def test_a_full_umbrella_step_goes_to_the_mean_of_the_neighbours():
+    vertices, faces = fan([0.2, 0.4, 0.9, 0.5])
+    mesh, out = run("umbrella", vertices, faces, iterations=1, time_step=1.0, boundary="fixed")
+    assert out[0] - mesh.vertices[0] == pytest.approx([0.0, 0.0, 0.5], abs=1e-15)
+    assert (out[1:] == mesh.vertices[1:]).all()
+
+
+def test_a_rim_is_a_curve():
+    # The inner vertex of a regular fan stands over the plane of its rim.  Averaged along the rim
+    # only, the rim's vertices of a hexagon move towards its centre by half a step of 1 - cos 60,
+    # whatever the inner vertex does.
+    vertices, faces = fan([0.0] * 6)
+    vertices[0, 2] = 5.0
+    mesh, out = run("umbrella", vertices, faces, iterations=1)
+    radii = np.linalg.norm((out - mesh.vertices[0])[1:, :2], axis=1)
+    assert radii == pytest.approx([0.75] * 6)
+    assert (out[1:, 2] == mesh.vertices[1:, 2]).all()
+    free = denoise("umbrella", mesh, iterations=1, boundary="free")
+    assert (free[1:, 2] > mesh.vertices[1:, 2] + 0.5).all()
+
+
+@pytest.mark.parametrize("shape", ["torus", "open grid"])
+@BOUNDARIES
+@pytest.mark.parametrize("schedule", ["plain", "constant", "multiscale"])
+def test_the_umbrella_agrees_with_the_plain_twin(shape, boundary, schedule):
+    vertices, faces = SHAPES[shape]
+    given = {"boundary": boundary, "schedule": schedule, "K": 0.6, "fidelity": 0.3}
+    mesh, out = run("umbrella", vertices, faces, iterations=4, **given)
+    v = mesh.vertices
+    x = v.copy()
+    rings = paper.one_rings(len(v), faces)
+    normals = paper.normal_field(v, faces, 1)
+    for sweep in range(4):
+        tau, pull = 0.5, np.zeros(len(v))
+        if schedule == "constant":
+            pull += 0.3
+        if schedule == "multiscale":
+            heights = [(x[ring] - x[i]) @ normals[i] for i, ring in enumerate(rings)]
+            sigma = np.array([2 * np.mean(np.abs(h - np.mean(h))) for h in heights])
+            tau, pull = 0.5 * 0.6**sweep, sigma / sigma.max()
+        x = x + tau * umbrella(x, rows(len(v), faces, boundary)) + pull[:, None] * (v - x)
+    assert_twin(mesh, out, x)
+
+
+def test_one_step_of_hc_worked_by_hand():
+    # With a fixed rim only vertex 0 moves: p = 0.3 up, b = 0.3, pushed back by 0.6 of it.
+    vertices, faces = fan([0.3] * 6)
+    mesh, out = run("hc", vertices, faces, iterations=1, boundary="fixed")
+    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.4 * 0.3)
+    # Then p = 0.18 up again, b = 0.3 - (0.1 * 0 + 0.9 * 0.12) = 0.192.
+    out = denoise("hc", mesh, iterations=2, boundary="fixed")
+    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.3 - 0.6 * 0.192)
+
+
+@BOUNDARIES
+@pytest.mark.parametrize(("alpha", "beta"), [(0.1, 0.6), (0.0, 0.5), (0.7, 0.9)])
+def test_hc_agrees_with_the_plain_twin(boundary, alpha, beta):
+    vertices, faces = SHAPES["open grid"]
+    mesh, out = run("hc", vertices, faces, boundary=boundary, alpha=alpha, beta=beta)
+    ring = rows(len(vertices), faces, boundary)
+    assert_twin(mesh, out, hc(mesh.vertices, ring, 10, alpha, beta))
+
+
+def test_pushing_back_its_own_correction_alone_undoes_everything():
+    # beta = 1, alpha = 0: q = p - (p - q).
+    mesh, out = run("hc", *SHAPES["torus"], alpha=0.0, beta=1.0)
+    assert np.abs(out - mesh.vertices).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "most"),
+    [("hc", {}, 0.1), ("taubin", {"iterations": 20}, 0.2), ("windowed_sinc", {}, 0.05)],
+)
+def test_volume_that_the_umbrella_loses_is_kept(name, given, most):
+    vertices, faces = torus(60, 30)
+    mesh, out = run(name, noisy(vertices, 0, 0.03), faces, **given)
+    shrunken = denoise("umbrella", mesh, iterations=given.get("iterations", 10))
+
+    def lost(positions):
+        volumes = [area_and_volume(mesh.with_vertices(x))[1] for x in (positions, mesh.vertices)]
+        return abs(1 - volumes[0] / volumes[1])
+
+    assert lost(out) < most * lost(shrunken)
+
+
+def test_the_steps_of_taubin_are_the_common_ones():
+    def step_of(**given):
+        return TAUBIN.module.Parameters(**TAUBIN.validate(given)).outward_step
+
+    assert TAUBIN.validate({})["shrink"] == 0.5
+    assert step_of() == pytest.approx(-0.53, abs=5e-5)
+    assert step_of(pass_band=0.1, shrink=0.6307) == pytest.approx(-0.6732, abs=5e-5)
+    assert step_of(mu=-0.6) == -0.6
+    assert step_of(pass_band=0.0) == -0.5
+
+
+@BOUNDARIES
+def test_taubin_agrees_with_the_plain_twin(boundary):
+    vertices, faces = SHAPES["open grid"]
+    given = {"iterations": 7, "mu": -0.7, "shrink": 0.6, "boundary": boundary}
+    mesh, out = run("taubin", vertices, faces, **given)
+    x = mesh.vertices
+    ring = rows(len(x), faces, boundary)
+    for _ in range(7):
+        x = x + 0.6 * umbrella(x, ring)
+        x = x - 0.7 * umbrella(x, ring)
+    assert_twin(mesh, out, x)
+
+
+@pytest.mark.parametrize(("shrink", "inflate"), [(0.1, -1.0), (0.3, -0.6), (0.49, -1.0)])
+def test_steps_that_amplify_noise_are_refused(shrink, inflate):
+    with pytest.raises(UsageError, match=f"mu = {inflate:g} amplify noise") as caught:
+        TAUBIN.validate({"lambda": shrink, "mu": inflate})
+    assert f"{-1.06 * shrink:.4g}" in caught.value.hint
+
+
+@pytest.mark.parametrize(("shrink", "inflate"), [(0.5, -1.0), (2 / 3, -1.0), (0.5, -0.5)])
+def test_steps_that_are_allowed_damp_noise(shrink, inflate):
+    TAUBIN.validate({"lambda": shrink, "mu": inflate})
+    k = np.linspace(1, 2, 101)
+    assert np.abs((1 - shrink * k) * (1 - inflate * k)).max() <= 1 + 1e-12
+
+
+def transfer(coefficients, k):
+    """The windowed sinc's factor at a frequency."""
+    return float(coefficients @ np.cos(np.arange(len(coefficients)) * np.arccos(1 - k / 2)))
+
+
+@pytest.mark.parametrize("wave", [3, 20, 40, 100])
+def test_a_wave_is_multiplied_by_the_transfer_function(wave):
+    vertices, faces, k = wave_on_torus(wave)
+    mesh, out = run("windowed_sinc", vertices, faces)
+    expected = transfer(sinc_coefficients(0.1, 20), k)
+    assert out[:, 2] == pytest.approx(expected * mesh.vertices[:, 2], abs=1e-12)
+    out = denoise("taubin", mesh, iterations=3, mu=-0.53)
+    expected = ((1 - 0.5 * k) * (1 + 0.53 * k)) ** 3
+    assert out[:, 2] == pytest.approx(expected * mesh.vertices[:, 2], abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("passes", "pass_band", "expected"),
+    [
+        # Measured with VTK 9.7 at waves 16, 24 and 40 of the torus above.
+        (20, 0.1, [1.0, 0.9971, 0.8829]),
+        (30, 0.05, [0.9981, 0.9488, 0.3404]),
+        (50, 0.01, [0.7693, 0.1617, 0.0]),
+    ],
+)
+def test_the_transfer_function_is_that_of_vtk(passes, pass_band, expected):
+    coefficients = sinc_coefficients(pass_band, passes)
+    at = [transfer(coefficients, wave_on_torus(wave)[2]) for wave in (16, 24, 40)]
+    assert at == pytest.approx(expected, abs=1e-3)
+    assert transfer(coefficients, 0.0) == pytest.approx(1.0, abs=1e-15)
+    assert transfer(coefficients, pass_band) == pytest.approx(0.99904, abs=1e-9)
+
+
+def test_one_scale_dependent_step_worked_by_hand():
+    # Edges of length 1, 1 and 2 along +x, -x and +y: L = 2/4 (0, 1).
+    x = np.array([[0.0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 2, 0]])
+    start, ring = np.array([0, 3, 3, 3, 3], np.int32), np.array([1, 2, 3], np.int32)
+    moves = ScaleDependentUmbrella(start, ring, 0.1)(x).move
+    assert moves[0] == pytest.approx([0.0, 0.05, 0.0], abs=1e-16)
+    assert (moves[1:] == 0.0).all()
+    # The limit is 4 / (2 (1 + 1 + 1/2)) = 0.8: there it is at the mean with weights 1/l.
+    moves = ScaleDependentUmbrella(start, ring, 7.0)(x).move
+    assert moves[0] == pytest.approx([0.0, 0.4, 0.0], abs=1e-16)
+
+
+def test_edges_without_length_are_left_out():
+    x = np.array([[0.0, 0, 0], [0, 0, 0], [0, 3, 0]])
+    both = ScaleDependentUmbrella(np.array([0, 2, 2, 2], np.int32), np.array([1, 2], np.int32), 9.0)
+    assert both(x).move[0] == pytest.approx([0.0, 3.0, 0.0])
+    only = ScaleDependentUmbrella(np.array([0, 1, 1, 1], np.int32), np.array([1], np.int32), 9.0)
+    assert (only(x).move == 0.0).all()
+
+
+@pytest.mark.parametrize("shape", [SHAPES["torus"], stretched()], ids=["torus", "stretched"])
+@BOUNDARIES
+@pytest.mark.parametrize("time_step", [0.05, 0.25, 50.0])
+def test_the_scale_dependent_umbrella_agrees_with_the_plain_twin(shape, boundary, time_step):
+    given = {"iterations": 3, "boundary": boundary, "time_step": time_step}
+    mesh, out = run("scale_dependent_umbrella", *shape, **given)
+    x = mesh.vertices
+    ring = rows(len(x), mesh.faces, boundary)
+    for _ in range(3):
+        x = x + scale_dependent_umbrella(x, ring, time_step * mesh.mean_edge_length**2)
+    assert_twin(mesh, out, x, 1e-3)
+
+
+def test_no_step_overshoots():
+    # Without the limit of each vertex the default step would throw the small triangles about.
+    mesh = prepare_mesh(*stretched()).mesh
+    out = denoise("scale_dependent_umbrella", mesh, iterations=200, time_step=100.0)
+    assert (out >= mesh.vertices.min(axis=0) - 1e-9).all()
+    assert (out <= mesh.vertices.max(axis=0) + 1e-9).all()
