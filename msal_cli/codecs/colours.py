@@ -29,8 +29,8 @@ _OFF_HEADER = re.compile(r"\s*(?:ST)?(C)?(N)?OFF\b")
 _STL_VALID = 0x8000
 _MATERIALISE = b"COLOR="
 
-_GLTF_TYPES = {5126: ("<f4", 1.0), 5121: ("<u1", 255.0), 5123: ("<u2", 65535.0)}
-"""Number types of colours, and what stands for 1."""
+_GLTF_TYPES = {5126: "<f4", 5121: "<u1", 5123: "<u2"}
+"""Number types of colours; the largest whole number stands for 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,14 +175,13 @@ def _of_stl(mesh_file: MeshFile) -> Colours | None:
 
 def _of_gltf(scene_file: SceneFile) -> Colours | None:
     """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows."""
-    from msal_cli.codecs.gltf_scene import as_dict, as_list
+    from msal_cli.codecs.gltf_scene import as_dict, as_dicts
 
     scene, has_colours = scene_file.scene, False
-    meshes = [as_dict(mesh) for mesh in as_list(scene.content.get("meshes"))]
     primitives = [
-        as_dict(as_dict(primitive).get("attributes"))
-        for mesh in meshes
-        for primitive in as_list(mesh.get("primitives"))
+        as_dict(primitive.get("attributes"))
+        for mesh in as_dicts(scene.content.get("meshes"))
+        for primitive in as_dicts(mesh.get("primitives"))
     ]
     whole = []
     for part in scene_file.parts:
@@ -190,15 +189,18 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
         for attributes in primitives:
             if attributes.get("POSITION") not in part.accessors or "COLOR_0" not in attributes:
                 continue
-            entry = scene.entry("accessors", attributes["COLOR_0"])
-            kind, number = entry.get("type"), entry.get("componentType")
-            if kind not in ("VEC3", "VEC4") or number not in _GLTF_TYPES:
+            index = attributes["COLOR_0"]
+            kind = scene.entry("accessors", index).get("type")
+            if kind not in ("VEC3", "VEC4"):
                 continue
-            code, largest = _GLTF_TYPES[number]
-            rows = scene.read_rows(attributes["COLOR_0"], {number: code}, int(kind[-1]))[:, :3]
-            value = np.clip(rows.astype(np.float64) / largest, 0.0, 1.0)
+            rows = scene.find_rows(index, _GLTF_TYPES, kind, f"accessor {index!r}")
+            if rows is None:
+                continue
+            largest = np.iinfo(rows.code).max if rows.code != "<f4" else 1.0
+            shares = rows.rows(scene.data)[:, :3].astype(np.float64) / largest
+            value = np.clip(shares, 0.0, 1.0)
             # The format says linear, but programs for scans write a screen's bytes as they are.
-            if code != "<u1":
+            if rows.code != "<u1":
                 # IEC 61966-2-1
                 curve = 1.055 * value ** (1.0 / 2.4) - 0.055
                 value = np.where(value <= 0.0031308, 12.92 * value, curve)

@@ -8,24 +8,24 @@ nothing outside the folder of the .gltf is opened, and nothing but regular files
 from __future__ import annotations
 
 import base64
-import binascii
 import errno
 import json
-import operator
 import os
 import struct
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
 
-from msal_cli.arrays import Flags, Floats
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.codecs.gltf_scene import (
     Part,
     Scene,
     as_dict,
-    as_list,
+    as_dicts,
+    damaged,
     find_entries,
     has_scheme,
     parse_json,
@@ -44,7 +44,6 @@ from msal_cli.codecs.mesh_file import (
 from msal_cli.codecs.slot_file import Change, SlotFile
 from msal_cli.errors import (
     EXPORT_AGAIN,
-    FormatError,
     InputError,
     InternalError,
     MsalError,
@@ -57,6 +56,8 @@ from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open_regular
 from msal_cli.storage.urls import is_url
+
+_CUT = "the file was cut short; copy or export it again"
 
 
 class SceneFile(SlotFile):
@@ -97,12 +98,10 @@ class SceneFile(SlotFile):
             ) from None
         super().check(data, vertices)
         expected = json.loads(json.dumps(self.scene.content))
-        for part in self.parts:
-            bounds = part.bounds(as_bytes(data))
-            for entry in (expected["accessors"][index] for index in part.accessors):
-                for word, new in bounds.items():
-                    if word in entry:
-                        entry[word] = json.loads(write_bound(json.dumps(entry[word]), new))
+        for index, word, bound in self._bounds(data):
+            entry = expected["accessors"][index]
+            if word in entry:
+                entry[word] = json.loads(write_bound(json.dumps(entry[word]), bound))
         # As text, because a number that is none, which Python reads, is not equal to itself.
         is_right = json.dumps(content) == json.dumps(expected)
         if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
@@ -114,17 +113,20 @@ class SceneFile(SlotFile):
         self._require_ranges(changes[:1])
         return changes
 
+    def _bounds(self, data: Buffer) -> Iterator[tuple[int, str, list[float]]]:
+        """The bounds that positions have in ``data``: accessor, ``min`` or ``max``, numbers."""
+        for part in self.parts:
+            bounds = part.bounds(as_bytes(data))
+            yield from ((i, word, bound) for i in part.accessors for word, bound in bounds.items())
+
     def text_of(self, data: Buffer) -> bytes:
         """The description with the bounds that positions have in ``data``."""
         spans = find_entries(self.text, "accessors")
-        edits = []
-        for part in self.parts:
-            bounds = part.bounds(as_bytes(data))
-            for own in (spans[index] for index in part.accessors):
-                for word, new in bounds.items():
-                    if word in own:
-                        start, stop = own[word]
-                        edits.append((own[word], write_bound(self.text[start:stop], new)))
+        edits = [
+            (span, write_bound(self.text[slice(*span)], bound))
+            for index, word, bound in self._bounds(data)
+            if (span := spans[index].get(word))
+        ]
         return replace_spans(self.text, edits).encode("latin-1")
 
     def _pack(self, data: memoryview) -> Buffer:
@@ -144,46 +146,42 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
     elif is_placed(frames[0]):
         properties = (*properties, PLACEMENT)
     is_framed = len(parts) > 1 and all(map(is_usable, frames))
-    if not is_framed:
-        frames = [np.eye(4) for _ in parts]
     positions = tuple(part.positions.slots(scene.data) for part in parts)
-    for part, slots in zip(parts, positions, strict=True):
+    faces, normals = [], []
+    first = 0
+    for part, slots, frame in zip(parts, positions, frames, strict=True):
         require_finite(slots.values, f"accessor {part.positions.index}, vertex {{}}".format)
-    starts = np.cumsum([0, *(slots.count for slots in positions)])
-    faces = np.concatenate(
-        [part.faces + first for part, first in zip(parts, starts.tolist(), strict=False)]
-    ).astype(np.int32)
-    normals = [
-        (part, part.normals.slots(scene.data), frame, int(first))
-        for part, frame, first in zip(parts, frames, starts, strict=False)
-        if part.normals is not None
-    ]
+        own = part.faces()
+        faces.append(own + first)
+        if part.normals is not None:
+            linear = frame[:3, :3] if is_framed else np.eye(3)
+            normals.append((own.astype(np.int32), part.normals.slots(scene.data), linear, first))
+        first += slots.count
     return Layout(
         "binary_little_endian",
         "float32" if any(part.positions.code == "<f4" for part in parts) else "integer",
         positions,
         normals=tuple(slots for _, slots, _, _ in normals),
         renew_normals=lambda old, new: [
-            _renew_normals(part, slots.values, frame[:3, :3], old[first:], new[first:])
-            for part, slots, frame, first in normals
+            _renew_normals(own, slots.values, linear, old[first:], new[first:])
+            for own, slots, linear, first in normals
         ],
         frames=tuple(frames) if is_framed else (),
         properties=properties,
         warnings=warnings,
         references=scene.references(),
-        faces=faces,
+        faces=np.concatenate(faces).astype(np.int32),
     )
 
 
 def _renew_normals(
-    part: Part, stored: Floats, linear: Floats, old: Floats, new: Floats
+    faces: Ints, stored: Floats, linear: Floats, old: Floats, new: Floats
 ) -> tuple[Floats, Flags]:
     """The normals (n, 3) of a part, which ``linear`` (3, 3) takes into the scene, and which of them
     changed; ``old`` and ``new`` begin with its vertices."""
     from msal_cli.kernels.geometry import regroup_normals
 
     count = len(stored)
-    faces = part.faces.astype(np.int32)
     # A stored normal may be anything.
     with np.errstate(over="ignore", invalid="ignore"):
         normals, is_changed = regroup_normals(
@@ -199,7 +197,6 @@ _HEAD = 20
 """Bytes before the description: the header of the file and that of its first chunk."""
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
-_CUT = "the file was cut short; copy or export it again"
 
 
 def read_glb(data: Buffer, name: str) -> GlbFile:
@@ -213,9 +210,7 @@ def expected_bytes(head: memoryview, total: int) -> int:
         raise TruncatedError(f"the file has only {total} bytes", hint=EXPORT_AGAIN)
     magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
     if magic != b"glTF" or (version == 2 and kind != _JSON):
-        raise FormatError(
-            "the file does not begin as a GLB file does", where="byte 0", hint=EXPORT_AGAIN
-        )
+        raise damaged("the file does not begin as a GLB file does", "byte 0")
     if version != 2:
         raise UnsupportedError(
             f"glTF version {version} is not read", hint="convert it to version 2"
@@ -238,24 +233,10 @@ def _split_glb(data: Buffer) -> tuple[bytes, memoryview, int]:
     return bytes(view[_HEAD : _HEAD + size]), view[_HEAD + size :], length - _HEAD - size
 
 
-def _parse_glb(text: bytes, rest: memoryview, length: int) -> Scene:
-    from msal_cli.kernels.text import as_bytes
-
-    content = parse_json(text, "JSON chunk")
-    size = 0
-    if length >= 8:
-        size, kind = struct.unpack_from("<II", rest)
-        size *= kind == _BINARY
-        if 8 + size > length:
-            end = _HEAD + len(text) + length
-            raise TruncatedError(
-                f"the binary chunk should have {size} bytes but has {length - 8}",
-                where=f"byte {end}",
-                hint=_CUT,
-            )
-    first = as_list(content.get("buffers"))[:1]
-    is_inside = "uri" not in as_dict(first[0] if first else None)
-    return Scene(content, as_bytes(rest), {0: (8 * (size > 0), size)} if is_inside else {})
+def _glb_head(text: bytes, size: int) -> bytes:
+    """The beginning of a file with ``size`` bytes behind its description."""
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIIII", b"glTF", 2, _HEAD + len(text) + size, len(text), _JSON) + text
 
 
 class GlbFile(SceneFile):
@@ -264,131 +245,46 @@ class GlbFile(SceneFile):
     format = "glb"
 
     def __init__(self, data: Buffer) -> None:
-        parts = _split_glb(data)
-        super().__init__(data, parts[0], _parse_glb(*parts))
+        text, rest, length = _split_glb(data)
+        content = parse_json(text, "JSON chunk")
+        size = 0
+        if length >= 8:
+            size, kind = struct.unpack_from("<II", rest)
+            size *= kind == _BINARY
+            if 8 + size > length:
+                raise TruncatedError(
+                    f"the binary chunk should have {size} bytes but has {length - 8}",
+                    where=f"byte {_HEAD + len(text) + length}",
+                    hint=_CUT,
+                )
+        is_inside = "uri" not in (as_dicts(content.get("buffers")) or [{}])[0]
+        places = {0: (8 * (size > 0), size)} if is_inside else {}
+        super().__init__(data, text, Scene(content, as_bytes(rest), places))
 
     def _pack(self, data: memoryview) -> bytes:
         """The file with other data behind the description, whose padding is made to fit."""
-        begin = _HEAD + len(self.text)
-        head = memoryview(self.data).cast("B")[:begin]
+        head = bytes(memoryview(self.data).cast("B")[: _HEAD + len(self.text)])
         text = self.text_of(data)
         if text != head[_HEAD:]:
             padding = len(text) - len(text.rstrip(b" "))
-            text = text[: len(text) - min(padding, 3)]
-            text += b" " * (-len(text) % 4)
-            size = _HEAD + len(text) + len(data)
-            head = memoryview(struct.pack("<4sIIII", b"glTF", 2, size, len(text), _JSON) + text)
+            head = _glb_head(text[: len(text) - min(padding, 3)], len(data))
         return b"".join([head, data])
 
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
         text, data, length = _split_glb(output)
-        heads = (memoryview(one).cast("B")[:_HEAD] for one in (output, self.data))
-        if length != len(data) and operator.ne(*heads):
+        head, own_head = (bytes(memoryview(file).cast("B")[:_HEAD]) for file in (output, self.data))
+        if length != len(data) and head != own_head:
             raise InternalError("the length in its header is not what it should be")
         return text, data
 
 
 _BASE64 = ";base64,"
+_DATA_URI = b'"data:'
 _MAX_BEHIND = 256 << 20
 """Bytes behind the declared end of a buffer that are carried along whatever its size."""
 
-_AS_GLB = "export it as .glb, which holds everything in one file"
-
-
-def decode_data_uri(uri: str, where: str) -> bytes | None:
-    """The content of a ``data:`` reference; None for any other."""
-    if uri[:5].lower() != "data:":
-        return None
-    comma = uri.find(",", 0, 1000)
-    if not uri[: comma + 1].lower().endswith(_BASE64):
-        raise UnsupportedError("data that are not base64 are not read", where=where, hint=_AS_GLB)
-    try:
-        return base64.b64decode(uri[comma + 1 :], validate=True)
-    except (binascii.Error, ValueError) as failure:
-        said = str(failure)[:100]
-        raise FormatError(
-            f"the data are not base64: {said}", where=where, hint=EXPORT_AGAIN
-        ) from None
-
-
-def encode_data_uri(uri: str, content: Buffer) -> str:
-    comma = uri.index(",")
-    return uri[: comma + 1] + base64.b64encode(content).decode("ascii")
-
-
-def file_name(uri: str, where: str) -> str:
-    """The path, with slashes, that a reference means relative to the folder of its .gltf.
-
-    Raises UnsupportedError if it leads out of that folder, or is no path.
-    """
-    try:
-        name = unquote(uri, errors="strict")
-    except UnicodeDecodeError:  # percent signs that are no escapes
-        name = uri
-    parts = name.split("/")
-    if (
-        has_scheme(uri)
-        or not name.strip()
-        or name.startswith("/")
-        or "\0" in name
-        or ".." in parts
-        or PureWindowsPath(name).drive
-        or "\\" in name
-    ):
-        raise UnsupportedError(
-            f"the buffer {uri[:200]!r} is not in the folder of the .gltf, and is not read",
-            where=where,
-            hint=f"put it beside the .gltf, or {_AS_GLB}",
-        )
-    return name
-
-
-def read_buffer(name: str, folder: Path, declared: int, room: int, where: str) -> bytes:
-    """The bytes of the file ``name`` in ``folder``: from ``declared`` to ``room`` of them."""
-    try:
-        path = os.path.realpath(folder / name)
-        if not Path(path).is_relative_to(os.path.realpath(folder)):
-            raise UnsupportedError(
-                f"the buffer {name!r} is a link that leads out of the folder, and is not read",
-                where=where,
-                hint="put the file itself beside the .gltf",
-            )
-        with open_regular(path) as file:
-            status = os.fstat(file.fileno())
-            if status.st_size > min(2 * declared + _MAX_BEHIND, room):
-                raise TooLargeError(
-                    f"the buffer {name!r} has {status.st_size:,} bytes, not {declared:,}",
-                    where=where,
-                    hint="export the mesh again",
-                )
-            content = file.read()
-    except NotRegularError:
-        raise UnsupportedError(
-            f"the buffer {name!r} is not a regular file", where=where, hint=_AS_GLB
-        ) from None
-    except (OSError, ValueError) as failure:
-        is_missing = getattr(failure, "errno", None) in (errno.ENOENT, errno.ENOTDIR)
-        reason = getattr(failure, "strerror", None) or str(failure)
-        raise InputError(
-            f"the buffer {name!r} is missing beside the .gltf"
-            if is_missing
-            else f"the buffer {name!r} cannot be read: {reason}",
-            where=where,
-            code="E_READ",
-            hint="copy it beside the .gltf; a .gltf does not hold its mesh itself",
-        ) from failure
-    if len(content) < declared:
-        raise TruncatedError(
-            f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
-            where=where,
-            hint="the file was cut short; copy or export it again",
-        )
-    return content
-
-
 _MAX_BUFFERS = 10_000
-_PACK = "write one file with --to glb"
-_DATA_URI = b'"data:'
+_AS_GLB = "export it as .glb, which holds everything in one file"
 
 
 def read_gltf(data: Buffer, name: str) -> GltfFile:
@@ -414,6 +310,92 @@ def read_gltf(data: Buffer, name: str) -> GltfFile:
     return GltfFile(data, text, buffers, name)
 
 
+def _decode_data_uri(uri: str, where: str) -> bytes | None:
+    """The content of a ``data:`` reference; None for any other."""
+    if uri[:5].lower() != "data:":
+        return None
+    comma = uri.find(",", 0, 1000)
+    if not uri[: comma + 1].lower().endswith(_BASE64):
+        raise UnsupportedError("data that are not base64 are not read", where=where, hint=_AS_GLB)
+    try:
+        return base64.b64decode(uri[comma + 1 :], validate=True)
+    except ValueError as failure:
+        raise damaged(f"the data are not base64: {str(failure)[:100]}", where) from None
+
+
+def _encode_data_uri(head: str, content: Buffer) -> str:
+    return head + base64.b64encode(content).decode("ascii")
+
+
+def _file_name(uri: str, where: str) -> str:
+    """The path, with slashes, that a reference means relative to the folder of its .gltf.
+
+    Raises UnsupportedError if it leads out of that folder, or is no path.
+    """
+    try:
+        name = unquote(uri, errors="strict")
+    except UnicodeDecodeError:  # percent signs that are no escapes
+        name = uri
+    if (
+        has_scheme(uri)
+        or not name.strip()
+        or name.startswith("/")
+        or "\0" in name
+        or ".." in name.split("/")
+        or PureWindowsPath(name).drive
+        or "\\" in name
+    ):
+        raise UnsupportedError(
+            f"the buffer {uri[:200]!r} is not in the folder of the .gltf, and is not read",
+            where=where,
+            hint=f"put it beside the .gltf, or {_AS_GLB}",
+        )
+    return name
+
+
+def _read_file(name: str, folder: Path, declared: int, room: int, where: str) -> bytes:
+    """The bytes of the file ``name`` in ``folder``: from ``declared`` to ``room`` of them."""
+    try:
+        path = os.path.realpath(folder / name)
+        if not Path(path).is_relative_to(os.path.realpath(folder)):
+            raise UnsupportedError(
+                f"the buffer {name!r} is a link that leads out of the folder, and is not read",
+                where=where,
+                hint="put the file itself beside the .gltf",
+            )
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            if size > min(2 * declared + _MAX_BEHIND, room):
+                raise TooLargeError(
+                    f"the buffer {name!r} has {size:,} bytes, not {declared:,}",
+                    where=where,
+                    hint="export the mesh again",
+                )
+            content = file.read()
+    except NotRegularError:
+        raise UnsupportedError(
+            f"the buffer {name!r} is not a regular file", where=where, hint=_AS_GLB
+        ) from None
+    except (OSError, ValueError) as failure:
+        is_missing = getattr(failure, "errno", None) in (errno.ENOENT, errno.ENOTDIR)
+        reason = getattr(failure, "strerror", None) or str(failure)
+        raise InputError(
+            f"the buffer {name!r} is missing beside the .gltf"
+            if is_missing
+            else f"the buffer {name!r} cannot be read: {reason}",
+            where=where,
+            code="E_READ",
+            hint="copy it beside the .gltf; a .gltf does not hold its mesh itself",
+        ) from failure
+    if len(content) < declared:
+        raise TruncatedError(
+            f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
+            where=where,
+            hint=_CUT,
+        )
+    return content
+
+
 class _Buffers:
     """The buffers of a description, one behind the other.
 
@@ -425,8 +407,6 @@ class _Buffers:
     """
 
     def __init__(self, content: dict[str, Any], path: str) -> None:
-        from msal_cli.kernels.text import as_bytes
-
         self.names: dict[int, str] = {}
         self.spans: dict[int, tuple[int, int]] = {}
         self._files: dict[str, tuple[int, int]] = {}
@@ -435,7 +415,7 @@ class _Buffers:
         # A stream and an object in a store have no folder.
         is_file = path not in ("", "-") and not is_url(path)
         self._folder = Path(path).parent if is_file else None
-        entries = as_list(content.get("buffers"))
+        entries = as_dicts(content.get("buffers"))
         if len(entries) > _MAX_BUFFERS:
             raise TooLargeError(
                 f"{len(entries):,} buffers are more than the {_MAX_BUFFERS:,} that are read",
@@ -445,7 +425,7 @@ class _Buffers:
         for number, entry in enumerate(entries):
             # What is wrong with a buffer counts only if a surface is in it.
             try:
-                places[number] = self._add(number, as_dict(entry))
+                places[number] = self._add(number, entry)
             except MsalError as failure:
                 places[number] = failure
         contents, self._contents = self._contents, []
@@ -457,25 +437,26 @@ class _Buffers:
         where = f"buffer {number}"
         uri, declared = entry.get("uri"), entry.get("byteLength")
         if not isinstance(uri, str) or not uri:
-            raise FormatError("the buffer names no data", where=where, hint=EXPORT_AGAIN)
+            raise damaged("the buffer names no data", where)
         if not isinstance(declared, int) or isinstance(declared, bool) or declared < 0:
-            raise FormatError(
-                f"byteLength is {declared!r}, not a count", where=where, hint=EXPORT_AGAIN
-            )
-        content = decode_data_uri(uri, where)
-        if content is None:
-            name = file_name(uri, where)
-            if name not in self._files:
-                self._files[name] = self._append(self._load(name, declared, where))
-            span = self._files[name]
+            raise damaged(f"byteLength is {declared!r}, not a count", where)
+        content = _decode_data_uri(uri, where)
+        name = _file_name(uri, where) if content is None else ""
+        span = self._files.get(name)
+        if span is None:
+            if content is None:
+                content = self._load(name, declared, where)
+            span = self._size, len(content)
+            self._contents.append(content)
+            self._size += len(content)
+        if name:
             self.names[number] = name
-        else:
-            span = self._append(content)
+            self._files[name] = span
         if span[1] < declared:
             raise TruncatedError(
                 f"the buffer should have {declared:,} bytes but has {span[1]:,}",
                 where=where,
-                hint="the file was cut short; copy or export it again",
+                hint=_CUT,
             )
         self.spans[number] = span
         return span[0], declared
@@ -488,13 +469,7 @@ class _Buffers:
                 hint="give the file by its path, or export it as .glb",
             )
         room = memory_bytes() // 2 - self._size
-        return read_buffer(name, self._folder, declared, room, where)
-
-    def _append(self, content: bytes) -> tuple[int, int]:
-        span = self._size, len(content)
-        self._contents.append(content)
-        self._size += len(content)
-        return span
+        return _read_file(name, self._folder, declared, room, where)
 
     def changed(self, data: Buffer) -> set[int]:
         """The buffers that differ in ``data``, that of the scene with new positions."""
@@ -513,18 +488,15 @@ class GltfFile(SceneFile):
         self.buffers = buffers
         self._path = path
 
-    def _pack(self, data: memoryview) -> bytes:
+    def _pack(self, data: memoryview) -> Buffer:
         """The text with other data, as far as they are in it; the files that hold the others come
         from ``beside``."""
-        text = self.text_of(data).decode("latin-1")
-        spans = find_entries(text, "buffers")
-        edits = []
+        uris = {}
         for number in self.buffers.changed(data) - set(self.buffers.names):
             at, size = self.buffers.spans[number]
             uri = self.scene.entry("buffers", number)["uri"]
-            new = encode_data_uri(uri, data[at : at + size])
-            edits.append((spans[number]["uri"], json.dumps(new)))
-        return replace_spans(text, edits).encode("latin-1")
+            uris[number] = _encode_data_uri(uri[: uri.index(",") + 1], data[at : at + size])
+        return _replace_uris(self.text_of(data), uris)
 
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
         """The text with the buffers inside it as they were, and the data; those beside it are not
@@ -538,11 +510,11 @@ class GltfFile(SceneFile):
             if number in self.buffers.names or number not in self.buffers.spans:
                 continue
             at, size = self.buffers.spans[number]
-            uri = content["buffers"][number]["uri"]
-            if decode_data_uri(uri, "") != bytes(data[at : at + size]):
+            if _decode_data_uri(content["buffers"][number]["uri"], "") != bytes(
+                data[at : at + size]
+            ):
                 raise InternalError("a buffer of a .gltf file was not written right")
-            start, stop = original[number]["uri"]
-            restored.append((spans["uri"], self.text[start:stop]))
+            restored.append((spans["uri"], self.text[slice(*original[number]["uri"])]))
         return replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
@@ -568,14 +540,13 @@ class GltfFile(SceneFile):
         OutputError
             with code ``E_SIDECAR`` if a buffer of the input would be overwritten.
         """
-        if not self.buffers.names:
-            return output, ()
         is_moved = bool((vertices != self.vertices).any())
+        if not self.buffers.names or (path is None and not is_moved):
+            return output, ()
         if path is None or is_url(path):
-            if path is None and not is_moved:
-                return output, ()
             raise UnsupportedError(
-                "a .gltf whose mesh is in a file of its own goes to a folder only", hint=_PACK
+                "a .gltf whose mesh is in a file of its own goes to a folder only",
+                hint="write one file with --to glb",
             )
         folder, own = Path(path).parent, Path(self._path)
         if is_moved and _is_same(Path(path), own):
@@ -585,15 +556,12 @@ class GltfFile(SceneFile):
             )
         data = self.replace_data(vertices) if is_moved else self.scene.data.data
         changed = self.buffers.changed(data)
-        names = self._new_names(path, changed)
         companions: dict[str, Companion] = {}
-        edits = []
-        for number, (at, size) in self.buffers.spans.items():
-            if number not in names:
-                continue
-            name = names[number]
-            is_input = _is_same(folder / name, own.parent / self.buffers.names[number])
-            if is_input and number not in changed:
+        uris = {}
+        for number, name in self._new_names(path, changed).items():
+            old_name = self.buffers.names[number]
+            is_input = _is_same(folder / name, own.parent / old_name)
+            if number not in self.buffers.spans or (is_input and number not in changed):
                 continue
             if is_input:
                 raise OutputError(
@@ -602,35 +570,39 @@ class GltfFile(SceneFile):
                     path=os.fspath(folder / name),
                     hint="write to another folder",
                 )
+            at, size = self.buffers.spans[number]
             companions[name] = Companion(name, memoryview(data)[at : at + size])
-            if name != self.buffers.names[number]:
-                edits.append((number, name))
-        if edits:
-            text = bytes(output).decode("latin-1")
-            spans = find_entries(text, "buffers")
-            new = [(spans[number]["uri"], json.dumps(quote(name))) for number, name in edits]
-            output = replace_spans(text, new).encode("latin-1")
-        return output, tuple(companions.values())
+            if name != old_name:
+                uris[number] = quote(name)
+        return _replace_uris(output, uris), tuple(companions.values())
 
     def _new_names(self, path: str, changed: set[int]) -> dict[int, str]:
         """The names of the buffers' files beside an output at ``path``; some buffers changed."""
         stem, new_stem = _stem(self._path), _stem(path)
         names: dict[int, str] = {}
-        taken: dict[str, str] = {}
+        renamed: dict[str, str] = {}
         for number, name in self.buffers.names.items():
             is_own = Path(name).name == f"{stem}.bin" and stem == new_stem
-            if number not in changed or is_own:
-                names[number] = name
-                continue
-            count = f"_{len(taken)}" if taken and name not in taken else ""
-            names[number] = taken.setdefault(name, f"{new_stem}{count}.bin")
+            if number in changed and not is_own:
+                count = f"_{len(renamed)}" if renamed else ""
+                name = renamed.setdefault(name, f"{new_stem}{count}.bin")
+            names[number] = name
         return names
+
+
+def _replace_uris(text: Buffer, uris: dict[int, str]) -> Buffer:
+    """A description with other references of its buffers, by their numbers."""
+    if not uris:
+        return text
+    plain = bytes(text).decode("latin-1")
+    spans = find_entries(plain, "buffers")
+    edits = [(spans[number]["uri"], json.dumps(uri)) for number, uri in uris.items()]
+    return replace_spans(plain, edits).encode("latin-1")
 
 
 def _stem(path: str) -> str:
     name = Path(path).name
-    name = name[:-3] if is_gzip_name(name) else name
-    return Path(name).stem
+    return Path(name[:-3] if is_gzip_name(name) else name).stem
 
 
 def _is_same(path: Path, other: Path) -> bool:
@@ -642,16 +614,12 @@ def _is_same(path: Path, other: Path) -> bool:
 
 def names_of_buffers(data: Buffer) -> set[str]:
     """The files that the buffers of a .gltf file are in; none if it is no such file."""
-    found = set()
     try:
-        content = parse_json(bytes(data), "description")
-        for number, entry in enumerate(as_list(content.get("buffers"))):
-            uri = as_dict(entry).get("uri")
-            if isinstance(uri, str) and uri and not uri.startswith("data:"):
-                found.add(file_name(uri, f"buffer {number}"))
+        uris = [entry.get("uri") for entry in as_dicts(parse_json(bytes(data), "").get("buffers"))]
+        paths = [uri for uri in uris if isinstance(uri, str) and uri]
+        return {_file_name(uri, "") for uri in paths if not uri.startswith("data:")}
     except MsalError:
         return set()
-    return found
 
 
 def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
@@ -669,19 +637,15 @@ def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
     except (TypeError, ValueError, LookupError, AttributeError):
         return None
     if to == "gltf":
-        content["buffers"][0]["uri"] = encode_data_uri(
-            "data:application/octet-stream;base64,", binary
-        )
+        head = "data:application/octet-stream;base64,"
+        content["buffers"][0]["uri"] = _encode_data_uri(head, binary)
         return _to_json(content)
-    description = _to_json(content)
-    description += b" " * (-len(description) % 4)
     binary += bytes(-len(binary) % 4)
-    chunks = [struct.pack("<I4s", len(description), b"JSON"), description]
-    chunks += [struct.pack("<I4s", len(binary), b"BIN\0"), binary]
-    return b"".join([struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks))), *chunks])
+    chunk = struct.pack("<II", len(binary), _BINARY) + binary
+    return _glb_head(_to_json(content), len(chunk)) + chunk
 
 
-def _merge_buffers(content: dict[str, Any], places: dict[int, Any], data: memoryview) -> bytes:
+def _merge_buffers(content: dict[str, Any], places: Mapping[int, Any], data: memoryview) -> bytes:
     """The content of all buffers one behind the other; the description is changed to match.
 
     Raises ValueError and others where it cannot be.
@@ -692,9 +656,8 @@ def _merge_buffers(content: dict[str, Any], places: dict[int, Any], data: memory
     for number in range(len(content["buffers"])):
         at, length = places[number]
         pieces += [bytes(-size % 4), data[at : at + length]]
-        size += -size % 4
-        starts.append(size)
-        size += length
+        starts.append(size + -size % 4)
+        size = starts[-1] + length
     for entry in content["bufferViews"]:
         if "extensions" in entry:
             raise ValueError("an extension may name the buffer again")

@@ -8,10 +8,9 @@ character is one byte.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
@@ -38,8 +37,12 @@ _MAX_TEXT_BYTES = 64 << 20
 """Longest description that is read; those of very large scenes have a few megabytes, and in memory
 it may take thirty times its size."""
 
-_SPACE = re.compile(r"[ \t\n\r]*")
+_GAP = re.compile(r"[ \t\n\r,:]*")
 _decoder = json.JSONDecoder()
+
+
+def damaged(message: str, where: str) -> FormatError:
+    return FormatError(message, where=where, hint=EXPORT_AGAIN)
 
 
 def parse_json(data: bytes, where: str) -> dict[str, Any]:
@@ -47,12 +50,9 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
         content = json.loads(data.decode().removeprefix("\ufeff"))
         json.dumps(content)  # what is nested too deeply to be written is refused at once
     except (ValueError, RecursionError) as failure:
-        said = str(failure)[:200]
-        raise FormatError(
-            f"the description is not JSON: {said}", where=where, hint=EXPORT_AGAIN
-        ) from None
+        raise damaged(f"the description is not JSON: {str(failure)[:200]}", where) from None
     if not isinstance(content, dict):
-        raise FormatError("the description is not a JSON object", where=where, hint=EXPORT_AGAIN)
+        raise damaged("the description is not a JSON object", where)
     return content
 
 
@@ -74,33 +74,28 @@ def as_list(value: object) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _skip_space(text: str, at: int) -> int:
-    match = _SPACE.match(text, at)
-    return match.end() if match else at
+def as_dicts(value: object) -> list[dict[str, Any]]:
+    return [as_dict(element) for element in as_list(value)]
 
 
-def _find_members(text: str, at: int) -> Iterator[tuple[str, Span]]:
-    """The keys of the object that begins at ``at``, and where their values lie."""
-    at = _skip_space(text, at + 1)
-    while text[at] != "}":
-        key, at = _decoder.raw_decode(text, at)
-        start = _skip_space(text, _skip_space(text, at) + 1)
-        at = _decoder.raw_decode(text, start)[1]
-        yield key, (start, at)
-        at = _skip_space(text, at)
-        if text[at] == ",":
-            at = _skip_space(text, at + 1)
-
-
-def find_elements(text: str, at: int) -> Iterator[Span]:
-    """Where the elements lie of the list that begins at ``at``."""
-    at = _skip_space(text, at + 1)
-    while text[at] != "]":
+def _find_values(text: str, at: int) -> Iterator[tuple[str, Span]]:
+    """Where the values lie of the object or list that begins at ``at``, in valid JSON, and their
+    keys, empty in a list."""
+    is_object = text[at] == "{"
+    at = _skip_gap(text, at + 1)
+    while text[at] not in "}]":
+        key = ""
+        if is_object:
+            key, at = _decoder.raw_decode(text, at)
+            at = _skip_gap(text, at)
         start, at = at, _decoder.raw_decode(text, at)[1]
-        yield start, at
-        at = _skip_space(text, at)
-        if text[at] == ",":
-            at = _skip_space(text, at + 1)
+        yield key, (start, at)
+        at = _skip_gap(text, at)
+
+
+def _skip_gap(text: str, at: int) -> int:
+    match = _GAP.match(text, at)
+    return match.end() if match else at
 
 
 def find_entries(text: str, kind: str) -> list[dict[str, Span]]:
@@ -109,12 +104,11 @@ def find_entries(text: str, kind: str) -> list[dict[str, Span]]:
     ``text`` is known to be an object of JSON, and its value of ``kind`` to be a list of objects;
     of keys that stand twice the last one counts, as for every reader.
     """
-    start = _skip_space(text, 3 * text.startswith("\xef\xbb\xbf"))
-    spans = dict(_find_members(text, start))
+    spans = dict(_find_values(text, text.index("{")))
     if kind not in spans:
         return []
-    entries = find_elements(text, spans[kind][0])
-    return [dict(_find_members(text, at)) if text[at] == "{" else {} for at, _ in entries]
+    entries = _find_values(text, spans[kind][0])
+    return [dict(_find_values(text, at)) if text[at] == "{" else {} for _, (at, _) in entries]
 
 
 def write_bound(old: str, new: list[float]) -> str:
@@ -122,28 +116,13 @@ def write_bound(old: str, new: list[float]) -> str:
 
     Of three numbers, those that are the same as float32 keep their text.
     """
-    value = json.loads(old)
-    is_triple = (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(x, int | float) and not isinstance(x, bool) for x in value)
-    )
-    if not is_triple:
+    value = json.loads(old, parse_int=float)
+    if not isinstance(value, list) or [type(number) for number in value] != 3 * [float]:
         return old if value == new else json.dumps(new)
-    spans = zip(find_elements(old, 0), value, new, strict=True)
-    return replace_spans(
-        old, ((span, json.dumps(now)) for span, was, now in spans if _as_float32(was) != now)
-    )
-
-
-def _as_float32(value: float) -> float:
-    import numpy as np
-
-    try:
-        with np.errstate(all="ignore"):
-            return float(np.float32(value))
-    except OverflowError:  # an integer beyond float64
-        return float("inf")
+    with np.errstate(all="ignore"):
+        stored = np.array(value).astype(np.float32).tolist()
+    spans = zip(_find_values(old, 0), stored, new, strict=True)
+    return replace_spans(old, [(span, json.dumps(x)) for (_, span), was, x in spans if was != x])
 
 
 def replace_spans(text: str, edits: Iterable[tuple[Span, str]]) -> str:
@@ -160,9 +139,10 @@ _POSITION_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", **_FLOAT_
 """Those of whole numbers are of the extension KHR_mesh_quantization."""
 
 _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
+_COLUMNS = {"VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _ALWAYS_READ = 1 << 16
-"""Corners that are read however small the file is; see ``_require_room``."""
+"""Corners that are read however small the file is; see ``Scene.parts``."""
 
 _MAX_DEPTH = 200
 _PLAIN = "export it without compression, or convert it to PLY"
@@ -170,52 +150,60 @@ _PLAIN = "export it without compression, or convert it to PLY"
 
 @dataclass(frozen=True)
 class Accessor:
-    """Rows of three numbers: ``count`` rows, the first at byte ``at``, ``stride`` bytes apart.
+    """Rows of numbers: ``count`` rows, the first at byte ``at``, ``stride`` bytes apart.
 
     ``index`` is its number in the description; several may have the same rows.  A number of numpy's
     type ``code`` stands for ``unit`` times what is stored.
     """
 
-    index: int = field(compare=False)
+    index: object = field(compare=False)
     at: int
     stride: int
     count: int
-    code: str = "<f4"
-    unit: float = 1.0
+    columns: int
+    code: str
+    unit: float
 
     @property
     def width(self) -> int:
-        return 3 * np.dtype(self.code).itemsize
+        """Bytes of a row."""
+        return self.columns * np.dtype(self.code).itemsize
 
     def rows(self, data: Bytes) -> NDArray[Any]:
-        """The rows (n, 3) in ``data``, a view."""
-        strides = self.stride, self.width // 3
-        return np.ndarray((self.count, 3), self.code, data, self.at, strides)
+        """The rows (count, columns) in ``data``, a view."""
+        strides = self.stride, self.width // self.columns
+        return np.ndarray((self.count, self.columns), self.code, data, self.at, strides)
 
     def slots(self, data: Bytes) -> Strided:
-        """Where the rows are in ``data``."""
+        """Where the rows, of three numbers, are in ``data``."""
         places = 0, self.width // 3, 2 * self.width // 3
         codes = (self.code,) * 3
         return Strided(data, self.at, self.count, self.stride, places, codes, whole_rows=True)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Part:
     """Surfaces over one list of positions.
 
     Attributes
     ----------
-    faces : triangles (m, 3) into the positions.
-    mesh : the number of its mesh.
-    normals : one to a position, if it has any that can be recomputed.
+    normals : one to a position, if all of them have the same that can be recomputed.
+    mesh : the number of the first mesh.
     accessors : the numbers of all accessors that its positions have.
+    triangles : (m, 3) by the mode and the indices that they come from, so that a mesh that is twice
+        in a file, with other materials perhaps, is read once.
     """
 
     positions: Accessor
-    faces: Longs
-    mesh: int
     normals: Accessor | None
-    accessors: tuple[int, ...]
+    mesh: int
+    accessors: dict[Any, None] = field(default_factory=dict)
+    triangles: dict[object, Longs] = field(default_factory=dict)
+
+    def faces(self) -> Longs:
+        """All triangles (m, 3) into the positions."""
+        triangles = list(self.triangles.values())
+        return triangles[0] if len(triangles) == 1 else np.concatenate(triangles)
 
     def bounds(self, data: Bytes) -> dict[str, list[float]]:
         """The least and the largest of each coordinate in ``data``."""
@@ -228,30 +216,6 @@ class Part:
 
 
 @dataclass(eq=False)
-class _Surfaces:
-    """All primitives over one list of positions, whichever ``accessors`` it has.
-
-    Attributes
-    ----------
-    normals : those of every primitive, None where they differ.
-    mesh : the number of the first mesh.
-    triangles : (m, 3) by the indices and the mode that they come from, so that a mesh that is twice
-        in a file, with other materials perhaps, is read once.
-    """
-
-    positions: Accessor
-    normals: Accessor | None
-    mesh: int
-    triangles: dict[object, Longs] = field(default_factory=dict)
-    accessors: dict[int, None] = field(default_factory=dict)
-
-    def join(self) -> Part:
-        triangles = list(self.triangles.values())
-        faces = triangles[0] if len(triangles) == 1 else np.concatenate(triangles)
-        return Part(self.positions, faces, self.mesh, self.normals, tuple(self.accessors))
-
-
-@dataclass(frozen=True, eq=False)
 class Scene:
     """A description, and the bytes that it speaks of.
 
@@ -265,11 +229,7 @@ class Scene:
 
     content: dict[str, Any]
     data: Bytes
-    buffers: dict[int, tuple[int, int] | MsalError]
-
-    @property
-    def _data_size(self) -> int:
-        return sum(place[1] for place in self.buffers.values() if isinstance(place, tuple))
+    buffers: Mapping[int, tuple[int, int] | MsalError]
 
     def entry(self, kind: str, index: object) -> dict[str, Any]:
         """The entry ``index`` of the list ``kind``; FormatError if there is none."""
@@ -279,11 +239,18 @@ class Scene:
             entry = entries[index]
             if isinstance(entry, dict):
                 return entry
-        raise FormatError(f"there is no entry {index!r} in {kind}", where=kind, hint=EXPORT_AGAIN)
+        raise damaged(f"there is no entry {index!r} in {kind}", kind)
 
-    def _accessor(self, index: object, width: int, where: str) -> Accessor:
-        """The place of an accessor whose rows take ``width`` bytes."""
+    def find_rows(
+        self, index: object, codes: Mapping[int, str], type: str, where: str
+    ) -> Accessor | None:
+        """The rows of an accessor; None if its numbers have none of the types ``codes``, or if its
+        rows are not of the ``type``, which is not looked at if it is empty."""
         accessor = self.entry("accessors", index)
+        component = accessor.get("componentType")
+        code = codes.get(component) if isinstance(component, int) else None
+        if code is None or (type and accessor.get("type") != type):
+            return None
         if "sparse" in accessor:
             raise UnsupportedError("sparse accessors are not read", where=where, hint=_PLAIN)
         view = self.entry("bufferViews", accessor.get("bufferView"))
@@ -300,6 +267,8 @@ class Scene:
                 where=where,
                 hint="pack everything into the .glb file, or export it as .gltf",
             )
+        columns = _COLUMNS.get(type, 1)
+        width = columns * np.dtype(code).itemsize
         count = _whole(accessor, "count", where)
         stride = _whole(view, "byteStride", where, 0) or width
         within = _whole(accessor, "byteOffset", where, 0)
@@ -313,114 +282,94 @@ class Scene:
                 where=where,
                 hint=EXPORT_AGAIN,
             )
-        assert isinstance(index, int)
-        return Accessor(index, begin + offset + within, stride, count)
-
-    def _triples(self, index: object, codes: dict[int, str], where: str) -> Accessor | None:
-        """An accessor of three numbers of one of the types ``codes``; None if it is of another."""
-        entry = self.entry("accessors", index)
-        component = entry.get("componentType")
-        code = codes.get(component) if isinstance(component, int) else None
-        if code is None or entry.get("type") != "VEC3":
-            return None
-        is_share = entry.get("normalized") is True and code != "<f4"
+        is_share = accessor.get("normalized") is True and code != "<f4"
         unit = 1.0 / np.iinfo(code).max if is_share else 1.0
-        accessor = self._accessor(index, 3 * np.dtype(code).itemsize, where)
-        return dataclasses.replace(accessor, code=code, unit=unit)
-
-    def _indices(self, primitive: dict[str, Any], where: str) -> tuple[Accessor, str] | None:
-        """The vertex numbers of a primitive, and numpy's type of them; None for all in turn."""
-        if "indices" not in primitive:
-            return None
-        index = primitive["indices"]
-        component = self.entry("accessors", index).get("componentType")
-        code = _INDEX_TYPES.get(component) if isinstance(component, int) else None
-        if code is None:
-            raise FormatError("the indices have no integer type", where=where, hint=EXPORT_AGAIN)
-        return self._accessor(index, np.dtype(code).itemsize, where), code
-
-    def _corners(self, indices: tuple[Accessor, str] | None, count: int, where: str) -> Longs:
-        """The vertex numbers (k,) of a primitive of ``count`` vertices, strips not unrolled."""
-        if indices is None:
-            return np.arange(count, dtype=np.int64)
-        own, code = indices
-        corners = np.ndarray((own.count,), code, self.data, own.at, (own.stride,)).astype(np.int64)
-        highest = int(corners.max(initial=-1))
-        if highest >= count:
-            raise ContentError(
-                f"a face names vertex {highest} of {count}",
-                code="E_INDEX",
-                where=where,
-                hint=EXPORT_AGAIN,
-            )
-        return corners
-
-    def read_rows(self, index: object, codes: dict[int, str], width: int) -> NDArray[np.generic]:
-        """The rows (count, width) of an accessor whose numbers have one of the types ``codes``."""
-        where = f"accessor {index!r}"
-        component = self.entry("accessors", index).get("componentType")
-        code = codes.get(component) if isinstance(component, int) else None
-        if code is None:
-            raise FormatError("the numbers have another type", where=where, hint=EXPORT_AGAIN)
-        size = np.dtype(code).itemsize
-        place = self._accessor(index, size * width, where)
-        shape, strides = (place.count, width), (place.stride, size)
-        return np.ndarray(shape, code, self.data, place.at, strides)
+        return Accessor(index, begin + offset + within, stride, count, columns, code, unit)
 
     def parts(self) -> tuple[list[Part], tuple[str, ...]]:
         """All surfaces, those over one list of positions together, and warnings."""
-        surfaces: dict[Accessor, _Surfaces] = {}
+        parts: dict[Accessor, Part] = {}
         notes: dict[str, None] = {}
-        room = max(self._data_size, _ALWAYS_READ)
-        for number in range(len(as_list(self.content.get("meshes")))):
-            primitives = self.entry("meshes", number).get("primitives")
-            for k, primitive in enumerate(as_list(primitives)):
-                where = f"mesh {number}, primitive {k}"
-                room -= self._add_primitive(
-                    surfaces, notes, number, as_dict(primitive), where, room
-                )
-        parts = [own.join() for own in surfaces.values()]
-        _separate(parts, self._data_size, notes)
-        if not sum(len(part.faces) for part in parts):
+        size = sum(place[1] for place in self.buffers.values() if isinstance(place, tuple))
+        room = max(size, _ALWAYS_READ)
+        for mesh in range(len(as_list(self.content.get("meshes")))):
+            primitives = as_dicts(self.entry("meshes", mesh).get("primitives"))
+            for k, primitive in enumerate(primitives):
+                where = f"mesh {mesh}, primitive {k}"
+                part = self._find_part(parts, notes, mesh, primitive, where)
+                if part is None:
+                    continue
+                indices = None
+                count = n_corners = part.positions.count
+                if "indices" in primitive:
+                    indices = self.find_rows(primitive["indices"], _INDEX_TYPES, "", where)
+                    if indices is None:
+                        raise damaged("the indices have no integer type", where)
+                    n_corners = indices.count
+                source = primitive.get("mode", _TRIANGLES), indices
+                if source in part.triangles:
+                    continue
+                # Any number of lists of positions may be joined with any number of lists of
+                # indices, so that a small file can ask for more faces than fit into memory.
+                if n_corners > room:
+                    raise TooLargeError(
+                        "the primitives together have more corners than the file has bytes",
+                        where=where,
+                        hint="the same indices are used with very many lists of positions; export "
+                        "the mesh alone",
+                    )
+                room -= n_corners
+                corners = np.arange(count, dtype=np.int64)
+                if indices is not None:
+                    corners = indices.rows(self.data)[:, 0].astype(np.int64)
+                highest = int(corners.max(initial=-1))
+                if highest >= count:
+                    raise ContentError(
+                        f"a face names vertex {highest} of {count}",
+                        code="E_INDEX",
+                        where=where,
+                        hint=EXPORT_AGAIN,
+                    )
+                part.triangles[source] = _triangles(corners, source[0])
+        _separate(list(parts.values()), size, notes)
+        if not any(len(faces) for part in parts.values() for faces in part.triangles.values()):
             raise ContentError(
                 "the file has no triangles",
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
-        return parts, tuple(notes)
+        return list(parts.values()), tuple(notes)
 
-    def _add_primitive(
+    def _find_part(
         self,
-        surfaces: dict[Accessor, _Surfaces],
+        parts: dict[Accessor, Part],
         notes: dict[str, None],
         mesh: int,
         primitive: dict[str, Any],
         where: str,
-        room: int,
-    ) -> int:
-        """Add a primitive to those over the same positions; returns the number of corners that were
-        read, at most ``room``."""
+    ) -> Part | None:
+        """That of ``parts`` over the positions of a primitive, or a new one; None if the primitive
+        is no surface."""
         if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
             raise UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
-        mode = primitive.get("mode", _TRIANGLES)
         attributes = as_dict(primitive.get("attributes"))
-        if mode not in (_TRIANGLES, _STRIP, _FAN):
+        if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
             notes["points and lines are kept as they are"] = None
-            return 0
+            return None
         if "POSITION" not in attributes:
-            return 0
-        positions = self._triples(attributes["POSITION"], _POSITION_TYPES, where)
+            return None
+        positions = self.find_rows(attributes["POSITION"], _POSITION_TYPES, "VEC3", where)
         if positions is None:
             raise UnsupportedError(
                 "the positions have a type that glTF does not allow", where=where, hint=_PLAIN
             )
         if not positions.count:
-            return 0
+            return None
         if positions.code != "<f4":
             notes["positions are whole numbers (quantised): new ones are rounded"] = None
         normals = None
         if "NORMAL" in attributes:
-            normals = self._triples(attributes["NORMAL"], _FLOAT_TYPES, where)
+            normals = self.find_rows(attributes["NORMAL"], _FLOAT_TYPES, "VEC3", where)
             if normals is None or normals.count != positions.count:
                 normals = None
                 notes["normals that are not float32 are kept as they are"] = None
@@ -428,46 +377,32 @@ class Scene:
             notes["tangents are kept as they are"] = None
         if primitive.get("targets"):
             notes["the displacements of morph targets are kept as they are"] = None
-        own = surfaces.setdefault(positions, _Surfaces(positions, normals, mesh))
-        own.accessors[positions.index] = None
-        if own.normals != normals:
+        part = parts.setdefault(positions, Part(positions, normals, mesh))
+        part.accessors[positions.index] = None
+        if part.normals != normals:
             notes["normals of parts that share positions are kept as they are"] = None
-            own.normals = None
-        indices = self._indices(primitive, where)
-        source = mode, indices and (indices[0].at, indices[0].stride, indices[0].count, indices[1])
-        if source in own.triangles:
-            return 0
-        n_corners = positions.count if indices is None else indices[0].count
-        _require_room(n_corners, room, where)
-        corners = self._corners(indices, positions.count, where)
-        own.triangles[source] = _triangles(corners, mode)
-        return n_corners
+            part.normals = None
+        return part
 
     def properties(self) -> tuple[str, ...]:
         """What is carried along."""
-        words = []
         names: dict[str, None] = {}
         for mesh in self.content["meshes"]:
-            for primitive in as_list(mesh.get("primitives")):
-                names.update(dict.fromkeys(as_dict(as_dict(primitive).get("attributes"))))
-        words += [f"vertex.{name}" for name in names if name != "POSITION"]
-        meshes = [as_dict(node).get("mesh") for node in as_list(self.content.get("nodes"))]
+            for primitive in as_dicts(mesh.get("primitives")):
+                names.update(dict.fromkeys(as_dict(primitive.get("attributes"))))
+        words = [f"vertex.{name}" for name in names if name != "POSITION"]
+        meshes = [node.get("mesh") for node in as_dicts(self.content.get("nodes"))]
         numbers = [mesh for mesh in meshes if isinstance(mesh, int)]
         if len(set(numbers)) < len(numbers):
             words.append("instances")
-        for kind in ("materials", "textures", "images", "animations", "skins", "cameras"):
-            if self.content.get(kind):
-                words.append(kind)
-        return tuple(words)
+        kinds = ("materials", "textures", "images", "animations", "skins", "cameras")
+        return (*words, *(kind for kind in kinds if self.content.get(kind)))
 
     def references(self) -> tuple[str, ...]:
         """Images in files of their own."""
-        uris = [as_dict(image).get("uri") for image in as_list(self.content.get("images"))]
-        return tuple(
-            dict.fromkeys(
-                unquote(uri) for uri in uris if isinstance(uri, str) and uri and not has_scheme(uri)
-            )
-        )
+        uris = [image.get("uri") for image in as_dicts(self.content.get("images"))]
+        paths = [uri for uri in uris if isinstance(uri, str) and uri and not has_scheme(uri)]
+        return tuple(dict.fromkeys(map(unquote, paths)))
 
     def frames(self, parts: list[Part]) -> list[Floats]:
         """The frame (4, 4) of each part, by the first node that shows its mesh.
@@ -476,6 +411,7 @@ class Scene:
         """
         parents: dict[int, int] = {}
         shown_by: dict[int, int] = {}
+        frames: dict[int | None, Floats] = {}
         try:
             for number in range(len(as_list(self.content.get("nodes")))):
                 node = self.entry("nodes", number)
@@ -484,26 +420,29 @@ class Scene:
                 if isinstance(node.get("mesh"), int):
                     shown_by.setdefault(node["mesh"], number)
             with np.errstate(all="ignore"):
-                known: dict[int, Floats] = {}
-                units = (np.diag([*3 * [part.positions.unit], 1.0]) for part in parts)
                 return [
-                    self._frame(parents, known, shown_by.get(part.mesh)) @ unit
-                    for part, unit in zip(parts, units, strict=True)
+                    self._frame(shown_by.get(part.mesh), parents, frames, _MAX_DEPTH)
+                    @ np.diag([*3 * [part.positions.unit], 1.0])
+                    for part in parts
                 ]
         except (TypeError, ValueError, OverflowError, FormatError):
             return [np.eye(4) for _ in parts]
 
-    def _frame(self, parents: dict[int, int], known: dict[int, Floats], node: int | None) -> Floats:
-        """The product of a node's transform and those above it; ``known`` remembers them."""
-        path: list[int] = []
-        while node is not None and node not in known and len(path) < _MAX_DEPTH:
-            path.append(node)
-            node = parents.get(node)
-        frame = np.eye(4) if node is None else known.get(node, np.eye(4))
-        for node in reversed(path):
-            frame = frame @ _transform(self.entry("nodes", node))
-            known[node] = frame
-        return frame
+    def _frame(
+        self,
+        node: int | None,
+        parents: dict[int, int],
+        frames: dict[int | None, Floats],
+        depth: int,
+    ) -> Floats:
+        """The product of a node's transform and at most ``depth`` - 1 above it; ``frames``
+        remembers it."""
+        if node is None or (node not in frames and not depth):
+            return np.eye(4)
+        if node not in frames:
+            above = self._frame(parents.get(node), parents, frames, depth - 1)
+            frames[node] = above @ _transform(self.entry("nodes", node))
+        return frames[node]
 
 
 def _transform(node: dict[str, Any]) -> Floats:
@@ -527,47 +466,25 @@ def has_scheme(uri: str) -> bool:
     return re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", uri) is not None
 
 
-def _require_room(count: int, room: int, where: str) -> None:
-    """Raise TooLargeError for more corners than ``room``.
-
-    Any number of lists of positions may be joined with any number of lists of indices, so that a
-    small file can ask for more faces than a machine has memory.
-    """
-    if count > room:
-        raise TooLargeError(
-            "the primitives together have more corners than the file has bytes",
-            where=where,
-            hint="the same indices are used with very many lists of positions; export the mesh "
-            "alone",
-        )
-
-
 def _separate(parts: list[Part], data_size: int, notes: dict[str, None]) -> None:
     """Drop normals that two of the parts share; raise UnsupportedError if rows overlap."""
     used: set[Accessor] = set()
-    for k, part in enumerate(parts):
-        if part.normals is not None and part.normals in used:
+    for part in parts:
+        if part.normals in used:
             notes["normals that several parts share are kept as they are"] = None
-            parts[k] = dataclasses.replace(part, normals=None)
+            part.normals = None
         elif part.normals is not None:
             used.add(part.normals)
-    regions = [
-        slots for part in parts for slots in (part.positions, part.normals) if slots is not None
-    ]
+    regions = [rows for part in parts for rows in (part.positions, part.normals) if rows]
     # Rows that do not fit beside one another are not compared: there may be very many.
-    is_overlap = sum(region.width * region.count for region in regions) > data_size
+    is_overlap = sum(rows.width * rows.count for rows in regions) > data_size
     if len(regions) > 1 and not is_overlap:
-        starts = np.concatenate(
-            [
-                region.at + region.stride * np.arange(region.count, dtype=np.int64)
-                for region in regions
-            ]
+        starts = [rows.at + rows.stride * np.arange(rows.count) for rows in regions]
+        widths = [np.full(rows.count, rows.width) for rows in regions]
+        order = np.argsort(np.concatenate(starts))
+        is_overlap = bool(
+            (np.diff(np.concatenate(starts)[order]) < np.concatenate(widths)[order][:-1]).any()
         )
-        widths = np.repeat(
-            [region.width for region in regions], [region.count for region in regions]
-        )
-        order = np.argsort(starts)
-        is_overlap = bool((np.diff(starts[order]) < widths[order][:-1]).any())
     if is_overlap:
         raise UnsupportedError(
             "lists of positions or normals overlap", where="accessors", hint=_PLAIN
@@ -577,7 +494,7 @@ def _separate(parts: list[Part], data_size: int, notes: dict[str, None]) -> None
 def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     value = entry.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**40:
-        raise FormatError(f"{key} is {value!r}, not a count", where=where, hint=EXPORT_AGAIN)
+        raise damaged(f"{key} is {value!r}, not a count", where)
     return value
 
 
@@ -587,9 +504,9 @@ def _triangles(corners: Longs, mode: int) -> Longs:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
     if len(corners) < 3:
         return np.zeros((0, 3), dtype=np.int64)
-    one, two = corners[1:-1], corners[2:]
+    second, third = corners[1:-1], corners[2:]
     if mode == _FAN:
-        return np.stack([np.broadcast_to(corners[0], one.shape), one, two], axis=1)
-    faces = np.stack([corners[:-2], one, two], axis=1)
+        return np.stack([np.broadcast_to(corners[0], second.shape), second, third], axis=1)
+    faces = np.stack([corners[:-2], second, third], axis=1)
     faces[1::2] = faces[1::2, [1, 0, 2]]
     return faces
