@@ -36,42 +36,6 @@ PAGE = Path(__file__).resolve().parents[1] / "benchmarks/results/accuracy.txt"
 SETTINGS = [Setting("al", {}), Setting("al", {"iterations": 1}), Setting("wiener", {})]
 
 
-def test_classes_are_whole_without_any_data(monkeypatch):
-    ground_truth.data_folder.cache_clear()
-    monkeypatch.delenv("MSAL_DATA", raising=False)
-    found: dict[str, list[str]] = {}
-    for case in ground_truth.cases():
-        found.setdefault(case.of, []).append(case.name)
-    ground_truth.data_folder.cache_clear()
-    assert found == {
-        "machined": [
-            "bracket 0.3",
-            "star_prism 0.4",
-            "stepped_cylinder 0.5 impulsive",
-            "chipped_cube 0.4",
-        ],
-        "organic": ["bear 0.2", "vase 0.3", "toadstool 0.2"],
-        "texture 0.1": ["dragon_egg 0.1", "coin 0.1", "rock 0.1"],
-        "texture 0.2": ["dragon_egg 0.2", "coin 0.2", "rock 0.2"],
-        "clean": ["dragon_egg", "coin", "rock", "bracket", "bear"],
-    }
-
-
-def test_common_members_and_wished_ones_are_cases(monkeypatch, tmp_path):
-    # Files that are there by name alone: nothing is read before a case is made.
-    paths = [tmp_path / "pairs" / name / "Original.obj" for name in ground_truth.PAIRS]
-    names = ("clean/stanford-bunny.obj", "clean/igea.ply", "scans/dragon_vrip_res2.ply.gz")
-    for path in [*paths, *(tmp_path / name for name in names)]:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    monkeypatch.setattr(ground_truth, "data_folder", lambda: tmp_path)
-    known = {(case.of, case.name) for case in ground_truth.cases()}
-    assert {(of, name) for of, some in accuracy.COMMON.items() for name in some} <= known
-    assert set(accuracy_trials.WISHED) <= {name for _, name in known}
-    quick = {(case.of, case.name) for case in ground_truth.cases(quick=True)}
-    assert {name.split()[0] for _, name in known - quick} == {"igea", "dragon"}
-
-
 @pytest.mark.parametrize("coarse", [False, True])
 def test_the_grid_has_every_default_and_nothing_twice(coarse):
     settings = grid(coarse)
@@ -174,24 +138,6 @@ def test_a_run_goes_on_from_its_cache(small, tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["held.json"]
 
 
-def test_wishes_and_robustness_have_their_tables(small, capsys):
-    accuracy.main(["--parts", "wishes", "robustness", "reasons"])
-    said = capsys.readouterr().out
-    for text in accuracy_trials.WISHES:
-        assert f"| `{text.removeprefix(AUTO).strip() or '--auto'}` | " in said
-    assert "| noisy | **`--auto`** | tuned, by angle |" in said
-    assert "| torus 4 | for a test |" in said
-
-
-def test_what_is_no_cache_is_refused(tmp_path, capsys):
-    for text in ("", "[]", '{"a": 1}', '{"a": {"b": [1]}}'):
-        (tmp_path / "held.json").write_text(text, encoding="utf-8")
-        with pytest.raises(SystemExit) as ended:
-            accuracy.main(["--cache", str(tmp_path / "held.json")])
-        assert ended.value.code == 2
-        assert "is not a cache of this benchmark" in capsys.readouterr().err
-
-
 def test_the_page_has_every_class_and_every_method():
     page = PAGE.read_text(encoding="utf-8")
     for of in ground_truth.CLASSES:
@@ -199,9 +145,3 @@ def test_the_page_has_every_class_and_every_method():
         assert "**`--auto`**" in part, of
         for name in methods.names():
             assert f"\n| `{name}` | " in part, f"{of} has no row for {name}. {A_NEW_METHOD}"
-
-
-def test_a_new_method_is_told_what_to_run(monkeypatch):
-    monkeypatch.setattr(methods, "names", lambda: ("al", "newest"))
-    with pytest.raises(AssertionError, match=r"no row for newest.*python -m benchmarks.accuracy"):
-        test_the_page_has_every_class_and_every_method()

@@ -16,7 +16,7 @@ import click
 import pytest
 from click.exceptions import Exit
 
-from msal_cli.cli import config, console, main
+from msal_cli.cli import config, console
 from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.records import InfoRecord
@@ -216,31 +216,6 @@ def test_the_address_of_the_repository_is_set_in_one_place(monkeypatch) -> None:
     assert "default: msal-cli @ https://code.site.org/team/msal-cli/archive" in component
 
 
-def test_a_placeholder_is_not_given_for_an_address() -> None:
-    """A page that shows it says so, and the component asks for what to install."""
-    assert not refresh.REPOSITORY, "then this test is of no use"
-    for name in ("README.md", "docs/index.md", "docs/ci.md"):
-        assert refresh.NOTE in (ROOT / name).read_text("utf-8")
-    assert "git.example.com" not in refresh.COMPONENT.read_text("utf-8")
-
-
-def test_contributing_is_short_and_names_what_is_there() -> None:
-    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
-    assert len(text.split()) < 900
-    named = re.findall(r"`((?:msal_cli|tests|benchmarks|docs|kernel_build)/[\w./]+)`", text)
-    assert [name for name in named if "NAME" not in name and not (ROOT / name).exists()] == []
-    modules = re.findall(r"python -m ((?:tests|benchmarks)\.[\w.]+)", text)
-    assert len(modules) >= 5
-    for module in modules:
-        assert (ROOT / f"{module.replace('.', '/')}.py").exists(), module
-
-
-def test_usage_begins_with_all_commands() -> None:
-    start = (ROOT / "docs/usage.md").read_text("utf-8").partition("\n## ")[0]
-    listed = re.findall(r"^\| `msal (\w+) ", start, re.MULTILINE)
-    assert sorted(listed) == sorted(main.COMMANDS)
-
-
 def readme_block(name: str) -> str:
     found = re.search(
         rf"^<!-- ci: {name} -->\n```sh\n(.+?)^```$", README.read_text("utf-8"), re.M | re.DOTALL
@@ -265,12 +240,6 @@ def test_ci_runs_the_commands_of_the_readme() -> None:
     # What the extra brings is used after the block that installs it.
     checks = [script.index(f".venv/bin/{tool}") for tool in ("ruff", "mypy")]
     assert min(checks) > script.index("run_block tests")
-
-
-def test_the_readme_begins_with_its_unit_the_choice_and_how_to_look() -> None:
-    first_screen = README.read_text("utf-8").partition("## Try it")[0]
-    for words in ("**e** is the mean edge length", "Take `--auto`", "40 scans", "msal view"):
-        assert words in first_screen
 
 
 def fields(kind: type[Any], prefix: str = "") -> set[str]:

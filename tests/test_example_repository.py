@@ -59,15 +59,3 @@ def test_check_finds_a_lost_scan(repository):
     done = check(repository)
     assert done.status == 4
     assert "ring.ply" in done.stderr
-
-
-def test_scans_are_those_of_the_script(tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.argv", ["make_scans.py", str(tmp_path)])
-    make_scans.main()
-    made = sorted(path.name for path in tmp_path.iterdir())
-    assert made == sorted(path.name for path in (EXAMPLE / "scans").iterdir())
-    assert all(
-        (tmp_path / name).stat().st_size == (EXAMPLE / "scans" / name).stat().st_size
-        for name in made
-    )
-    assert sum(path.stat().st_size for path in EXAMPLE.rglob("*") if path.is_file()) < 300_000

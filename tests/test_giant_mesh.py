@@ -14,14 +14,6 @@ def read(path):
     return codecs.open_mesh(path.read_bytes(), path.name)
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, 100, 4097])
-def test_a_permutation_has_an_inverse(n):
-    order = giant_mesh.Permutation(n, seed=5)
-    images = order.apply(np.arange(n))
-    assert sorted(images) == list(range(n))
-    assert (order.invert(images) == np.arange(n)).all()
-
-
 @pytest.mark.parametrize("order", giant_mesh.ORDERS)
 def test_the_surface_is_the_same_in_every_order(order, tmp_path, monkeypatch):
     monkeypatch.setattr(giant_mesh, "_AT_ONCE", 1000)

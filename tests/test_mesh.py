@@ -142,13 +142,6 @@ def test_far_from_the_origin_nothing_is_lost():
     assert np.abs(ready.mesh.vertices).max() < 5
 
 
-def test_more_faces_than_can_be_counted_are_refused():
-    # One row of zeros, repeated without taking memory.
-    faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MAX_FACES + 1, 3))
-    with pytest.raises(TooLargeError, match="357,913,942 triangles"):
-        prepare_mesh(np.zeros((3, 3)), faces)
-
-
 def test_vertices_known_to_be_distinct_need_no_welding():
     # The last face is degenerate, and the last vertex in no other.
     vertices, faces = torus(12, 8)
@@ -173,3 +166,10 @@ def test_a_mesh_with_few_vertices_moved_knows_what_it_would_compute():
         normals = known.vertex_normals("uniform", mollify)
         assert np.array_equal(normals, computed.vertex_normals("uniform", mollify))
         assert not np.array_equal(normals, mesh.vertex_normals("uniform", mollify))
+
+
+def test_more_faces_than_can_be_counted_are_refused():
+    # One row of zeros, repeated without taking memory.
+    faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MAX_FACES + 1, 3))
+    with pytest.raises(TooLargeError, match="357,913,942 triangles"):
+        prepare_mesh(np.zeros((3, 3)), faces)

@@ -7,7 +7,6 @@ import struct
 import sys
 import zlib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,11 +18,9 @@ from msal_cli import codecs
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Settings, Task
 from msal_cli.methods import find
-from tests.codecs import plain_ply
 from tests.scripts import load_script
 
 FOLDER = Path(__file__).resolve().parents[1] / "sample_meshes"
-LARGEST_BYTES = 2_000_000
 NAMES = ("bracket", "dragon_egg", "coin", "bear", "vase", "knot", "toadstool", "rock")
 
 
@@ -94,23 +91,6 @@ def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
         assert (a * np.cross(b, c)).sum() > 0, "faces look outwards"
     else:
         assert (normal[:, 2] > 0).all(), "faces look at the camera"
-
-
-def test_a_camera_may_stand_anywhere() -> None:
-    """VTK's reader crashes where it stands before the faces, so the sample has it behind them."""
-    data = one("coin", "noisy").read_bytes()
-    plain = plain_ply.read(data)
-    assert [element.name for element in plain.elements] == ["vertex", "face", "camera"]
-    file = codecs.open_mesh(data, "coin.ply")
-    moved = file.vertices * 1.5
-    output = bytes(file.replaced(moved))
-    for order in ([2, 0, 1], [0, 2, 1]):
-        elements = [plain.elements[k] for k in order]
-        other = codecs.open_mesh(plain_ply.written(replace(plain, elements=elements)), "coin.ply")
-        assert np.array_equal(other.vertices, file.vertices)
-        assert np.array_equal(other.faces, file.faces)
-        again = plain_ply.read(bytes(other.replaced(moved)))
-        assert again.elements == [plain_ply.read(output).elements[k] for k in order]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -5,16 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.scan_simulation import ScannerSettings, find_truth, simulate_scan
+from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from benchmarks.scan_simulation.depth_camera import (
     DISTANCE,
-    quantise_disparities,
-    smooth_depths,
-    triangulate,
 )
-from benchmarks.scan_simulation.occupancy import Grid, close_holes, fill_voxels
-from benchmarks.scan_simulation.surface import Surface
-from benchmarks.scan_simulation.volumes import remove_specks
+from benchmarks.scan_simulation.occupancy import Grid, fill_voxels
 from msal_cli.errors import ContentError
 from msal_cli.kernels.geometry import area_and_volume, face_normals
 from msal_cli.mesh import prepare_mesh
@@ -72,15 +67,6 @@ def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
     assert roughness(level=0.05) == pytest.approx(0.5 * white, rel=0.25)
 
 
-def test_slices_lie_apart_along_the_direction():
-    made = scan("slices", slices=4, direction=(0.0, 5.0, 0.0))
-    heights = np.unique(np.round(made.vertices[:, 1] / made.cell, 4))
-    gaps = np.diff(heights)
-    # A vertex lies on a slice, or half-way between two.
-    assert gaps == pytest.approx(2.0, abs=1e-3)
-    assert len(np.unique(np.round(made.vertices[:, 0] / made.cell, 4))) > 2 * len(heights)
-
-
 def test_an_open_or_inverted_mesh_is_filled_all_the_same():
     vertices, faces = ball(48, 24)
     inverted = prepare_mesh(vertices, faces[:, ::-1]).mesh
@@ -89,24 +75,6 @@ def test_an_open_or_inverted_mesh_is_filled_all_the_same():
     made = scan("voxels", mesh=prepare_mesh(vertices, faces[~lid]).mesh)
     assert made.closed_holes == 1
     assert prepare_mesh(made.vertices, made.faces).defects.boundary_edges == 0
-
-
-def test_the_truth_lies_on_the_mesh():
-    made = scan("voxels")
-    truth = find_truth(SPHERE, made)
-    radii = np.linalg.norm(truth, axis=1)
-    assert 0.99 < radii.min() <= radii.max() <= 1.0 + 1e-9
-    assert np.linalg.norm(truth - made.vertices, axis=1).max() < made.cell
-
-
-def test_specks_in_the_air_and_cavities_are_left_out():
-    volume = np.zeros((9, 9, 9), dtype=np.float32)
-    volume[2:7, 2:7, 2:7] = 1.0
-    clean = volume >= 0.5
-    volume[0, 0, 0] = 0.9
-    volume[4, 4, 4] = 0.2
-    made = remove_specks(volume, clean)
-    assert np.array_equal(made, clean.astype(np.float32))
 
 
 def test_a_sheet_has_nothing_inside():
@@ -124,24 +92,6 @@ def test_the_voxels_of_a_box_are_filled_by_their_share():
     z = np.array([0.0, 1.0, 1.0, 1.0, 0.75, 0.0])
     expected = x[:, None, None] * y[:, None] * z
     assert made == pytest.approx(expected, abs=1e-6)
-
-
-def test_a_hole_is_closed_by_a_fan():
-    vertices, faces = ball(24, 12)
-    volume = area_and_volume(vertices, faces)[1]
-    far = vertices[faces].mean(axis=1)[:, 0] < 0.8
-    closed, all_faces, n_holes = close_holes(vertices, faces[far])
-    assert n_holes == 1
-    assert len(closed) == len(vertices) + 1
-    assert area_and_volume(closed, all_faces)[1] == pytest.approx(volume, rel=0.1)
-    assert close_holes(closed, all_faces)[2] == 0
-
-
-def test_a_quiet_camera_sees_the_surface_itself():
-    made = scan("depth", 32, FINE, **QUIET)
-    assert np.array_equal(made.vertices, made.true_vertices)
-    distance = Surface(FINE).closest_points(made.vertices) - made.vertices
-    assert np.abs(distance).max() < 1e-12
 
 
 def test_a_camera_sees_one_side_with_an_open_border():
@@ -170,35 +120,6 @@ def test_noise_goes_along_the_rays_with_the_level_head_on():
     assert along[front].std() == pytest.approx(expected, rel=0.2)
     side = (cosines > 0.4) & (cosines < 0.6)
     assert along[side].std() > 1.6 * along[front].std()
-
-
-def test_smoothing_stops_at_jumps_and_borders():
-    depths = np.full((6, 8), 5.0)
-    depths[:, 4:] = 9.0
-    depths[0, 0] = np.inf
-    noise = np.zeros_like(depths)
-    noise[3, 1] = 1.0
-    made = smooth_depths(depths + noise, depths, 1.0, 1.0)
-    assert np.isinf(made[0, 0])
-    assert made[:, 4:] == pytest.approx(9.0, abs=1e-12)
-    assert 5.1 < made[3, 1] < 5.3
-    assert made[1:, :4].min() > 5.0 - 1e-12
-
-
-def test_disparities_are_multiples_and_the_step_is_that_at_the_centre():
-    depths = np.array([[2.0, 3.9, 4.0, 4.01, 6.0, np.inf]])
-    made = quantise_disparities(depths, 0.1, 4.0)
-    whole = 1.0 / (made[0, :5] * (0.1 / 16.0))
-    assert whole == pytest.approx(np.round(whole), abs=1e-9)
-    assert np.isinf(made[0, 5])
-    assert np.abs(made[0, :5] - depths[0, :5])[1:4].max() <= 0.051
-    assert np.abs(made[0, :5] - depths[0, :5])[0] <= 0.051 / 4.0
-
-
-def test_triangles_are_cut_at_jumps_and_gaps():
-    depths = np.array([[1.0, 1.0, 9.0], [1.0, 1.0, 9.0], [1.0, np.inf, 9.0]])
-    faces = triangulate(depths, 2.0)
-    assert sorted(map(sorted, faces.tolist())) == [[0, 1, 4], [0, 3, 4], [3, 4, 6]]
 
 
 def test_a_fusion_closes_the_sphere():

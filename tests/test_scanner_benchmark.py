@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
+from benchmarks import scanner_cases, scanner_outcomes, scanners
 from benchmarks.scanner_cases import Case, Pair
-from benchmarks.scanner_outcomes import NOISY, Errors, Outcome
+from benchmarks.scanner_outcomes import NOISY
 from benchmarks.scanner_settings import PEER_SETTINGS
 from benchmarks.true_surface import TrueSurface, corner_normals
-from msal_cli.analysis.surface_distance import distances_to_surface, nearest_on_surface
+from msal_cli.analysis.surface_distance import nearest_on_surface
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import ball, cube, torus
@@ -29,10 +29,6 @@ def one_model(monkeypatch):
     monkeypatch.setattr(scanner_cases.ground_truth, "data_folder", lambda: None)
 
 
-def outcome(angle: float, distance: float, vertex: float | None = None) -> Outcome:
-    return Outcome(Errors(angle, distance, vertex), 0.5, "why")
-
-
 def test_every_kind_changes_its_model_and_repeats(one_model):
     for kind, cases in scanner_cases.cases().items():
         (case,) = cases
@@ -40,23 +36,6 @@ def test_every_kind_changes_its_model_and_repeats(one_model):
         assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
         has_moved = not np.array_equal(pair.noisy.vertices, pair.true.vertices)
         assert has_moved == (kind != scanner_cases.CLEAN), kind
-
-
-def test_every_simulated_scanner_sees_its_model(one_model, monkeypatch):
-    pytest.importorskip("skimage")
-    monkeypatch.setattr(scanner_cases, "SCANNED", ("torus",))
-    for kind, given in scanner_cases.SIMULATED.items():
-        monkeypatch.setitem(scanner_cases.SIMULATED, kind, {**given, "cells": 24})
-    found = scanner_cases.cases(kinds=list(scanner_cases.SIMULATED))
-    assert list(found) == list(scanner_cases.SIMULATED)
-    for kind, (case,) in found.items():
-        pair, again = case.make(), case.make()
-        assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
-        assert not pair.has_same_faces
-        # A scan lies within two cells of the truth.
-        cell = np.ptp(pair.true.vertices, axis=0).max() / 24
-        far = distances_to_surface(pair.noisy.vertices, pair.true)
-        assert 0.0 < far.mean() < 2.0 * cell, kind
 
 
 def test_errors_of_a_known_result():
@@ -76,18 +55,6 @@ def test_errors_of_a_known_result():
     assert other.distance_percent == pytest.approx(expected, rel=0.05)
 
 
-def test_angles_to_a_surface_are_those_between_planes():
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
-    flat = prepare_mesh(corners, faces).mesh
-    tilt = np.radians(20.0)
-    turned = np.array(
-        [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]]
-    )
-    angles = TrueSurface(flat).angles_of(flat.with_vertices(flat.vertices @ turned))
-    assert np.degrees(angles) == pytest.approx([20.0, 20.0])
-
-
 def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
     coarse = prepare_mesh(*ball(24, 12)).mesh
     points = prepare_mesh(*ball(96, 48)).mesh.vertices
@@ -99,15 +66,6 @@ def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
     box = prepare_mesh(*cube()).mesh
     normals = face_normals(box.vertices, box.faces)
     assert np.allclose(corner_normals(box), normals[:, None, :])
-
-
-def test_the_command_runs_as_users_run_it():
-    pair = scanner_cases.add_kind("normals 0.2", "torus", small_torus)
-    noisy = scanner_outcomes.measure_errors(pair, pair.noisy)
-    for name in scanner_outcomes.ours():
-        found = scanner_outcomes.run_command(pair, name)
-        assert found.errors.angle_deg < 0.8 * noisy.angle_deg, name
-        assert bool(found.reason) == (name in ("plain", "auto")), name
 
 
 def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):
@@ -132,33 +90,6 @@ def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):
     changed = rows(0.2, again=True)
     assert made == [0.1, 0.2]
     assert changed[NOISY].errors.distance_percent > first[NOISY].errors.distance_percent
-
-
-def test_the_best_single_setting_is_judged_over_all_models():
-    first, second = PEER_SETTINGS[1], PEER_SETTINGS[2]
-    rows = {
-        "a": {first.label: outcome(2.0, 2.0), second.label: outcome(1.0, 1.0)},
-        "b": {first.label: outcome(2.0, 2.0), second.label: outcome(9.0, 9.0)},
-    }
-    best = scanner_tables.best_setting(rows)
-    assert best is not None and best.label == first.label
-    assert scanner_tables.ratio_cell(np.array([2.5, 2.0]), best) == "**1.25** / 1.00"
-    assert scanner_tables.ratio_cell(np.array([2.02, 2.04]), best) == "1.01 / 1.02"
-    assert scanner_tables.ratio_cell(np.array([1.0, 2.2]), best) == "0.50 / **1.10**"
-
-
-def test_the_totals_count_kinds_and_cases():
-    setting = {one.label: outcome(4.0, 4.0) for one in PEER_SETTINGS} | {NOISY: outcome(8.0, 8.0)}
-    kinds = {
-        "better": {"a": setting | {"auto": outcome(2.0, 3.0)}},
-        "idle": {"a": setting | {"auto": outcome(8.0, 3.0)}},
-        scanner_cases.CLEAN: {"a": setting | {"auto": outcome(9.0, 9.0)}},
-        "not run": {"a": setting},
-    }
-    first, second = scanner_tables.totals(kinds)
-    assert first.endswith("in 1 of 2 kinds.")
-    assert second.startswith("Its angle is more than 5 % above that of Taubin 10 in 1 of 2 cases")
-    assert second.endswith("of the noisy mesh in 1.")
 
 
 def test_the_section_is_printed_without_any_peer(one_model, tmp_path, capsys, monkeypatch):

@@ -91,14 +91,6 @@ def test_a_new_file_is_renamed_where_that_does_not_replace(tmp_path, windows, mo
     assert len(os.listdir(tmp_path)) == 1
 
 
-def test_a_folder_is_not_flushed_where_it_cannot_be_opened(tmp_path, windows):
-    def refuse(*given):
-        raise PermissionError(13, "Permission denied")
-
-    windows(atomic, open=refuse)
-    atomic.flush_folder(tmp_path)
-
-
 # Names
 
 
@@ -151,11 +143,6 @@ def test_an_input_that_changed_its_case_keeps_its_output(tmp_path, monkeypatch):
         plan.build_plan(discover_inputs([str(tmp_path / "in")]), str(tmp_path / "out"))
 
 
-def test_names_are_folded_as_file_systems_do():
-    assert plan.fold_case("S/\u00c9.PLY") == plan.fold_case("s/e\u0301.ply")
-    assert plan.fold_case("a.ply") != plan.fold_case("b.ply")
-
-
 # Signals and processes
 
 
@@ -185,12 +172,6 @@ def test_a_run_in_this_process_ends_late_without_set_blocking(windows):
     with interrupts.catch_signals(received.append), interrupts.end_if_late(lambda: None):
         signal.raise_signal(signal.SIGTERM)
     assert received == [signal.SIGTERM]
-
-
-def test_signals_that_a_system_lacks_are_left_out(monkeypatch):
-    if hasattr(signal, "SIGHUP"):
-        monkeypatch.delattr(signal, "SIGHUP")
-    assert set(interrupts._numbers()) >= {signal.SIGINT, signal.SIGTERM}
 
 
 def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
@@ -242,14 +223,14 @@ def test_a_console_that_lacks_letters_gets_escapes(tmp_path, encoding):
 # The workflow
 
 
-def test_the_workflow_runs_on_three_systems_and_pythons():
-    yaml = pytest.importorskip("yaml")
-    workflow = yaml.safe_load((ROOT / ".github/workflows/test.yml").read_text("utf-8"))
-    matrix = workflow["jobs"]["test"]["strategy"]["matrix"]
-    assert matrix["python"] == ["3.11", "3.12", "3.13"]
-    systems = " ".join(matrix["os"])
-    assert all(one in systems for one in ("ubuntu", "windows", "macos-15-intel", "macos-latest"))
-    assert workflow["permissions"] == {"contents": "read"}
-    steps = " ".join(str(step.get("run", "")) for step in workflow["jobs"]["test"]["steps"])
-    assert "python -m pytest" in steps
-    assert "ziglang" in steps
+def test_a_folder_is_not_flushed_where_it_cannot_be_opened(tmp_path, windows):
+    def refuse(*given):
+        raise PermissionError(13, "Permission denied")
+
+    windows(atomic, open=refuse)
+    atomic.flush_folder(tmp_path)
+
+
+def test_names_are_folded_as_file_systems_do():
+    assert plan.fold_case("S/\u00c9.PLY") == plan.fold_case("s/e\u0301.ply")
+    assert plan.fold_case("a.ply") != plan.fold_case("b.ply")

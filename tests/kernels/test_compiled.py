@@ -69,6 +69,7 @@ def test_other_types_are_an_error_with_their_names(kernel):
     assert "signatures.txt" in error.value.hint
 
 
+@pytest.mark.ci
 def test_an_edited_kernel_is_compiled_by_numba_with_a_notice(kernel, entries, caplog):
     entries[LINE] = entries[LINE]._replace(source_hash="0123")
     with caplog.at_level(logging.WARNING):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.kernels.connectivity import (
@@ -16,7 +15,6 @@ from msal_cli.kernels.connectivity import (
     count_components,
     faces_to_flip,
 )
-from msal_cli.kernels.welding import duplicate_faces, first_alike, number_groups
 from tests.methods.plain_rings import rows
 from tests.paper import one_rings
 from tests.shapes import cube, grid, torus
@@ -37,7 +35,6 @@ def triangle_sets(draw):
     return n, np.array(faces, dtype=np.int32)
 
 
-@settings(max_examples=100, deadline=None)
 @given(triangle_sets())
 def test_rings_and_edges_of_any_triangle_set(case):
     n, faces = case
@@ -59,7 +56,6 @@ def test_rings_and_edges_of_any_triangle_set(case):
     assert incident == [[f for f, face in enumerate(faces.tolist()) if i in face] for i in range(n)]
 
 
-@settings(max_examples=100, deadline=None)
 @given(triangle_sets())
 def test_components_of_any_triangle_set(case):
     n, faces = case
@@ -72,7 +68,6 @@ def test_components_of_any_triangle_set(case):
     assert count_components(n, faces, used) == len(parts)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**20), st.sampled_from(["torus", "grid", "cube"]))
 def test_any_turned_faces_are_turned_back(seed, shape):
     vertices, faces = {"torus": torus, "grid": grid, "cube": cube}[shape]()
@@ -100,50 +95,6 @@ def test_a_moebius_band_is_left_alone():
     assert not flip.any()
 
 
-@settings(max_examples=100, deadline=None)
-@given(
-    st.lists(st.sampled_from([0.0, -0.0, 1.0, 1e-300, np.nextafter(1.0, 2)]), min_size=9),
-    st.integers(0, 5),
-)
-def test_welding_is_by_exact_position(values, skip):
-    points = np.array(values[: len(values) // 3 * 3]).reshape(-1, 3)
-    used = np.arange(len(points)) % 6 != skip
-    seen: dict[tuple[float, ...], int] = {}
-    expected = [
-        seen.setdefault(tuple(point), i) if use else i
-        for i, (point, use) in enumerate(zip((points + 0.0).tolist(), used, strict=True))
-    ]
-    assert first_alike(points, used)[0].tolist() == expected
-
-
-def test_among_very_many_points_only_equal_ones_weld():
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(20_000, 3))
-    points[15_000:15_050] = points[7_000:7_050]
-    points[-1] = points[15_000]
-    first, merged = first_alike(points, np.ones(len(points), dtype=bool))
-    expected = np.arange(len(points))
-    expected[15_000:15_050] = expected[7_000:7_050]
-    expected[-1] = 7_000
-    assert first.tolist() == expected.tolist()
-    assert merged == 51
-    used = np.ones(len(points), dtype=bool)
-    used[7_000:7_050] = False
-    assert first_alike(points, used)[1] == 1
-
-
-@pytest.mark.parametrize("shape", [torus(300, 240), grid(301, 260)])
-def test_threads_change_nothing(shape, monkeypatch):
-    vertices, faces = shape
-    found = []
-    for threads in ("1", "2", "3"):
-        monkeypatch.setenv("MSAL_THREADS", threads)
-        links = connectivity(len(vertices), faces)
-        arrays = (links.ring_start, links.ring, links.boundary)
-        found.append((*(one.tobytes() for one in arrays), links.boundary_edges))
-    assert found[0] == found[1] == found[2]
-
-
 def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
     # Two tetrahedra that touch in vertex 0: both circles around it are closed.
     one = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], dtype=np.int32)
@@ -152,21 +103,6 @@ def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
     assert rings(links)[0] == [1, 2, 3, 4, 5, 6]
     assert rings(links)[1] == [2, 0, 3]
     assert links.boundary_edges == links.non_manifold_edges == links.inconsistent_edges == 0
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.integers(-2, 5), st.integers(-2, 5)), min_size=1, max_size=60))
-def test_pairs_are_numbered_in_order_of_appearance(pairs):
-    order = list(dict.fromkeys(pairs))
-    left, right = np.array(pairs, dtype=np.int32).T.copy()
-    number, first = number_groups(left, right)
-    assert number.tolist() == [order.index(pair) for pair in pairs]
-    assert first.tolist() == [pairs.index(pair) for pair in order]
-
-
-def test_duplicates_in_any_order_of_corners():
-    faces = np.array([[0, 1, 2], [2, 3, 0], [2, 0, 1], [1, 0, 2], [3, 4, 5]], dtype=np.int32)
-    assert duplicate_faces(faces).tolist() == [False, False, True, True, False]
 
 
 def listed(start, row):
@@ -188,7 +124,6 @@ def test_the_rim_of_a_grid_worked_by_hand():
     assert listed(*averaging_ring(faces, links, "fixed")) == fixed
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     chosen=st.lists(
         st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(0, 9)).filter(

@@ -26,7 +26,7 @@ from msal_cli.kernels.normal_regression import (
 )
 from msal_cli.mesh import prepare_mesh
 from tests.kernels import plain_descriptors
-from tests.shapes import cube, grid, noisy, torus
+from tests.shapes import grid, noisy, torus
 
 
 def rows_of(start, entries):
@@ -190,16 +190,6 @@ def test_a_turned_mesh_has_the_same_inputs(scan):
     here = described(scan)[0]
     assert np.abs(there.vectors - here.vectors @ turn.T.astype(np.float32)).max() < 1e-3
     assert np.abs(there.numbers - here.numbers).max() < 1e-3
-
-
-def test_few_faces_are_enough():
-    mesh = prepare_mesh(*cube()).mesh
-    descriptors, _ = described(mesh)
-    assert np.isfinite(descriptors.inputs()).all()
-    one = prepare_mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)).mesh
-    alone = described(one)[0]
-    assert np.isfinite(alone.inputs()).all()
-    assert np.abs(alone.vectors - 3**-0.5).max() < 1e-6
 
 
 def test_a_face_without_area_takes_the_normal_of_those_around():

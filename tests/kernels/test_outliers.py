@@ -71,14 +71,6 @@ def test_only_the_furthest_of_neighbours_is_picked():
     assert not len(outliers.pick(scores, 3.0, mesh.topology))
 
 
-def test_marks_reach_two_rings():
-    mesh = uneven_grid()
-    marks = outliers.mark_two_rings(np.array([MIDDLE]), mesh.topology)
-    assert marks.sum() == 19
-    assert marks[MIDDLE + 2]
-    assert not marks[MIDDLE + 3]
-
-
 def test_a_vertex_that_went_along_the_surface_goes_to_the_middle_of_its_neighbours():
     mesh = uneven_grid()
     # Sides that are flat to rounding are those of a design.

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from msal_cli.kernels import text
@@ -57,7 +57,6 @@ def value_of(word: bytes) -> float:
 @example(b"2.2250738585072011e-308")
 @example(b"1e99999999999999999999")
 @example(b"00000000000000000000000000012.5")
-@settings(max_examples=400, deadline=None)
 def test_numbers_are_read_as_python_reads_them(word: bytes) -> None:
     word = word.translate(None, b"_")
     if not all(48 <= c <= 57 or c in b"+-.eE" for c in word):
@@ -113,7 +112,6 @@ def test_what_is_no_number(word: bytes) -> None:
 @example(2**63 - 1, "")
 @example(-(2**63) + 1, "")
 @example(9_223_372_036_854_775_799, "")
-@settings(deadline=None)
 def test_integers(value: int, prefix: str) -> None:
     word = (
         ("-" if value < 0 else "") + prefix.strip("+" if value < 0 else "") + str(abs(value))
@@ -155,7 +153,6 @@ def fixed(value: float, decimals: int) -> str:
 @example([0.125, 0.375, 0.005, 1.005, 2.675, 99.995, -99.995], 2)
 @example([9007199254740993.0, 9.2e18, 0.1, 4650000.123456789], 17)
 @example([2.0**63, -(2.0**64), 1e300, 3.0], 3)
-@settings(max_examples=300, deadline=None)
 def test_printed_is_correctly_rounded(values: list[float], decimals: int) -> None:
     got = split(*text.print_numbers(np.array(values), decimals))
     assert got == [fixed(v, decimals) if abs(v) < 2.0**63 else repr(v) for v in values]
@@ -200,7 +197,6 @@ def n_digits(word: str) -> int:
 @given(st.lists(finite, max_size=6))
 @example([0.1, 1 / 3, 5e-324, 1.7976931348623157e308, -0.0, 1e16, 123456789012345680.0, 1e-5])
 @example([2.0**-44, 2.0**-24, 2.0**89, 9007199254740993.0, 100.0, 0.00012345678901234567])
-@settings(max_examples=300, deadline=None)
 def test_shortest_double(values: list[float]) -> None:
     for value, word in zip(
         values, split(*text.print_shortest(np.array(values), False)), strict=True
@@ -212,7 +208,6 @@ def test_shortest_double(values: list[float]) -> None:
 @given(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=6))
 @example([16777216.0, 0.1, 2.0**-149, 1.1754943508222875e-38, 3.4028234663852886e38, 1e-5])
 @example([999500032.0])
-@settings(max_examples=300, deadline=None)
 def test_shortest_single(values: list[float]) -> None:
     singles = np.array(values, dtype=np.float32)
     for value, word in zip(
@@ -240,7 +235,6 @@ words = st.lists(st.binary(max_size=5), max_size=8)
 
 
 @given(words, words, st.binary(max_size=3))
-@settings(max_examples=300, deadline=None)
 def test_spliced_and_compared(old: list[bytes], new: list[bytes], between: bytes) -> None:
     count = min(len(old), len(new))
     a, a_starts, a_stops = tokens(old[:count], between)

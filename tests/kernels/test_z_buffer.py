@@ -43,31 +43,10 @@ def test_nearness_is_that_of_the_plane():
     assert np.allclose(nearness, 2.0 * columns + 3.0 * rows)
 
 
-def test_neighbours_leave_no_gap():
-    random = np.random.default_rng(5)
-    middle = np.append(random.uniform(8, 24, 2), 0.0)
-    corners = [(-1, -1, 0), (33, -1, 0), (33, 33, 0), (-1, 33, 0)]
-    faces = [(k, (k + 1) % 4, 4) for k in range(4)]
-    _, front = drawn([*corners, middle], faces, 32, 32)
-    assert (front >= 0).all()
-
-
 def test_what_is_outside_or_has_no_area_is_not_drawn():
     points = [(-9, -9, 0), (-1, -9, 0), (-1, -1, 0), (1, 1, 0), (3, 3, 0), (5, 5, 0)]
     _, front = drawn(points, [(0, 1, 2), (3, 4, 5), (3, 3, 4)], 8, 8)
     assert (front == z_buffer.NOTHING).all()
-
-
-def test_threads_change_nothing(monkeypatch):
-    random = np.random.default_rng(1)
-    points = random.uniform(0, 300, (600, 3))
-    faces = random.integers(0, 600, (900, 3))
-    pictures = []
-    for threads in ("1", "3"):
-        monkeypatch.setenv("MSAL_THREADS", threads)
-        pictures.append(drawn(points, faces, 300, 300))
-    assert (pictures[0][1] == pictures[1][1]).all()
-    assert (pictures[0][0] == pictures[1][0]).all()
 
 
 def roof(angle):

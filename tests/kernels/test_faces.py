@@ -1,8 +1,8 @@
-"""Neighbourhoods of faces against their definition, and at hubs and crowded edges."""
+"""Faces that share edges and vertices: rings, flaps and centroids, at hubs and crowded edges."""
 
 from __future__ import annotations
 
-import time
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from msal_cli.kernels.faces import (
     face_centroids,
     face_rings,
     faces_within,
+    flaps,
     mean_centroid_distance,
 )
 from tests.methods.plain_normals import neighbours
@@ -71,19 +72,6 @@ def test_the_order_is_side_by_side_then_corner_by_corner():
     assert rows(faces, "vertex")[2] == [1, 3, 0, 4]
 
 
-def test_threads_do_not_change_the_rows(monkeypatch):
-    _, faces = torus(40, 20)
-    monkeypatch.setattr("msal_cli.kernels.parallel.MIN_RANGE", 100)
-    monkeypatch.setattr("msal_cli.kernels.faces.MIN_PART", 1)
-    results = []
-    for count in ("1", "2", "5"):
-        monkeypatch.setenv("MSAL_THREADS", count)
-        results.append(face_rings(faces, connectivity(800, faces), "vertex"))
-    for start, ring in results[1:]:
-        assert (start == results[0][0]).all()
-        assert (ring == results[0][1]).all()
-
-
 def test_an_edge_with_too_many_faces_makes_no_neighbours():
     assert rows(book(MAX_AROUND + 1), "vertex") == [[] for _ in range(MAX_AROUND + 1)]
 
@@ -95,23 +83,6 @@ def test_around_a_hub_the_neighbours_are_those_across_edges():
     assert [sorted(row) for row in found] == [
         sorted({(f - 1) % count, (f + 1) % count}) for f in range(count)
     ]
-
-
-def test_hubs_cost_no_more_than_other_parts():
-    seconds = []
-    for count in (2_000, 200_000):
-        _, faces = fan([0.0] * count)
-        links = connectivity(count + 1, faces)
-        pages = np.array(book(count), dtype=np.int32)
-        page_links = connectivity(count + 2, pages)
-        started = time.perf_counter()
-        _, ring = face_rings(faces, links, "vertex")
-        _, none = face_rings(pages, page_links, "vertex")
-        seconds.append(time.perf_counter() - started)
-        assert len(ring) == 2 * count
-        assert len(none) == 0
-    # A hundred times the faces; quadratic cost would be ten thousand times the time, minutes.
-    assert seconds[1] < 5.0
 
 
 def test_small_meshes_keep_their_rows(monkeypatch):
@@ -169,3 +140,34 @@ def test_it_stops_at_the_most():
     # The first are those that share a vertex.
     for row, others in zip(found, neighbours(faces, "vertex"), strict=True):
         assert sorted(row[: len(others)]) == others
+
+
+def by_dictionary(faces):
+    """{(p1, p3): set of opposite vertices} of edges with exactly two faces."""
+    facing = defaultdict(list)
+    for face in faces.tolist():
+        for k in range(3):
+            facing[frozenset((face[k], face[(k + 1) % 3]))].append(face[(k + 2) % 3])
+    return {
+        (*sorted(edge), *sorted(opposite))
+        for edge, opposite in facing.items()
+        if len(opposite) == 2
+    }
+
+
+@pytest.mark.parametrize("shape", [torus, grid, cube])
+def test_they_are_the_edges_with_two_faces(shape):
+    vertices, faces = shape()
+    found = flaps(faces, connectivity(len(vertices), faces))
+    assert {(a, c, *sorted((b, d))) for a, b, c, d in found.tolist()} == by_dictionary(faces)
+    assert len(found) == len(by_dictionary(faces))
+    assert (found[:, 0] < found[:, 2]).all()
+    assert (np.diff(found[:, 0]) >= 0).all()
+    assert found.dtype == np.int32
+
+
+def test_open_and_crowded_edges_are_left_out():
+    # Three faces around the edge 0-1, and a fourth that shares 1-2 with the first.
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [2, 1, 5]], dtype=np.int32)
+    found = flaps(faces, connectivity(6, faces))
+    assert found.tolist() in ([[1, 0, 2, 5]], [[1, 5, 2, 0]])

@@ -1,14 +1,19 @@
-"""Soup into an indexed mesh."""
+"""Points at one place, faces with the same corners, and soup into an indexed mesh."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from msal_cli.kernels.welding import weld_corners
+from msal_cli.kernels.welding import (
+    duplicate_faces,
+    first_alike,
+    number_groups,
+    weld_corners,
+)
 
 
 def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[int]]:
@@ -18,7 +23,6 @@ def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[in
     return list(number), numbers
 
 
-@settings(deadline=None)
 @given(
     arrays.arrays(
         np.float64,
@@ -62,8 +66,53 @@ def test_views_into_a_file_are_read():
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("facet", [0, 255, 256, 999])
-def test_the_first_facet_that_is_not_finite_is_told(wrong, facet):
+def test_the_first_facet_that_is_not_finite_is_reported(wrong, facet):
     corners = np.zeros((1000, 9))
     corners[facet, 8] = wrong
     corners[999, 0] = wrong
     assert weld_corners(corners)[2] == facet
+
+
+@given(
+    st.lists(st.sampled_from([0.0, -0.0, 1.0, 1e-300, np.nextafter(1.0, 2)]), min_size=9),
+    st.integers(0, 5),
+)
+def test_welding_is_by_exact_position(values, skip):
+    points = np.array(values[: len(values) // 3 * 3]).reshape(-1, 3)
+    used = np.arange(len(points)) % 6 != skip
+    seen: dict[tuple[float, ...], int] = {}
+    expected = [
+        seen.setdefault(tuple(point), i) if use else i
+        for i, (point, use) in enumerate(zip((points + 0.0).tolist(), used, strict=True))
+    ]
+    assert first_alike(points, used)[0].tolist() == expected
+
+
+def test_among_very_many_points_only_equal_ones_weld():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(20_000, 3))
+    points[15_000:15_050] = points[7_000:7_050]
+    points[-1] = points[15_000]
+    first, merged = first_alike(points, np.ones(len(points), dtype=bool))
+    expected = np.arange(len(points))
+    expected[15_000:15_050] = expected[7_000:7_050]
+    expected[-1] = 7_000
+    assert first.tolist() == expected.tolist()
+    assert merged == 51
+    used = np.ones(len(points), dtype=bool)
+    used[7_000:7_050] = False
+    assert first_alike(points, used)[1] == 1
+
+
+@given(st.lists(st.tuples(st.integers(-2, 5), st.integers(-2, 5)), min_size=1, max_size=60))
+def test_pairs_are_numbered_in_order_of_appearance(pairs):
+    order = list(dict.fromkeys(pairs))
+    left, right = np.array(pairs, dtype=np.int32).T.copy()
+    number, first = number_groups(left, right)
+    assert number.tolist() == [order.index(pair) for pair in pairs]
+    assert first.tolist() == [pairs.index(pair) for pair in order]
+
+
+def test_duplicates_in_any_order_of_corners():
+    faces = np.array([[0, 1, 2], [2, 3, 0], [2, 0, 1], [1, 0, 2], [3, 4, 5]], dtype=np.int32)
+    assert duplicate_faces(faces).tolist() == [False, False, True, True, False]

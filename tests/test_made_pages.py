@@ -1,0 +1,231 @@
+"""Pages that scripts make from the code: man pages, methods, commands and the API, and the site."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+
+import click
+import numpy as np
+import pytest
+
+import msal_cli as msal
+from benchmarks import scanner_cases
+from msal_cli import methods
+from msal_cli.cli.main import COMMANDS, program
+from msal_cli.mesh import prepare_mesh
+from tests.scripts import ROOT, load_script
+
+DOCS = ROOT / "docs"
+API, COMMAND, MAN, METHOD = (
+    load_script(f"docs/make_{name}.py")
+    for name in ("api_page", "command_page", "man_pages", "method_pages")
+)
+CHECKER = load_script("docs/check_site.py")
+
+
+@pytest.mark.parametrize("maker", [MAN, METHOD], ids=["man", "methods"])
+def test_the_committed_pages_are_current(maker):
+    made, committed = maker.pages(), maker.committed()
+    assert sorted(committed) == sorted(made), "run python docs/refresh.py"
+    for name, text in made.items():
+        assert committed[name] == text, f"{name}: run python docs/refresh.py"
+
+
+@pytest.mark.parametrize("maker", [API, COMMAND], ids=["api", "commands"])
+def test_the_committed_page_is_current(maker):
+    assert maker.PAGE.read_text("utf-8") == maker.page(), "run python docs/refresh.py"
+
+
+def test_there_is_a_page_for_every_command_and_every_method():
+    assert set(MAN.pages()) == {"msal.1", *(f"msal-{name}.1" for name in COMMANDS)}
+    made = METHOD.pages()
+    assert set(made) == {"README.md", *(f"{name}.md" for name in methods.names())}
+    rows = re.findall(r"^\| \[`(\w+)`\]\((\w+)\.md\) \| .+ \|$", made["README.md"], re.M)
+    assert rows == [(name, name) for name in methods.names()]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_pages_of_a_command_have_every_option(name):
+    man = plain(MAN.pages()[f"msal-{name}.1"])
+    sections = re.split(r"^## msal ", COMMAND.page(), flags=re.MULTILINE)[1:]
+    (page,) = (text for text in sections if text.split("\n")[0] == name)
+    command = program.get_command(click.Context(program), name)
+    for option in command.params:
+        if isinstance(option, click.Option) and not option.hidden:
+            assert " ".join(str(option.help).split()) in man
+            assert all(
+                re.search(rf"(?m)^.*{re.escape(word)}(?![\w-])", man) for word in option.opts
+            )
+            assert any(f"`{word}" in page for word in (*option.opts, *option.secondary_opts))
+
+
+def plain(page: str) -> str:
+    """A man page without fonts and escapes."""
+    text = re.sub(r"\\f[BIR]", "", page)
+    for escaped, character in (
+        *((r"\-", "-"), (r"\(aq", "'"), (r"\(ga", "`"), (r"\(ha", "^"), (r"\&", "")),
+        *((r"\(ti", "~"), (r"\e", "\\")),
+    ):
+        text = text.replace(escaped, character)
+    return text
+
+
+def test_special_characters_are_escaped():
+    assert MAN.escape(".SH x") == r"\&.SH x"
+    assert MAN.escape("'tis a-b\\n") == r"\(aqtis a\-b\en"
+    assert (
+        METHOD.inline("mean|h| of p* and\n<b>, x_i <- y") == r"mean\|h\| of p\* and \<b>, x_i <- y"
+    )
+    assert METHOD.inline("``a|b*`` or ``al``") == "`a|b*` or `al`"
+    assert COMMAND.inline("with --in-place: a_b '*.ply', `a|b`") == (
+        r"with `--in-place`: a\_b '\*.ply', `a|b`"
+    )
+
+
+@pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
+def test_roff_has_no_warnings():
+    for name, text in MAN.pages().items():
+        words = ["groff", "-ww", "-man", "-Tutf8"]
+        made = subprocess.run(words, input=text, capture_output=True, text=True, check=True)
+        assert made.stderr == "", name
+        assert "msal" in made.stdout
+
+
+def test_indented_blocks_are_formulas_and_dashes_are_lists():
+    text = "First\nline:\n\n    a * b\n      c\n\n- one\n  more\n- two\n\n1.  up\n    to\n2. 3.4 x"
+    assert list(METHOD.prose(text, "al")) == [
+        "First line:\n",
+        "```\na * b\n  c\n```\n",
+        "- one more\n- two\n",
+        "1. up to\n2. 3.4 x\n",
+    ]
+
+
+def test_every_name_of_the_api_has_its_place():
+    rows = re.findall(r"^### `(\w+)`|^\| `([A-Z]\w*)` \|", API.page(), re.M)
+    assert {name or other for name, other in rows} >= set(msal.__all__) - {"__version__"}
+
+
+def test_arguments_are_listed_once():
+    def function():
+        """What.
+
+        Parameters
+        ----------
+        a : one
+            two.
+        b, c : three
+        """
+
+    seen = set()
+    assert "- `a`: one two.\n- `b`, `c`: three\n" in API.describe(function, seen)
+    assert "- `" not in API.describe(function, seen)
+
+
+def test_the_first_page_leads_to_all_pages_in_few_groups():
+    text = (DOCS / "index.md").read_text("utf-8")
+    linked = {
+        (DOCS / name).resolve() for name in re.findall(r"^- \[.*?\]\((\S+?\.md)\)", text, re.M)
+    }
+    assert linked == {*DOCS.glob("*.md"), *DOCS.glob("*/README.md")} - {DOCS / "index.md"}
+    assert len(re.findall(r"^## ", text, re.M)) <= 7
+
+
+def test_the_checker_finds_what_is_wrong(tmp_path):
+    head = "<title>{}</title>"
+    (tmp_path / "good.html").write_text(
+        head.format("Good")
+        + '<h1 id="top">x</h1><a href="#top"></a><a href="other.html#here"></a>'
+        + '<a href="https://example.com/x"></a><img src="a.png" alt="A">'
+    )
+    (tmp_path / "other.html").write_text(head.format("Other") + '<p id="here">')
+    (tmp_path / "a.png").write_bytes(b"")
+    assert CHECKER.problems(tmp_path) == ([], {"example.com": 1})
+    (tmp_path / "other.html").write_text(
+        head.format("Good")
+        + '<a href="gone.html"></a><a href="good.html#gone"></a><a href="../up"></a>'
+        + '<img src="a.png"><script src="https://example.com/s.js"></script>'
+    )
+    found = "\n".join(CHECKER.problems(tmp_path)[0])
+    for part in (
+        "good.html: other.html#here has no such anchor",
+        "other.html: gone.html leads nowhere",
+        "other.html: good.html#gone has no such anchor",
+        "other.html: ../up leads nowhere",
+        "other.html: a.png has no alt text",
+        "other.html: loads https://example.com/s.js from another host",
+        "the title 'Good' is empty or that of another page",
+    ):
+        assert part in found
+    assert CHECKER.problems(tmp_path / "none")[0]
+
+
+LARGEST_PICTURE = 150_000
+
+
+@pytest.fixture
+def scripts(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+
+
+def rows_of(page: str, name: str) -> list[str]:
+    """The rows of a made table, without its head."""
+    text = (DOCS / page).read_text("utf-8")
+    place = re.search(rf"<!-- made: {name} -->\n(.*?)<!-- end -->", text, re.DOTALL)
+    assert place is not None
+    return place[1].splitlines()[2:]
+
+
+def test_every_example_has_its_row_and_picture(scripts):
+    from scanner_examples import EXAMPLES
+
+    pictures = [f"images/scanners/{example.name}.png" for example in EXAMPLES]
+    rows = rows_of("noise.md", "your scanner")
+    for example, row, picture in zip(EXAMPLES, rows, pictures, strict=True):
+        assert (
+            example.scanner in row
+            and example.noise in row
+            and example.does in row
+            and picture in row
+        )
+        assert (DOCS / picture).stat().st_size < LARGEST_PICTURE
+    assert len(rows_of("noise.md", "pictures of scanners")) == len(EXAMPLES)
+    assert {path.name for path in (DOCS / "images/scanners").iterdir()} == {
+        Path(picture).name for picture in pictures
+    }
+
+
+def test_the_page_of_accuracy_has_every_kind():
+    table = "\n".join(rows_of("accuracy.md", "scanners"))
+    kinds = re.findall(r"^\| ([^|]+) \(\d+\) \|", table, re.MULTILINE)
+    assert kinds == [*scanner_cases.ADDED, *scanner_cases.SIMULATED, *scanner_cases.REAL]
+
+
+def test_every_figure_has_its_place_and_its_table(scripts):
+    import paper_figures
+
+    text = (DOCS / "reproduction.md").read_text("utf-8")
+    tables = dict(re.findall(r"<!-- made: (\w+) -->\n(.*?)<!-- end -->", text, re.DOTALL))
+    assert set(tables) == {*paper_figures.FIGURES, "table1"}
+    for name, table in tables.items():
+        rows = [row.count("|") for row in table.splitlines()]
+        assert len(rows) >= 4, name
+        assert len(set(rows)) == 1, name
+
+
+def test_a_refined_sphere_is_closed_and_keeps_its_winding(scripts):
+    import trimesh
+    from paper_models import _refined
+
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    points, faces = np.array(ball.vertices), np.array(ball.faces)
+    for seed in range(5):
+        chosen = np.random.default_rng(seed).random(len(faces)) < 0.3
+        finer, made = _refined(points, faces, chosen)
+        defects = prepare_mesh(finer, made.astype(np.int32)).defects
+        assert defects.boundary_edges == defects.non_manifold_edges == 0
+        assert defects.inconsistent_edges == defects.turned_faces == 0
+        assert len(made) >= len(faces) + 3 * chosen.sum()
+        assert len(finer) - len(made) / 2 == 2  # Euler's formula
