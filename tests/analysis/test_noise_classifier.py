@@ -86,11 +86,3 @@ def test_an_exported_part_has_no_noise():
     noise = estimate_noise(prepare_mesh(vertices, faces.astype(np.int32)).mesh)
     assert noise.is_negligible
     assert noise.mean_edges == 0.0
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_probabilities_are_those_of_readings(seed):
-    level = 0.05 * (1 + seed)
-    _, noise = with_noise(prepare_mesh(*torus(80, 40)).mesh, "gaussian-normal", level)
-    assert sum(reading.probability for reading in noise.readings) == pytest.approx(1.0)
-    assert noise.readings[0].probability >= noise.readings[1].probability

@@ -9,10 +9,6 @@ from msal_cli.auto import candidates
 from msal_cli.auto.candidates import CANDIDATES, NAMES
 
 
-def label(method, **given):
-    return candidates.Candidate(method, given, 1.0).label
-
-
 @pytest.mark.parametrize("one", CANDIDATES, ids=lambda one: one.label)
 def test_settings_are_allowed(one):
     method = methods.find(one.method)
@@ -43,15 +39,3 @@ def test_every_name_is_in_use():
     # The others are schedules that the plain command chooses.
     assert set(NAMES) == used | set(candidates._KINDS.values())
     assert set(candidates._WORDS) <= set(NAMES)
-
-
-def test_labels_read_like_words():
-    assert label("al", iterations=1, mollify=2) == "AL (1 sweep, 2 mollifications)"
-    assert label("msal", K=0.25, mollify=1) == "MSAL (K = 0.25, 1 mollification)"
-    assert label("bilateral_normal", similarity=0.6, iterations=21) == (
-        "bilateral normals (sigma_s 0.6, 21 iterations)"
-    )
-    assert label("learned") == "learned"
-    assert label("windowed_sinc", pass_band=0.1, iterations=20) == (
-        "windowed sinc (pass band 0.1, 20 steps)"
-    )

@@ -15,8 +15,6 @@ from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
 from msal_cli.auto import FAMILY, Wishes, adaptive
 from msal_cli.auto.blend_weights import level_masks, spread_levels
-from msal_cli.auto.candidates import wiener_al
-from msal_cli.auto.choices import describe_noise
 from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import count_relaxing
 from msal_cli.auto.sample_patch import select_patch
@@ -83,23 +81,12 @@ def test_the_plain_command_knows_direction_and_place(kind):
     assert left < 0.9 * angle_to_true(kind, taken_for_white(mesh))
 
 
-def test_the_plain_command_sweeps_longer_where_noise_is_shared():
-    assert [wiener_al(0.2, rings).given["iterations"] for rings in (0, 2)] == [6, 10]
-
-
 @pytest.mark.parametrize("choose", [adaptive.choose_adaptive, choose_auto])
 def test_triangles_are_evened_out_where_noise_is_in_all_directions(choose):
     mesh, _ = pair("isotropic")
     choice = choose(mesh)
     assert choice.parameters["relax"] == 2
     assert choice.reason.endswith("after triangles were evened out")
-
-
-def test_nothing_is_evened_out_for_a_method_with_trust():
-    mesh, _ = pair("isotropic")
-    trusted = mesh.with_constraints(None, np.full(len(mesh.vertices), 0.5))
-    for choice in (adaptive.choose_adaptive(trusted), choose_auto(trusted)):
-        assert choice.method in ("al", "msal")
 
 
 @pytest.mark.parametrize("choose", [adaptive.choose_adaptive, choose_auto])
@@ -142,7 +129,14 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
 
 
 @pytest.mark.parametrize(
-    "kind", ["correlated", "view", "quantised", "staircase", "white", "unknown"]
+    "kind",
+    [
+        *("correlated", "white"),
+        *(
+            pytest.param(kind, marks=pytest.mark.ci)
+            for kind in ("view", "quantised", "staircase", "unknown")
+        ),
+    ],
 )
 def test_noise_like_no_draw_is_left_to_the_learned_filter_and_linear_ones(kind, monkeypatch):
     found = []
@@ -220,13 +214,3 @@ def test_levels_stand_for_quiet_usual_and_loud_places():
     assert (quiet | loud == part.judged).all()
     assert not (quiet & loud).any()
     assert (part.mesh.vertices[loud, 1] > 0.0).all()
-
-
-def test_words():
-    assert describe_noise(estimate_noise(pair("shared")[0])).startswith("noise 0.")
-    assert describe_noise(estimate_noise(pair("shared")[0])).endswith(" e, shared over two rings")
-    white = prepare_mesh(*torus(100, 50)).mesh
-    white = white.with_vertices(add_noise(white, AddedNoise("gaussian-normal", 0.2)))
-    assert (
-        describe_noise(estimate_noise(white)) == f"noise {estimate_noise(white).mean_edges:.2g} e"
-    )

@@ -126,29 +126,7 @@ def test_it_is_free_of_the_axes():
     assert one.risk == pytest.approx(other.risk, rel=1e-6)
 
 
-def test_noise_at_few_vertices_is_called_impulsive(mesh, spiky):
-    choice = chosen(spiky, budget=1.0)
-    assert choice.noise.character.kind == "impulsive"
-    assert chosen(mesh, budget=1.0).reason.startswith("noise ")
-
-
-@pytest.fixture(scope="module")
-def bumpy():
-    """Bumps of two edges' length on a torus, and noise beneath them."""
-    vertices, faces = torus(60, 30)
-    vertices[:, 2] += 0.02 * np.sin(9.0 * vertices[:, 0]) * np.sin(9.0 * vertices[:, 1])
-    return prepare_mesh(noisy(vertices, 0, 0.04), faces).mesh
-
-
-def test_keeping_texture_moves_less_and_keeping_shape_more(bumpy):
-    mesh = bumpy
-    texture, plain, shape = (
-        moved_edges(mesh, made_by(chosen(mesh, **wish), mesh))
-        for wish in ({"keep": "texture"}, {}, {"keep": "shape"})
-    )
-    assert texture < plain < shape
-
-
+@pytest.mark.ci
 def test_what_is_preferred_comes_out_better():
     true = prepare_mesh(*torus(60, 48)).mesh
     scan = true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", 0.4, 1))
@@ -369,14 +347,6 @@ def test_wishes_for_sample_meshes(name, level):
     if level:
         mesh = mesh.with_vertices(noise.add_plain_noise(mesh, "gaussian-normal", level, 1))
     check_wishes(mesh)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["clean/igea.ply", "clean/ogre.obj", "scans/angel.obj"])
-def test_wishes_for_real_scans(real_data, name):
-    if not (real_data / name).is_file():
-        pytest.skip(f"{name} is not among the scans")
-    check_wishes(ground_truth.opened(real_data / name))
 
 
 def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):

@@ -19,7 +19,6 @@ from msal_cli.job.settings import (
     Settings,
     Task,
     forecast,
-    method_bytes_per_face,
     resolve_parameters,
 )
 from msal_cli.mesh import Mesh
@@ -60,12 +59,6 @@ def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mes
 def test_values_that_no_user_could_give_are_refused(monkeypatch, mesh):
     with pytest.raises(UsageError, match="K = 7"):
         settled_as(monkeypatch, mesh, "msal", {"K": 7.0})
-
-
-def test_memory_is_set_aside_for_the_hungriest_method_that_may_be_chosen():
-    most = method_bytes_per_face(Settings(AUTO, {}))
-    assert most >= max(methods.find(name).bytes_per_face for name in selection.METHODS)
-    assert method_bytes_per_face(Settings(AUTO, {}, fields=("sigma",))) > most
 
 
 def test_memory_is_set_aside_for_choosing(tmp_path):

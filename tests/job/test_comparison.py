@@ -9,7 +9,7 @@ from msal_cli.analysis import surface_distance
 from msal_cli.errors import ContentError
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, compare_meshes
-from tests.shapes import cube, grid, noisy, torus
+from tests.shapes import cube, grid, torus
 
 
 def between(before, after, **options):
@@ -111,13 +111,6 @@ class TestOtherFaces:
         assert got == pytest.approx([0.0] * 9 + [0.5])
 
 
-def test_the_deviation_of_corresponding_vertices():
-    vertices, faces = torus()
-    moved = noisy(vertices)
-    got = comparison.deviations(Surface(vertices, faces), Surface(moved, faces))
-    assert got == pytest.approx(np.linalg.norm(moved - vertices, axis=1))
-
-
 def test_without_the_library_all_else_is_told(monkeypatch):
     monkeypatch.setattr(surface_distance, "find_obstacle", lambda: "pip install fcpw")
     made = between(cube(), cube())
@@ -133,24 +126,6 @@ def test_a_position_that_is_not_finite():
     with pytest.raises(ContentError) as caught:
         between((vertices, faces), (broken, faces))
     assert (caught.value.path, caught.value.where) == ("b", "vertex 3")
-
-
-@pytest.mark.parametrize("scale", [0.9, 1.1])
-def test_a_surface_that_is_inside_out_shrinks_and_grows_like_any_other(scale):
-    vertices, faces = torus()
-    turned = faces[:, ::-1]
-    plain = between((vertices, faces), (vertices * scale, faces), to_surface=False)
-    made = between((vertices, turned), (vertices * scale, turned), to_surface=False)
-    assert made.volume_change_percent == pytest.approx(100.0 * (scale**3 - 1.0))
-    assert made.volume.change == pytest.approx(plain.volume.change)
-    assert made.volume.before == pytest.approx(plain.volume.before)
-    assert (plain.inside_out_before, plain.inside_out_after) == (False, False)
-    assert (made.inside_out_before, made.inside_out_after) == (True, True)
-    assert made.warnings == tuple(
-        f"{one}: the surface is inside out: its normals point inwards"
-        for one in ("before", "after")
-    )
-    assert not plain.warnings
 
 
 def test_one_of_two_surfaces_with_other_faces_is_inside_out():

@@ -156,16 +156,6 @@ def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
     assert cosine.min() > 1 - 1e-9
 
 
-def test_single_precision_goes_beyond_the_limit_by_rounding_only():
-    vertices, faces = noisy()
-    data = ply(vertices + 1000.0, faces, kind="float")
-    start = codecs.open_mesh(data, "a.ply").vertices
-    kept, record = denoised(data, max_move="0.01")
-    assert record.clamped_vertices > 0
-    ulp = np.spacing(np.float32(1000.0))
-    assert np.linalg.norm(kept - start, axis=1).max() <= 0.01 + np.sqrt(3.0) * ulp
-
-
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 def test_clamping_never_exceeds_the_limit_not_even_by_rounding(scale):
     before = scale * (random().standard_normal((2000, 3)) + 50.0)
@@ -193,7 +183,7 @@ def test_vertices_at_one_place_stay_together():
 
 
 @pytest.mark.parametrize(
-    ("method", "encoding"), [*((one, "binary_little_endian") for one in ALL), ("msal", "ascii")]
+    ("method", "encoding"), [("taubin", "binary_little_endian"), ("msal", "ascii")]
 )
 def test_locked_vertices_keep_their_very_bytes(method, encoding):
     vertices, faces = noisy()
@@ -207,9 +197,7 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
     assert (after[~is_locked] != before[~is_locked]).any(axis=1).mean() > 0.9
 
 
-@pytest.mark.parametrize(
-    "method", ["msal", "al", "umbrella", "taubin", "hc", "bilateral_normal", "l0"]
-)
+@pytest.mark.parametrize("method", ["msal", "umbrella", "bilateral_normal", "l0"])
 def test_neighbours_see_locked_vertices_where_they_are(method):
     """Pinning afterwards would give other positions: the sweeps know of the pins."""
     ready = prepare_mesh(*noisy())
@@ -265,25 +253,6 @@ def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given)
     # Without the pull vertices go further.
     ways = [distances(mesh.vertices, one.vertices).mean() for one in (none, plain)]
     assert ways[0] > ways[1]
-
-
-def test_one_sweep_by_hand():
-    """From v the first sweep pulls nothing back; the second does by w lambda."""
-    mesh = prepare_mesh(*noisy()).mesh
-    found = methods.find("al")
-    given = {"schedule": "constant", "fidelity": 0.25}
-    trust = random().random(len(mesh.vertices))
-
-    def after(sweeps, one, fidelity):
-        return found.denoise(
-            one, found.validate(given | {"iterations": sweeps, "fidelity": fidelity})
-        ).vertices
-
-    first = after(1, mesh, 0.25)
-    pushed = after(2, mesh, 0.0)
-    expected = pushed + 0.25 * trust[:, None] * (mesh.vertices - first)
-    found_there = after(2, mesh.with_constraints(None, trust), 0.25)
-    assert np.abs(found_there - expected).max() < 1e-13
 
 
 def test_trust_is_the_property_over_its_largest_value():

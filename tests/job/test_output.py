@@ -15,7 +15,6 @@ from msal_cli.job.settings import Settings, Task
 from tests.shapes import cube
 
 VERTICES, FACES = cube()
-SETTINGS = Settings("none", {})
 
 
 def obj(vertices, faces=FACES):
@@ -152,17 +151,6 @@ def test_equal_positions_are_found_in_every_block():
         other = first.copy()
         other[place, 2] = 1.0
         assert not output._are_equal(first, other)
-
-
-def test_a_folder_is_made_if_need_be(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for path in ("out.obj", "a/b/out.obj", "a/b/out.obj", "memory://x/out.obj"):
-        output.make_folder_of(path)
-    assert (tmp_path / "a/b").is_dir()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
-    with pytest.raises(OutputError, match="cannot be made"):
-        (tmp_path / "file").touch()
-        output.make_folder_of("file/out.obj")
 
 
 def test_a_backup_is_kept_once_and_is_no_link_to_the_original(tmp_path):
