@@ -34,13 +34,13 @@ from msal_cli.codecs.text_slots import (
 from msal_cli.codecs.threemf_model import (
     Model,
     Use,
+    damaged,
     parse_model,
     place_of,
     start_parser,
 )
 from msal_cli.codecs.zip_archive import Archive, Member
 from msal_cli.errors import (
-    EXPORT_AGAIN,
     ContentError,
     FormatError,
     InternalError,
@@ -84,7 +84,6 @@ class Package:
     def __init__(self, data: Buffer) -> None:
         self.archive = Archive(data)
         self.room = min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data)))
-        self._room = self.room
         self.is_signed = False
         self._root = self._member(self._root_target(), _ROOT)
         self.models: dict[str, Model] = {}
@@ -113,15 +112,8 @@ class Package:
     def _member(self, path: str, where: str) -> Member:
         member = self.archive.find(path)
         if member is None:
-            raise FormatError(
-                f"there is no member {path[:200]!r} in the archive", where=where, hint=EXPORT_AGAIN
-            )
+            raise damaged(f"there is no member {path[:200]!r} in the archive", where)
         return member
-
-    def _content(self, member: Member) -> bytes:
-        content = self.archive.content(member, self._room)
-        self._room -= len(content)
-        return content
 
     def _root_target(self) -> str:
         """The path of the root model, by the relationships of the package."""
@@ -148,25 +140,23 @@ class Package:
         try:
             parser.Parse(content, True)
         except expat.ExpatError as failure:
-            raise FormatError(
-                f"the XML is damaged: {expat.ErrorString(failure.code)}",
-                where=place_of(content, _ROOT, parser.ErrorByteIndex),
-                hint=EXPORT_AGAIN,
-            ) from None
+            where = place_of(content, _ROOT, parser.ErrorByteIndex)
+            message = f"the XML is damaged: {expat.ErrorString(failure.code)}"
+            raise damaged(message, where) from None
         if len(targets) != 1:
-            raise FormatError(
-                f"the package names {len(targets)} models, not one", where=_ROOT, hint=EXPORT_AGAIN
-            )
+            raise damaged(f"the package names {len(targets)} models, not one", _ROOT)
         return targets[0]
 
     def _load(self) -> None:
         """Read the root model and all that its build and components lead to."""
+        room = self.room
         waiting = deque([self._root])
         while waiting:
             member = waiting.popleft()
             if member.name in self.models:
                 continue
-            text = self.texts[member.name] = self._content(member)
+            text = self.texts[member.name] = self.archive.content(member, room)
+            room -= len(text)
             model = self.models[member.name] = parse_model(text, member.name)
             for use in itertools.chain(model.items, *model.components.values()):
                 if use.path:
@@ -185,7 +175,7 @@ class Package:
 
     def _missing(self, name: str, use: Use, what: str) -> FormatError:
         where = place_of(self.texts[name], name, use.at)
-        return FormatError(f"{what} is not in the package", where=where, hint=EXPORT_AGAIN)
+        return damaged(f"{what} is not in the package", where)
 
     def _find_frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
         """The frame of each object that is built, by the first way to it; if one has several.

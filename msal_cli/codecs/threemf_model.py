@@ -88,8 +88,6 @@ _ATTRIBUTE = re.compile(rb"\s+([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _TAG_NAME = re.compile(rb"<[^\s<>/]+")
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
-_IDENTITY = np.eye(4)
-_CORNERS = ("v1", "v2", "v3")
 
 
 @dataclass(eq=False)
@@ -161,6 +159,10 @@ def parse_model(text: bytes, name: str) -> Model:
     return _Reader(text, name).model
 
 
+def damaged(message: str, where: str) -> FormatError:
+    return FormatError(message, where=where, hint=EXPORT_AGAIN)
+
+
 def place_of(text: bytes, name: str, at: int) -> str:
     """A byte of a part in words."""
     line = text.count(b"\n", 0, at) + 1
@@ -176,7 +178,7 @@ def start_parser(text: bytes, name: str) -> expat.XMLParserType:
     parser = expat.ParserCreate(namespace_separator=" ")
 
     def declare(version: str, encoding: str | None, standalone: int) -> None:
-        if encoding is not None and encoding.lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
+        if encoding and encoding.lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
             raise UnsupportedError(
                 f"XML in {encoding[:40]} is not read",
                 where=name,
@@ -184,9 +186,7 @@ def start_parser(text: bytes, name: str) -> expat.XMLParserType:
             )
 
     def refuse(*_: object) -> None:
-        raise FormatError(
-            "the XML has a document type, which 3MF forbids", where=name, hint=EXPORT_AGAIN
-        )
+        raise damaged("the XML has a document type, which 3MF forbids", name)
 
     parser.XmlDeclHandler = declare
     parser.StartDoctypeDeclHandler = refuse
@@ -266,11 +266,7 @@ class _Reader:
             )
         if not above:
             if word != "model" or not is_core:
-                raise FormatError(
-                    f"the root element is {word[:40]!r}, not a model of 3MF",
-                    where=self._where(),
-                    hint=EXPORT_AGAIN,
-                )
+                raise self._damaged(f"the root element is {word[:40]!r}, not a model of 3MF")
             self._open_model(attributes)
         elif space in _STALE:
             self.model.stale[_STALE[space]] = None
@@ -280,7 +276,9 @@ class _Reader:
         elif above == "vertices" and word == "vertex":
             self._add_vertex(attributes)
         elif above == "triangles" and word == "triangle":
-            self._add_triangle(attributes)
+            self._corners.extend(self._whole(attributes, word) for word in ("v1", "v2", "v3"))
+            if len(attributes) > 3:
+                self.model.words[_PAINT] = None
         elif word in ("vertices", "triangles") and above == "mesh":
             self._open_list(word)
         elif word == "mesh" and above == "object":
@@ -308,12 +306,8 @@ class _Reader:
     def _end(self, name: str) -> None:
         word = self._path.pop()
         if word == "vertices" and self._vertices is None:
-            shape = (-1, 3)
-            self._vertices = (
-                np.array(self._values, dtype=np.float64).reshape(shape),
-                np.array(self._starts, dtype=np.int64).reshape(shape),
-                np.array(self._stops, dtype=np.int64).reshape(shape),
-            )
+            values, starts, stops = map(np.array, (self._values, self._starts, self._stops))
+            self._vertices = values.reshape(-1, 3), starts.reshape(-1, 3), stops.reshape(-1, 3)
             self._values, self._starts, self._stops = array("d"), array("q"), array("q")
         elif word == "triangles" and self._faces is None:
             self._faces = np.array(self._corners, dtype=np.int64).reshape(-1, 3)
@@ -322,7 +316,7 @@ class _Reader:
             self._close_mesh()
 
     def _damaged(self, message: str) -> FormatError:
-        return FormatError(message, where=self._where(), hint=EXPORT_AGAIN)
+        return damaged(message, self._where())
 
     def _open_model(self, attributes: dict[str, str]) -> None:
         self.model.unit = attributes.get("unit", "millimeter")
@@ -342,9 +336,8 @@ class _Reader:
         if self._object in self.model.ids:
             raise self._damaged(f"two objects have the number {self._object}")
         self.model.ids.add(self._object)
-        for key in attributes:
-            if key.rpartition(" ")[0] in _STALE:
-                self.model.stale[_STALE[key.rpartition(" ")[0]]] = None
+        spaces = [key.rpartition(" ")[0] for key in attributes]
+        self.model.stale |= {_STALE[space]: None for space in spaces if space in _STALE}
 
     def _open_list(self, word: str) -> None:
         if (self._vertices if word == "vertices" else self._faces) is not None:
@@ -375,12 +368,8 @@ class _Reader:
         values, bad = text.read_numbers(buffer, starts.reshape(-1), stops.reshape(-1))
         if bad >= 0:
             at = int(starts.reshape(-1)[bad])
-            word = self._text[at : int(stops.reshape(-1)[bad])]
-            raise FormatError(
-                f"{word[:40].decode('ascii', 'replace')!r} is not a number",
-                where=self._where(at),
-                hint=EXPORT_AGAIN,
-            )
+            word = self._text[at : int(stops.reshape(-1)[bad])][:40].decode("ascii", "replace")
+            raise damaged(f"{word!r} is not a number", self._where(at))
         return values.reshape(-1, 3)
 
     def _not_finite(self, row: int) -> ContentError:
@@ -396,14 +385,12 @@ class _Reader:
         spans = self._spans(at)
         for word in "xyz":
             value = attributes.get(word, "").strip()
-            if not _DECIMAL.fullmatch(value):
-                if _NO_NUMBER.fullmatch(value):
-                    raise self._not_finite(len(self._starts) // 3)
-                raise self._damaged(f"{word} of a vertex is {value[:40]!r}, not a number")
-            number = float(value)
-            if math.isinf(number):
+            is_number = _DECIMAL.fullmatch(value)
+            if _NO_NUMBER.fullmatch(value) or (is_number and math.isinf(float(value))):
                 raise self._not_finite(len(self._starts) // 3)
-            self._values.append(number)
+            if not is_number:
+                raise self._damaged(f"{word} of a vertex is {value[:40]!r}, not a number")
+            self._values.append(float(value))
             start, stop = spans[word]
             self._starts.append(start)
             self._stops.append(stop)
@@ -420,11 +407,6 @@ class _Reader:
             here = match.end()
         return found
 
-    def _add_triangle(self, attributes: dict[str, str]) -> None:
-        self._corners.extend(self._whole(attributes, word) for word in _CORNERS)
-        if len(attributes) > len(_CORNERS):
-            self.model.words[_PAINT] = None
-
     def _whole(self, attributes: dict[str, str], word: str) -> int:
         value = attributes.get(word, "").strip()
         if not re.fullmatch(r"\+?[0-9]+", value):
@@ -432,12 +414,11 @@ class _Reader:
         return min(int(value[:25]), 1 << 53)
 
     def _use(self, attributes: dict[str, str]) -> Use:
-        frame = _IDENTITY
+        frame = np.eye(4)
         if "transform" in attributes:
             words = attributes["transform"].split()
             if len(words) != 12 or not all(map(_DECIMAL.fullmatch, words)):
                 raise self._damaged("a transform has not twelve numbers")
-            frame = np.eye(4)
             frame[:3] = np.array([float(word) for word in words]).reshape(4, 3).T
         path = attributes.get(f"{_PRODUCTION} path", "")
         return Use(self._whole(attributes, "objectid"), path, frame, self._here())

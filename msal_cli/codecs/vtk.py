@@ -22,28 +22,10 @@ from msal_cli.codecs.tokens import Words
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TruncatedError, UnsupportedError
 from msal_cli.storage.regular import Buffer
 
-_CODES = {
-    "char": ">i1",
-    "signed_char": ">i1",
-    "unsigned_char": ">u1",
-    "short": ">i2",
-    "unsigned_short": ">u2",
-    "int": ">i4",
-    "unsigned_int": ">u4",
-    "long": ">i8",
-    "unsigned_long": ">u8",
-    "vtkidtype": ">i4",
-    "vtktypeint8": ">i1",
-    "vtktypeuint8": ">u1",
-    "vtktypeint16": ">i2",
-    "vtktypeuint16": ">u2",
-    "vtktypeint32": ">i4",
-    "vtktypeuint32": ">u4",
-    "vtktypeint64": ">i8",
-    "vtktypeuint64": ">u8",
-    "float": ">f4",
-    "double": ">f8",
-}
+_CODES = {"signed_char": ">i1", "vtkidtype": ">i4", "float": ">f4", "double": ">f8"}
+for _name, _size in (("char", 1), ("short", 2), ("int", 4), ("long", 8)):
+    _CODES |= {_name: f">i{_size}", f"unsigned_{_name}": f">u{_size}"}
+    _CODES |= {f"vtktypeint{8 * _size}": f">i{_size}", f"vtktypeuint{8 * _size}": f">u{_size}"}
 _LINE = re.compile(rb"\s*([^\r\n]*)(?:\r\n|\n|\r|\Z)")
 _PARAGRAPH_END = re.compile(rb"\n[ \t]*\r?\n|\Z")
 
@@ -66,6 +48,9 @@ class Stream:
             return f"byte {self._line_at}"
         return f"line {line_of(self._data, self._line_at)}"
 
+    def damaged(self, message: str) -> FormatError:
+        return FormatError(message, where=self.where(), hint=EXPORT_AGAIN)
+
     def line(self) -> list[str]:
         """The words of the next line that has any; empty at the end."""
         found = _LINE.match(self._bytes, self._at)
@@ -86,16 +71,14 @@ class Stream:
 
     def word_of(self, words: list[str], k: int) -> str:
         if k >= len(words):
-            raise FormatError("the line is too short", where=self.where(), hint=EXPORT_AGAIN)
+            raise self.damaged("the line is too short")
         return words[k]
 
     def count_of(self, words: list[str], k: int, what: str) -> int:
         """One of the words of a line as a number of things."""
         word = self.word_of(words, k)
         if not (word.isascii() and word.isdigit()) or len(word) > 18:
-            raise FormatError(
-                f"{word[:40]!r} is not a number of {what}", where=self.where(), hint=EXPORT_AGAIN
-            )
+            raise self.damaged(f"{word[:40]!r} is not a number of {what}")
         return int(word)
 
     def positions(self, n_points: int, kind: str) -> Slots:
@@ -146,13 +129,11 @@ class Stream:
             offsets = self.integers(first, self.word_of(header, 1)) if first else _ZERO
             header = self.line()
             if not header or header[0].upper() != "CONNECTIVITY":
-                raise FormatError("no CONNECTIVITY", where=self.where(), hint=EXPORT_AGAIN)
+                raise self.damaged("no CONNECTIVITY")
             corners = self.integers(second, self.word_of(header, 1))
             sizes = np.diff(offsets)
             if offsets[0] != 0 or offsets[-1] != second or (sizes < 0).any():
-                raise FormatError(
-                    "the OFFSETS of cells are wrong", where=self.where(), hint=EXPORT_AGAIN
-                )
+                raise self.damaged("the OFFSETS of cells are wrong")
             return sizes, corners
         self._at = at
         return self._counted_cells(first, self.integers(second, "int"))
@@ -160,33 +141,22 @@ class Stream:
     def _counted_cells(self, n_cells: int, numbers: Longs) -> tuple[Longs, Longs]:
         """Sizes and corners of cells that are stored as a count and their corners each."""
         if n_cells > len(numbers):
-            raise FormatError("more cells than numbers", where=self.where(), hint=EXPORT_AGAIN)
+            raise self.damaged("more cells than numbers")
         size = int(numbers[0]) + 1 if n_cells else 0
         if size > 0 and n_cells * size == len(numbers) and (numbers[::size] == size - 1).all():
             firsts = np.arange(n_cells, dtype=np.int64) * size
         else:
-            firsts = self._find_counts(n_cells, numbers)
+            firsts = np.empty(n_cells, dtype=np.int64)
+            values = numbers.tolist()
+            at = 0
+            for k in range(n_cells):
+                firsts[k] = at
+                at += values[at] + 1 if at < len(values) and values[at] >= 0 else len(values) + 1
+            if at != len(values):
+                raise self.damaged("the numbers of corners do not add up to the size of the cells")
         is_corner = np.ones(len(numbers), dtype=bool)
         is_corner[firsts] = False
         return numbers[firsts], numbers[is_corner]
-
-    def _find_counts(self, n_cells: int, numbers: Longs) -> Longs:
-        firsts = np.empty(n_cells, dtype=np.int64)
-        values = numbers.tolist()
-        at = 0
-        for k in range(n_cells):
-            if at >= len(values) or values[at] < 0:
-                break
-            firsts[k] = at
-            at += values[at] + 1
-        else:
-            if at == len(values):
-                return firsts
-        raise FormatError(
-            "the numbers of corners do not add up to the size of the cells",
-            where=self.where(),
-            hint=EXPORT_AGAIN,
-        )
 
     def skip(self, count: int, kind: str) -> None:
         """Skip an array of so many numbers."""
@@ -279,7 +249,7 @@ def parse(data: Buffer) -> Layout:
     words = stream.line()
     kind = words[1].upper() if len(words) > 1 and words[0].upper() == "DATASET" else ""
     if not kind:
-        raise FormatError("no DATASET is named", where=stream.where(), hint=EXPORT_AGAIN)
+        raise stream.damaged("no DATASET is named")
     if kind not in _POINTS:
         raise UnsupportedError(
             f"the data set {kind} has no surface of points",
@@ -298,11 +268,11 @@ def parse(data: Buffer) -> Layout:
         else:
             _read_section(stream, words, parsed)
     if parsed.points is None:
-        raise FormatError("the file has no POINTS", where=stream.where(), hint=EXPORT_AGAIN)
+        raise stream.damaged("the file has no POINTS")
     if kind == "STRUCTURED_GRID":
         parsed.surface.add_layer(dimensions, len(parsed.points.values))
     elif parsed.cells is not None:
-        raise FormatError("the file has no CELL_TYPES", where=stream.where(), hint=EXPORT_AGAIN)
+        raise stream.damaged("the file has no CELL_TYPES")
     normals = parsed.normals
     has_normals = normals is not None and len(normals.values) == len(parsed.points.values)
     return parsed.surface.content(
@@ -327,7 +297,7 @@ def _read_section(stream: Stream, words: list[str], parsed: _Parsed) -> None:
         parsed.cells = stream.cells(words)
     elif keyword == "CELL_TYPES":
         if parsed.cells is None:
-            raise FormatError("CELL_TYPES without CELLS", where=stream.where(), hint=EXPORT_AGAIN)
+            raise stream.damaged("CELL_TYPES without CELLS")
         types = stream.integers(stream.count_of(words, 1, "cells"), "int")
         parsed.surface.add_types(types, *parsed.cells)
         parsed.cells = None
@@ -338,11 +308,7 @@ def _read_section(stream: Stream, words: list[str], parsed: _Parsed) -> None:
     elif keyword.endswith("_COORDINATES") or keyword in ("SPACING", "ORIGIN"):
         raise UnsupportedError(f"{words[0]} in a data set of points", where=stream.where())
     else:
-        raise FormatError(
-            f"{words[0][:40]!r} is no section of a VTK file",
-            where=stream.where(),
-            hint=EXPORT_AGAIN,
-        )
+        raise stream.damaged(f"{words[0][:40]!r} is no section of a VTK file")
 
 
 def _read_attributes(stream: Stream, parsed: _Parsed) -> None:

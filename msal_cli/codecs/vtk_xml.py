@@ -23,7 +23,7 @@ from msal_cli.codecs.mesh_file import Dependent, Layout, Shift
 from msal_cli.codecs.slots import UnitSlots, to_type
 from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
-from msal_cli.codecs.xml_offsets import Element, parse_tree
+from msal_cli.codecs.xml_offsets import Element, damaged, parse_tree
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,
@@ -58,6 +58,11 @@ class Coding:
     is_raw: bool = False
     expanded_bytes: int = 0
 
+    @property
+    def head_bytes(self) -> int:
+        """Bytes before an array: its size or, if it is compressed, three numbers of its blocks."""
+        return np.dtype(self.header).itemsize * (3 if self.compressor else 1)
+
     def expand(self, size: int, packed: int, at: int) -> None:
         """Count an array of ``size`` bytes that is stored in ``packed``; TooLargeError beyond what
         one array, or all arrays together, may expand to."""
@@ -79,15 +84,11 @@ class Coding:
             return array.inside, array.text_stop, False
         offset = array.attributes.get("offset", "").strip()
         if self.appended_at < 0 or not re.fullmatch(r"[0-9]{1,18}", offset):
-            raise FormatError(
-                "an array is said to be appended, but is not",
-                where=f"byte {array.start}",
-                hint=EXPORT_AGAIN,
-            )
+            raise damaged("an array is said to be appended, but is not", f"byte {array.start}")
         return self.appended_at + int(offset), self.appended_stop, self.is_raw
 
 
-def code_of(array: Element, coding: Coding) -> str:
+def _code_of(array: Element, coding: Coding) -> str:
     """numpy's type of an array's numbers."""
     kind = array.attributes.get("type", "")
     if kind not in _CODES:
@@ -97,22 +98,22 @@ def code_of(array: Element, coding: Coding) -> str:
     return coding.order + _CODES[kind]
 
 
-def integers(array: Element, coding: Coding) -> NDArray[np.int64]:
+def _integers(array: Element, coding: Coding) -> NDArray[np.int64]:
     """All whole numbers of an array (k,)."""
-    code = code_of(array, coding)
+    code = _code_of(array, coding)
     if array.attributes.get("format", "ascii") == "ascii":
         return Words(coding.data, array.inside, array.text_stop).integers(slice(None))
     content = _decoded(array, coding)[0]
     if len(content) % np.dtype(code).itemsize:
-        raise FormatError("an array is cut", where=f"byte {array.start}", hint=EXPORT_AGAIN)
+        raise damaged("an array is cut", f"byte {array.start}")
     return np.frombuffer(content, dtype=code).astype(np.int64)
 
 
-def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> UnitSlots:
+def _numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> UnitSlots:
     """The rows (count, 3) of an array of floating-point numbers."""
     from msal_cli.kernels.text import as_bytes
 
-    code = code_of(array, coding)
+    code = _code_of(array, coding)
     if code[1] != "f":
         raise UnsupportedError(
             f"positions are stored as {array.attributes['type']}",
@@ -124,10 +125,7 @@ def numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = F
         words = Words(data, array.inside, array.text_stop)
         _require_count(len(words), 3 * count, array)
         return Tokens(data, words.starts, words.stops, unit_length=are_normals)
-    content, start, stop = _decoded(array, coding)
-    size = 3 * np.dtype(code).itemsize
-    _require_count(len(content), size * count, array)
-    return EncodedNumbers(coding, array, code, start, stop, content)
+    return EncodedNumbers(coding, array, code, count)
 
 
 def _require_count(there: int, wanted: int, array: Element) -> None:
@@ -140,54 +138,66 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
         )
 
 
-@dataclass(eq=False)
 class EncodedNumbers(UnitSlots):
     """An array that is one unit, since it may be compressed or written in base64."""
 
-    coding: Coding = field(repr=False)
-    array: Element = field(repr=False)
-    code: str
-    start: int
-    stop: int
-    content: Buffer = field(repr=False)
-    values: Floats = field(init=False, repr=False)
-    starts: Longs = field(init=False, repr=False)
-    stops: Longs = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        self.codes = (self.code,) * 3
-        self.starts = np.array([self.start], dtype=np.int64)
-        self.stops = np.array([self.stop], dtype=np.int64)
-        rows = np.frombuffer(self.content, dtype=self.code).reshape(-1, 3)
-        self.values = rows.astype(np.float64)
+    def __init__(self, coding: Coding, array: Element, code: str, count: int) -> None:
+        content, start, stop = _decoded(array, coding)
+        _require_count(len(content), 3 * np.dtype(code).itemsize * count, array)
+        self.codes = (code,) * 3
+        self.starts = np.array([start], dtype=np.int64)
+        self.stops = np.array([stop], dtype=np.int64)
+        self._rows = np.frombuffer(content, dtype=code).reshape(-1, 3)
+        self.values = self._rows.astype(np.float64)
+        self._coding, self._is_raw = coding, coding.place(array)[2]
 
     def units(self, is_changed: Flags) -> Flags:
         return np.array([is_changed.any()])
 
     def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        rows = np.frombuffer(self.content, dtype=self.code).reshape(-1, 3)
         # Rows that did not move keep their bits, the signs of zeros included.
         is_same = (values == self.values).all(axis=1)[:, None]
-        new = np.where(is_same, rows, to_type(values, self.code))
-        text = np.frombuffer(_encoded(new.astype(self.code).tobytes(), self), dtype=np.uint8)
+        new = np.where(is_same, self._rows, to_type(values, self.codes[0]))
+        text = np.frombuffer(self._pack(new.astype(self._rows.dtype).tobytes()), dtype=np.uint8)
         return text, np.array([len(text)], dtype=np.int64)
 
     def rounded(self, values: Floats) -> tuple[Floats, float]:
-        return to_type(values, self.code).astype(np.float64), 0.0
+        return to_type(values, self.codes[0]).astype(np.float64), 0.0
+
+    def _pack(self, content: bytes) -> bytes:
+        """Bytes compressed and written as those that they replace."""
+        coding = self._coding
+        view = memoryview(coding.data).cast("B")[: int(self.stops[0])]
+        source = _Source(view, int(self.starts[0]), is_raw=self._is_raw)
+        head = source.take(coding.head_bytes)
+        is_split = source.is_split
+        if coding.compressor:
+            block_bytes = max(1, int(np.frombuffer(head, dtype=coding.header)[1]))
+            blocks = [content[at : at + block_bytes] for at in range(0, len(content), block_bytes)]
+            pack = zlib.compress if coding.compressor == "vtkZLibDataCompressor" else lzma.compress
+            packed = [pack(block) for block in blocks]
+            counts = [len(blocks), block_bytes, len(content) % block_bytes, *map(len, packed)]
+            head = np.array(counts, dtype=coding.header).tobytes()
+            content, is_split = b"".join(packed), True
+        if self._is_raw:
+            return head + content
+        if is_split:
+            return base64.b64encode(head) + base64.b64encode(content)
+        return base64.b64encode(head + content)
 
 
 def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:
     """The bytes of an array, and between which bytes of the file it is stored, headers included."""
     start, stop, is_raw = coding.place(array)
     view = memoryview(coding.data).cast("B")[:stop]
-    source: _Raw | _Base64 = _Raw(view, start) if is_raw else _Base64(view, start)
+    source = _Source(view, start, is_raw=is_raw)
     width = np.dtype(coding.header).itemsize
-    head = source.take(width if not coding.compressor else 3 * width)
+    head = source.take(coding.head_bytes)
     counts = np.frombuffer(head, dtype=coding.header).tolist()
     if not coding.compressor:
         content = source.take(counts[0])
         coding.expand(len(content), len(content), start)
-        return content, source.first, source.end()
+        return content, source.first, source.at
     n_blocks, block_bytes, last_bytes = counts
     if n_blocks * width > stop - start:
         raise TruncatedError("blocks are missing", where=f"byte {start}", hint=EXPORT_AGAIN)
@@ -205,7 +215,7 @@ def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:
         )
         for k, size in enumerate(sizes)
     )
-    return content, source.first, source.end()
+    return content, source.first, source.at
 
 
 def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
@@ -217,109 +227,49 @@ def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
             limit = lzma.LZMADecompressor(memlimit=_MAX_LZMA_BYTES)
             content = limit.decompress(block, size + 1)
     except (zlib.error, lzma.LZMAError) as failure:
-        raise FormatError(
-            f"a compressed array is damaged: {failure}", where=f"byte {at}", hint=EXPORT_AGAIN
-        ) from None
+        raise damaged(f"a compressed array is damaged: {failure}", f"byte {at}") from None
     if len(content) != size:
-        raise FormatError(
-            "a compressed block has another size than it says",
-            where=f"byte {at}",
-            hint=EXPORT_AGAIN,
-        )
+        raise damaged("a compressed block has another size than it says", f"byte {at}")
     return content
 
 
-def _encoded(content: bytes, like: EncodedNumbers) -> bytes:
-    """Bytes as an array is stored, compressed and written as the one that it replaces."""
-    coding = like.coding
-    is_raw = coding.place(like.array)[2]
-    width = np.dtype(coding.header).itemsize
-    view = memoryview(coding.data).cast("B")[: like.stop]
-    source: _Raw | _Base64 = _Raw(view, like.start) if is_raw else _Base64(view, like.start)
-    head = source.take(width if not coding.compressor else 3 * width)
-    if not coding.compressor:
-        if is_raw:
-            return head + content
-        if source.is_split():
-            return base64.b64encode(head) + base64.b64encode(content)
-        return base64.b64encode(head + content)
-    block_bytes = max(1, int(np.frombuffer(head, dtype=coding.header)[1]))
-    blocks = [content[at : at + block_bytes] for at in range(0, len(content), block_bytes)]
-    pack = zlib.compress if coding.compressor == "vtkZLibDataCompressor" else lzma.compress
-    packed = [pack(block) for block in blocks]
-    last = len(content) % block_bytes
-    counts = [len(blocks), block_bytes, last, *(len(block) for block in packed)]
-    head = np.array(counts, dtype=coding.header).tobytes()
-    body = b"".join(packed)
-    return head + body if is_raw else base64.b64encode(head) + base64.b64encode(body)
+class _Source:
+    """Bytes taken one behind the other, raw or from base64, whose header may be a piece of its own.
 
+    ``first`` is where they begin, ``at`` the byte behind what was taken, and ``is_split`` whether
+    base64 ended within them.
+    """
 
-class _Raw:
-    """Bytes taken one behind the other; ``first`` is where they begin."""
-
-    def __init__(self, view: memoryview, at: int) -> None:
-        self.first = self._at = at
-        self._view = view
-
-    def take(self, size: int) -> bytes:
-        if size < 0 or self._at + size > len(self._view):
-            raise _cut(len(self._view))
-        self._at += size
-        return bytes(self._view[self._at - size : self._at])
-
-    def begin_data(self) -> None:
-        """Nothing stands between header and data."""
-
-    def is_split(self) -> bool:
-        return False
-
-    def end(self) -> int:
-        """The byte behind what was taken."""
-        return self._at
-
-
-class _Base64:
-    """Bytes taken from base64, whose header may be a piece of its own."""
-
-    def __init__(self, view: memoryview, at: int) -> None:
-        while at < len(view) and view[at] in _BLANKS:
+    def __init__(self, view: memoryview, at: int, *, is_raw: bool) -> None:
+        while not is_raw and at < len(view) and view[at] in _BLANKS:
             at += 1
-        self.first = self._at = at
+        self.first = self.at = at
+        self.is_split = False
         self._view = view
+        self._is_raw = is_raw
         self._left = b""
-        self._split = False
 
     def take(self, size: int) -> bytes:
         missing = size - len(self._left)
+        n_bytes = missing if self._is_raw else 4 * -(-missing // 3)
+        if size < 0 or self.at + max(n_bytes, 0) > len(self._view):
+            raise _cut(len(self._view))
         if missing > 0:
-            letters = 4 * -(-missing // 3)
-            if size < 0 or self._at + letters > len(self._view):
-                raise _cut(len(self._view))
-            text = bytes(self._view[self._at : self._at + letters])
+            piece = bytes(self._view[self.at : self.at + n_bytes])
             try:
-                self._left += base64.b64decode(text, validate=True)
+                self._left += piece if self._is_raw else base64.b64decode(piece, validate=True)
             except binascii.Error:
-                raise FormatError(
-                    "an array is not base64", where=f"byte {self._at}", hint=EXPORT_AGAIN
-                ) from None
-            self._at += letters
-            self._split |= text.endswith(b"=")
+                raise damaged("an array is not base64", f"byte {self.at}") from None
+            self.at += n_bytes
+            self.is_split |= not self._is_raw and piece.endswith(b"=")
         if len(self._left) < size:
-            raise _cut(self._at)
+            raise _cut(self.at)
         result, self._left = self._left[:size], self._left[size:]
         return result
 
     def begin_data(self) -> None:
-        """Compressed data are a piece of their own."""
+        """Compressed data are a piece of base64 of their own."""
         self._left = b""
-
-    def is_split(self) -> bool:
-        """Whether the header was a piece of its own."""
-        return self._split
-
-    def end(self) -> int:
-        """The byte behind what was taken."""
-        return self._at
 
 
 def _cut(at: int) -> TruncatedError:
@@ -354,7 +304,7 @@ def _parse(data: Buffer, format: str) -> Layout:
     root = parse_tree(data, "VTKFile", appended.start() if appended else None)
     kind = root.attributes.get("type", "")
     if root.name != "VTKFile" or not kind:
-        raise FormatError("the file is no VTKFile", where="line 1", hint=EXPORT_AGAIN)
+        raise damaged("the file is no VTKFile", "line 1")
     if kind != _TYPES[format]:
         suffix = {one: name for name, one in _TYPES.items()}.get(kind)
         if suffix is None:
@@ -371,7 +321,6 @@ def _parse(data: Buffer, format: str) -> Layout:
     starts = np.cumsum([0, *(part.n_points for part in parts)])
     corners = [part.cells.corners() + start for part, start in zip(parts, starts, strict=False)]
     normals = [part.normals for part in parts if part.normals is not None]
-    positions = [part.points for part in parts]
     warnings = [warning for part in parts for warning in part.cells.warnings()]
     if 0 < len(normals) < len(parts):
         normals = []
@@ -380,11 +329,11 @@ def _parse(data: Buffer, format: str) -> Layout:
     if any(piece is not None and _named(piece, "normals") is not None for piece in cell_data):
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
-    codes = {code_of(part.points_array, coding) for part in parts}
+    codes = {_code_of(part.points_array, coding) for part in parts}
     return Layout(
         "ascii" if is_text else "binary",
         "float64" if coding.order + "f8" in codes else "float32",
-        tuple(positions),
+        tuple(part.points for part in parts),
         np.concatenate(corners),
         np.concatenate([part.cells.sizes() for part in parts]),
         tuple(normals),
@@ -393,11 +342,7 @@ def _parse(data: Buffer, format: str) -> Layout:
         held=", ".join(filter(None, (part.cells.describe() for part in parts))),
         dependents=(
             *_offsets(data, root, coding),
-            *(
-                bound
-                for k, part in enumerate(parts)
-                for bound in _ranges(data, part.points_array, k)
-            ),
+            *(end for k, part in enumerate(parts) for end in _ranges(data, part.points_array, k)),
         ),
     )
 
@@ -412,7 +357,7 @@ def _coding(data: Buffer, root: Element, appended: re.Match[bytes] | None) -> Co
     order = {"LittleEndian": "<", "BigEndian": ">"}.get(root.attributes.get("byte_order", ""))
     header = {"UInt32": "u4", "UInt64": "u8"}.get(root.attributes.get("header_type", "UInt32"))
     if order is None or header is None:
-        raise FormatError("byte_order or header_type is wrong", where="line 1", hint=EXPORT_AGAIN)
+        raise damaged("byte_order or header_type is wrong", "line 1")
     coding = Coding(data, order, order + header, compressor)
     if appended:
         coding.appended_at = appended.end()
@@ -431,53 +376,42 @@ class _Piece:
         self.properties: list[str] = []
         if not self.n_points:
             return
-        points = piece.find("Points", "DataArray")
+        holder = piece.find("Points")
+        points = None if holder is None else holder.find("DataArray")
         if points is None or points.attributes.get("NumberOfComponents") != "3":
-            raise FormatError(
-                "a piece has no points of three coordinates",
-                where=f"byte {piece.start}",
-                hint=EXPORT_AGAIN,
-            )
+            raise damaged("a piece has no points of three coordinates", f"byte {piece.start}")
         self.points_array = points
-        self.points = numbers(points, coding, self.n_points)
+        self.points = _numbers(points, coding, self.n_points)
         cells = piece.find("Cells")
         if cells is not None:
-            types = integers(_array(cells, "types"), coding)
+            types = _integers(_array(cells, "types"), coding)
             self.cells.add_types(types, *_lists(cells, coding))
         for name, kind in _POLYGONS:
             group = piece.find(name)
             if group is not None and _count(piece, f"NumberOf{name}"):
                 self.cells.add(kind, *_lists(group, coding))
-        self._read_attributes(piece, coding)
-
-    def _read_attributes(self, piece: Element, coding: Coding) -> None:
-        for name, owner in (("PointData", "point"), ("CellData", "cell")):
-            group = piece.find(name)
-            arrays = group.children if group is not None else []
-            self.properties += [f"{owner}.{array.attributes.get('Name', '')}" for array in arrays]
+        for owner, group in (("point", piece.find("PointData")), ("cell", piece.find("CellData"))):
+            names = [array.attributes.get("Name", "") for array in group.children] if group else []
+            self.properties += [f"{owner}.{name}" for name in names]
         group = piece.find("PointData")
         array = None if group is None else _named(group, group.attributes.get("Normals", "normals"))
-        if array is not None and code_of(array, coding)[1] == "f":
-            self.normals = numbers(array, coding, self.n_points, are_normals=True)
+        if array is not None and _code_of(array, coding)[1] == "f":
+            self.normals = _numbers(array, coding, self.n_points, are_normals=True)
 
 
 def _named(group: Element, name: str) -> Element | None:
     """The array of three components of this name, in any case."""
-    return next(
-        (
-            array
-            for array in group.all("DataArray")
-            if array.attributes.get("Name", "").lower() == name.lower()
-            and array.attributes.get("NumberOfComponents") == "3"
-        ),
-        None,
-    )
+    for array in group.all("DataArray"):
+        own = array.attributes
+        if own.get("Name", "").lower() == name.lower() and own.get("NumberOfComponents") == "3":
+            return array
+    return None
 
 
 def _count(piece: Element, name: str) -> int:
     word = piece.attributes.get(name, "0").strip()
     if not re.fullmatch(r"[0-9]{1,18}", word):
-        raise FormatError(f"{name} is no number", where=f"byte {piece.start}", hint=EXPORT_AGAIN)
+        raise damaged(f"{name} is no number", f"byte {piece.start}")
     return int(word)
 
 
@@ -485,31 +419,28 @@ def _array(group: Element, name: str) -> Element:
     for array in group.all("DataArray"):
         if array.attributes.get("Name") == name:
             return array
-    raise FormatError(f"there is no array {name}", where=f"byte {group.start}", hint=EXPORT_AGAIN)
+    raise damaged(f"there is no array {name}", f"byte {group.start}")
 
 
 def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
     """Sizes (k,) and corners of the cells of a group."""
-    sizes = np.diff(integers(_array(group, "offsets"), coding), prepend=0)
-    corners = integers(_array(group, "connectivity"), coding)
+    sizes = np.diff(_integers(_array(group, "offsets"), coding), prepend=0)
+    corners = _integers(_array(group, "connectivity"), coding)
     if (sizes < 0).any() or sizes.sum() > len(corners):
-        raise FormatError(
-            "the offsets of cells are wrong", where=f"byte {group.start}", hint=EXPORT_AGAIN
-        )
+        raise damaged("the offsets of cells are wrong", f"byte {group.start}")
     return sizes, corners[: sizes.sum()]
 
 
 def _offsets(data: Buffer, root: Element, coding: Coding) -> list[Dependent]:
     """The offsets of appended arrays, which move with the size of those in front of them."""
-    found = []
     if coding.appended_at < 0 or not coding.compressor:
         return []
-    for array in root.inner():
-        place = array.attribute_place(data, "offset")
-        if array.attributes.get("format") == "appended" and place is not None:
-            at = coding.place(array)[0]
-            found.append(Dependent(*place, _shifted(at, coding.appended_at)))
-    return found
+    return [
+        Dependent(*place, _shifted(coding.place(array)[0], coding.appended_at))
+        for array in root.inner()
+        if array.attributes.get("format") == "appended"
+        and (place := array.attribute_place(data, "offset"))
+    ]
 
 
 def _shifted(at: int, base: int) -> Callable[[bytes, Sequence[Floats], Shift], bytes]:
@@ -529,17 +460,15 @@ def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
     def largest(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
         return repr(float(_lengths(positions[which]).max())).encode()
 
-    found = []
-    for name, text in (("RangeMin", smallest), ("RangeMax", largest)):
-        place = array.attribute_place(data, name)
-        if place is not None:
-            found.append(Dependent(*place, text))
+    texts = (smallest, largest)
+    places = [array.attribute_place(data, name) for name in ("RangeMin", "RangeMax")]
+    bounds = [Dependent(*at, text) for at, text in zip(places, texts, strict=True) if at]
     for key in array.all("InformationKey"):
         values = list(key.all("Value"))
         if "L2_NORM" in key.attributes.get("name", "") and len(values) == 2:
-            found.append(Dependent(values[0].inside, values[0].stop, smallest))
-            found.append(Dependent(values[1].inside, values[1].stop, largest))
-    return found
+            pairs = zip(values, texts, strict=True)
+            bounds += [Dependent(value.inside, value.stop, text) for value, text in pairs]
+    return bounds
 
 
 def _lengths(points: Floats) -> Floats:

@@ -34,15 +34,9 @@ class Element:
         """The end of the text in front of the first element inside."""
         return self.children[0].start if self.children else self.stop
 
-    def find(self, *names: str) -> Element | None:
-        """The first child of the first name, its first child of the second name, and so on."""
-        found = self
-        for name in names:
-            inner = next((prop for prop in found.children if prop.name == name), None)
-            if inner is None:
-                return None
-            found = inner
-        return found
+    def find(self, name: str) -> Element | None:
+        """The first child of that name."""
+        return next(self.all(name), None)
 
     def all(self, name: str) -> Iterator[Element]:
         return (child for child in self.children if child.name == name)
@@ -65,6 +59,10 @@ class Element:
         return self.start + found.start(group), self.start + found.end(group)
 
 
+def damaged(message: str, where: str) -> FormatError:
+    return FormatError(message, where=where, hint=EXPORT_AGAIN)
+
+
 def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
     """The root of an XML file, or of its beginning up to the byte ``stop``.
 
@@ -84,18 +82,15 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
     builder.parser = parser
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
-    parser.EntityDeclHandler = _refuse_entity
+    parser.EntityDeclHandler = builder.refuse_entity
     view = memoryview(data).cast("B")
     if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe"):
         raise UnsupportedError("the XML is UTF-16", hint="save it as UTF-8")
     try:
         parser.Parse(bytes(view[:stop]), stop is None)
     except expat.ExpatError as failure:
-        raise FormatError(
-            f"it is not well-formed XML: {expat.errors.messages[failure.code]}",
-            where=f"line {failure.lineno}",
-            hint=EXPORT_AGAIN,
-        ) from None
+        message = f"it is not well-formed XML: {expat.errors.messages[failure.code]}"
+        raise damaged(message, f"line {failure.lineno}") from None
     except (LookupError, ValueError) as failure:
         raise UnsupportedError(
             f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
@@ -106,13 +101,6 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
     if builder.root is None:
         raise FormatError(f"there is no {what} in the file", hint=EXPORT_AGAIN)
     return builder.root
-
-
-def _refuse_entity(*_: object) -> None:
-    raise UnsupportedError(
-        "the XML declares entities, which may expand to anything",
-        hint="remove the DOCTYPE, or export the mesh again",
-    )
 
 
 class _Builder:
@@ -138,7 +126,7 @@ class _Builder:
         at = self.parser.CurrentByteIndex
         tag = _TAG.match(self._data, at)
         if tag is None:
-            raise FormatError("a tag does not end", where=f"byte {at}", hint=EXPORT_AGAIN)
+            raise damaged("a tag does not end", f"byte {at}")
         element = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
         if self._open:
             self._open[-1].children.append(element)
@@ -152,3 +140,9 @@ class _Builder:
         element.stop = max(element.inside, self.parser.CurrentByteIndex)
         if bytes(memoryview(self._data)[element.inside - 2 : element.inside]) == b"/>":
             element.stop = element.inside
+
+    def refuse_entity(self, *_: object) -> None:
+        raise UnsupportedError(
+            "the XML declares entities, which may expand to anything",
+            hint="remove the DOCTYPE, or export the mesh again",
+        )
