@@ -15,6 +15,7 @@ import pytest
 
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import open_mesh, threemf
+from msal_cli.codecs.mesh_file import PLACEMENT
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import InternalError, UnsupportedError
 from tests.codecs import plain_3mf
@@ -44,19 +45,12 @@ def texts(data: bytes) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def test_positions_and_faces_are_read():
-    file = open_mesh(simple(), "a.3mf")
-    assert np.array_equal(file.vertices, VERTICES)
-    assert np.array_equal(file.faces, FACES)
-    assert file.faces.dtype == np.int32
-    assert (file.format, file.precision, file.n_polygons) == ("3mf", "text", 12)
-
-
 @pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED])
 @pytest.mark.parametrize("streamed", [False, True])
 def test_only_the_numbers_of_moved_vertices_change(method, streamed, tmp_path):
     data = simple(method=method, streamed=streamed)
     file = threemf.read(data, "a.3mf")
+    assert np.array_equal(file.vertices, VERTICES) and np.array_equal(file.faces, FACES)
     assert file.replaced(file.vertices.copy()) is data
     vertices = moved_corner(file)
     output = file.replaced(vertices)
@@ -73,17 +67,9 @@ def test_only_the_numbers_of_moved_vertices_change(method, streamed, tmp_path):
         *(zipfile.ZipFile(io.BytesIO(one)).infolist() for one in (data, output)), strict=True
     ):
         for word in (
-            "filename",
-            "date_time",
-            "compress_type",
-            "comment",
-            "extra",
-            "flag_bits",
-            "create_system",
-            "create_version",
-            "extract_version",
-            "external_attr",
-        ):
+            "filename", "date_time", "compress_type", "comment", "extra", "flag_bits",
+            "create_system", "create_version", "extract_version", "external_attr",
+        ):  # fmt: skip
             assert getattr(was, word) == getattr(now, word), word
         if was.filename != MODEL:
             assert was.compress_size == now.compress_size
@@ -124,11 +110,7 @@ def test_members_with_wide_sizes_and_gaps_between_them():
         crc = zlib.crc32(text)
         both = struct.pack("<5H L", 45, 0, 8, 0x6000, 0x5A21, crc) + b"\xff" * 8
         local = b"PK\x03\x04" + both + struct.pack("<2H", len(raw), 20) + raw
-        pieces += [
-            local + struct.pack("<2H", 1, 16) + numbers + packed,
-            b"gap" * at % 7 if 0 else b"",
-        ]
-        pieces.append(b"\0" * 5)
+        pieces += [local + struct.pack("<2H", 1, 16) + numbers + packed, b"\0" * 5]
         entry = b"PK\x01\x02" + struct.pack("<H", 45) + both
         entry += struct.pack("<5H2L", len(raw), 28, 0, 0, 0, 0, 0xFFFFFFFF) + raw
         directory.append(entry + struct.pack("<2H", 1, 24) + numbers + struct.pack("<Q", at))
@@ -212,6 +194,18 @@ def test_a_mesh_in_several_places_is_one_mesh():
     assert "instances" in file.properties
     vertices = moved_corner(file)
     file.check(file.replaced(vertices), vertices)
+
+
+@pytest.mark.parametrize(
+    ("transform", "is_placed"),
+    [("1 0 0 0 1 0 0 0 1 0 0 0", False), ("1 0 0 0 1 0 0 0 1 125 105 10", True)],
+)
+def test_the_place_of_the_only_mesh_is_lost_without_a_scene(transform, is_placed):
+    build = f'<item objectid="1" transform="{transform}"/>'
+    file = threemf.read(package(model(shape(1, CUBE), build)), "")
+    assert np.array_equal(file.vertices, VERTICES)
+    _, losses = convert.converted(file, file.vertices, "ply", "same", "same")
+    assert (PLACEMENT in losses) is is_placed
 
 
 def test_components_that_use_each_other_come_to_an_end():
