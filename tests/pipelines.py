@@ -32,7 +32,7 @@ def add_spike(project: Path) -> None:
     """A scan with one vertex far out."""
     lines = closed_scan(1).splitlines()
     at = lines.index(b"end_header") + 7
-    lines[at] = b" ".join(b"%g" % (30.0 * float(one)) for one in lines[at].split())
+    lines[at] = b" ".join(b"%g" % (30.0 * float(coordinate)) for coordinate in lines[at].split())
     (project / "scans" / "spike.ply").write_bytes(b"\n".join(lines) + b"\n")
 
 
@@ -69,7 +69,8 @@ def action_steps(action: dict, given: dict[str, str]) -> dict[str, tuple[str, di
     """The shell steps of the action by their names: script and environment, inputs filled in."""
     assert set(given) <= set(action["inputs"]), "an input that the action does not have"
     values = {
-        f"inputs.{name}": given.get(name, one["default"]) for name, one in action["inputs"].items()
+        f"inputs.{name}": given.get(name, spec["default"])
+        for name, spec in action["inputs"].items()
     }
     values["github.action_path"] = str(ROOT)
     return {

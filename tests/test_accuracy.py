@@ -40,18 +40,21 @@ SETTINGS = [Setting("al", {}), Setting("al", {"iterations": 1}), Setting("wiener
 def test_the_grid_has_every_default_and_nothing_twice(coarse):
     settings = grid(coarse)
     assert settings[0] == defaults()[0]
-    assert {one.method for one in settings if one.is_default} == set(methods.names()), A_NEW_METHOD
-    texts = [one.text for one in settings]
+    assert {setting.method for setting in settings if setting.is_default} == set(methods.names()), (
+        A_NEW_METHOD
+    )
+    texts = [setting.text for setting in settings]
     assert len(set(texts)) == len(texts) > 50
-    settled = {
-        (one.method, *methods.find(one.method).validate(one.given).items()) for one in settings
+    distinct = {
+        (setting.method, *methods.find(setting.method).validate(setting.given).items())
+        for setting in settings
     }
-    assert len(settled) == len(settings)
+    assert len(distinct) == len(settings)
 
 
 def rows():
     """Two models; which setting is best differs with the model and the measure."""
-    al, short, wiener = (one.text for one in SETTINGS)
+    al, short, wiener = (setting.text for setting in SETTINGS)
     return {
         "one": {
             NOISY: Outcome(20.0, 16.0, 0.0),
@@ -72,7 +75,7 @@ def rows():
 
 def test_a_summary_by_hand():
     lines = accuracy_tables.summary("organic", rows(), SETTINGS)
-    cells = [[one.strip() for one in line.strip("|").split("|")] for line in lines[2:]]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
     found = {label: values for label, *values in cells}
     assert lines[0].startswith("| organic: 2 models | angle | vertex error |")
     assert found["best published setting, by angle"] == ["5.00", "10.00", "`al`"]

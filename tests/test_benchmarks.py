@@ -46,9 +46,9 @@ def test_outputs_are_compared_with_inputs(tmp_path):
     half = scans.Scan(made.vertices, made.faces[::2])
     shifted = scans.Scan(made.vertices + np.float32(0.01), made.faces)
     words = []
-    for n, one in enumerate((made, half, shifted)):
+    for n, scan in enumerate((made, half, shifted)):
         words.append(
-            contest.compared(source, scans.file_of(tmp_path, f"{n}", "ply", lambda one=one: one))
+            contest.compared(source, scans.file_of(tmp_path, f"{n}", "ply", lambda scan=scan: scan))
         )
     (tmp_path / "not.ply").write_bytes(b"nothing")
     words.append(contest.compared(source, tmp_path / "not.ply"))
@@ -90,7 +90,10 @@ SCRIPTS = {
 
 @pytest.mark.parametrize(
     "script",
-    [pytest.param(one, marks=[] if one is large_file else pytest.mark.slow) for one in SCRIPTS],
+    [
+        pytest.param(script, marks=[] if script is large_file else pytest.mark.slow)
+        for script in SCRIPTS
+    ],
     ids=lambda script: script.__name__,
 )
 def test_a_script_prints_its_tables(script, tmp_path, monkeypatch, capsys):

@@ -55,7 +55,7 @@ def msal_commands(text: str) -> Iterator[list[str]]:
         for word in (*lexer, ";"):
             if set(word) <= set("|&;"):
                 if call is not None:
-                    yield [PLACEHOLDERS.get(one, one) for one in call]
+                    yield [PLACEHOLDERS.get(word, word) for word in call]
                 call = None
             elif set(word) <= set("<>"):
                 skip = True
@@ -71,7 +71,7 @@ PROSE = [call for p in PAGES for call in msal_commands(FENCE.sub("", p.read_text
 COMMANDS = [(name_of(p), call) for p in PAGES for call in msal_commands(p.read_text("utf-8"))]
 
 
-def known_commands() -> dict[str, click.Command]:
+def all_commands() -> dict[str, click.Command]:
     context = click.Context(program)
     found = {name: program.get_command(context, name) for name in program.list_commands(context)}
     return {name: command for name, command in found.items() if command is not None}
@@ -79,12 +79,14 @@ def known_commands() -> dict[str, click.Command]:
 
 def options_of(command: click.Command) -> set[str]:
     with click.Context(command, help_option_names=["-h", "--help"]) as context:
-        given = [one for one in command.get_params(context) if isinstance(one, click.Option)]
-    return {word for one in given for word in (*one.opts, *one.secondary_opts)}
+        given = [
+            option for option in command.get_params(context) if isinstance(option, click.Option)
+        ]
+    return {word for option in given for word in (*option.opts, *option.secondary_opts)}
 
 
-def known_options() -> set[str]:
-    return set().union(options_of(program), *map(options_of, known_commands().values()))
+def all_options() -> set[str]:
+    return set().union(options_of(program), *map(options_of, all_commands().values()))
 
 
 @pytest.mark.parametrize(("page", "call"), COMMANDS, ids=lambda v: v if isinstance(v, str) else "")
@@ -96,8 +98,8 @@ def test_every_documented_command_parses(
         config, "read_config", lambda path, *given, **named: config.Config(path, {}, True)
     )
     if call and not call[0].startswith("-"):
-        assert call[0] in known_commands(), f"{page}: msal {shlex.join(call)}"
-        command, words = known_commands()[call[0]], call[1:]
+        assert call[0] in all_commands(), f"{page}: msal {shlex.join(call)}"
+        command, words = all_commands()[call[0]], call[1:]
     else:
         command, words = program, call
     parent = click.Context(program, info_name="msal", **program.context_settings)
@@ -116,13 +118,13 @@ def test_the_pages_show_commands() -> None:
     assert sum(page == "docs/usage.md" for page, _ in COMMANDS) > 20
     assert sum(page == "README.md" for page, _ in COMMANDS) > 2
     shown = {call[0] for _, call in COMMANDS if call}
-    assert set(known_commands()) <= shown
+    assert set(all_commands()) <= shown
 
 
 def test_the_page_of_commands_documents_every_option() -> None:
     text = FENCE.sub("", (ROOT / "docs/commands.md").read_text("utf-8"))
     explained = {word for span in re.findall(r"`([^`\n]+)`", text) for word in OPTION.findall(span)}
-    assert known_options() - explained - {"--version"} == set()
+    assert all_options() - explained - {"--version"} == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -131,7 +133,7 @@ def test_every_documented_option_exists(page: Path) -> None:
     code = [span for span in re.findall(r"`([^`\n]+)`", prose) if span.startswith(("-", "msal "))]
     named = {word for span in code for word in OPTION.findall(span)}
     # --meth is shown as an example of what is refused.
-    assert named - known_options() - {"--meth"} == set()
+    assert named - all_options() - {"--meth"} == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -161,7 +163,7 @@ def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as code hosts make them."""
     headings = re.findall(r"^#+ +(.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
     plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
-    return {one.strip().replace(" ", "-") for one in plain}
+    return {heading.strip().replace(" ", "-") for heading in plain}
 
 
 SHOWN = [
@@ -193,8 +195,8 @@ def test_msal_is_installed_from_where_it_is(page: Path) -> None:
     assert refresh.with_source(text) == text, "run python docs/refresh.py"
     # Nor from an index under another name, by another installer, or without quotes.
     asked = re.findall(r"(?:pip|uv|pipx|conda) install ([^\n`&]*)", text)
-    taken = [words for words in asked if "msal" in words and not words.startswith("./")]
-    assert all(refresh.source() in words for words in taken), taken
+    installs = [words for words in asked if "msal" in words and not words.startswith("./")]
+    assert all(refresh.source() in words for words in installs), installs
 
 
 def test_the_address_of_the_repository_is_set_in_one_place(monkeypatch) -> None:
@@ -246,11 +248,11 @@ def fields(kind: type[Any], prefix: str = "") -> set[str]:
     """Names of a record's fields; those of an inner record follow with a dot."""
     names = set()
     hints = typing.get_type_hints(kind)
-    for one in dataclasses.fields(kind):
-        names.add(prefix + one.name)
-        for inner in typing.get_args(hints[one.name]):
+    for field in dataclasses.fields(kind):
+        names.add(prefix + field.name)
+        for inner in typing.get_args(hints[field.name]):
             if dataclasses.is_dataclass(inner) and not prefix and kind is records.MeshRecord:
-                names |= fields(typing.cast("type[Any]", inner), f"{one.name}.")
+                names |= fields(typing.cast("type[Any]", inner), f"{field.name}.")
     return names
 
 
@@ -287,8 +289,8 @@ def test_exit_statuses_are_documented() -> None:
     text = (ROOT / "docs/usage.md").read_text("utf-8")
     part = text.partition("## Exit status")[2].partition("\n## ")[0]
     listed = {int(number) for number in re.findall(r"^\| (\d+) \|", part, re.MULTILINE)}
-    known = {v for k, v in vars(console).items() if k.isupper() and isinstance(v, int)}
-    assert listed == known | {129, 143}
+    statuses = {v for k, v in vars(console).items() if k.isupper() and isinstance(v, int)}
+    assert listed == statuses | {129, 143}
 
 
 def test_parameters_that_pages_set_are_allowed() -> None:
@@ -299,10 +301,10 @@ def test_parameters_that_pages_set_are_allowed() -> None:
         for page in PAGES
         for word in re.findall(r"--set (\w+=\w+(?:\.\d+)?)", page.read_text("utf-8"))
     ]
-    known = {spec.name: spec for name in methods.names() for spec in methods.find(name).parameters}
+    specs = {spec.name: spec for name in methods.names() for spec in methods.find(name).parameters}
     assert len(words) > 3
     for word in words:
         name, _, value = word.partition("=")
         if word != "NAME=VALUE":
-            assert name in known, word
-            assert value == "VALUE" or known[name].validate(value) is not None
+            assert name in specs, word
+            assert value == "VALUE" or specs[name].validate(value) is not None

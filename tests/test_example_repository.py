@@ -34,7 +34,7 @@ def repository(tmp_path):
 
 def check(repository):
     """What the workflow's use of the action does."""
-    (step,) = [one for one in WORKFLOW["jobs"]["meshes"]["steps"] if one.get("id") == "msal"]
+    (step,) = [step for step in WORKFLOW["jobs"]["meshes"]["steps"] if step.get("id") == "msal"]
     return run_action(ACTION, repository, step["with"])
 
 

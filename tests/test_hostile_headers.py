@@ -16,12 +16,12 @@ pytestmark = [
 
 
 def test_every_lie_is_refused(tmp_path):
-    known = list(lies())
-    assert len(known) >= 50
-    assert len({one.name for one in known}) == len(known)
-    found = refused(known, tmp_path)
-    assert [(one.name, one.code) for one in known] == [
-        (one.name, code) for one, (code, _, _) in zip(known, found, strict=True)
+    all_lies = list(lies())
+    assert len(all_lies) >= 50
+    assert len({lie.name for lie in all_lies}) == len(all_lies)
+    found = refused(all_lies, tmp_path)
+    assert [(lie.name, lie.code) for lie in all_lies] == [
+        (lie.name, code) for lie, (code, _, _) in zip(all_lies, found, strict=True)
     ]
     # Generous, since the machine may be slow; the table has the figures.
     assert max(seconds for _, seconds, _ in found) < 10 * MOST_SECONDS

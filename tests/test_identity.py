@@ -25,8 +25,8 @@ SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 
 
 def meshes_in(folder: Path) -> list[Path]:
-    known = (path for path in sorted(folder.rglob("*")) if is_mesh_name(path.name))
-    return [path for path in known if detection.format_of_name(path.name) in detection.OWN_FORMATS]
+    paths = (path for path in sorted(folder.rglob("*")) if is_mesh_name(path.name))
+    return [path for path in paths if detection.format_of_name(path.name) in detection.OWN_FORMATS]
 
 
 def fixtures() -> Iterator[tuple[str, bytes]]:

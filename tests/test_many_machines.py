@@ -45,10 +45,10 @@ def shell(tmp_path):
     def run(text, **variables):
         path = f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}"
         environment = {**os.environ, "PATH": path, **variables}
-        one = subprocess.run(
+        done = subprocess.run(
             ["sh", "-c", text], cwd=tmp_path, env=environment, capture_output=True, check=False
         )
-        assert one.returncode == 0, one.stderr.decode()
+        assert done.returncode == 0, done.stderr.decode()
         return sorted(path.name for path in (tmp_path / "denoised").glob("*.ply"))
 
     return run

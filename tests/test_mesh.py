@@ -147,10 +147,13 @@ def test_vertices_known_to_be_distinct_need_no_welding():
     vertices, faces = torus(12, 8)
     vertices = np.concatenate([noisy(vertices), [[9.0, 9.0, 9.0]]])
     faces = np.concatenate([faces, [[0, 0, len(vertices) - 1]]])
-    one, two = prepare_mesh(vertices, faces), prepare_mesh(vertices, faces, are_distinct=True)
-    assert one.defects == two.defects
-    assert np.array_equal(one.mesh.vertices, two.mesh.vertices)
-    assert np.array_equal(one.mesh.faces, two.mesh.faces)
+    plain, distinct = (
+        prepare_mesh(vertices, faces),
+        prepare_mesh(vertices, faces, are_distinct=True),
+    )
+    assert plain.defects == distinct.defects
+    assert np.array_equal(plain.mesh.vertices, distinct.mesh.vertices)
+    assert np.array_equal(plain.mesh.faces, distinct.mesh.faces)
 
 
 def test_a_mesh_with_few_vertices_moved_knows_what_it_would_compute():
@@ -160,10 +163,10 @@ def test_a_mesh_with_few_vertices_moved_knows_what_it_would_compute():
     positions = mesh.vertices.copy()
     ways = np.random.default_rng(0).normal(size=(len(moved), 3))
     positions[moved] += mesh.mean_edge_length * ways
-    known, computed = mesh.with_moved(positions, moved), mesh.with_vertices(positions)
-    assert known.mean_edge_length == computed.mean_edge_length != mesh.mean_edge_length
+    shifted, computed = mesh.with_moved(positions, moved), mesh.with_vertices(positions)
+    assert shifted.mean_edge_length == computed.mean_edge_length != mesh.mean_edge_length
     for mollify in (0, 1):
-        normals = known.vertex_normals("uniform", mollify)
+        normals = shifted.vertex_normals("uniform", mollify)
         assert np.array_equal(normals, computed.vertex_normals("uniform", mollify))
         assert not np.array_equal(normals, mesh.vertex_normals("uniform", mollify))
 

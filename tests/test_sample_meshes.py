@@ -53,7 +53,7 @@ def expanded(name: str, data: bytes) -> bytes:
     return data
 
 
-def one(name: str, kind: str) -> Path:
+def sample(name: str, kind: str) -> Path:
     (path,) = FOLDER.glob(f"{name}_{kind}.*")
     return path
 
@@ -61,7 +61,7 @@ def one(name: str, kind: str) -> Path:
 def geometry(path: Path) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], list[int]]:
     """Positions, welded triangles and polygon sizes."""
     mesh = codecs.open_mesh(expanded(path.name, path.read_bytes()), path.name.removesuffix(".gz"))
-    return mesh.vertices, mesh.faces, [len(one) for one in mesh.polygons()]
+    return mesh.vertices, mesh.faces, [len(polygon) for polygon in mesh.polygons()]
 
 
 def test_the_folder_holds_what_the_script_makes(made: dict[str, bytes]) -> None:
@@ -77,7 +77,7 @@ def test_the_folder_holds_what_the_script_makes(made: dict[str, bytes]) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
     model = next(m for m in script.MODELS if m.name == name)
-    vertices, faces, _ = geometry(one(name, "clean"))
+    vertices, faces, _ = geometry(sample(name, "clean"))
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, uses = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
     assert len(np.unique(edges, axis=0)) == len(edges), "consistently wound"
@@ -98,7 +98,7 @@ def test_noisy_and_clean_differ_in_positions_only(name: str) -> None:
     if name == "knot":  # a soup names no vertices: its corners are compared one by one
         clean, noisy = (
             np.frombuffer(
-                one(name, kind).read_bytes(), np.dtype("(3,)<f4, (9,)<f4, <u2"), offset=84
+                sample(name, kind).read_bytes(), np.dtype("(3,)<f4, (9,)<f4, <u2"), offset=84
             )
             for kind in ("clean", "noisy")
         )
@@ -108,8 +108,8 @@ def test_noisy_and_clean_differ_in_positions_only(name: str) -> None:
         pairs = np.unique(np.stack([n.reshape(-1) for _, n in corners]), axis=1)
         assert pairs.shape[1] == len(corners[0][0]) == len(corners[1][0])
         return
-    before, faces, sizes = geometry(one(name, "clean"))
-    after, noisy_faces, noisy_sizes = geometry(one(name, "noisy"))
+    before, faces, sizes = geometry(sample(name, "clean"))
+    after, noisy_faces, noisy_sizes = geometry(sample(name, "noisy"))
     assert before.shape == after.shape
     assert (before != after).any(axis=1).mean() > 0.99
     assert sizes == noisy_sizes
@@ -118,16 +118,18 @@ def test_noisy_and_clean_differ_in_positions_only(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
-    source = one(name, "noisy")
+    source = sample(name, "noisy")
     result = tmp_path / source.name
     settings = Settings("msal", find("msal").validate({}))
     record = denoise_file(Task(str(source), str(result), source.name), settings)
     assert record.status == "written", record.error
     assert record.seam_gap == 0.0
     assert record.volume is not None and record.volume.valid == (name != "coin")
-    truth, noisy, denoised = (geometry(path) for path in (one(name, "clean"), source, result))
+    truth, noisy, denoised = (geometry(path) for path in (sample(name, "clean"), source, result))
     if name == "knot":  # its corners are numbered anew in each file
-        before, after = (angles(soup(one(name, "clean")), soup(path)) for path in (source, result))
+        before, after = (
+            angles(soup(sample(name, "clean")), soup(path)) for path in (source, result)
+        )
     else:
         assert np.array_equal(noisy[1], denoised[1])
         before, after = (angles(truth[0][truth[1]], mesh[0][mesh[1]]) for mesh in (noisy, denoised))

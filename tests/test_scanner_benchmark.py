@@ -61,7 +61,9 @@ def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
     radial = points / np.linalg.norm(points, axis=1)[:, None]
     facets = face_normals(coarse.vertices, coarse.faces)[nearest_on_surface(points, coarse)[0]]
     smooth = TrueSurface(coarse).normals_at(points)
-    errors = [np.arccos(np.clip((one * radial).sum(axis=1), -1, 1)) for one in (smooth, facets)]
+    errors = [
+        np.arccos(np.clip((normals * radial).sum(axis=1), -1, 1)) for normals in (smooth, facets)
+    ]
     assert errors[0].mean() < 0.3 * errors[1].mean()
     box = prepare_mesh(*cube()).mesh
     normals = face_normals(box.vertices, box.faces)

@@ -24,7 +24,7 @@ from tests.scripts import load_script
 yaml = pytest.importorskip("yaml")
 refresh = load_script("docs/refresh.py")
 ACTION = yaml.safe_load((ROOT / "action.yml").read_text("utf-8"))
-HOOKS = {one["id"]: one for one in yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())}
+HOOKS = {hook["id"]: hook for hook in yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())}
 GATES = "volume.valid and abs(volume_change) > 50%\nmax_displacement > 3e\n"
 
 pytestmark = [
@@ -57,7 +57,7 @@ def test_action_reports_and_stops_at_a_gate(project):
     assert done.outputs["status"] == "4" and done.outputs["report"]
     assert "::error" in done.stderr and "spike.ply" in done.summary
     records = json.loads((project / "a b.json").read_bytes())["records"]
-    assert [one["status"] for one in records].count("up-to-date") == 2
+    assert [record["status"] for record in records].count("up-to-date") == 2
 
 
 def test_action_runs_nothing_of_its_inputs(project):
@@ -112,7 +112,7 @@ def component(**given):
     used = set(re.findall(r"\$\[\[ inputs\.(\w+) \]\]", body))
     assert used == set(inputs)
     values = {
-        name: given[name] if name in given else one["default"] for name, one in inputs.items()
+        name: given[name] if name in given else spec["default"] for name, spec in inputs.items()
     }
     return yaml.safe_load(re.sub(r"\$\[\[ inputs\.(\w+) \]\]", lambda at: values[at[1]], body))
 
@@ -136,7 +136,7 @@ def test_component_takes_several_gates(project):
     assert done.returncode == 4, done.stderr
     assert "broken: vertices > 10" in done.stderr
     report = json.loads((project / "meshes.json").read_text())
-    assert {len(one["gates"]) for one in report["records"]} == {2}
+    assert {len(record["gates"]) for record in report["records"]} == {2}
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="no git")

@@ -71,7 +71,7 @@ def test_a_file_that_is_open_elsewhere_is_replaced_a_little_later(
             atomic.write_whole(path, b"new")
         assert "permissions" in caught.value.hint
     assert path.read_bytes() == (b"new" if is_written else b"old")
-    assert [one.name for one in tmp_path.iterdir()] == ["a.ply"]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
     assert len(waits) == min(refusals, 3)
 
 

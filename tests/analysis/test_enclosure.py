@@ -14,8 +14,8 @@ from tests.shapes import cube, grid, torus
 
 def together(*parts):
     """Several (vertices, faces) as one, far from the origin, with a vertex that no face uses."""
-    vertices = [np.zeros((1, 3))] + [one for one, _ in parts]
-    firsts = np.cumsum([len(one) for one in vertices])
+    vertices = [np.zeros((1, 3))] + [part for part, _ in parts]
+    firsts = np.cumsum([len(part) for part in vertices])
     faces = [own + first for (_, own), first in zip(parts, firsts, strict=False)]
     ready = prepare_mesh(np.concatenate(vertices) + 1e4, np.concatenate(faces))
     return ready, [len(own) for _, own in parts]
@@ -58,7 +58,7 @@ def test_boxes_by_hand(parts, volume, turned):
     assert (found.n_turned, found.n_parts) == (sum(turned), len(turned))
     signs = np.broadcast_to(found.outward_signs(ready.mesh), len(ready.mesh.vertices))
     of_vertices = np.repeat(
-        [1.0, *(-1.0 if one else 1.0 for one in turned)], [1] + [8] * len(turned)
+        [1.0, *(-1.0 if is_turned else 1.0 for is_turned in turned)], [1] + [8] * len(turned)
     )
     used = ready.mesh.topology.has_ring
     assert (signs[used] == of_vertices[used]).all()
@@ -69,8 +69,8 @@ def test_words():
     assert measure_enclosure(together(box(1.0, turned=True))[0]).words == (
         "the surface is inside out: its normals point inwards"
     )
-    one = together(box(1.0), box(1.0, 5.0, turned=True))[0]
-    assert measure_enclosure(one).words == "1 of 2 parts is inside out: normals point inwards"
+    ready = together(box(1.0), box(1.0, 5.0, turned=True))[0]
+    assert measure_enclosure(ready).words == "1 of 2 parts is inside out: normals point inwards"
     some = together(box(1.0), box(1.0, 5.0, turned=True), box(1.0, 9.0, turned=True))[0]
     assert measure_enclosure(some).words == "2 of 3 parts are inside out: normals point inwards"
 

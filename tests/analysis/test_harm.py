@@ -76,8 +76,8 @@ def test_flips_on_a_smooth_mesh_are_harm():
     mesh = prepare_mesh(*grid(20, 20)).mesh
     vertices = mesh.vertices.copy()
     inner = np.flatnonzero(~mesh.topology.boundary)
-    for one in inner[::25]:
-        vertices[one, :2] += [5.0, 5.0]
+    for vertex in inner[::25]:
+        vertices[vertex, :2] += [5.0, 5.0]
     after = mesh.with_vertices(vertices)
     n_flipped = measure_surface_change(mesh, after).normals.flipped_faces
     assert n_flipped > 0.02 * len(mesh.faces)

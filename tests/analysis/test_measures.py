@@ -24,20 +24,20 @@ def test_displacement_by_hand():
     before = np.zeros((20, 3))
     after = before.copy()
     after[:, 0] = np.arange(20)
-    one = displacement_statistics(before, after)
-    assert one.mean == pytest.approx(9.5)
-    assert one.rms == pytest.approx(np.sqrt((np.arange(20) ** 2).mean()))
-    assert one.p95 == 18.0  # the 19th of 20: 95 % of the vertices moved no farther
-    assert one.max == 19.0
-    assert one.moved_vertices == 19
+    statistics = displacement_statistics(before, after)
+    assert statistics.mean == pytest.approx(9.5)
+    assert statistics.rms == pytest.approx(np.sqrt((np.arange(20) ** 2).mean()))
+    assert statistics.p95 == 18.0  # the 19th of 20: 95 % of the vertices moved no farther
+    assert statistics.max == 19.0
+    assert statistics.moved_vertices == 19
 
 
 def test_displacement_counts_only_what_is_asked_for():
     before, after = np.zeros((4, 3)), np.ones((4, 3))
     none = displacement_statistics(before, after, np.zeros(4, dtype=bool))
     assert none == DisplacementStatistics(0.0, 0.0, 0.0, 0.0, 0)
-    one = displacement_statistics(before, after, np.array([True, False, True, False]))
-    assert one.moved_vertices == 2
+    statistics = displacement_statistics(before, after, np.array([True, False, True, False]))
+    assert statistics.moved_vertices == 2
 
 
 def test_normals_by_hand():

@@ -73,7 +73,7 @@ def test_clean_shapes_have_no_outliers(name):
 
 
 def test_clean_samples_have_no_outliers():
-    paths = [one for one in sorted(SAMPLES.glob("*_clean.*")) if one.suffix != ".mtl"]
+    paths = [path for path in sorted(SAMPLES.glob("*_clean.*")) if path.suffix != ".mtl"]
     assert len(paths) == 8
     assert {path.name: find_outliers(ground_truth.opened(path)).count for path in paths} == {
         path.name: 0 for path in paths

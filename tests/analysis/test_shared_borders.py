@@ -72,15 +72,15 @@ def test_points_at_one_place_are_one():
 
 def test_points_are_one_in_single_precision_where_a_file_has_only_that():
     third = 1.0 / 3.0
-    one, other = points((float(np.float32(third)), 0, 0)), points((third, 0, 0))
-    assert share(one, other, single=[True, False]).group.tolist() == [0, 0]
-    assert share(one, other, single=[False, False]).group.tolist() == [0, 1]
+    rough, exact = points((float(np.float32(third)), 0, 0)), points((third, 0, 0))
+    assert share(rough, exact, single=[True, False]).group.tolist() == [0, 0]
+    assert share(rough, exact, single=[False, False]).group.tolist() == [0, 1]
     # Two files in double precision are compared in it, and one file is never joined with itself.
     near = points((third, 0, 0), (third + 1e-12, 0, 0))
     assert share(near, points((9, 9, 9)), single=[False, True]).group.tolist() == [0, 1, 2]
     # Of two points of a file that round to a third, the nearer one is that.
-    assert share(one, near, single=[True, False]).group.tolist() == [0, 1, 0]
-    assert share(near, one, near, single=[False, True, False]).group.tolist() == [0, 1, 1, 0, 1]
+    assert share(rough, near, single=[True, False]).group.tolist() == [0, 1, 0]
+    assert share(near, rough, near, single=[False, True, False]).group.tolist() == [0, 1, 1, 0, 1]
 
 
 @given(st.integers(0, 1000), st.floats(0.05, 3.0))

@@ -120,7 +120,7 @@ def test_vertices_without_faces_do_not_count():
     with_loose = Mesh(np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), faces)
     assert len(used_vertices(with_loose)) == 8
     figures = surface_distances(Mesh(vertices, faces), with_loose)
-    assert [one.max for one in figures[:2]] == [0.0, 0.0]
+    assert [figure.max for figure in figures[:2]] == [0.0, 0.0]
     assert figures[2] == 0.0
 
 

@@ -111,7 +111,7 @@ def test_one_spike_changes_nothing_elsewhere():
 
     assert change(adaptive_result(mesh), adaptive_result(spiked)) < 0.002
     # Not so with the paper's lambda, which the spike rules.
-    assert change(*(result_of(one, "msal", {}) for one in (mesh, spiked))) > 0.02
+    assert change(*(result_of(scan, "msal", {}) for scan in (mesh, spiked))) > 0.02
 
 
 def test_texture_as_fine_as_the_mesh_gets_less_smoothing():

@@ -120,11 +120,11 @@ def test_slopes_count_by_their_share():
 
 
 def test_what_two_estimates_say_lies_between_them():
-    one, other = (risk(quadratic([[1.0]], [gain])) for gain in (0.2, 0.6))
-    low, high = best_weights([one], 0.5)[0], best_weights([other], 0.5)[0]
+    weak, strong = (risk(quadratic([[1.0]], [gain])) for gain in (0.2, 0.6))
+    low, high = best_weights([weak], 0.5)[0], best_weights([strong], 0.5)[0]
     assert low == pytest.approx(0.2, abs=1e-3)
     assert high == pytest.approx(0.6, abs=1e-3)
-    assert low < best_weights([one, other], 0.5)[0] < high
+    assert low < best_weights([weak, strong], 0.5)[0] < high
 
 
 def test_drift_is_avoided_by_what_drifts_the_other_way():
@@ -155,7 +155,7 @@ def test_rounding_keeps_the_sum_and_moves_no_weight_by_a_step(parts):
     )
     assert short.sum() <= 1.0 + 1e-12
     assert (np.abs(short - weights) < 0.01 + 1e-6).all()
-    assert all(float(f"{one:.2f}") == one for one in short)
+    assert all(float(f"{weight:.2f}") == weight for weight in short)
 
 
 def test_what_rounds_alike_is_settled_by_order_not_by_last_digits():

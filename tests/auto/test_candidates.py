@@ -9,26 +9,31 @@ from msal_cli.auto import candidates
 from msal_cli.auto.candidates import CANDIDATES, NAMES
 
 
-@pytest.mark.parametrize("one", CANDIDATES, ids=lambda one: one.label)
-def test_settings_are_allowed(one):
-    method = methods.find(one.method)
-    settings = one.settings(0.125)
+@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda candidate: candidate.label)
+def test_settings_are_allowed(candidate):
+    method = methods.find(candidate.method)
+    settings = candidate.settings(0.125)
     values = method.validate(settings)
-    assert ("noise" in settings) == one.takes_noise
-    if one.takes_noise:
+    assert ("noise" in settings) == candidate.takes_noise
+    if candidate.takes_noise:
         assert values["noise"] == 0.125
-    assert one.cost > 0.0
+    assert candidate.cost > 0.0
     assert {spec.name for spec in method.parameters} >= set(settings)
 
 
 def test_all_differ_in_what_they_are_and_in_what_they_are_called():
-    assert len({one.label for one in CANDIDATES}) == len(CANDIDATES)
-    made = {repr((one.method, sorted(one.settings(0.1).items()))) for one in CANDIDATES}
+    assert len({candidate.label for candidate in CANDIDATES}) == len(CANDIDATES)
+    made = {
+        repr((candidate.method, sorted(candidate.settings(0.1).items())))
+        for candidate in CANDIDATES
+    }
     assert len(made) == len(CANDIDATES)
 
 
 def test_a_farther_reach_is_a_multiple_of_the_noise():
-    settings = [one.settings(0.125)["noise"] for one in (candidates.LEARNED, candidates.FARTHER)]
+    settings = [
+        candidate.settings(0.125)["noise"] for candidate in (candidates.LEARNED, candidates.FARTHER)
+    ]
     assert settings == [0.125, 0.25]
     assert candidates.FARTHER.label == "learned (noise times 2)"
 

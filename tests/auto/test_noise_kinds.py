@@ -53,7 +53,7 @@ def angle_to_true(kind, made):
     return angle(pair(kind)[1], made)
 
 
-def taken_for_white(mesh):
+def denoise_as_white(mesh):
     """The plain command's filter for that noise if it were white, whatever it is."""
     al = methods.find("al")
     noise = float(round(estimate_noise(mesh).mean_edges, 4))
@@ -68,7 +68,7 @@ def test_auto_takes_most_of_it_away(kind):
     assert WORDS[kind] in choice.reason.split(";")[0] or choice.estimate.is_unsure
     left = angle_to_true(kind, made_by(choice, mesh))
     assert left < 0.3 * angle_to_true(kind, mesh)
-    assert left < 0.8 * angle_to_true(kind, taken_for_white(mesh))
+    assert left < 0.8 * angle_to_true(kind, denoise_as_white(mesh))
 
 
 @pytest.mark.parametrize("kind", ["isotropic", "half"])
@@ -78,7 +78,7 @@ def test_the_plain_command_knows_direction_and_place(kind):
     assert (choice.method, choice.among) == ("blend", FAMILY)
     assert WORDS[kind] in choice.reason or choice.estimate.is_unsure
     left = angle_to_true(kind, made_by(choice, mesh))
-    assert left < 0.9 * angle_to_true(kind, taken_for_white(mesh))
+    assert left < 0.9 * angle_to_true(kind, denoise_as_white(mesh))
 
 
 @pytest.mark.parametrize("choose", [adaptive.choose_adaptive, choose_auto])
@@ -106,7 +106,7 @@ def test_noise_of_another_kind_goes_from_a_machined_part():
     mesh = true.with_vertices(add_noise(true, noise))
     choice = choose_auto(mesh)
     made = made_by(choice, mesh)
-    angles = [angle(true, one) for one in (mesh, made)]
+    angles = [angle(true, surface) for surface in (mesh, made)]
     assert choice.surface == "machined"
     assert angles[1] < 0.3 * angles[0]
 
@@ -123,7 +123,7 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
     choice = search.choose()
     made = made_by(choice, mesh)
-    angles = [angle(true, one) for one in (mesh, made)]
+    angles = [angle(true, surface) for surface in (mesh, made)]
     assert "learned (noise times" in choice.reason
     assert angles[1] < 0.5 * angles[0]
 

@@ -43,13 +43,13 @@ def test_plain_noise_is_along_the_normals_and_white(mesh, way):
 
 @pytest.mark.parametrize("way", ["draw", "probe"])
 def test_shared_noise_is_alike_at_neighbours(mesh, way):
-    one, two = (
+    over_one, over_two = (
         np.einsum("ij,ij->i", drawn(mesh, way=way, rings=rings), mesh.vertex_normals("uniform"))
         for rings in (1, 2)
     )
-    assert correlation(mesh, one) == pytest.approx(0.57, abs=0.05)
-    assert correlation(mesh, two) == pytest.approx(0.78, abs=0.05)
-    assert two.std() == pytest.approx(0.2, rel=0.05)
+    assert correlation(mesh, over_one) == pytest.approx(0.57, abs=0.05)
+    assert correlation(mesh, over_two) == pytest.approx(0.78, abs=0.05)
+    assert over_two.std() == pytest.approx(0.2, rel=0.05)
 
 
 def test_isotropic_noise_has_the_level_in_every_coordinate(mesh):

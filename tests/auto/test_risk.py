@@ -77,16 +77,18 @@ def stein(part, noise, *runs):
 
 
 def test_a_quadratic_by_hand():
-    one = Quadratic(np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([1.0, 0.5]))
-    assert one.singles().tolist() == [3.0, 2.0]
-    assert one.at(np.array([0.0, 0.0])) == 1.0
-    assert one.at(np.array([1.0, 0.0])) == 3.0
+    quadratic = Quadratic(np.array([[4.0, 1.0], [1.0, 2.0]]), np.array([1.0, 0.5]))
+    assert quadratic.singles().tolist() == [3.0, 2.0]
+    assert quadratic.at(np.array([0.0, 0.0])) == 1.0
+    assert quadratic.at(np.array([1.0, 0.0])) == 3.0
     # 1 - 2 (0.5 + 0.25) + (1 + 0.5 + 0.5)
-    assert one.at(np.array([0.5, 0.5])) == pytest.approx(1.5)
-    other = one.of([1])
-    assert other.gram.tolist() == [[2.0]]
-    assert other.gain.tolist() == [0.5]
-    assert one.of([1, 0]).at(np.array([0.25, 0.5])) == pytest.approx(one.at(np.array([0.5, 0.25])))
+    assert quadratic.at(np.array([0.5, 0.5])) == pytest.approx(1.5)
+    part = quadratic.of([1])
+    assert part.gram.tolist() == [[2.0]]
+    assert part.gain.tolist() == [0.5]
+    assert quadratic.of([1, 0]).at(np.array([0.25, 0.5])) == pytest.approx(
+        quadratic.at(np.array([0.5, 0.25]))
+    )
 
 
 @pytest.mark.parametrize("factor", [-1.0, -0.5, 0.0, 0.25])
@@ -273,13 +275,13 @@ def test_what_the_pilot_took_away_is_put_on_with_the_other_sign():
 @pytest.mark.parametrize("scale", [2.0**-40, 2.0**60])
 def test_risks_are_free_of_scale(scale):
     vertices, faces = torus()
-    one = prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
-    other = Mesh(one.vertices * scale, one.faces)
+    plain = prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
+    other = Mesh(plain.vertices * scale, plain.faces)
 
     def run(mesh):
         return 0.3 * (mesh.vertices[mesh.faces[:, 0]].mean(axis=0) - mesh.vertices)
 
-    for mesh, factor in ((one, 1.0), (other, scale)):
+    for mesh, factor in ((plain, 1.0), (other, scale)):
         part = select_patch(mesh, 10_000)
         risk = stein(part, 0.05 * factor, run)
         again = rehearsed(part, run, pilot=mesh.vertices, noise=0.05 * factor)

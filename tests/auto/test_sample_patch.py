@@ -139,7 +139,7 @@ def test_the_order_in_space_halves_the_box_again_and_again():
     draw = np.random.default_rng(0).permutation(len(grid))
     order = grid[draw][_in_space(grid[draw])].astype(int)
     # z decides between halves first, then y, then x; then the same within a half's halves.
-    octants = [tuple(one) for one in order[::8] // 2]
+    octants = [tuple(place) for place in order[::8] // 2]
     assert octants == [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
     for first in range(0, len(order), 8):
-        assert [tuple(one) for one in order[first : first + 8] % 2] == octants
+        assert [tuple(place) for place in order[first : first + 8] % 2] == octants

@@ -83,11 +83,11 @@ def members_of(choice):
             for member in parse_members(choice.parameters["members"])
         ]
     return [
-        (weight, one)
+        (weight, candidate)
         for weight, method, values in parts
-        for one in CANDIDATES
-        if one.method == method.name
-        and method.validate(one.settings(values.get("noise", 0.0))) == values
+        for candidate in CANDIDATES
+        if candidate.method == method.name
+        and method.validate(candidate.settings(values.get("noise", 0.0))) == values
     ]
 
 
@@ -121,9 +121,9 @@ def test_it_is_free_of_the_axes():
     vertices, faces = torus(40, 20)
     mesh = prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
     turned = prepare_mesh(mesh.vertices[:, [1, 2, 0]], faces).mesh
-    one, other = chosen(mesh), chosen(turned)
-    assert one.reason == other.reason
-    assert one.risk == pytest.approx(other.risk, rel=1e-6)
+    here, there = chosen(mesh), chosen(turned)
+    assert here.reason == there.reason
+    assert here.risk == pytest.approx(there.risk, rel=1e-6)
 
 
 @pytest.mark.ci
@@ -178,9 +178,9 @@ def test_with_trust_the_method_has_a_data_term(mesh):
 
 @pytest.mark.filterwarnings("error")
 def test_where_all_vertices_are_held_nothing_is_done(mesh, spiky):
-    for one in (mesh, spiky):
-        held = np.ones(len(one.vertices), dtype=bool)
-        choice = chosen(one.with_constraints(held, None))
+    for scan in (mesh, spiky):
+        held = np.ones(len(scan.vertices), dtype=bool)
+        choice = chosen(scan.with_constraints(held, None))
         assert choice.method == NONE
         assert np.isfinite(choice.risk)
 
@@ -316,7 +316,7 @@ def check_wishes(mesh, **more):
         return made_by(chosen(mesh, **more, **wishes), mesh)
 
     fewer, less, plain, more_, most = (made(strength=x) for x in (-2.0, -1.0, 0.0, 1.0, 2.0))
-    moved = [moved_edges(mesh, one) for one in (fewer, less, plain, more_, most)]
+    moved = [moved_edges(mesh, after) for after in (fewer, less, plain, more_, most)]
     if moved[2] > 0.0:
         assert all(a < b for a, b in itertools.pairwise(moved))
     else:
@@ -361,16 +361,16 @@ def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
 
 
 def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
-    for one, wishes in (
+    for scan, wishes in (
         (mesh, Wishes()),
         (mesh, Wishes(budget=1.0)),
         (spiky, Wishes()),
         (spiky, Wishes(budget=1.0)),
     ):
         steps = []
-        selection.choose_method(one, wishes, lambda *step, steps=steps: steps.append(step))
+        selection.choose_method(scan, wishes, lambda *step, steps=steps: steps.append(step))
         (total,) = {total for _, total in steps}
-        done = [one for one, _ in steps]
+        done = [step for step, _ in steps]
         assert done == sorted(done)
         assert done[-1] == total
         assert done.count(total) == 1

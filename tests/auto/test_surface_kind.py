@@ -74,9 +74,9 @@ def test_it_is_free_of_scale(scale):
 
 
 def test_few_or_no_edges_between_faces():
-    one = Mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32))
-    assert surface_kind(one) == ORGANIC
-    flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), one.faces)
+    single = Mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32))
+    assert surface_kind(single) == ORGANIC
+    flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), single.faces)
     assert surface_kind(flat) == ORGANIC
     # Every edge of a coarse cube is an edge: nothing smooth lies between.
     assert surface_kind(Mesh(*cube())) == TEXTURED

@@ -57,7 +57,11 @@ def statuses(*arguments):
     assert "Traceback" not in made.stderr and "nternal" not in made.stderr, made.stderr
     assert "\x1b" not in made.stderr + made.stdout
     records = json.loads(made.stdout)["records"] if made.stdout else []
-    return made.exit_code, {Path(one["input"]).name: one["status"] for one in records}, made.stderr
+    return (
+        made.exit_code,
+        {Path(record["input"]).name: record["status"] for record in records},
+        made.stderr,
+    )
 
 
 def test_every_name_gets_its_output_and_no_other(tmp_path):
@@ -66,19 +70,19 @@ def test_every_name_gets_its_output_and_no_other(tmp_path):
     for name in NAMES:
         # A folder is searched for names with a mesh suffix only; the others are given by name.
         (scans / name).write_bytes(SCAN)
-    taken = [name for name in NAMES if name.lower().endswith(".ply") and not name.startswith(".")]
-    others = [name for name in NAMES if name not in taken]
-    assert len(others) >= 5 and len(taken) >= 30
-    status, told, said = statuses(scans, "-o", tmp_path / "out")
-    assert (status, set(told.values())) == (0, {"written"}), said
+    listed = [name for name in NAMES if name.lower().endswith(".ply") and not name.startswith(".")]
+    others = [name for name in NAMES if name not in listed]
+    assert len(others) >= 5 and len(listed) >= 30
+    status, results, said = statuses(scans, "-o", tmp_path / "out")
+    assert (status, set(results.values())) == (0, {"written"}), said
     files = contents(tmp_path / "out")
-    assert sorted(files) == sorted(taken)
-    assert len(set(files.values())) == 1 and files[taken[0]] != SCAN
-    assert statuses(scans, "-o", tmp_path / "out")[1].keys() == told.keys()
-    # Named themselves they are taken whatever they are called.
+    assert sorted(files) == sorted(listed)
+    assert len(set(files.values())) == 1 and files[listed[0]] != SCAN
+    assert statuses(scans, "-o", tmp_path / "out")[1].keys() == results.keys()
+    # Named themselves they are listed whatever they are called.
     paths = [scans / name for name in others]
-    status, told, said = statuses(*paths, "-o", tmp_path / "named", "--format", "ply")
-    assert (status, len(told)) == (0, len(others)), said
+    status, results, said = statuses(*paths, "-o", tmp_path / "named", "--format", "ply")
+    assert (status, len(results)) == (0, len(others)), said
     assert sorted(contents(tmp_path / "named")) == sorted(others)
 
 
@@ -107,6 +111,6 @@ def test_hard_links_in_place_are_as_many_files(tmp_path):
 def test_a_path_too_long_for_the_system(tmp_path):
     scans = folder_of(tmp_path / "in", a=SCAN)
     folder_of(scans / Path(*["e" * 200] * 16), b=SCAN)
-    status, told, said = statuses(scans, "-o", tmp_path / Path(*["o" * 200] * 4))
-    assert (status, told) == (3, {"a.ply": "written", "b.ply": "failed"}), said
+    status, results, said = statuses(scans, "-o", tmp_path / Path(*["o" * 200] * 4))
+    assert (status, results) == (3, {"a.ply": "written", "b.ply": "failed"}), said
     assert "File name too long (E_WRITE)" in said

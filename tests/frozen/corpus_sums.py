@@ -114,34 +114,34 @@ def outcome(data: bytes, format: str, *, is_mutant: bool) -> list[Step]:
 def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
     steps: list[Step] = [("input", digest(data), "")]
     name = f"scan.{format}" if format else "scan"
-    known: dict[str, Any] = {}
+    opened: dict[str, Any] = {}
 
     def load() -> tuple[str, str]:
         whole, notes = expand(data, name)
-        known["file"] = open_mesh(whole, name if format != "gz" else "scan", None)
-        known["whole"] = whole
+        opened["file"] = open_mesh(whole, name if format != "gz" else "scan", None)
+        opened["whole"] = whole
         return digest(whole), str(notes)
 
     def describe() -> tuple[str, str]:
-        file = known["file"]
-        told = [file.format, file.encoding, file.precision, file.n_polygons, file.merged_vertices]
-        told += [file.properties, file.references, len(file.warnings)]
+        file = opened["file"]
+        facts = [file.format, file.encoding, file.precision, file.n_polygons, file.merged_vertices]
+        facts += [file.properties, file.references, len(file.warnings)]
         sums = digest(file.vertices, file.faces)
-        return f"{sums} {[str(one) for one in told]}", "\n".join(file.warnings)
+        return f"{sums} {[str(fact) for fact in facts]}", "\n".join(file.warnings)
 
     def same() -> tuple[str, str]:
         output = file.replaced(file.vertices.copy())
-        return ("same" if bytes(output) == bytes(known["whole"]) else digest(output)), ""
+        return ("same" if bytes(output) == bytes(opened["whole"]) else digest(output)), ""
 
     def replaced() -> tuple[str, str]:
-        known["output"] = file.replaced(moved)
-        return digest(plain_bytes(known["output"])), ""
+        opened["output"] = file.replaced(moved)
+        return digest(plain_bytes(opened["output"])), ""
 
     def check(output: str) -> tuple[str, str]:
-        file.check(known[output], moved)
+        file.check(opened[output], moved)
         return "ok", ""
 
-    def encoded(encoding: str, precision: str) -> tuple[str, str]:
+    def encode(encoding: str, precision: str) -> tuple[str, str]:
         return digest(plain_bytes(file.encoded(moved, encoding, precision))), ""
 
     def conversion(to: str) -> tuple[str, str]:
@@ -149,13 +149,13 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         return f"{digest(output)} {len(losses)}", "\n".join(losses)
 
     def about_normals() -> tuple[str, str]:
-        told = normal_warnings(file, moved)
-        return str(len(told)), "\n".join(told)
+        lines = normal_warnings(file, moved)
+        return str(len(lines)), "\n".join(lines)
 
     attempt(steps, "forecast", lambda: (str(of_beginning(data[:HEAD_BYTES], len(data), name)), ""))
     if not attempt(steps, "read", load) or not attempt(steps, "arrays", describe):
         return steps
-    file = known["file"]
+    file = opened["file"]
     moved = displaced(file.vertices)
     attempt(steps, "polygons", lambda: (digest(*map(np.asarray, file.polygons())), ""))
     attempt(steps, "same", same)
@@ -166,7 +166,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
     for encoding in ENCODINGS:
         for precision in PRECISIONS:
             label = f"encoded {encoding} {precision}"
-            attempt(steps, label, functools.partial(encoded, encoding, precision))
+            attempt(steps, label, functools.partial(encode, encoding, precision))
     for name in ("x", "quality", "nothing"):
         numbers = functools.partial(vertex_property, file, name)
         attempt(steps, f"property {name}", lambda of=numbers: (digest(of()), ""))
@@ -189,8 +189,8 @@ def contents(task: Task) -> Iterator[tuple[str, bytes]]:
     """The files of a task by name."""
     format, kind, number = task
     if kind == "mutants":
-        for one in range(number * BLOCK, (number + 1) * BLOCK):
-            yield f"mutant {one}", mutant(format, one)
+        for at in range(number * BLOCK, (number + 1) * BLOCK):
+            yield f"mutant {at}", mutant(format, at)
     elif kind == "real":
         yield from real_files(format)
     else:
@@ -243,10 +243,10 @@ def tasks(chosen: tuple[str, ...], n_mutants: int) -> list[Task]:
 def different(task: Task, sums: Sums, kept: Any) -> dict[str, str]:
     """The files, or blocks, of a task that differ, and in what."""
     format, kind, _ = task
-    known = kept.get(format, {}).get(kind, {})
+    earlier = kept.get(format, {}).get(kind, {})
     found = {}
     for name, pair in sums.items():
-        before = known.get(name)
+        before = earlier.get(name)
         if before is None:
             found[name] = "new"
             continue

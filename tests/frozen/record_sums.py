@@ -140,7 +140,7 @@ def without(value: Any, dropped: re.Pattern[str], texts: list[str]) -> Any:
             elif not dropped.search(name):
                 kept[name] = without(inner, dropped, texts)
         return kept
-    return [without(one, dropped, texts) for one in value] if isinstance(value, list) else value
+    return [without(inner, dropped, texts) for inner in value] if isinstance(value, list) else value
 
 
 def still(text: str, folder: str) -> str:
@@ -166,7 +166,7 @@ def split(data: bytes, name: str, folder: str) -> tuple[str, str]:
         except ValueError:
             return "", still(text, folder)
     texts: list[str] = []
-    kept = json.dumps([without(one, DROPPED, texts) for one in whole], indent=1)
+    kept = json.dumps([without(document, DROPPED, texts) for document in whole], indent=1)
     return still(kept, folder), still("\n".join(texts), folder)
 
 
@@ -186,13 +186,13 @@ def run(words: list[str], folder: Path) -> tuple[str, str]:
     made = CliRunner().invoke(program, words)
     data, texts = split(made.stdout_bytes, "stdout", str(folder))
     parts = [f"exit {made.exit_code}", data]
-    told = [texts, still(made.stderr, str(folder))]
+    printed = [texts, still(made.stderr, str(folder))]
     for name, stamp in files_of(folder).items():
         if before.get(name) != stamp:
             data, texts = split((folder / name).read_bytes(), name, str(folder))
             parts.append(f"{name}: {data}")
-            told.append(f"{name}: {texts}")
-    return "\n".join(parts) + "\n", "\n".join(told) + "\n"
+            printed.append(f"{name}: {texts}")
+    return "\n".join(parts) + "\n", "\n".join(printed) + "\n"
 
 
 def prepare(folder: Path) -> None:
@@ -249,7 +249,7 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
 
 def _outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
     def is_chosen(name: str) -> bool:
-        return not chosen or any(one in name for one in chosen)
+        return not chosen or any(word in name for word in chosen)
 
     needed = {"plain", "folder"}
     with tempfile.TemporaryDirectory() as place:
@@ -269,8 +269,8 @@ def _outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
                     # Each byte of a report counts, as there are no times in it.
                     text = target.read_bytes().decode("utf-8", "surrogateescape")
                     yield f"stored {suffix}", "", text.replace(str(folder), "FOLDER")
-                told = CliRunner().invoke(program, ["report", "stored.json", "-v"]).stdout
-                yield "stored text", "", told
+                printed = CliRunner().invoke(program, ["report", "stored.json", "-v"]).stdout
+                yield "stored text", "", printed
                 yield "stored gates", *run(["report", "stored.json", "--fail-on", GATE], folder)
             for command in (*CLI_COMMANDS, "") if is_chosen("help") else ():
                 words = [command, "--help"] if command else ["--help"]

@@ -14,7 +14,7 @@ import pytest
 from tests.frozen import corpus_inputs, corpus_sums, record_sums, sums
 
 KEPT, CORPUS, RECORDS = (
-    json.loads(one.KEPT.read_text()) for one in (sums, corpus_sums, record_sums)
+    json.loads(module.KEPT.read_text()) for module in (sums, corpus_sums, record_sums)
 )
 
 
@@ -70,4 +70,4 @@ def test_codecs(task, same_libraries):
 
 def test_records(same_libraries):
     for name, *parts in record_sums.outcomes(["stored", "bad"]):
-        assert [corpus_sums.digest(one)[:12] for one in parts] == RECORDS["sums"][name], name
+        assert [corpus_sums.digest(part)[:12] for part in parts] == RECORDS["sums"][name], name

@@ -125,7 +125,7 @@ def _bytes(format: str, data: bytes, dice: random.Random) -> bytes:
     return bytes(result)
 
 
-def _replaced_one(pattern: bytes, data: bytes, new: list[bytes], dice: random.Random) -> bytes:
+def _replace_match(pattern: bytes, data: bytes, new: list[bytes], dice: random.Random) -> bytes:
     """One match of ``pattern`` replaced by one of ``new``."""
     found = list(re.finditer(pattern, data))
     if not found:
@@ -135,12 +135,12 @@ def _replaced_one(pattern: bytes, data: bytes, new: list[bytes], dice: random.Ra
 
 
 def _number(format: str, data: bytes, dice: random.Random) -> bytes:
-    return _replaced_one(rb"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?", data, NUMBERS, dice)
+    return _replace_match(rb"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?", data, NUMBERS, dice)
 
 
 def _word(format: str, data: bytes, dice: random.Random) -> bytes:
-    known = b"|".join(re.escape(word) for word in WORDS[format])
-    return _replaced_one(rb"(?<![^\s])(?:" + known + rb")(?![^\s])", data, WORDS[format], dice)
+    pattern = b"|".join(re.escape(word) for word in WORDS[format])
+    return _replace_match(rb"(?<![^\s])(?:" + pattern + rb")(?![^\s])", data, WORDS[format], dice)
 
 
 def _lines(format: str, data: bytes, dice: random.Random) -> bytes:
@@ -241,15 +241,15 @@ def _changed_package(data: bytes, dice: random.Random) -> bytes:
     members[name] = change("3mf", members[name], dice)
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as new:
-        for one, content in members.items():
-            new.writestr(zipfile.ZipInfo(one, (1980, 1, 1, 0, 0, 0)), content)
+        for member, content in members.items():
+            new.writestr(zipfile.ZipInfo(member, (1980, 1, 1, 0, 0, 0)), content)
     return file.getvalue()
 
 
 def _word_anywhere(format: str, data: bytes, dice: random.Random) -> bytes:
     """A word replaced by another, whatever stands around it."""
-    known = b"|".join(re.escape(word) for word in WORDS[format])
-    return _replaced_one(known, data, WORDS[format], dice)
+    pattern = b"|".join(re.escape(word) for word in WORDS[format])
+    return _replace_match(pattern, data, WORDS[format], dice)
 
 
 def _change_entry(content: Any, dice: random.Random) -> None:
@@ -279,7 +279,7 @@ def _change_entry(content: Any, dice: random.Random) -> None:
 
 def _packed(data: bytes, changes: int, dice: random.Random) -> bytes:
     """A changed file in gzip, or a file in changed gzip."""
-    format = next(one for one in ("ply", "obj", "stl", "glb") if data in seeds(one))
+    format = next(name for name in ("ply", "obj", "stl", "glb") if data in seeds(name))
     is_inside = dice.random() < 0.5
     for _ in range(changes * is_inside):
         data = change(format, data, dice)
@@ -325,7 +325,7 @@ def campaign(format: str, count: int, first: int = 0) -> tuple[Counter[str], flo
 def main(arguments: list[str]) -> None:
     """Run the mutants that were asked for, and print how many, how fast and what they ended in."""
     formats = arguments[:1] or FORMATS
-    count, first = (int(one) for one in (arguments[1:] + ["30000", "0"][len(arguments[1:]) :]))
+    count, first = (int(word) for word in (arguments[1:] + ["30000", "0"][len(arguments[1:]) :]))
     for format in formats:
         campaign(format, 50)  # kernels are compiled
         tally, seconds = campaign(format, count, first)

@@ -81,7 +81,7 @@ def test_mutants(format):
     assert len(tally) >= 4
 
 
-@pytest.mark.parametrize("format", [one for one in survival.FORMATS if one != "gz"])
+@pytest.mark.parametrize("format", [name for name in survival.FORMATS if name != "gz"])
 def test_mutants_through_the_whole_pipeline(format, tmp_path):
     """A typed failure or a whole output, and nothing else."""
     source, target = tmp_path / f"scan.{format}", tmp_path / "out" / f"scan.{format}"

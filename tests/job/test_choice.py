@@ -31,7 +31,7 @@ def mesh():
     return Mesh(noisy(vertices, 0, 0.05), faces)
 
 
-def settled_as(monkeypatch, mesh, name, given):
+def choose_as(monkeypatch, mesh, name, given):
     choice = selection.Choice(name, given, "because", "organic", estimate_noise(mesh))
     monkeypatch.setattr("msal_cli.job.choice.choose_method", lambda *ignored: choice)
     return automatic.choose(mesh, {}, lambda done, total: None)
@@ -50,7 +50,7 @@ def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mes
         values = method.validate(given)
     except UsageError:
         values = method.validate({})
-    words = settled_as(monkeypatch, mesh, name, values).known["choice"].repeat
+    words = choose_as(monkeypatch, mesh, name, values).known["choice"].repeat
     assert words[:2] == ("--method", name)
     assert set(words[2::2]) <= {"--set"}
     assert resolve_parameters(method, map(parse_assignment, words[3::2])) == values
@@ -58,7 +58,7 @@ def test_the_options_told_give_every_method_its_parameters_back(monkeypatch, mes
 
 def test_values_that_no_user_could_give_are_refused(monkeypatch, mesh):
     with pytest.raises(UsageError, match="K = 7"):
-        settled_as(monkeypatch, mesh, "msal", {"K": 7.0})
+        choose_as(monkeypatch, mesh, "msal", {"K": 7.0})
 
 
 def test_memory_is_set_aside_for_choosing(tmp_path):

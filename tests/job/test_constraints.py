@@ -39,7 +39,7 @@ def ply(vertices, faces, properties=(), kind="double", encoding="binary_little_e
     ]
     top = "\n".join(header).encode()
     if encoding == "ascii":
-        lines = [" ".join(f"{one:.9g}" for one in row) for row in columns]
+        lines = [" ".join(f"{number:.9g}" for number in row) for row in columns]
         lines += [f"3 {a} {b} {c}" for a, b, c in faces]
         return top + "\n".join(lines).encode() + b"\n"
     corners = np.zeros(len(faces), dtype=[("n", "u1"), ("f", "<i4", 3)])
@@ -123,9 +123,9 @@ def test_what_is_no_lock_is_refused(text):
     ],
 )
 def test_comparisons(text, expected):
-    one = constraints.parse_lock(text)
-    assert one.select(np.array([1.0, 2.0, 3.0])).tolist() == expected
-    assert constraints.parse_lock(str(one)) == one
+    lock = constraints.parse_lock(text)
+    assert lock.select(np.array([1.0, 2.0, 3.0])).tolist() == expected
+    assert constraints.parse_lock(str(lock)) == lock
 
 
 def test_a_single_precision_property_is_compared_in_single_precision():
@@ -144,7 +144,7 @@ def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
     free, _ = denoised(data, method=method)
     kept, record = denoised(data, method=method, max_move="0.05e")
     ways, free_ways = kept - vertices, free - vertices
-    lengths, free_lengths = (np.linalg.norm(one, axis=1) for one in (ways, free_ways))
+    lengths, free_lengths = (np.linalg.norm(moves, axis=1) for moves in (ways, free_ways))
     assert lengths.max() <= limit * (1 + 1e-12)
     # The record is what gates look at.
     assert record.displacement.max <= 0.05 * record.mean_edge_length
@@ -251,7 +251,7 @@ def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given)
         free = found.denoise(mesh, found.validate(given | {"schedule": "plain"}))
         assert np.abs(free.vertices - none.vertices).max() < 1e-13
     # Without the pull vertices go further.
-    ways = [distances(mesh.vertices, one.vertices).mean() for one in (none, plain)]
+    ways = [distances(mesh.vertices, result.vertices).mean() for result in (none, plain)]
     assert ways[0] > ways[1]
 
 
@@ -260,11 +260,11 @@ def test_trust_is_the_property_over_its_largest_value():
     quality = random().random(len(vertices)) * 255.0
     data = ply(vertices, faces, {"quality": quality})
     half = ply(vertices, faces, {"quality": 0.5 * quality})
-    one, _ = denoised(data, weights="quality")
-    other, _ = denoised(half, weights="quality")
+    whole, _ = denoised(data, weights="quality")
+    halved, _ = denoised(half, weights="quality")
     plain, _ = denoised(data)
-    assert np.array_equal(one, other)
-    assert not np.array_equal(one, plain)
+    assert np.array_equal(whole, halved)
+    assert not np.array_equal(whole, plain)
     negative = np.where(np.arange(len(vertices)) == 5, -3.0, quality)
     zero = np.where(np.arange(len(vertices)) == 5, 0.0, quality)
     assert np.array_equal(

@@ -1,4 +1,4 @@
-"""One file from start to end: bytes kept, records told, failures that leave nothing behind."""
+"""One file from start to end: bytes kept, records info, failures that leave nothing behind."""
 
 from __future__ import annotations
 
@@ -327,8 +327,8 @@ class TestLimits:
     @pytest.fixture
     def path(self, tmp_path):
         vertices, faces = torus()
-        lines = ["v {} {} {}".format(*one) for one in vertices]
-        lines += ["f {} {} {}".format(*one) for one in faces + 1]
+        lines = ["v {} {} {}".format(*row) for row in vertices]
+        lines += ["f {} {} {}".format(*row) for row in faces + 1]
         (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
         return tmp_path / "a.obj"
 
@@ -408,10 +408,10 @@ def test_a_mesh_that_is_inside_out_has_the_figures_of_the_other_side(tmp_path):
         "the surface is inside out: its normals point inwards (W_INSIDE_OUT)"
     )
     assert "W_INSIDE_OUT" not in plain.warning_codes
-    told = inspection.inspect_file(str(tmp_path / "a.ply"))
-    assert told.inside_out is True
-    assert told.warnings == ("the surface is inside out: its normals point inwards",)
-    assert told.volume == pytest.approx(2.0 * np.pi**2 * 3.0, rel=0.1)
+    info = inspection.inspect_file(str(tmp_path / "a.ply"))
+    assert info.inside_out is True
+    assert info.warnings == ("the surface is inside out: its normals point inwards",)
+    assert info.volume == pytest.approx(2.0 * np.pi**2 * 3.0, rel=0.1)
 
 
 def test_an_open_mesh_has_no_figures_of_volume(tmp_path):
@@ -420,9 +420,9 @@ def test_an_open_mesh_has_no_figures_of_volume(tmp_path):
     assert dataclasses.astuple(record.volume) == (
         None, None, None, None, False, "open (44 boundary edges)"
     )  # fmt: skip
-    told = inspection.inspect_file(str(tmp_path / "a.ply"))
-    assert (told.volume, told.volume_valid, told.inside_out) == (None, False, False)
-    assert told.volume_reason == "open (44 boundary edges)"
+    info = inspection.inspect_file(str(tmp_path / "a.ply"))
+    assert (info.volume, info.volume_valid, info.inside_out) == (None, False, False)
+    assert info.volume_reason == "open (44 boundary edges)"
 
 
 def test_a_mesh_that_collapses_has_a_warning_with_a_code(tmp_path):

@@ -90,12 +90,12 @@ def test_a_choice_goes_with_neither_method_nor_parameters(given, words):
 
 
 def test_formats_in_any_spelling():
-    known = (".ply", "obj")
-    assert parse_format("PLY", "--to", known) == "ply"
-    assert parse_format(".Obj", "--to", known) == "obj"
+    formats = (".ply", "obj")
+    assert parse_format("PLY", "--to", formats) == "ply"
+    assert parse_format(".Obj", "--to", formats) == "obj"
     for word, hint in (("plx", "did you mean ply?"), ("zzz", "known are: ply, obj")):
         with pytest.raises(UsageError, match=f"--to {word}: there is no such format") as caught:
-            parse_format(word, "--to", known)
+            parse_format(word, "--to", formats)
         assert caught.value.hint == hint
 
 

@@ -49,7 +49,7 @@ def build_program(calls: list[Call], target: Target, folder: Path) -> Path:
         body.append(f"int32_t {symbol}({', '.join(types)});")
         lines.append((number - 0.5, f"if ({symbol}({', '.join(words)})) return 1;"))
     body.append("int main(void) { char result[256]; void *failure = 0; memset(result, 0, 256);")
-    body += [one for _, one in sorted(lines, key=lambda one: one[0])]
+    body += [line for _, line in sorted(lines, key=lambda line: line[0])]
     source = folder / "program.c"
     source.write_text("\n".join([*body, "return 0; }"]))
     program = folder / "program.exe"
@@ -64,7 +64,10 @@ def native_output(calls: list[Call]) -> bytes:
     """What the program should write: all arrays after the same calls here."""
     written = []
     for name, arguments in calls:
-        own = [one.copy() if isinstance(one, np.ndarray) else one for one in arguments]
+        own = [
+            argument.copy() if isinstance(argument, np.ndarray) else argument
+            for argument in arguments
+        ]
         kernel_of(f"{name}()")(*own)
-        written += [one.tobytes() for one in own if isinstance(one, np.ndarray)]
+        written += [argument.tobytes() for argument in own if isinstance(argument, np.ndarray)]
     return b"".join(written)

@@ -22,7 +22,7 @@ def test_arrays_are_written_and_numbers_come_back(call):
     assert call(some.scaled_sum, values, result) == 30.0
     answer = call(some.described, np.zeros((4, 2)), 5, False)
     assert answer == (4, 2.5, True, 2)
-    assert [type(one) for one in answer] == [int, float, bool, int]
+    assert [type(number) for number in answer] == [int, float, bool, int]
 
 
 @pytest.mark.parametrize("step", [1, 2, -1])

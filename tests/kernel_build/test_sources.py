@@ -15,8 +15,8 @@ from tests.kernel_build import some_kernels as some
 
 
 def with_globals(kernel, **values):
-    known = {**kernel.function.__globals__, **values}
-    function = types.FunctionType(kernel.function.__code__, known, kernel.function.__name__)
+    names = {**kernel.function.__globals__, **values}
+    function = types.FunctionType(kernel.function.__code__, names, kernel.function.__name__)
     function.__module__ = kernel.function.__module__
     return Kernel(function)
 

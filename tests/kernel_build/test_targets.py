@@ -64,8 +64,8 @@ def test_the_wheel_of_every_system(name, tmp_path):
     pytest.importorskip("hatchling")
     wheel = release.build_wheel(name, tmp_path)
     assert not release.check_wheel(wheel, name)
-    others = [one for one in TARGETS if one != name]
-    assert all(release.check_wheel(wheel, one) for one in others)
+    others = [target for target in TARGETS if target != name]
+    assert all(release.check_wheel(wheel, target) for target in others)
 
 
 @pytest.mark.slow
@@ -85,7 +85,7 @@ def test_the_library_of_this_machine_is_for_it():
     data = library.LIBRARY.read_bytes()
     wrong = binaries.faults(data, native_target())
     # A system's compiler may ask for the system's own libc.
-    assert not [one for one in wrong if "GLIBC" not in one]
+    assert not [fault for fault in wrong if "GLIBC" not in fault]
     for name in TARGETS:
         if name.partition("-")[2] != native_target().partition("-")[2]:
             assert binaries.faults(data, name)

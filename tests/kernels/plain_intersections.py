@@ -55,15 +55,15 @@ def meets(p, q, triangle):
         return sides[0] * sides[1] <= 0 and not {1, -1} <= around
     normal = [abs(x) for x in cross(minus(b, a), minus(c, a))]
     kept = [k for k in range(3) if k != normal.index(max(normal))]
-    p, q, a, b, c = ([one[k] for k in kept] for one in (p, q, a, b, c))
+    p, q, a, b, c = ([point[k] for k in kept] for point in (p, q, a, b, c))
     edges = (a, b), (b, c), (c, a)
     is_inside = not {1, -1} <= {in_plane(*edge, p) for edge in edges}
     return is_inside or any(segments_meet(p, q, *edge) for edge in edges)
 
 
 def intersect(points, first, second):
-    shared = [one for one in first if one in second]
-    one, other = [points[k] for k in first], [points[k] for k in second]
+    shared = [corner for corner in first if corner in second]
+    triangle, other = [points[k] for k in first], [points[k] for k in second]
     if len(shared) == 3:
         return True
     if len(shared) == 2:
@@ -76,8 +76,8 @@ def intersect(points, first, second):
         across, beyond = (
             [points[k] for k in corners if k not in shared] for corners in (first, second)
         )
-        return meets(*across, other) or meets(*beyond, one)
-    pairs = ((one, other), (other, one))
+        return meets(*across, other) or meets(*beyond, triangle)
+    pairs = ((triangle, other), (other, triangle))
     return any(meets(s[k - 1], s[k], t) for s, t in pairs for k in range(3))
 
 

@@ -129,12 +129,12 @@ def test_threads_that_start_together_load_once(kernel, monkeypatch):
     monkeypatch.setattr(library, "load", lambda *given: loaded.append(given) or real(*given))
     counts = [np.zeros(1 << 16, dtype=np.int64) for _ in range(8)]
     bits = np.zeros(3, dtype=np.uint64)
-    threads = [threading.Thread(target=kernel, args=(bits, one)) for one in counts]
+    threads = [threading.Thread(target=kernel, args=(bits, counter)) for counter in counts]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(loaded) == 1 and [one.sum() for one in counts] == [3] * 8
+    assert len(loaded) == 1 and [counter.sum() for counter in counts] == [3] * 8
 
 
 _REFUSE_CODE_IN_DATA = """

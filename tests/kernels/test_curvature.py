@@ -43,7 +43,7 @@ def test_obtuse_and_acute_areas_by_hand():
     # Of an acute triangle the part that is nearest to each corner, counted on a fine raster.
     acute = np.array([[0.0, 0, 0], [1.0, 0, 0], [0.4, 0.8, 0]])
     side = (np.arange(1500) + 0.5) / 1500
-    s, t = (one.reshape(-1) for one in np.meshgrid(side, side))
+    s, t = (axis.reshape(-1) for axis in np.meshgrid(side, side))
     inside = s + t < 1
     points = np.outer(s, acute[1] - acute[0]) + np.outer(t, acute[2] - acute[0])
     nearest = np.linalg.norm(points[inside, None] - acute, axis=2).argmin(axis=1)

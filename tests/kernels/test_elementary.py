@@ -43,7 +43,7 @@ def test_very_small_arguments_are_held():
 
 
 def powers(exponents):
-    return np.array([power_of_two(float(one)) for one in exponents])
+    return np.array([power_of_two(float(exponent)) for exponent in exponents])
 
 
 def test_whole_powers_of_two_are_exact():

@@ -36,9 +36,9 @@ def soup(random, make):
     vertices = np.unique(make(random, int(random.integers(5, 10))), axis=0)
     n = len(vertices)
     triples = (random.choice(n, 3, replace=False) for _ in range(14)) if n > 2 else ()
-    faces = {frozenset(map(int, one)): one for one in triples}
+    faces = {frozenset(map(int, triple)): triple for triple in triples}
     points = plain.exact(vertices)
-    return vertices, [one for one in faces.values() if plain.has_area(points, one)]
+    return vertices, [face for face in faces.values() if plain.has_area(points, face)]
 
 
 @pytest.mark.parametrize("name", POSITIONS)
@@ -134,7 +134,7 @@ def test_signs_are_exact_where_rounding_is_larger(scale):
     expected = [plain.in_space(*rows) for rows in zip(*map(plain.exact, (a, b, c, d)), strict=True)]
     assert signs.tolist() == expected
     assert {-1, 1} <= set(expected)
-    p, q, r = (one[:, :2] for one in (a, b, a + shares[:, :1] * (b - a)))
+    p, q, r = (points[:, :2] for points in (a, b, a + shares[:, :1] * (b - a)))
     expected = [plain.in_plane(*rows) for rows in zip(*map(plain.exact, (p, q, r)), strict=True)]
     assert plane_signs(p, q, r).tolist() == expected
     assert {-1, 1} <= set(expected)

@@ -90,8 +90,8 @@ def test_one_pass_is_the_two_passes(kind, of):
     made, x = operator(kind, of)
     heights = made(x).move
     offsets = np.linspace(-1.0, 1.0, len(x))
-    told, moved = offsets.copy(), np.empty_like(x)
-    made.advance(x, x, told, 0.5, 0.25, moved)
+    heights_after, moved = offsets.copy(), np.empty_like(x)
+    made.advance(x, x, heights_after, 0.5, 0.25, moved)
     t = offsets + 0.5 * heights - 0.25 * offsets
-    assert (told == t).all()
+    assert (heights_after == t).all()
     assert (moved == x + t[:, None] * made.normals).all()

@@ -89,7 +89,7 @@ def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed)
     assert (clusters(values[order], count) == found[order]).all()
     present = np.unique(found)
     assert set(present) <= set(range(count))
-    means = np.array([values[found == one].mean() for one in present])
+    means = np.array([values[found == label].mean() for label in present])
     assert (np.diff(means) > 0).all()
     own = means[np.searchsorted(present, found)]
     nearest = np.abs(values[:, None] - means).min(axis=1)

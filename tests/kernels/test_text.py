@@ -168,7 +168,7 @@ def is_between_two_singles(word: str) -> bool:
     single = np.float32(word)
     with np.errstate(over="ignore"):
         neighbours = [np.nextafter(single, np.float32(way)) for way in (-np.inf, np.inf)]
-    return any((float(single) + float(one)) / 2 == float(word) for one in neighbours)
+    return any((float(single) + float(neighbour)) / 2 == float(word) for neighbour in neighbours)
 
 
 def digits_that_any_reader_takes(single: np.float32) -> int:

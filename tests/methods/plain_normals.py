@@ -173,7 +173,7 @@ def global_filter(
     v, faces, widths=(1.0, 0.35), fidelity=0.01, vertex_passes=10, kind="vertex", fixed=True
 ):
     """The same by one solve; also the least length of a solution before it is normalised."""
-    n, *known = _prepare(v, faces, widths, kind)
-    solution = np.linalg.solve(global_matrix(n, *known, fidelity), fidelity * n)
+    n, *prepared = _prepare(v, faces, widths, kind)
+    solution = np.linalg.solve(global_matrix(n, *prepared, fidelity), fidelity * n)
     out = moved(v, unit(solution), faces, inner(v, faces, fixed), vertex_passes)
     return out, np.linalg.norm(solution, axis=1).min()

@@ -86,8 +86,8 @@ def returned(t, rings, noise: float, caution: float, bands: int) -> np.ndarray:
             if power > 0:
                 guess[i] += max(0, 1 - 1.4 * caution * share * noise**2 / power) * part[i]
     result = np.zeros(len(t))
-    for part, known, share in zip(cut(t), cut(guess), shares, strict=True):
-        for i, power in enumerate(around(known**2, 3)):
+    for part, signal, share in zip(cut(t), cut(guess), shares, strict=True):
+        for i, power in enumerate(around(signal**2, 3)):
             if power > 0 and t[i] != 0:
                 result[i] += power / (power + 0.4 * caution * share * noise**2) * part[i]
     return result

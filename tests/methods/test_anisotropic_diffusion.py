@@ -122,8 +122,8 @@ def test_edges_of_a_noisy_box_stay_and_sides_get_flat(variant):
     side = np.abs(clean.vertices[:, 0] - 5) < 1e-9
     middle = side & ~edge
 
-    def distance(one, which):
-        return np.linalg.norm(one - clean.vertices, axis=1)[which].mean()
+    def distance(positions, which):
+        return np.linalg.norm(positions - clean.vertices, axis=1)[which].mean()
 
     assert distance(kept, edge) < 0.7 * distance(isotropic, edge)
     assert kept[middle, 0].std() < 0.4 * mesh.vertices[middle, 0].std()

@@ -26,8 +26,8 @@ def twin(mesh, iterations, sparsity, regularity, free):
 
     def normals(e):
         p1, p2, p3, p4 = mesh.vertices[corners[e]]
-        one, two = np.cross(p2 - p1, p3 - p1), np.cross(p3 - p1, p4 - p1)
-        return one / np.linalg.norm(one), two / np.linalg.norm(two)
+        first, second = np.cross(p2 - p1, p3 - p1), np.cross(p3 - p1, p4 - p1)
+        return first / np.linalg.norm(first), second / np.linalg.norm(second)
 
     angles = [np.arccos(np.clip(np.dot(*normals(e)), -1, 1)) for e in range(len(corners))]
     gamma = np.mean(angles)

@@ -63,14 +63,14 @@ def test_scans_know_their_true_normals(scanner, monkeypatch):
     vertices, faces, true_vertices, truth = draw_scan(mesh, draw(3))
     assert vertices.shape == true_vertices.shape
     assert truth.shape == faces.shape
-    known = truth.any(axis=1)
-    assert known.mean() > 0.8
+    has_truth = truth.any(axis=1)
+    assert has_truth.mean() > 0.8
     # The normals of a torus point away from its middle circle, of radius 3.
-    centres = true_vertices[faces[known]].mean(axis=1)
+    centres = true_vertices[faces[has_truth]].mean(axis=1)
     around = centres * [1, 1, 0]
     away = centres - 3.0 * around / np.linalg.norm(around, axis=1)[:, None]
     away /= np.linalg.norm(away, axis=1)[:, None]
-    assert np.median(np.einsum("ij,ij->i", truth[known], away)) > 0.97
+    assert np.median(np.einsum("ij,ij->i", truth[has_truth], away)) > 0.97
 
 
 def test_the_noise_that_is_given_is_nearly_right_or_missing():
@@ -79,10 +79,10 @@ def test_the_noise_that_is_given_is_nearly_right_or_missing():
     heights = 0.2 * mesh.mean_edge_length * draw(1).standard_normal(len(normals))
     noisy = mesh.with_vertices(mesh.vertices + heights[:, None] * normals)
     given = [draw_estimate(noisy, mesh.vertices, draw(seed)) for seed in range(60)]
-    known = [one for one in given if one is not None]
-    assert 10 < len(given) - len(known) < 35
-    assert 0.16 < np.median(known) < 0.22
-    assert max(known) < 0.35
+    levels = [level for level in given if level is not None]
+    assert 10 < len(given) - len(levels) < 35
+    assert 0.16 < np.median(levels) < 0.22
+    assert max(levels) < 0.35
     of_clean = [draw_estimate(mesh, mesh.vertices, draw(seed)) or 0.0 for seed in range(30)]
     assert 0.0 < max(of_clean) < 0.06
 
@@ -96,7 +96,7 @@ def test_samples_have_targets_along_the_axes_of_their_inputs(samples):
     assert weights.mean() == pytest.approx(1.0, abs=1e-5)
     filtered = inputs[:, 3 * WIDE_FILTERED : 3 * WIDE_FILTERED + 3]
     assert np.median(np.einsum("ij,ij->i", filtered, targets)) > 0.9
-    assert len({one.weight for one in meshes}) > 1
+    assert len({mesh.weight for mesh in meshes}) > 1
 
 
 def test_gradients_are_those_of_the_loss():
@@ -143,11 +143,11 @@ def test_training_lowers_the_error_and_repeats_bit_for_bit(samples, monkeypatch)
 
     network, losses = train()
     assert losses[-1] < 0.9 * losses[0]
-    for one, other in zip(network.layers, train()[0].layers, strict=True):
-        assert (one[0] == other[0]).all()
-        assert (one[1] == other[1]).all()
+    for layer, same in zip(network.layers, train()[0].layers, strict=True):
+        assert (layer[0] == same[0]).all()
+        assert (layer[1] == same[1]).all()
     # What was trained on standardised inputs is what the kernel gives for raw ones.
-    before = np.mean([one.mean_angle(one.cascade.scanned) for one in meshes])
-    for one in meshes:
-        one.advance(network)
-    assert np.mean([one.mean_angle(one.earlier) for one in meshes]) < before
+    before = np.mean([mesh.mean_angle(mesh.cascade.scanned) for mesh in meshes])
+    for mesh in meshes:
+        mesh.advance(network)
+    assert np.mean([mesh.mean_angle(mesh.earlier) for mesh in meshes]) < before
