@@ -61,7 +61,17 @@ def frame_vertices(axes: Floats, vertices: Floats) -> Camera:
     )
 
 
-VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
+_ANGLES = {
+    "front": (0.0, 0.0),
+    "back": (180.0, 0.0),
+    "left": (-90.0, 0.0),
+    "right": (90.0, 0.0),
+    "top": (0.0, 90.0),
+    "bottom": (0.0, -90.0),
+}
+"""Degrees round to the right and up from the front."""
+
+VIEWS = ("auto", *_ANGLES)
 
 
 def choose_camera(
@@ -88,29 +98,19 @@ def choose_camera(
     also : (k, 3) other points to be shown, such as the same mesh before.
     """
     stance = _with_up(_stance(vertices, faces), up)
-    turn, tilt = _ANGLES.get(view, (stance.turn_deg, stance.tilt_deg))
     if view == "auto":
         # What is given replaces the guess; it is added to a named view.
-        turn = 0.0 if turn_deg is not None else turn
-        tilt = 0.0 if tilt_deg is not None else tilt
+        turn = stance.turn_deg if turn_deg is None else turn_deg
+        tilt = stance.tilt_deg if tilt_deg is None else tilt_deg
+    else:
+        turn, tilt = _ANGLES[view]
+        turn, tilt = turn + (turn_deg or 0.0), tilt + (tilt_deg or 0.0)
     is_used = np.zeros(len(vertices), dtype=bool)
     is_used[faces.reshape(-1)] = True
     points = vertices[is_used]
     if also is not None:
         points = np.concatenate([points, also])
-    turn, tilt = turn + (turn_deg or 0.0), tilt + (tilt_deg or 0.0)
     return frame_vertices(rotate(stance.front, stance.up, turn, tilt), points)
-
-
-# Degrees round to the right and up from the front.
-_ANGLES = {
-    "front": (0.0, 0.0),
-    "back": (180.0, 0.0),
-    "right": (90.0, 0.0),
-    "left": (-90.0, 0.0),
-    "top": (0.0, 90.0),
-    "bottom": (0.0, -90.0),
-}
 
 
 def rotate(front: Floats, up: Floats, turn_deg: float, tilt_deg: float) -> Floats:

@@ -63,13 +63,11 @@ def draw_panels(
     n_rows = -(-len(panels) // columns)
     width = max(image.shape[1] for image, _, _ in panels)
     height = max(image.shape[0] for image, _, _ in panels)
-    words = _Words.for_width(width)
-    n_lines = max(len(lines) for _, _, lines in panels)
-    below = n_lines * words.line_height
+    words = _Words(width)
+    below = max(len(lines) for _, _, lines in panels) * words.line_height
     if legend is not None:
-        lines_of_last = len(panels[-1][2])
-        scale = len(legend.lines) * words.line_height + words.scale_height
-        below = max(below, lines_of_last * words.line_height + scale)
+        n_lines = len(panels[-1][2]) + len(legend.lines)
+        below = max(below, n_lines * words.line_height + words.scale_height)
     cell = (width, words.title_height + height + words.gap // 2 + below)
     foot = len(footer) * words.line_height + (words.gap if footer else 0)
     whole = (
@@ -99,35 +97,18 @@ def draw_panels(
     return np.asarray(sheet)
 
 
-@dataclass(frozen=True)
 class _Words:
     """Sizes in pixels of what surrounds panels of a certain width."""
 
-    text: int
-    title: int
-    margin: int
-    gap: int
-
-    @classmethod
-    def for_width(cls, width: int) -> _Words:
+    def __init__(self, width: int) -> None:
         text = min(22, max(10, round(width / 28)))
-        return cls(text, round(1.2 * text), text, round(1.25 * text))
-
-    @property
-    def line_height(self) -> int:
-        return round(1.4 * self.text)
-
-    @property
-    def title_height(self) -> int:
-        return round(1.6 * self.title)
-
-    @property
-    def bar_height(self) -> int:
-        return round(0.9 * self.text)
-
-    @property
-    def scale_height(self) -> int:
-        return self.gap // 2 + 2 * self.line_height + self.bar_height + self.text
+        self.text = self.margin = text
+        self.title = round(1.2 * text)
+        self.gap = round(1.25 * text)
+        self.line_height = round(1.4 * text)
+        self.title_height = round(1.6 * self.title)
+        self.bar_height = round(0.9 * text)
+        self.scale_height = self.gap // 2 + 2 * self.line_height + self.bar_height + text
 
     def write(
         self,
@@ -204,14 +185,9 @@ def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeF
         _escape(character) if unicodedata.category(character) in _UNSAFE_CATEGORIES else character
         for character in text[-max_length:]
     )
-    font = _font("", size)
-    for name in ("", *_OTHER_FONTS):
-        other = _font_or_none(name, size)
-        if other is not None and all(_has(name, size, character) for character in set(plain)):
-            font = other
-            break
-    else:
-        plain = "".join(c if _has("", size, c) else _escape(c) for c in plain)
+    fonts = [font for name in ("", *_OTHER_FONTS) if (font := _load_font(name, size))]
+    font = next((font for font in fonts if all(_has(font, c) for c in set(plain))), fonts[0])
+    plain = "".join(c if _has(font, c) else _escape(c) for c in plain)
     if len(text) <= max_length and font.getlength(plain) <= width:
         return plain, font
     tail = plain[-max_length:]
@@ -230,7 +206,7 @@ def _escape(character: str) -> str:
 
 
 @functools.cache
-def _font_or_none(name: str, size: int) -> ImageFont.FreeTypeFont | None:
+def _load_font(name: str, size: int) -> ImageFont.FreeTypeFont | None:
     """A font by its file name, the built-in one for no name; None where it is not there."""
     from PIL import ImageFont
 
@@ -247,16 +223,9 @@ def _font_or_none(name: str, size: int) -> ImageFont.FreeTypeFont | None:
     return font.font_variant(layout_engine=plain)
 
 
-def _font(name: str, size: int) -> ImageFont.FreeTypeFont:
-    font = _font_or_none(name, size)
-    assert font is not None
-    return font
-
-
 @functools.cache
-def _has(name: str, size: int, character: str) -> bool:
+def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
     """Whether a font has a shape for a character."""
-    font = _font(name, size)
     return character == " " or bytes(font.getmask(character)) != bytes(font.getmask(_NO_CHARACTER))
 
 

@@ -194,7 +194,8 @@ def draw_picture(scene: Scene, view: View) -> Image:
     lines_of_scale = ("Above the scale: file units; below: mean edge lengths (e)", ends)
     legend = scale.legend(lines_of_scale, edge)
     picture = panel(scene.after, camera, view, scale.paint(scene.deviation))
-    lines = [_move(scene, edge), *(["Blue: inwards, orange: outwards"] if scene.is_signed else [])]
+    lines = [_move(scene, scene.deviation, edge)]
+    lines += ["Blue: inwards, orange: outwards"] if scene.is_signed else []
     panels.append((picture, deviation_name(scene), lines))
     return draw_panels(panels, legend, style=style)
 
@@ -292,12 +293,11 @@ def _changes(record: ComparisonRecord) -> list[str]:
     return list(filter(None, lines))
 
 
-def _move(scene: Scene, edge: float) -> str:
-    record = scene.record
+def _move(scene: Scene, deviation: Floats, edge: float) -> str:
+    moved = scene.record.displacement if scene.record is not None else None
     if not has_moved(scene):
         return NOTHING_MOVED
-    if record is not None and record.displacement is not None:
-        moved = record.displacement
+    if moved is not None:
         return f"Moved by {moved.mean_edges:.3g} e (mean), {moved.max_edges:.3g} e (max)"
-    sizes = abs(scene.deviation) / edge if scene.deviation is not None else None
-    return "" if sizes is None else f"{sizes.mean():.3g} e (mean), {sizes.max():.3g} e (max)"
+    sizes = abs(deviation) / edge
+    return f"{sizes.mean():.3g} e (mean), {sizes.max():.3g} e (max)"

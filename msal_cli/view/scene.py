@@ -33,10 +33,6 @@ STEPS_PER_EDGE = 256
 _MAX_STEPS = (1 << 22) - 1
 """Steps along the longest side: what float32 holds exactly, with room for sums."""
 
-_CLIPPED = 0.002
-"""Share of the deviations that lie beyond the colour scale, so that one stray vertex does not
-make all others look alike."""
-
 _DEVIATION_STEPS = 65535
 
 
@@ -83,8 +79,8 @@ def encode_scene(
         are coarsened as one, and share their faces on the page.
     deviation : (n,) one number in file units for each vertex of ``after`` (of ``before`` if that is
         all there is); not-a-number where there is none.
-    ends : of the colour scale; two of opposite sign get the diverging map.  None asks
-        the numbers.
+    ends : of the colour scale, file units; two of opposite sign get the diverging map. None is
+        for meshes without a deviation.
     view : (3, 3) rotation from the model to right, up, towards the eye, at the start.
     colours : (n, 3) of the vertices of each mesh, None or left out where it has none.
     max_faces : beyond this a mesh is coarsened.
@@ -96,64 +92,44 @@ def encode_scene(
     )
     first = coarsen(before.vertices, before.faces, max_faces)
     low, step = _grid(before, after, Mesh(before.vertices[first.kept], first.faces))
-    kept, faces, ticks, planes = _mesh_planes(before, first, low, step)
-    meshes: list[dict[str, int | bool]] = [{"vertices": len(kept), "faces": len(faces)}]
-    painted = [_kept_colours(colours, 0, kept)]
-    drawn_after = None
+    drawn = [(before, first)]
+    if after is not None and not shares:
+        drawn.append((after, coarsen(after.vertices, after.faces, max_faces)))
+    entries: list[dict[str, int | bool]] = []
+    planes: list[bytes] = []
+    selections = []
+    for mesh, coarse in drawn:
+        order, faces = _order(mesh.vertices[coarse.kept], coarse.faces)
+        kept = coarse.kept[order]
+        ticks = _ticks(mesh.vertices[kept], low, step)
+        planes += _index_planes(faces) + _planes(_zigzag(_residuals(ticks, faces)), 3)
+        entries.append({"vertices": len(kept), "faces": len(faces)})
+        selections.append(kept)
     if after is not None and shares:
         moved = _ticks(after.vertices[kept], low, step)
         planes += _planes(_zigzag(moved - ticks), 3)
-        meshes.append({**meshes[0], "moved": True})
-        painted.append(_kept_colours(colours, 1, kept))
-        drawn_after = len(faces)
-    elif after is not None:
-        second = coarsen(after.vertices, after.faces, max_faces)
-        kept, faces_after, _, planes_after = _mesh_planes(after, second, low, step)
-        planes += planes_after
-        drawn_after = len(faces_after)
-        meshes.append({"vertices": len(kept), "faces": drawn_after})
-        painted.append(_kept_colours(colours, 1, kept))
-    header: dict[str, object] = {"meshes": meshes, "step": step}
+        entries.append({**entries[0], "moved": True})
+        selections.append(kept)
+    header: dict[str, object] = {"meshes": entries, "step": step}
     if view is not None:
         header["view"] = [round(float(x), 6) for x in np.asarray(view).reshape(-1)]
     if deviation is not None:
-        scale, plane = _deviation(deviation, kept, ends)
-        header["deviation"] = scale
+        header["deviation"], plane = _deviation(deviation, kept, ends or (-1.0, 1.0))
         planes += plane
-    for mesh, own in zip(meshes, painted, strict=True):
+    for entry, own, kept in zip(entries, colours, selections, strict=False):
         if own is not None:
-            mesh["painted"] = True
-            planes += _planes(own.astype(np.int64), 1)
+            entry["painted"] = True
+            planes += _planes(own[kept].astype(np.int64), 1)
     head = json.dumps(header, separators=(",", ":")).encode()
     packed = zlib.compress(struct.pack("<I", len(head)) + head + b"".join(planes), 9)
     return EncodedScene(
         text=base64.b64encode(packed).decode("ascii"),
         faces=len(before.faces),
-        drawn_faces=len(faces),
+        drawn_faces=int(entries[0]["faces"]),
         after_faces=None if after is None else len(after.faces),
-        drawn_after_faces=drawn_after,
+        drawn_after_faces=None if after is None else int(entries[1]["faces"]),
         rounding=step / 2,
     )
-
-
-def _kept_colours(
-    colours: Sequence[NDArray[np.uint8] | None], at: int, kept: Longs
-) -> NDArray[np.uint8] | None:
-    """The colours (k, 3) of the vertices of mesh ``at`` that are drawn."""
-    own = colours[at] if at < len(colours) else None
-    return None if own is None else own[kept]
-
-
-def _mesh_planes(
-    mesh: Mesh, coarse: Coarse, low: Floats, step: float
-) -> tuple[Longs, Ints, Longs, list[bytes]]:
-    """The vertices that are drawn, in their order, the faces between them (m, 3), the vertices'
-    steps on the grid (n, 3), and the bytes of all."""
-    order, faces = _order(mesh.vertices[coarse.kept], coarse.faces)
-    kept = coarse.kept[order]
-    ticks = _ticks(mesh.vertices[kept], low, step)
-    planes = _index_planes(faces) + _planes(_zigzag(_residuals(ticks, faces)), 3)
-    return kept, faces, ticks, planes
 
 
 def _grid(before: Mesh, after: Mesh | None, drawn: Mesh) -> tuple[Floats, float]:
@@ -238,29 +214,24 @@ def _planes(numbers: Longs, count: int) -> list[bytes]:
 
 
 def _deviation(
-    deviation: Floats, kept: Longs, ends: tuple[float, float] | None
+    values: Floats, kept: Longs, ends: tuple[float, float]
 ) -> tuple[dict[str, object], list[bytes]]:
     """The colour scale of the deviations, and the kept ones in 65,535 steps over their range."""
-    values = np.asarray(deviation, dtype=np.float64)
-    known = values[np.isfinite(values)]
-    if not len(known):
-        known = np.zeros(1)
-    least, most = float(known.min()), float(known.max())
-    if ends is None:
-        far = float(np.quantile(np.abs(known), 1.0 - _CLIPPED)) or max(abs(least), abs(most)) or 1.0
-        ends = (-far if least < 0 else 0.0, far)
-    low, high = ends
-    name = "diverging" if low < 0 else "sequential"
+    is_finite = np.isfinite(values)
+    finite = values[is_finite] if is_finite.any() else np.zeros(1)
+    least, most = float(finite.min()), float(finite.max())
     span = (most - least) or 1.0
-    steps = np.where(np.isfinite(values), values, 0.0)[kept]
+    steps = np.where(is_finite, values, 0.0)[kept]
     steps = np.rint((np.clip(steps, least, most) - least) / span * _DEVIATION_STEPS)
+    low, high = ends
+    colours = colour_table("diverging" if low < 0 else "sequential")
     scale: dict[str, object] = {
         "least": least,
         "most": most,
         "span": span,
         "low": low,
         "high": high if high > low else low + 1.0,
-        "colours": base64.b64encode(colour_table(name).tobytes()).decode("ascii"),
+        "colours": base64.b64encode(colours.tobytes()).decode("ascii"),
     }
     return scale, _planes(steps.astype(np.int64), 2)
 

@@ -38,25 +38,23 @@ DARK = Style(
     faint=(158, 164, 174),
 )
 
-# Ambient light, light at edges, gloss, its sharpness; then the lamps, each with the direction
-# towards it (right, up, towards the eye), its strength and how far it reaches round.
-_SURFACE = (0.12, 0.14, 0.08, 24.0)
 _LAMPS = (
     ((-0.56, 0.60, 0.57), 1.00, 0.20),
     ((0.85, -0.05, 0.45), 0.26, 0.40),
     ((0.10, -0.90, 0.30), 0.14, 0.50),
 )
-# Colours that mean numbers keep their tone: more light from everywhere, no gloss.
-_SURFACE_OF_MAPS = (0.56, 0.0, 0.0, 1.0)
-_LAMPS_OF_MAPS = (((-0.55, 0.58, 0.60), 0.58, 0.30),)
-
-# Colours of the file are lit as clay is, with less gloss and more light from everywhere, because
-# they may be dark.
-_SURFACE_OF_PAINT = (0.24, 0.05, 0.02, 24.0)
-_LAMPS_OF_PAINT = tuple((towards, 0.72 * strength, reach) for towards, strength, reach in _LAMPS)
+# Ambient light, light at edges, gloss, its sharpness; then the lamps, each with the direction
+# towards it (right, up, towards the eye), its strength and how far it reaches round.
 _LIGHTS = {
-    "map": (_SURFACE_OF_MAPS, _LAMPS_OF_MAPS),
-    "paint": (_SURFACE_OF_PAINT, _LAMPS_OF_PAINT),
+    "clay": ((0.12, 0.14, 0.08, 24.0), _LAMPS),
+    # Colours that mean numbers keep their tone: more light from everywhere, no gloss.
+    "map": ((0.56, 0.0, 0.0, 1.0), (((-0.55, 0.58, 0.60), 0.58, 0.30),)),
+    # Colours of the file are lit as clay is, with less gloss and more light from everywhere,
+    # because they may be dark.
+    "paint": (
+        (0.24, 0.05, 0.02, 24.0),
+        tuple((towards, 0.72 * strength, reach) for towards, strength, reach in _LAMPS),
+    ),
 }
 
 CREASE_DEG = 80.0
@@ -106,10 +104,13 @@ def shade(
     if colours is None:
         if _is_inside_out(vertices, faces):
             clay, inside = inside, clay
-        paint, lights = clay[None, :], _lights(_SURFACE, _LAMPS)
+        paint, colours_are = clay[None, :], "clay"
     else:
         paint = np.ascontiguousarray(colours, dtype=np.float32)
-        lights = _lights(*_LIGHTS[colours_are])
+    surface, lamps = _LIGHTS[colours_are]
+    rows = [(*surface, 0.0)]
+    for direction, strength, reach in lamps:
+        rows.append((*np.array(direction) / np.linalg.norm(direction), strength, reach))
     seen = camera.seen(vertices)
     normals = z_buffer.corner_normals(seen, faces, float(np.radians(crease_deg)))
     scale = SAMPLES * camera.pixels_per_unit(width, height)
@@ -119,27 +120,17 @@ def shade(
     points[:, 2] = seen[:, 2] * scale
     nearness, front = z_buffer.nearest_faces(points, faces, SAMPLES * height, SAMPLES * width)
     sums, depth = z_buffer.light_samples(
-        SAMPLES, points, faces, nearness, front, normals, paint, inside, lights
+        SAMPLES, points, faces, nearness, front, normals, paint, inside, np.array(rows)
     )
     # Colours 0 to 255 times the share of each pixel that shows the mesh, and that share.
     lit, covered = sums[..., :3], sums[..., 3]
     open_sky = _open_sky(depth / np.float32(SAMPLES), covered)
-    if colours is not None and colours_are == "map":
+    if colours_are == "map":
         open_sky = 0.5 + 0.5 * open_sky
     behind = np.array(style.background, dtype=np.float32) * (1.0 - covered[..., None])
     image = np.rint(lit * open_sky[..., None] + behind)
     result: Image = image.clip(0, 255).astype(np.uint8)
     return result
-
-
-def _lights(
-    surface: tuple[float, ...], lamps: tuple[tuple[tuple[float, ...], float, float], ...]
-) -> Floats:
-    rows = [(*surface, 0.0)]
-    for direction, strength, reach in lamps:
-        unit = np.array(direction) / np.linalg.norm(direction)
-        rows.append((*unit, strength, reach))
-    return np.array(rows)
 
 
 def _is_inside_out(vertices: Floats, faces: Ints) -> bool:
@@ -172,13 +163,13 @@ def _open_sky(depth: Floats32, covered: Floats32) -> Floats32:
         for k in range(_DIRECTIONS):
             angle = np.pi * k / _DIRECTIONS
             across, down = round(radius * np.cos(angle)), round(radius * np.sin(angle))
-            one, other = (
+            near, far = (
                 (slice(radius + y, radius + y + height), slice(radius + x, radius + x + width))
                 for y, x in ((down, across), (-down, -across))
             )
-            before: Floats32 = np.float32(0.5) * (around[one] + around[other]) - depth
+            before: Floats32 = np.float32(0.5) * (around[near] + around[far]) - depth
             counted = np.clip(before - np.float32(_UNNOTICED * radius), 0.0, radius)
-            hidden += counted * (is_there[one] & is_there[other])
+            hidden += counted * (is_there[near] & is_there[far])
         # A few lines alone would leave copies of every outline.
         soft = max(1, radius // 4)
         seen = np.maximum(_blur(inside, soft), np.float32(1e-6))
