@@ -5,16 +5,13 @@ from __future__ import annotations
 import re
 import sys
 
-import numpy as np
 import pytest
 
 from benchmarks import (
     auto_seconds,
     batch,
-    contest,
     large_file,
     measured,
-    scans,
     small_file,
     stages,
 )
@@ -38,24 +35,6 @@ def test_a_run_is_measured():
     failed = measured.run([sys.executable, "-c", "raise OSError('no')"], is_pinned=False)
     assert failed.fault == "exit status 1: OSError: no"
     assert "nonsuch" in measured.run(["nonsuch"], is_pinned=False).fault
-
-
-def test_outputs_are_compared_with_inputs(tmp_path):
-    made = scans.scan("torus", 12, 8, 0.1, seed=0)
-    source = scans.file_of(tmp_path, "scan", "ply", lambda: made)
-    half = scans.Scan(made.vertices, made.faces[::2])
-    shifted = scans.Scan(made.vertices + np.float32(0.01), made.faces)
-    words = []
-    for n, scan in enumerate((made, half, shifted)):
-        words.append(
-            contest.compared(source, scans.file_of(tmp_path, f"{n}", "ply", lambda scan=scan: scan))
-        )
-    (tmp_path / "not.ply").write_bytes(b"nothing")
-    words.append(contest.compared(source, tmp_path / "not.ply"))
-    assert words[0] == "moved 0.000"
-    assert words[1] == "96 faces"
-    assert words[2] not in words[:2] and words[2].startswith("moved 0.0")
-    assert words[3].startswith("not a mesh")
 
 
 ONE_RUN = ["--repeats", "1", "--folder", "."]

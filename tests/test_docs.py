@@ -151,14 +151,6 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert there.stat().st_size < 300_000, target
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_benchmarks_that_a_page_names_exist(page: Path) -> None:
-    text = page.read_text("utf-8")
-    for name in re.findall(r"-m\s+(benchmarks\.\w+)|\b(benchmarks/\w+\.py)", text):
-        path = name[1] or name[0].replace(".", "/") + ".py"
-        assert (ROOT / path).is_file(), f"{name_of(page)} names {path}"
-
-
 def anchors(page: Path) -> set[str]:
     """The anchors of a page's headings, as code hosts make them."""
     headings = re.findall(r"^#+ +(.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
@@ -197,25 +189,6 @@ def test_msal_is_installed_from_where_it_is(page: Path) -> None:
     asked = re.findall(r"(?:pip|uv|pipx|conda) install ([^\n`&]*)", text)
     installs = [words for words in asked if "msal" in words and not words.startswith("./")]
     assert all(refresh.source() in words for words in installs), installs
-
-
-def test_the_address_of_the_repository_is_set_in_one_place(monkeypatch) -> None:
-    shown = [page for page in refresh.PAGES if refresh.PLACEHOLDER[8:] in page.read_text("utf-8")]
-    assert {"README.md", "index.md", "ci.md", "usage.md"} <= {page.name for page in shown}
-    monkeypatch.setattr(refresh, "REPOSITORY", "https://code.site.org/team/msal-cli")
-    for page in refresh.PAGES:
-        text = refresh.with_source(page.read_text("utf-8"))
-        assert "git.example.com" not in text and "OWNER" not in text.replace("HOST/OWNER", "")
-    ci = refresh.with_source((ROOT / "docs/ci.md").read_text("utf-8"))
-    for words in (
-        "uses: team/msal-cli@main",
-        "component: code.site.org/team/msal-cli/denoise@main",
-        "repo: https://code.site.org/team/msal-cli\n",
-        "source: msal-cli @ https://code.site.org/team/msal-cli/archive/main.tar.gz",
-    ):
-        assert words in ci
-    component = refresh.component_with_source(refresh.COMPONENT.read_text("utf-8"))
-    assert "default: msal-cli @ https://code.site.org/team/msal-cli/archive" in component
 
 
 def readme_block(name: str) -> str:

@@ -45,13 +45,3 @@ def test_the_noise_is_as_strong_as_said():
     moved = np.linalg.norm(noisy.positions(vertices) - true, axis=1)
     ready = prepare_mesh(true, smooth.corners(np.arange(smooth.n_faces)))
     assert np.sqrt((moved**2).mean()) / ready.mesh.mean_edge_length == pytest.approx(0.1, rel=0.05)
-
-
-def test_stl_has_the_same_triangles(tmp_path):
-    path = tmp_path / "giant.stl"
-    mesh = giant_mesh.GiantMesh(30)
-    mesh.write(path)
-    assert path.stat().st_size == 84 + 50 * mesh.n_faces
-    facets = read(path)
-    corners = mesh.positions(mesh.corners(np.arange(mesh.n_faces)).reshape(-1))
-    assert (facets.vertices[facets.faces].reshape(-1, 3) == corners).all()

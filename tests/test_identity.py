@@ -1,10 +1,8 @@
-"""A file in which nothing moves comes back byte for byte: every fixture, sample and real scan."""
+"""A file in which nothing moves comes back byte for byte: every sample and real scan."""
 
 from __future__ import annotations
 
-import gzip
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +14,7 @@ from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
-from tests.codecs import plain_ply
-from tests.fuzz import mutants
-from tests.job.test_pipeline import WRITERS, settings
-from tests.shapes import noisy, torus
+from tests.job.test_pipeline import settings
 
 SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 
@@ -27,24 +22,6 @@ SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 def meshes_in(folder: Path) -> list[Path]:
     paths = (path for path in sorted(folder.rglob("*")) if is_mesh_name(path.name))
     return [path for path in paths if detection.format_of_name(path.name) in detection.OWN_FORMATS]
-
-
-def fixtures() -> Iterator[tuple[str, bytes]]:
-    vertices, faces = torus(12, 8)
-    for name, writer in WRITERS.items():
-        yield f"torus {name}", writer(noisy(vertices, 1, 0.1), faces)
-    for encoding in plain_ply.ENCODINGS:
-        for kind in ("float", "double"):
-            yield f"cube {encoding} {kind}.ply", plain_ply.written(plain_ply.cube(encoding, kind))
-    for format in detection.OWN_FORMATS:
-        for number, data in enumerate(mutants.seeds(format)):
-            yield f"seed {number}.{format}", data
-            # Another compressor's header, time and level: the very file is kept, not only its
-            # content.
-            yield f"seed {number}.{format}.gz", gzip.compress(data, 1, mtime=12345)
-
-
-FIXTURES = dict(fixtures())
 
 
 def require_same(name: str, data: bytes) -> None:
@@ -68,11 +45,6 @@ def require_same(name: str, data: bytes) -> None:
         assert np.array_equal(there.vertices[1:], file.vertices[1:])
 
 
-@pytest.mark.parametrize("name", FIXTURES)
-def test_fixtures(name):
-    require_same(name, FIXTURES[name])
-
-
 @pytest.mark.parametrize("path", meshes_in(SAMPLES), ids=lambda path: path.name)
 def test_sample_meshes(path):
     require_same(path.name, path.read_bytes())
@@ -80,7 +52,6 @@ def test_sample_meshes(path):
 
 def test_there_are_many():
     assert len(meshes_in(SAMPLES)) >= 16
-    assert len(FIXTURES) >= 50
 
 
 REAL = meshes_in(Path(os.environ["MSAL_DATA"])) if os.environ.get("MSAL_DATA") else []

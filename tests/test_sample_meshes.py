@@ -94,29 +94,6 @@ def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_noisy_and_clean_differ_in_positions_only(name: str) -> None:
-    if name == "knot":  # a soup names no vertices: its corners are compared one by one
-        clean, noisy = (
-            np.frombuffer(
-                sample(name, kind).read_bytes(), np.dtype("(3,)<f4, (9,)<f4, <u2"), offset=84
-            )
-            for kind in ("clean", "noisy")
-        )
-        corners = [
-            np.unique(t["f1"].reshape(-1, 3), axis=0, return_inverse=True) for t in (clean, noisy)
-        ]
-        pairs = np.unique(np.stack([n.reshape(-1) for _, n in corners]), axis=1)
-        assert pairs.shape[1] == len(corners[0][0]) == len(corners[1][0])
-        return
-    before, faces, sizes = geometry(sample(name, "clean"))
-    after, noisy_faces, noisy_sizes = geometry(sample(name, "noisy"))
-    assert before.shape == after.shape
-    assert (before != after).any(axis=1).mean() > 0.99
-    assert sizes == noisy_sizes
-    assert np.array_equal(faces, noisy_faces)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
     source = sample(name, "noisy")
     result = tmp_path / source.name

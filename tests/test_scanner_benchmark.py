@@ -1,4 +1,4 @@
-"""The benchmark of scanner noise: its cases, its measures, its cache and its tables."""
+"""The benchmark of scanner noise: simulated scanners, measures, cache and tables."""
 
 from __future__ import annotations
 
@@ -6,14 +6,137 @@ import numpy as np
 import pytest
 
 from benchmarks import scanner_cases, scanner_outcomes, scanners
+from benchmarks.scan_simulation import ScannerSettings, simulate_scan
+from benchmarks.scan_simulation.depth_camera import (
+    DISTANCE,
+)
+from benchmarks.scan_simulation.occupancy import Grid, fill_voxels
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_outcomes import NOISY
 from benchmarks.scanner_settings import PEER_SETTINGS
 from benchmarks.true_surface import TrueSurface, corner_normals
 from msal_cli.analysis.surface_distance import nearest_on_surface
-from msal_cli.kernels.geometry import face_normals
+from msal_cli.errors import ContentError
+from msal_cli.kernels.geometry import area_and_volume, face_normals
 from msal_cli.mesh import Mesh, prepare_mesh
-from tests.shapes import ball, cube, torus
+from tests.shapes import ball, cube, grid, torus
+
+pytest.importorskip("fcpw")
+pytest.importorskip("skimage")
+
+SPHERE = prepare_mesh(*ball(48, 24)).mesh
+"""A sphere of radius 1."""
+
+FINE = prepare_mesh(*ball(96, 48)).mesh
+QUIET = {"level": 0.0, "smoothing": 0.0, "step": 0.0}
+
+
+def scan(scanner, cells=24, mesh=SPHERE, **settings):
+    return simulate_scan(mesh, ScannerSettings(scanner, cells=cells, **settings))
+
+
+@pytest.mark.parametrize("scanner", ["voxels", "ct", "slices"])
+def test_a_solid_stays_closed_oriented_and_of_its_volume(scanner):
+    made = scan(scanner)
+    defects = prepare_mesh(made.vertices, made.faces).defects
+    assert (defects.boundary_edges, defects.non_manifold_edges, defects.components) == (0, 0, 1)
+    volume = area_and_volume(SPHERE.vertices, SPHERE.faces)[1]
+    assert area_and_volume(made.vertices, made.faces)[1] == pytest.approx(volume, rel=0.05)
+
+
+@pytest.mark.parametrize("scanner", ["voxels", "ct", "slices", "depth", "fusion"])
+def test_the_same_seed_makes_the_same_scan_only(scanner):
+    first, again, other = (scan(scanner, seed=seed) for seed in (3, 3, 4))
+    assert np.array_equal(first.vertices, again.vertices)
+    assert np.array_equal(first.faces, again.faces)
+    assert not np.array_equal(first.vertices[:9], other.vertices[:9])
+
+
+def test_binary_voxels_make_a_staircase():
+    made = scan("voxels")
+    # Every vertex lies in the middle of an edge of the grid, along one of its axes.
+    steps = np.mod(made.vertices / made.cell - made.vertices[0] / made.cell, 0.5)
+    assert np.minimum(steps, 0.5 - steps).max() < 1e-4
+    radii = np.linalg.norm(made.vertices, axis=1)
+    assert np.abs(radii - 1.0).max() < 0.9 * made.cell
+    assert 0.1 < (radii - 1.0).std() / made.cell < 0.4
+
+
+def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
+    def roughness(**settings):
+        made = scan("ct", **settings)
+        return float((np.linalg.norm(made.vertices, axis=1) - 1.0).std()) / made.cell
+
+    quiet, white = roughness(level=0.0), roughness(level=0.1)
+    assert quiet < 0.03
+    assert 0.08 < white < 0.2
+    assert roughness(level=0.05) == pytest.approx(0.5 * white, rel=0.25)
+
+
+def test_an_open_or_inverted_mesh_is_filled_all_the_same():
+    vertices, faces = ball(48, 24)
+    inverted = prepare_mesh(vertices, faces[:, ::-1]).mesh
+    assert np.array_equal(scan("voxels", mesh=inverted).vertices, scan("voxels").vertices)
+    lid = vertices[faces].mean(axis=1)[:, 2] > 0.9
+    made = scan("voxels", mesh=prepare_mesh(vertices, faces[~lid]).mesh)
+    assert made.closed_holes == 1
+    assert prepare_mesh(made.vertices, made.faces).defects.boundary_edges == 0
+
+
+def test_a_sheet_has_nothing_inside():
+    with pytest.raises(ContentError, match="fills no voxel"):
+        scan("voxels", mesh=prepare_mesh(*grid()).mesh)
+
+
+def test_the_voxels_of_a_box_are_filled_by_their_share():
+    # Two and a half voxels wide, one and a quarter deep and three and three quarters high.
+    vertices, faces = cube()
+    vertices = 0.5 + (vertices - vertices.min(axis=0)) * [2.5, 1.25, 3.75]
+    made = fill_voxels(vertices, faces, Grid(np.zeros(3), np.ones(3), (5, 4, 6)), columns=4)
+    x = np.array([0.0, 1.0, 1.0, 0.5, 0.0])
+    y = np.array([0.0, 1.0, 0.25, 0.0])
+    z = np.array([0.0, 1.0, 1.0, 1.0, 0.75, 0.0])
+    expected = x[:, None, None] * y[:, None] * z
+    assert made == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_camera_sees_one_side_with_an_open_border():
+    made = scan("depth", 32, FINE, **QUIET, direction=(0.0, -1.0, 0.0))
+    defects = prepare_mesh(made.vertices, made.faces).defects
+    assert (defects.components, defects.non_manifold_edges) == (1, 0)
+    assert defects.boundary_edges > 40
+    assert made.vertices[:, 1].max() < 0.0
+    # All faces look at the camera, and out of the sphere.
+    ways = (face_normals(made.vertices, made.faces) * made.vertices[made.faces].mean(axis=1)).sum(1)
+    assert (ways > 0.5).all()
+
+
+def test_noise_goes_along_the_rays_with_the_level_head_on():
+    made = scan("depth", 96, FINE, level=0.3, smoothing=0.0, step=0.0)
+    steps = made.vertices - made.true_vertices
+    camera = np.array([0.0, 0.0, DISTANCE])
+    rays = made.true_vertices - camera
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    along = (steps * rays).sum(axis=1)
+    assert np.linalg.norm(steps - along[:, None] * rays, axis=1).max() < 1e-9
+    cosines = -(rays * made.true_vertices).sum(axis=1)
+    # Depth counts along the axis; the nearest pole is nearer than the centre by a quarter.
+    front = cosines > 0.97
+    expected = 0.3 * made.cell * ((DISTANCE - 1.0) / DISTANCE) ** 2
+    assert along[front].std() == pytest.approx(expected, rel=0.2)
+    side = (cosines > 0.4) & (cosines < 0.6)
+    assert along[side].std() > 1.6 * along[front].std()
+
+
+def test_a_fusion_closes_the_sphere():
+    made = scan("fusion", mesh=FINE, **QUIET, misalignment=0.0, views=14)
+    defects = prepare_mesh(made.vertices, made.faces).defects
+    assert (defects.boundary_edges, defects.components, defects.non_manifold_edges) == (0, 1, 0)
+    radii = np.linalg.norm(made.vertices, axis=1)
+    assert np.abs(radii - 1.0).mean() < 0.2 * made.cell
+    outward = face_normals(made.vertices, made.faces) * made.vertices[made.faces].mean(axis=1)
+    assert (outward.sum(axis=1) > 0.0).mean() > 0.99
+
 
 pytest.importorskip("fcpw")
 

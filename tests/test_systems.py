@@ -12,7 +12,6 @@ import pytest
 
 from msal_cli.batch import interrupts, plan, workers
 from msal_cli.batch.inputs import discover_inputs
-from msal_cli.codecs import header
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.storage import atomic, urls
 from tests.cli.scans import closed_scan, folder_of, msal
@@ -146,19 +145,6 @@ def test_an_input_that_changed_its_case_keeps_its_output(tmp_path, monkeypatch):
 # Signals and processes
 
 
-def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
-    # SIGBREAK is 21 on Windows; here another number plays its part.
-    number = int(getattr(signal, "SIGUSR1", signal.SIGTERM))
-    monkeypatch.setattr(signal, "SIGBREAK", number, raising=False)
-    received = []
-    with interrupts.catch_signals(received.append):
-        signal.raise_signal(number)
-    assert received == [number]
-    with pytest.raises(interrupts.Terminated) as caught:
-        interrupts.raise_for(number)
-    assert caught.value.exit_status == 128 + number
-
-
 @pytest.mark.skipif(os.name != "posix", reason="it is what Windows does")
 def test_a_run_in_this_process_ends_late_without_set_blocking(windows):
     def pipe():
@@ -188,13 +174,6 @@ def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
         workers.start_worker(None, 1, None)
     assert started["creationflags"] == 0x200
     assert "process_group" not in started
-
-
-def test_holes_are_not_looked_for_without_seek_hole_and_pread(tmp_path, monkeypatch):
-    monkeypatch.setattr(header, "os", OtherOs("SEEK_HOLE", "pread"))
-    (tmp_path / "a").write_bytes(b"x" * 10)
-    with (tmp_path / "a").open("rb") as file:
-        assert header._hole(file, 10) == 10
 
 
 @pytest.mark.parametrize("module", ["fcntl", "resource", "pwd", "grp", "termios"])

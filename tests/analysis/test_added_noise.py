@@ -14,7 +14,6 @@ from msal_cli.analysis.added_noise import (
     add_noise,
     add_plain_noise,
     grazing_growth,
-    share_over_rings,
 )
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.mesh import prepare_mesh
@@ -66,14 +65,6 @@ def test_how_far_vertices_move_along_their_normals_and_across(kind, along, acros
     assert np.sqrt((rest**2).mean()) == pytest.approx(across, rel=0.03, abs=1e-12)
 
 
-def test_uniform_noise_fills_its_range_in_every_coordinate():
-    mesh = prepare_mesh(*torus(160, 80)).mesh
-    edge = mesh.mean_edge_length
-    steps = (add_plain_noise(mesh, "uniform", 0.1, 1) - mesh.vertices) / edge
-    assert 0.099 < np.abs(steps).max() <= 0.1 + 1e-12
-    assert np.allclose(steps.std(axis=0), 0.1 / np.sqrt(3.0), rtol=0.03)
-
-
 def steps_of(mesh, kind, level=0.2, seed=1, **settings):
     """Displacements (n, 3) in mean edge lengths."""
     return (added(mesh, kind, level, seed, **settings) - mesh.vertices) / mesh.mean_edge_length
@@ -92,17 +83,6 @@ def test_the_first_kinds_keep_their_bytes(kind, digest):
     made = add_plain_noise(prepare_mesh(*torus()).mesh, kind, 0.2, 7, 0.3)
     assert hashlib.sha256(made.tobytes()).hexdigest()[:16] == digest
     assert np.array_equal(made, added(prepare_mesh(*torus()).mesh, kind, fraction=0.3))
-
-
-def test_one_average_spreads_a_single_height_evenly_over_its_closed_ring():
-    mesh = prepare_mesh(*torus()).mesh
-    heights = np.zeros(len(mesh.vertices))
-    heights[100] = 5.0
-    shared = share_over_rings(mesh, heights, 1)
-    links = mesh.topology
-    ring = links.ring[links.ring_start[100] : links.ring_start[101]]
-    assert set(np.flatnonzero(shared)) == {100, *ring}
-    assert shared[[100, *ring]] == pytest.approx(np.sqrt(len(shared) / 7.0))
 
 
 @pytest.mark.parametrize(("rings", "expected"), [(0, 0.0), (1, 4 / 7), (2, 136 / 175)])

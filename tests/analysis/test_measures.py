@@ -1,23 +1,37 @@
-"""Displacement, normals, volume, curvature and intersections of faces, by hand and closed forms."""
+"""Figures of a surface and of its change, what it encloses, and what counts as damage."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from msal_cli.analysis import added_noise as noise
+from msal_cli.analysis.enclosure import measure_enclosure
+from msal_cli.analysis.harm import (
+    AREA,
+    FLIPPED,
+    MOVES,
+    NAMED_LEEWAY,
+    VOLUME,
+    excessive_change,
+    folded_faces,
+    harmful_change,
+)
 from msal_cli.analysis.measures import (
     DisplacementStatistics,
+    area_and_volume,
     count_self_intersections,
     displacement_statistics,
     is_negative,
     local_scale,
     mean_curvature,
+    measure_surface_change,
     normal_statistics,
     relative_volume_change,
     self_intersection_change,
 )
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import fan, grid, torus
+from tests.shapes import ball, cube, fan, grid, torus
 
 
 def test_displacement_by_hand():
@@ -123,3 +137,177 @@ def test_faces_without_area_are_left_out():
     assert ready.defects.degenerate_faces == 1
     # Those with an area touch along half an edge, and share a vertex only.
     assert count_self_intersections(ready.mesh) == 1
+
+
+def harm_of(before, after, has_volume=True):
+    return harmful_change(
+        before, after, measure_surface_change(before, after), has_volume=has_volume
+    )
+
+
+@pytest.mark.parametrize(
+    ("scale", "is_harm"), [(0.8, False), (0.79, True), (1.14, False), (1.15, True), (-1.0, True)]
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order):
+    vertices, faces = torus()
+    mesh = prepare_mesh(vertices, faces[:, ::order]).mesh
+    found = harm_of(mesh, mesh.with_vertices(mesh.vertices * scale))
+    assert (found is not None) == is_harm
+    assert found is None or found.code == VOLUME
+    if scale == 0.79:
+        assert found.reason == "the volume changed by -50.7 %"
+
+
+def excess_of(before, after, noise, has_volume=True, leeway=1.0):
+    change = measure_surface_change(before, after)
+    edge = before.mean_edge_length
+    ways = np.linalg.norm(after.vertices - before.vertices, axis=1)
+    p95 = float(np.quantile(ways, 0.95)) / edge
+    return excessive_change(change, edge, noise, p95, has_volume=has_volume, leeway=leeway)
+
+
+def test_what_noise_does_not_explain_is_harm():
+    mesh = prepare_mesh(*ball()).mesh
+    smaller = mesh.with_vertices(0.99 * mesh.vertices)
+    assert excess_of(mesh, smaller, 0.01).code == VOLUME
+    assert excess_of(mesh, smaller, 0.01).reason.startswith("the volume changed by -3.0 %")
+    shifted = mesh.with_vertices(mesh.vertices + [0.2 * mesh.mean_edge_length, 0.0, 0.0])
+    assert excess_of(mesh, shifted, 0.01).code == MOVES
+    assert excess_of(mesh, smaller, 0.01, leeway=NAMED_LEEWAY) is None
+    stretched = mesh.with_vertices(mesh.vertices * [1.05, 1.0, 1.0])
+    assert excess_of(mesh, stretched, 0.01, has_volume=False).code == AREA
+    assert excess_of(mesh, mesh, 0.0) is None
+
+
+@pytest.mark.parametrize("level", [0.05, 0.1, 0.3, 0.5, 0.7])
+@pytest.mark.parametrize("kind", ["gaussian-normal", "gaussian"])
+@pytest.mark.parametrize("shape", [ball, lambda: torus(96, 48)])
+def test_the_true_surface_is_no_harm(shape, kind, level):
+    clean = prepare_mesh(*shape()).mesh
+    noisy = clean.with_vertices(noise.add_plain_noise(clean, kind, level, seed=3))
+    read = level * clean.mean_edge_length / noisy.mean_edge_length
+    assert excess_of(noisy, clean, read) is None
+
+
+def test_flips_on_a_smooth_mesh_are_harm():
+    mesh = prepare_mesh(*grid(20, 20)).mesh
+    vertices = mesh.vertices.copy()
+    inner = np.flatnonzero(~mesh.topology.boundary)
+    for vertex in inner[::25]:
+        vertices[vertex, :2] += [5.0, 5.0]
+    after = mesh.with_vertices(vertices)
+    n_flipped = measure_surface_change(mesh, after).normals.flipped_faces
+    assert n_flipped > 0.02 * len(mesh.faces)
+    found = harm_of(mesh, after, has_volume=False)
+    assert found is not None
+    assert found.code == FLIPPED
+    assert found.reason.startswith(f"{n_flipped} of {len(mesh.faces)} faces flipped (")
+
+
+@pytest.mark.parametrize("level", [0.2, 0.4, 0.6])
+def test_unfolding_what_noise_folded_is_no_harm(level):
+    clean = prepare_mesh(*ball()).mesh
+    noisy = clean.with_vertices(noise.add_plain_noise(clean, "gaussian", level, seed=3))
+    assert measure_surface_change(noisy, clean).normals.flipped_faces > 0.02 * len(clean.faces)
+    assert folded_faces(noisy) > 0
+    assert harm_of(noisy, clean) is None
+
+
+@pytest.mark.parametrize("shape", [cube, ball, torus, grid])
+def test_clean_shapes_have_no_folds_and_open_ones_no_volume_to_lose(shape):
+    mesh = prepare_mesh(*shape()).mesh
+    assert folded_faces(mesh) == 0
+    assert harm_of(mesh, mesh.with_vertices(mesh.vertices * 0.1), has_volume=False) is None
+
+
+def test_a_sheet_with_two_sides_encloses_nothing():
+    vertices, faces = cube()
+    flat = prepare_mesh(vertices * [1.0, 1.0, 1e-13], faces).mesh
+    change = measure_surface_change(flat, flat.with_vertices(flat.vertices * [1.0, 1.0, -5.0]))
+    volumes = change.volume_before, change.volume_after
+    assert relative_volume_change(*volumes, change.area_before) is None
+    assert not is_negative(-abs(change.volume_before), change.area_before)
+    assert is_negative(-1.0, 6.0)
+    assert not is_negative(1.0, 6.0)
+
+
+def together(*parts):
+    """Several (vertices, faces) as one, far from the origin, with a vertex that no face uses."""
+    vertices = [np.zeros((1, 3))] + [part for part, _ in parts]
+    firsts = np.cumsum([len(part) for part in vertices])
+    faces = [own + first for (_, own), first in zip(parts, firsts, strict=False)]
+    ready = prepare_mesh(np.concatenate(vertices) + 1e4, np.concatenate(faces))
+    return ready, [len(own) for _, own in parts]
+
+
+def box(size, at=0.0, turned=False):
+    vertices, faces = cube()
+    return size * (vertices - 0.5) + [at, 0.0, 0.0], faces[:, ::-1] if turned else faces
+
+
+def enclosed(ready):
+    return measure_enclosure(ready).volume(ready.mesh, area_and_volume(ready.mesh)[1])
+
+
+@pytest.mark.parametrize(
+    ("parts", "volume", "turned"),
+    [
+        ([box(1.0)], 1.0, [0]),
+        ([box(1.0, turned=True)], 1.0, [1]),
+        ([box(1.0), box(2.0, 5.0)], 9.0, [0, 0]),
+        # A part that is mirrored, and is inside out by that.
+        ([box(2.0), box(2.0, 5.0, turned=True)], 16.0, [0, 1]),
+        ([box(1.0), box(2.0, 5.0, turned=True)], 9.0, [0, 1]),
+        ([box(1.0, turned=True), box(2.0, 5.0, turned=True)], 9.0, [1, 1]),
+        # Cavities, one of them in a part that is inside out as a whole.
+        ([box(2.0), box(1.0, turned=True)], 7.0, [0, 0]),
+        ([box(2.0, turned=True), box(1.0)], 7.0, [1, 1]),
+        ([box(2.0, turned=True), box(1.0), box(1.0, 5.0)], 8.0, [1, 1, 0]),
+        # A part within a part, which overlap.
+        ([box(2.0), box(1.0)], 9.0, [0, 0]),
+    ],
+)
+def test_boxes_by_hand(parts, volume, turned):
+    ready, counts = together(*parts)
+    found = measure_enclosure(ready)
+    assert enclosed(ready) == pytest.approx(volume)
+    assert found.is_inside_out == any(turned)
+    inward = np.zeros(sum(counts), bool) if found.inward is None else found.inward
+    assert (inward == np.repeat(np.array(turned, dtype=bool), counts)).all()
+    assert (found.n_turned, found.n_parts) == (sum(turned), len(turned))
+    signs = np.broadcast_to(found.outward_signs(ready.mesh), len(ready.mesh.vertices))
+    of_vertices = np.repeat(
+        [1.0, *(-1.0 if is_turned else 1.0 for is_turned in turned)], [1] + [8] * len(turned)
+    )
+    used = ready.mesh.topology.has_ring
+    assert (signs[used] == of_vertices[used]).all()
+
+
+def test_words():
+    assert measure_enclosure(together(box(1.0), box(1.0, 5.0))[0]).words == ""
+    assert measure_enclosure(together(box(1.0, turned=True))[0]).words == (
+        "the surface is inside out: its normals point inwards"
+    )
+    ready = together(box(1.0), box(1.0, 5.0, turned=True))[0]
+    assert measure_enclosure(ready).words == "1 of 2 parts is inside out: normals point inwards"
+    some = together(box(1.0), box(1.0, 5.0, turned=True), box(1.0, 9.0, turned=True))[0]
+    assert measure_enclosure(some).words == "2 of 3 parts are inside out: normals point inwards"
+
+
+def test_an_open_surface_has_no_inside():
+    vertices, faces = grid()
+    ready = together(box(1.0, turned=True), (vertices + 9.0, faces))[0]
+    assert not measure_enclosure(ready).is_inside_out
+
+
+def test_parts_that_cancel_out_are_not_harmed_by_a_small_change():
+    vertices, faces = torus()
+    ready = together((vertices, faces), (vertices + 9.0, faces[:, ::-1]))[0]
+    mesh = ready.mesh
+    after = mesh.with_vertices(mesh.vertices * [1.0, 1.0, 0.9])
+    raw = measure_surface_change(mesh, after)
+    change = measure_enclosure(ready).change(mesh, after, raw)
+    assert change.volume_after / change.volume_before == pytest.approx(0.9)
+    assert harmful_change(mesh, after, change, has_volume=True) is None
+    assert change.normals is raw.normals

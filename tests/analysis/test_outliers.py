@@ -80,29 +80,6 @@ def test_clean_samples_have_no_outliers():
     }
 
 
-@pytest.mark.parametrize(
-    ("part", "seed"), [("flange", 2), ("rod_lattice", 2), ("rounded_block", 1), ("random_csg", 2)]
-)
-def test_exported_parts_of_needle_triangles_have_no_outliers(part, seed):
-    pytest.importorskip("manifold3d")
-    from training import solids
-
-    solid = getattr(solids, f"make_{part}")(np.random.default_rng(seed)).to_mesh64()
-    vertices = np.array(solid.vert_properties)[:, :3].astype(np.float32).astype(np.float64)
-    mesh = prepare_mesh(vertices, np.array(solid.tri_verts).astype(np.int32)).mesh
-    assert find_outliers(mesh).count == 0
-
-
-def test_tips_of_a_coarse_model_are_not_clear():
-    vertices, faces = torus(20, 10)
-    # Ridges and tips by design, as strong as the triangles are large.
-    tips = np.arange(3, len(vertices), 9)
-    middle = vertices.mean(axis=0)
-    ways = vertices[tips] - middle
-    vertices[tips] += 0.8 * ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    assert not find_outliers(prepare_mesh(vertices, faces).mesh).are_clear
-
-
 def test_clean_files_of_others_have_no_clear_outliers(real_data):
     paths = [
         path

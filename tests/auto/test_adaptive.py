@@ -130,15 +130,6 @@ def test_with_trust_every_candidate_has_a_pull():
     assert all(label != "AL (1 sweep, 0 mollifications)" for label, _ in choice.runners_up)
 
 
-def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
-    mesh, _ = torus_with(0.2)
-    errors = np.full(3, 0.1)
-    monkeypatch.setattr("msal_cli.auto.risk.Risk.log_errors", lambda *_: (errors, errors))
-    choice = adaptive.choose_adaptive(mesh)
-    assert choice.method == NONE
-    assert "add more error" in choice.reason
-
-
 @pytest.mark.parametrize(
     ("name", "level", "surface", "is_better"),
     [

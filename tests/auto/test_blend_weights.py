@@ -137,12 +137,6 @@ def test_drift_is_avoided_by_what_drifts_the_other_way():
     assert bound[0] == pytest.approx(0.4, abs=1e-2)
 
 
-def test_no_gain_anywhere_means_no_weights():
-    assert (best_weights([risk(quadratic(np.eye(3), [-1.0, 0.0, -0.1]))], 0.5) == 0.0).all()
-    nothing = quadratic(np.zeros((2, 2)), [0.0, 0.0])
-    assert (best_weights([risk(nothing)], 0.5) == 0.0).all()
-
-
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20))
 def test_rounding_keeps_the_sum_and_moves_no_weight_by_a_step(parts):
     weights = np.array(parts)

@@ -1,4 +1,4 @@
-"""The choice for whole meshes: what it promises, and that it pays."""
+"""The choice for whole meshes: what is tried, what it promises, and that it pays."""
 
 from __future__ import annotations
 
@@ -15,13 +15,51 @@ from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.measures import area_and_volume, normal_statistics
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
-from msal_cli.auto import NONE, Wishes, search
-from msal_cli.auto.candidates import CANDIDATES
+from msal_cli.auto import NONE, Wishes, candidates, search
+from msal_cli.auto.candidates import CANDIDATES, NAMES
 from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.methods.blend import parse_members
 from tests.shapes import ball, grid, noisy, torus
+
+
+@pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda candidate: candidate.label)
+def test_settings_are_allowed(candidate):
+    method = methods.find(candidate.method)
+    settings = candidate.settings(0.125)
+    values = method.validate(settings)
+    assert ("noise" in settings) == candidate.takes_noise
+    if candidate.takes_noise:
+        assert values["noise"] == 0.125
+    assert candidate.cost > 0.0
+    assert {spec.name for spec in method.parameters} >= set(settings)
+
+
+def test_all_differ_in_what_they_are_and_in_what_they_are_called():
+    assert len({candidate.label for candidate in CANDIDATES}) == len(CANDIDATES)
+    made = {
+        repr((candidate.method, sorted(candidate.settings(0.1).items())))
+        for candidate in CANDIDATES
+    }
+    assert len(made) == len(CANDIDATES)
+
+
+def test_a_farther_reach_is_a_multiple_of_the_noise():
+    settings = [
+        candidate.settings(0.125)["noise"] for candidate in (candidates.LEARNED, candidates.FARTHER)
+    ]
+    assert settings == [0.125, 0.25]
+    assert candidates.FARTHER.label == "learned (noise times 2)"
+
+
+def test_every_name_is_in_use():
+    tried = (*CANDIDATES, *candidates.PULLED, *candidates.LINEAR, candidates.FLATTENER)
+    used = {candidate.method for candidate in tried}
+    # The others are schedules that the plain command chooses.
+    assert set(NAMES) == used | set(candidates._KINDS.values())
+    assert set(candidates._WORDS) <= set(NAMES)
+
 
 CHEAP = 1.01
 """A budget for a dozen candidates on small meshes."""
@@ -331,33 +369,6 @@ def test_wishes_move_less_and_more_than_the_choice(mesh):
     moved, plain, texture = check_wishes(mesh, budget=CHEAP)
     assert moved[0] < 0.65 * moved[2] or moved[0] == moved[2] == 0.0 < moved[3]
     assert relief(texture) >= relief(plain) * (1.0 - 1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("level", [0.0, 0.2])
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("bear_clean.obj", "bracket_clean.ply", "coin_noisy.ply", "dragon_egg_noisy.ply"),
-        *("knot_noisy.stl", "toadstool_clean.ply", "vase_noisy.obj"),
-    ],
-)
-def test_wishes_for_sample_meshes(name, level):
-    mesh = ground_truth.opened(SAMPLES / name)
-    if level:
-        mesh = mesh.with_vertices(noise.add_plain_noise(mesh, "gaussian-normal", level, 1))
-    check_wishes(mesh)
-
-
-def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
-    monkeypatch.setattr(
-        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
-    )
-    left = chosen(mesh, budget=1.05)
-    assert left.method == NONE and "add more error" in left.reason
-    choice = chosen(mesh, budget=1.05, strength=1.0)
-    assert choice.method == "al" and choice.tried == left.tried
-    assert choice.parameters["noise"] > 1.15 * estimate_noise(mesh).mean_edges
 
 
 def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):

@@ -109,14 +109,3 @@ def test_a_mutant_can_be_made_again():
         made = [mutants.mutant(format, number) for number in range(60)]
         assert made == [mutants.mutant(format, number) for number in range(60)]
         assert len(set(made)) > 50
-
-
-def test_a_failure_names_its_mutant(monkeypatch):
-    def traceback(data: bytes, format: str) -> str:
-        raise IndexError("a defect")
-
-    monkeypatch.setattr(mutants, "outcome", traceback)
-    with pytest.raises(
-        AssertionError, match=r"mutant 7 of ply: python -m tests.fuzz.mutants ply 1 7"
-    ):
-        mutants.campaign("ply", 1, 7)

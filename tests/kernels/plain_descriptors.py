@@ -102,14 +102,6 @@ class Plain:
         numbers[9] = (scatter[narrow > 0].max() * mean) ** 0.25
         numbers[11] = self.units[f] / (self.units[f] + self.units.mean())
 
-    def axes(self, f):
-        """Eigenvectors, greatest eigenvalue first, each turned to where the normals lean."""
-        _, vectors = np.linalg.eigh(self.tensors[f])
-        row, _, wide = self.weights(f, WIDE)
-        axes = vectors.T[::-1]
-        skews = ((self.normals[row] @ axes.T) ** 3 * wide[:, None]).sum(axis=0)
-        return axes * np.where(skews < 0, -1, 1)[:, None], skews / wide.sum()
-
 
 def predict(layers, inputs, vectors):
     """The normals (k, 3) that a network of three layers gives for vectors (k, v, 3)."""

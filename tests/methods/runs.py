@@ -10,10 +10,10 @@ from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 SHAPES = {
-    "torus": (noisy(torus()[0], 1, 0.15), torus()[1]),
+    "torus": (noisy(torus(16, 9)[0], 1, 0.15), torus(16, 9)[1]),
     "open grid": (noisy(grid(9, 8)[0], 2, 0.2), grid(9, 8)[1]),
     "cube": (noisy(cube()[0], 3, 0.1), cube()[1]),
-    "tiny": (noisy(torus()[0], 5) * 1e-6, torus()[1]),
+    "tiny": (noisy(torus(16, 9)[0], 5) * 1e-6, torus(16, 9)[1]),
 }
 """Vertices (n, 3) and faces (m, 3) with noise."""
 

@@ -14,7 +14,9 @@ from tests.methods.runs import SHAPES, denoise
 from tests.methods.runs import run_in_file as run
 from tests.shapes import fan, grid, noisy, torus
 
-ALL_SHAPES = SHAPES | {"far away": (noisy(torus()[0], 4) + [4.65e6, 1.2e6, 300.0], torus()[1])}
+ALL_SHAPES = SHAPES | {
+    "far away": (SHAPES["torus"][0] + [4.65e6, 1.2e6, 300.0], SHAPES["torus"][1])
+}
 
 
 @pytest.mark.parametrize("shape", ALL_SHAPES)

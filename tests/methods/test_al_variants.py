@@ -80,12 +80,11 @@ def heights_of_fan(heights, kind, deviation):
     return RobustLaplacian(up, mesh.faces, mesh.topology, free, 1.0, kind, deviation)(mesh.vertices)
 
 
-@pytest.mark.parametrize("shape", ["torus", "open grid"])
 @pytest.mark.parametrize("scaling", SCALINGS)
 @pytest.mark.parametrize("deviation", DEVIATIONS)
 @pytest.mark.parametrize("kind", WEIGHTS)
-def test_every_combination_agrees_with_the_plain_twin(shape, kind, deviation, scaling):
-    vertices, faces = SHAPES[shape]
+def test_every_combination_agrees_with_the_plain_twin(kind, deviation, scaling):
+    vertices, faces = SHAPES["torus"]
     mesh = prepare_mesh(vertices, faces).mesh
     given = {"weights": kind, "deviation": deviation, "scaling": scaling}
     out = denoise("al", mesh, iterations=3, **given)

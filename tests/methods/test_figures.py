@@ -1,10 +1,11 @@
-"""Mean angles and vertex errors on four published pairs of noisy and clean meshes."""
+"""Ground truth: errors on published pairs of meshes, and the volumes of the paper's Table 1."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from benchmarks.table1 import volumes
 from tests.methods.pairs import PAIRS, all_errors
 
 # Method, parameters, angles in degrees, their relative tolerance; vertex errors in % of the mean
@@ -127,3 +128,19 @@ def test_figures_on_known_truth(real_data, name, given, angles, angle_rel, error
         if expected:
             numbers = [value for value in expected if value is not None]
             assert found[:, column] == pytest.approx(numbers, rel=rel)
+
+
+def test_fandisk(real_data):
+    original, rows = volumes(real_data / "clean" / "fandisk.obj", seeds=4)
+    assert original == pytest.approx(20.243, abs=5e-4)
+    al, msal = (rows[:, 1:] - rows[:, :1]).mean(axis=0)
+    assert abs(al + 0.262) < 0.006
+    assert abs(msal + 0.066) < 0.007
+    assert np.abs((rows[:, 1:] - rows[:, :1]) - [-0.262, -0.066]).max() < 0.012
+
+
+def test_bunny(real_data):
+    _, rows = volumes(real_data / "clean" / "stanford-bunny.obj", seeds=1)
+    al, msal = rows[0, 1:] / rows[0, 0]
+    assert al == pytest.approx(0.9956, abs=4e-4)
+    assert msal == pytest.approx(0.9977, abs=4e-4)

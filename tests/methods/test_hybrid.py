@@ -106,14 +106,6 @@ def test_features_are_the_ridge():
     assert (out.fields["cluster"][feature.reshape(-1) > 0] == 2).all()
 
 
-def test_without_features_or_further_sweeps_it_is_al():
-    vertices, faces = SHAPES["torus"]
-    expected = runs.denoise("al", prepare_mesh(vertices, faces).mesh, n=3)
-    out = result(vertices, faces, iterations=3, crease_angle_deg=180)[1]
-    assert (out.vertices == expected).all()
-    assert not out.fields["feature"].any()
-
-
 def test_flat_triangles_become_even_and_the_rim_stays():
     # Vertices pushed about within a plane: there is nothing to denoise.
     vertices, faces = grid(8, 8)

@@ -7,7 +7,6 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.mesh import prepare_mesh
-from msal_cli.methods import _sliding
 from msal_cli.methods._sliding import SIDEWAYS, sideways_share, undo_sliding
 from tests.methods.runs import denoise, error_deg
 from tests.shapes import grid, torus
@@ -26,10 +25,6 @@ def scan():
     heights = 0.08 * np.random.default_rng(0).normal(size=len(vertices))
     ready = prepare_mesh(vertices + heights[:, None] * normals, faces)
     return ready.mesh, ready.mesh.with_vertices(vertices - ready.origin)
-
-
-def test_every_filter_of_normals_has_the_choice():
-    assert set(SLIDING) >= {"bilateral_normal", "guided_normal", "l0", "normal_diffusion"}
 
 
 def test_what_slid_within_a_plane_comes_back_exactly():
@@ -73,19 +68,6 @@ def test_no_iterations_change_no_bit_and_what_is_held_stays(name):
     assert np.abs(found[held] - mesh.vertices[held]).max() < 1e-14
 
 
-def test_auto_undoes_it_only_where_the_noise_was_along_the_normals():
-    along, _ = scan()
-    vertices, faces = torus(48, 24)
-    every_way = prepare_mesh(
-        vertices + 0.08 * np.random.default_rng(0).normal(size=vertices.shape), faces
-    ).mesh
-    for mesh, as_with in ((along, "undone"), (every_way, "kept")):
-        by_itself, expected = (
-            denoise("guided_normal", mesh, iterations=3, sliding=way) for way in ("auto", as_with)
-        )
-        assert (by_itself == expected).all()
-
-
 def test_the_share_of_noise_within_the_surface():
     vertices, faces = torus(96, 48)
     normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
@@ -99,12 +81,3 @@ def test_the_share_of_noise_within_the_surface():
         assert sideways_share(mesh) == pytest.approx(share, rel=0.15, abs=0.15)
     assert 0.2 < SIDEWAYS < 0.8
     assert sideways_share(prepare_mesh(*grid(6, 6)).mesh) == np.inf
-
-
-def test_the_share_is_computed_once_for_a_mesh(monkeypatch):
-    mesh, _ = scan()
-    share = sideways_share(mesh)
-    monkeypatch.setattr(_sliding, "apply_umbrella", None)
-    assert sideways_share(mesh) == share
-    with pytest.raises(TypeError):
-        sideways_share(mesh.with_vertices(mesh.vertices.copy()))
