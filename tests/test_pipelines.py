@@ -1,0 +1,298 @@
+"""Jobs in CI services and on many machines: the action, the hooks and the recipes of the docs."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+from xml.etree import ElementTree
+
+import pytest
+
+from msal_cli.batch.shard import COUNT_VARIABLE, parse_shard
+from tests.cli.scans import closed_scan, folder_of
+from tests.pipelines import ROOT, action_steps, add_spike, make_project, run_action, run_shell
+from tests.scripts import load_script
+
+yaml = pytest.importorskip("yaml")
+refresh = load_script("docs/refresh.py")
+make_scans = load_script("docs/example_repository/make_scans.py")
+
+pytestmark = [
+    pytest.mark.ci,
+    pytest.mark.skipif(os.name != "posix", reason="the jobs are for POSIX shells"),
+    pytest.mark.skipif(not all(map(shutil.which, ("bash", "git", "make"))), reason="lacks a tool"),
+]
+
+
+def load_yaml(path):
+    return yaml.safe_load((ROOT / path).read_text("utf-8"))
+
+
+def load_recipes(page):
+    text = (ROOT / page).read_text("utf-8")
+    found = re.findall(r"^<!-- \w+: (\S+) -->\n```\w+\n(.*?)^```$", text, re.M | re.DOTALL)
+    return text, dict(found)
+
+
+EXAMPLE = ROOT / "docs/example_repository"
+ACTION = load_yaml("action.yml")
+HOOKS = {hook["id"]: hook for hook in load_yaml(".pre-commit-hooks.yaml")}
+CI_PAGE, CI_RECIPES = load_recipes("docs/ci.md")
+MACHINES_PAGE, MACHINE_RECIPES = load_recipes("docs/many_machines.md")
+GIT = "git -c user.name=a -c user.email=a@example.com"
+SPIKE = "spike.ply: broken: despiked > 0"
+
+
+@pytest.fixture
+def project(tmp_path):
+    return make_project(tmp_path)
+
+
+# The action
+
+
+def test_action_reports_and_stops_at_a_gate(project):
+    given = {
+        "gates": "volume.valid and abs(volume_change) > 50%\nmax_displacement > 3e\n",
+        "options": "--method msal\n--timeout 10m",
+        "report": "a b.json\nc.html",
+    }
+    done = run_action(ACTION, project, given)
+    assert done.status == 0, done.stderr
+    assert done.outputs == {"report": "a b.json\nc.html", "status": "0"}
+    assert "closed.ply" in done.summary
+    assert (project / "denoised/below/open.ply").exists()
+    assert all((project / name).exists() for name in done.outputs["report"].splitlines())
+    add_spike(project)
+    done = run_action(ACTION, project, given)
+    assert done.status == 4
+    assert done.outputs["status"] == "4" and done.outputs["report"]
+    assert "::error" in done.stderr and "spike.ply" in done.summary
+    records = json.loads((project / "a b.json").read_bytes())["records"]
+    assert [record["status"] for record in records].count("up-to-date") == 2
+
+
+def test_action_runs_nothing_of_its_inputs(project):
+    hostile = '$(touch owned) `touch owned` "; touch owned; "'
+    given = dict.fromkeys(("files", "gates", "options", "output", "baseline"), hostile)
+    assert run_action(ACTION, project, given).status not in (0, 4)
+    assert not (project / "owned").exists()
+    scripts = [script for script, _ in action_steps(ACTION, {}).values()]
+    assert not any("${{" in script for script in scripts)
+
+
+def test_action_keeps_apart_outputs_from_names_of_reports(project):
+    report = "a.json\nEND_OF_REPORTS\nstatus=0\n-n"
+    done = run_action(ACTION, project, {"report": report, "options": "--method al"})
+    assert done.outputs["report"] == report
+    assert done.outputs["status"] == "2" == str(done.status)
+
+
+def test_action_takes_names_for_names(project):
+    (project / "scans").rename(project / "-scans")
+    given = {"files": "-scans", "output": "-out", "options": "--method al", "report": ""}
+    assert run_action(ACTION, project, given).status == 0
+    baseline = run_shell(project, ["msal", "compare", "--json", "--", "-scans", "-out"])
+    (project / "base.json").write_text(baseline.stdout)
+    done = run_action(ACTION, project, given | {"baseline": "base.json"})
+    assert done.status == 0, done.stderr
+
+
+def test_inputs_of_the_action_are_documented():
+    table = re.findall(r"^\| (`.*?) \| (.*?) \|", CI_PAGE, re.MULTILINE)
+    documented = {
+        name: default for names, default in table for name in re.findall("`([^`]+)`", names)
+    }
+    assert set(documented) == set(ACTION["inputs"])
+    for name in ("files", "output", "python-version", "cache"):
+        assert documented[name] == f"`{ACTION['inputs'][name]['default']}`"
+
+
+def test_the_example_passes_its_check_and_fails_for_a_worse_and_a_lost_scan(project):
+    pytest.importorskip("fcpw", reason="the Hausdorff distance needs fcpw", exc_type=ImportError)
+    shutil.rmtree(project)
+    shutil.copytree(EXAMPLE, project)
+    steps = load_yaml(EXAMPLE / ".github/workflows/meshes.yml")["jobs"]["meshes"]["steps"]
+    (given,) = (step["with"] for step in steps if step.get("id") == "msal")
+    done = run_action(ACTION, project, given)
+    assert done.status == 0, done.stderr
+    assert "ring_with_ribs.ply" in done.summary
+    vertices, faces = make_scans.ring(0, 0.0)
+    noisier = make_scans.add_noise(make_scans.add_noise(vertices, faces, 1), faces, 7)
+    (project / "scans/ring.ply").write_bytes(make_scans.to_ply(noisier, faces))
+    done = run_action(ACTION, project, given)
+    assert done.status == 4 and done.outputs["status"] == "4"
+    assert "denoised/ring.ply: broken: mean_angular_error_deg > " in done.stderr
+    assert "in the baseline, tolerance 5 %" in done.stderr
+    assert "plaque.ply: broken" not in done.stderr
+    (project / "scans/ring.ply").unlink()
+    (project / "scans/plaque.ply").unlink()
+    done = run_action(ACTION, project, given)
+    assert done.status == 4 and "ring.ply" in done.stderr
+
+
+# Hooks and recipes
+
+
+@pytest.mark.parametrize("name", sorted(HOOKS))
+def test_hooks(project, name):
+    hook = HOOKS[name]
+    assert hook["language"] == "python" and hook["pass_filenames"] is False
+    pattern = re.compile(hook["files"])
+    assert pattern.search("scans/a.ply") and not pattern.search("scans/a.txt")
+    assert run_shell(project, "git init -q .").returncode == 0
+    add_spike(project)
+    # The default gate of the check needs the choice, which takes longer.
+    quick = [] if name == "msal-check" else ["--method=msal"]
+    done = run_shell(project, [*shlex.split(hook["entry"]), *hook["args"], *quick])
+    if name == "msal-check":
+        assert done.returncode == 4
+        assert "spike.ply: broken: known(despiked) and despiked > 0" in done.stderr
+        assert (project / ".git/msal/closed.ply").exists()
+    else:
+        assert done.returncode == 0, done.stderr
+        assert (project / "denoised/spike.ply").exists()
+
+
+def test_check_keeps_its_outputs_in_the_folder_of_a_worktree(project):
+    made = run_shell(
+        project,
+        f"git init -q . && {GIT} commit -qm a --allow-empty && git worktree add -q ../other",
+    )
+    assert made.returncode == 0, made.stderr
+    shutil.copytree(project / "scans", project.parent / "other/scans")
+    words = [*shlex.split(HOOKS["msal-check"]["entry"]), "scans", "--method=al"]
+    done = run_shell(project.parent / "other", words)
+    assert done.returncode == 0, done.stderr
+    assert (project / ".git/worktrees/other/msal/closed.ply").exists()
+    assert run_shell(project.parent / "other", "git status --porcelain").stdout == "?? scans/\n"
+
+
+def assert_junit(path):
+    tree = ElementTree.parse(path)
+    assert len(tree.findall(".//testcase")) == 3
+    assert len(tree.findall(".//failure")) >= 1
+
+
+def test_recipe_of_a_shell(project):
+    install, _, run = CI_RECIPES["shell"].partition("\n")
+    assert install == refresh.install_command()
+    add_spike(project)
+    assert run_shell(project, run).returncode == 4
+    assert (project / "meshes.json").exists() and (project / "meshes.html").exists()
+    assert_junit(project / "meshes.xml")
+
+
+def test_recipe_of_a_hook(project):
+    assert run_shell(project, "git init -q . && git add scans").returncode == 0
+    hook = project / ".git/hooks/pre-commit"
+    hook.parent.mkdir(exist_ok=True)
+    hook.write_text(CI_RECIPES["hook"])
+    hook.chmod(0o755)
+    done = run_shell(project, f"{GIT} commit -qm scans")
+    assert done.returncode == 0, done.stderr
+    assert (project / ".git/denoised/closed.ply").exists()
+    (project / "notes.txt").write_text("no mesh\n")
+    add_spike(project)
+    # The spike is not staged, and a commit without meshes does not wait for them.
+    assert run_shell(project, f"git add notes.txt && {GIT} commit -qm notes").returncode == 0
+    done = run_shell(project, f"git add scans && {GIT} commit -qm spike")
+    assert done.returncode != 0
+    assert SPIKE in done.stderr
+
+
+def test_recipe_of_make(project):
+    (project / "Makefile").write_text(CI_RECIPES["make"])
+    done = run_shell(project, ["make"])
+    assert done.returncode == 0, done.stderr
+    assert (project / "denoised/below/open.ply").exists()
+    assert "up to date" in run_shell(project, ["make"]).stdout
+    add_spike(project)
+    for _ in range(2):
+        done = run_shell(project, ["make"])
+        assert done.returncode != 0
+        assert SPIKE in done.stderr
+
+
+def component(**given):
+    """The jobs of the GitLab component, inputs filled in as GitLab does: as text."""
+    head, _, body = (ROOT / "templates/denoise.yml").read_text("utf-8").partition("\n---\n")
+    inputs = yaml.safe_load(head)["spec"]["inputs"]
+    (include,) = yaml.safe_load(CI_RECIPES["gitlab"])["include"]
+    assert set(given) | set(include["inputs"]) <= set(inputs)
+    values = {
+        name: given[name] if name in given else spec["default"] for name, spec in inputs.items()
+    }
+    return yaml.safe_load(re.sub(r"\$\[\[ inputs\.(\w+) \]\]", lambda at: values[at[1]], body))
+
+
+def test_component(project):
+    (job,) = component(options="--include '*.ply'", source="dist/a.whl").values()
+    add_spike(project)
+    done = run_shell(project, "\n".join(job["script"]), **job["variables"])
+    assert done.returncode == 4, done.stderr
+    assert all((project / name).exists() for name in job["artifacts"]["paths"])
+    assert_junit(project / job["artifacts"]["reports"]["junit"])
+
+
+def test_component_takes_several_gates(project):
+    gates = "seconds.total < 0; vertices > 10; "
+    (job,) = component(gates=gates, options="-v", source=".").values()
+    done = run_shell(project, "\n".join(job["script"]), **job["variables"])
+    assert done.returncode == 4, done.stderr
+    assert "broken: vertices > 10" in done.stderr
+    report = json.loads((project / "meshes.json").read_text())
+    assert {len(record["gates"]) for record in report["records"]} == {2}
+
+
+# Many machines
+
+
+@pytest.mark.parametrize("name", ["parallel", "slurm", "aws"])
+def test_recipes_of_many_machines(project, name):
+    shutil.rmtree(project / "scans")
+    folder_of(project / "scans", **{f"s{n}": closed_scan(n) for n in range(3)})
+    # In the place of GNU parallel: one after the other, and here.
+    parallel = project.parent / "bin/parallel"
+    parallel.write_text(
+        "#!/bin/sh\nshift 4\nwhile read -r n; do\n"
+        'eval "$(printf "%s " "$@" | sed "s/{}/$n/g")" </dev/null || exit\ndone\n'
+    )
+    parallel.chmod(0o755)
+    text = MACHINE_RECIPES[name].replace("/data/", "")
+    text = text.replace("seq 8", "seq 2").replace("{}/8", "{}/2")
+    variables = {
+        "parallel": [{}],
+        "slurm": [
+            {"SLURM_PROCID": "0", "SLURM_NTASKS": "1", "SLURM_ARRAY_TASK_ID": str(task)}
+            | {"SLURM_ARRAY_TASK_MIN": "0", "SLURM_ARRAY_TASK_STEP": "1"}
+            | {"SLURM_ARRAY_TASK_COUNT": "2"}
+            for task in (0, 1)
+        ],
+        "aws": [
+            {"AWS_BATCH_JOB_ARRAY_INDEX": index, "AWS_BATCH_JOB_ARRAY_SIZE": "2"}
+            for index in ("0", "1")
+        ],
+    }[name]
+    for given in variables:
+        done = run_shell(project, text, **given)
+        assert done.returncode == 0, done.stderr
+    written = sorted(path.name for path in (project / "denoised").glob("*.ply"))
+    assert written == ["s0.ply", "s1.ply", "s2.ply"]
+
+
+def test_jobs_of_clusters_name_the_shards():
+    command = MACHINE_RECIPES["aws"].split()
+    job = json.loads(re.search(r"```json\n(.*?)```", MACHINES_PAGE, re.DOTALL)[1])
+    assert job["containerOverrides"]["command"] == command
+    spec = yaml.safe_load(MACHINE_RECIPES["kubernetes"])["spec"]
+    (container,) = spec["template"]["spec"]["containers"]
+    assert container["command"] == command
+    count = str(spec["completions"])
+    assert container["env"] == [{"name": COUNT_VARIABLE, "value": count}]
+    for index in (0, spec["completions"] - 1):
+        environment = {"JOB_COMPLETION_INDEX": str(index), COUNT_VARIABLE: count}
+        assert str(parse_shard("auto", environment)) == f"{index + 1}/{count}"
