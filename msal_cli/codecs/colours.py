@@ -146,7 +146,7 @@ def _of_off(mesh_file: MeshFile) -> Colours | None:
 def _of_stl(mesh_file: MeshFile) -> Colours | None:
     """The words of a binary file's facets: 15 bits as VisCAM (and SolidView) or, where the header
     has the colour of all, Materialise Magics writes them; means at the vertices."""
-    from msal_cli.codecs.stl_facets import FACET, HEADER_BYTES
+    from msal_cli.codecs.stl import FACET, HEADER_BYTES
 
     properties = mesh_file.properties
     has_default = "colour in the header" in properties

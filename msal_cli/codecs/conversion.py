@@ -214,7 +214,7 @@ def _vertex_normals(vertices: Floats, faces: Ints) -> Floats:
 
 def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     """A new file; ``single`` rounds positions to float32."""
-    from msal_cli.codecs import stl_facets, threemf, vtk_xml
+    from msal_cli.codecs import stl, threemf, vtk_xml
 
     if to == "ply":
         return _as_ply(mesh, encoding, single)
@@ -224,8 +224,8 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
         rows = mesh.vertices[mesh.faces].reshape(-1, 9)
         normals = face_normals(mesh.vertices, mesh.faces)
         if encoding == "ascii":
-            return stl_facets.ascii_stl(rows, normals, "", single=single)
-        return stl_facets.binary_stl(rows, normals, "")
+            return stl.ascii_stl(rows, normals, "", single=single)
+        return stl.binary_stl(rows, normals, "")
     points = mesh.positions(single)
     if to == "obj":
         return _as_obj(mesh, points, single)

@@ -1,36 +1,47 @@
-"""STL: binary here, ascii in ``stl_ascii``; positions and normals replaced in the file's own bytes.
+"""STL, binary and ascii: positions and normals replaced in the file's own bytes.
 
 A binary file is 80 bytes of free text, a count, and for each facet 50 bytes: normal and three
 corners as little-endian float32, and one 16-bit word that some programs use for colours.
+The keywords of a text may be in any case and apart by any white space; a solid's name is the rest
+of its line.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
-from msal_cli.codecs import stl_ascii
+from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slot_file import require_finite_result, require_shape
-from msal_cli.codecs.slots import require_range
-from msal_cli.codecs.stl_facets import (
-    FACET,
-    HEADER_BYTES,
-    FacetFile,
-    ascii_stl,
-    check_countable,
-    check_not_empty,
-    not_finite,
-    refuse_float64,
-)
+from msal_cli.codecs.slots import as_float32, require_range
+from msal_cli.codecs.text_slots import line_of, number_hint
 from msal_cli.errors import (
+    EXPORT_AGAIN,
+    ContentError,
+    FormatError,
+    InputError,
     InternalError,
+    TooLargeError,
     TruncatedError,
+    UnsupportedError,
 )
 from msal_cli.storage.regular import Buffer
 
+HEADER_BYTES = 80
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
+"""One facet, 50 bytes without padding."""
+
+MAX_FACETS = (2**31 - 1) // 3
+"""Facets whose corners can be numbered with 32 bits."""
+
+MIN_FACET_BYTES = len("facet outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet ")
+"""Bytes of text that a facet takes at least."""
+
+_USUAL_FACET = 200
 _FIRST_FACET = HEADER_BYTES + 4
 _LOOKED_AT = 1024
 _AT_ONCE = 1 << 14
@@ -40,9 +51,12 @@ _PADDING = 8
 _NAMED_SOLID = re.compile(
     rb"\s*solid[ \t][^\r\n]*[\r\n]\s*facet\s+(?:normal|outer)\s", re.IGNORECASE
 )
+_NORMAL_DECIMALS = 6
+_NOISE = 1e-9
+"""Decimals of tiny numbers with an exponent count only down to this part of the extent."""
 
 
-def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
+def read(data: Buffer, name: str) -> StlFile | StlTextFile:
     """Read an STL file, binary or ascii.
 
     A file whose first kilobyte is text is ascii (see ``is_text``).  In a binary file, whatever it
@@ -54,16 +68,26 @@ def read(data: Buffer, name: str) -> StlFile | stl_ascii.StlTextFile:
     TruncatedError
         if the file is shorter than its count asks for, or an ascii solid does not end.
     FormatError
-        if it is not STL, or an ascii file has a wrong word.
+        if it is not STL, or an ascii file has a wrong word, with its line.
     ContentError
         ``E_NO_FACES`` or ``E_NONFINITE``.
     """
+    from msal_cli.kernels.welding import weld_corners
+
     size = len(memoryview(data).cast("B"))
     head = bytes(memoryview(data).cast("B")[:_LOOKED_AT])
     if is_text(head, size):
-        return stl_ascii.read(data, name)
-    wanted = wanted_bytes(head, size)
-    return _read_binary(data, (wanted - _FIRST_FACET) // FACET.itemsize)
+        scan, numbers = _scan_text(data)
+        vertices, faces, _ = weld_corners(numbers[:, 3:])
+        return StlTextFile(data, scan, vertices, np.ascontiguousarray(numbers[:, :3]), faces)
+    n_trailing = size - wanted_bytes(head, size)
+    count = (size - n_trailing - _FIRST_FACET) // FACET.itemsize
+    _check_count(count, n_trailing)
+    facets = _facets(data, count)
+    vertices, faces, bad = weld_corners(facets["corners"])
+    if bad >= 0:
+        raise _not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
+    return StlFile(data, vertices, faces, _list_properties(head, facets), n_trailing)
 
 
 def wanted_bytes(head: bytes, size: int) -> int:
@@ -104,28 +128,30 @@ def is_text(head: bytes, size: int) -> bool:
     return size != _FIRST_FACET + FACET.itemsize * count and _NAMED_SOLID.match(head) is not None
 
 
-def _read_binary(data: Buffer, count: int) -> StlFile:
-    from msal_cli.kernels.welding import weld_corners
+def _check_count(n_facets: int, n_trailing: int = 0) -> None:
+    """Raise ContentError ``E_NO_FACES`` if there is no facet, and TooLargeError if the corners
+    cannot be numbered; ``n_trailing`` bytes follow the last facet."""
+    if not n_facets:
+        more = f"; {n_trailing} bytes follow that it does not count" if n_trailing else ""
+        raise ContentError(
+            f"the file has no facets{more}",
+            code="E_NO_FACES",
+            hint="export the mesh again" if more else "msal denoises surfaces; this file has none",
+        )
+    if n_facets > MAX_FACETS:
+        raise TooLargeError(
+            f"{n_facets} facets are more than the {MAX_FACETS} whose corners can be numbered",
+            hint="cut the mesh into parts",
+        )
 
-    trailing = len(memoryview(data).cast("B")) - _FIRST_FACET - FACET.itemsize * count
-    check_not_empty(count, trailing)
-    check_countable(count)
-    facets = _facets(data, count)
-    vertices, faces, bad = weld_corners(facets["corners"])
-    if bad >= 0:
-        raise not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
-    warnings = trailing_warning(trailing)
-    return StlFile(data, vertices, faces, _properties(data, facets), warnings)
 
-
-def trailing_warning(n_bytes: int) -> tuple[str, ...]:
-    """What a user should know of bytes that follow the last facet."""
-    if not n_bytes:
-        return ()
-    more = n_bytes // FACET.itemsize
-    return (
-        f"{n_bytes} bytes behind the last facet are kept as they are"
-        + (f"; they have room for {more} facets that the header does not count" if more else ""),
+def _not_finite(facet: int, corner: int, line: int | None = None) -> ContentError:
+    """The error for a position that is NaN or infinite; all counts from zero but the line's."""
+    return ContentError(
+        "a position is not finite",
+        code="E_NONFINITE",
+        where=f"facet {facet}, corner {corner}" + (f", line {line}" if line else ""),
+        hint="remove the facet, or export the scan again",
     )
 
 
@@ -135,55 +161,133 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
 
-def _properties(data: Buffer, facets: NDArray[np.void]) -> tuple[str, ...]:
-    """What a binary file has besides positions."""
-    header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
+def _list_properties(head: bytes, facets: NDArray[np.void]) -> tuple[str, ...]:
+    """What a binary file that begins with ``head`` has besides positions."""
+    header = head[:HEADER_BYTES]
     # Neither zero nor minus zero; most files tell in the first part.
     parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
-    has_normals = any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts)
-    return colour_properties(header, has_normals, bool(facets["attribute"].any()))
+    is_there = {
+        "facet normals": any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts),
+        "facet attribute words": facets["attribute"].any(),
+        "colour in the header": b"COLOR=" in header,
+        "material in the header": b"MATERIAL=" in header,
+        "header text": header.strip(b"\0 "),
+    }
+    return tuple(name for name, has_it in is_there.items() if has_it)
 
 
-def colour_properties(header: bytes, has_normals: bool, has_words: bool) -> tuple[str, ...]:
-    """What a file with this header has besides positions, in words."""
-    found = []
-    if has_normals:
-        found.append("facet normals")
-    if has_words:
-        found.append("facet attribute words")
-    if b"COLOR=" in header:
-        found.append("colour in the header")
-    if b"MATERIAL=" in header:
-        found.append("material in the header")
-    if header.strip(b"\0 "):
-        found.append("header text")
-    return tuple(found)
+class _FacetFile:
+    """An STL file; see ``codecs.mesh_file.MeshFile``.
 
+    ``vertices`` are the different positions of corners, in order of appearance.
+    """
 
-class StlFile(FacetFile):
-    """A binary STL file."""
+    format = "stl"
+    encoding: str
+    references: tuple[str, ...] = ()
+    properties: tuple[str, ...]
+    warnings: tuple[str, ...]
 
-    encoding = "binary_little_endian"
-    precision = "float32"
-
-    @property
-    def _end(self) -> int:
-        return _FIRST_FACET + FACET.itemsize * self.n_polygons
+    def __init__(self, data: Buffer, vertices: Floats, faces: Ints) -> None:
+        self.data = data
+        self.vertices, self.faces = vertices, faces
+        self.n_polygons = len(faces)
+        self.merged_vertices = faces.size - len(vertices)
 
     @property
     def normals(self) -> Floats:
         """The stored facet normals (m, 3), as they are."""
-        with np.errstate(invalid="ignore"):  # a signalling NaN
-            return _facets(self.data, self.n_polygons)["normal"].astype(np.float64)
+        raise NotImplementedError
+
+    @property
+    def _name(self) -> str:
+        """What the file calls its mesh."""
+        raise NotImplementedError
+
+    def polygons(self) -> Ints:
+        """The facets as an (m, 3) array."""
+        return self.faces
+
+    def forget_vertices(self) -> None:
+        """Do nothing: to read them again takes long."""
 
     def replaced(self, vertices: Floats) -> Buffer:
         """The file with other vertices (n, 3) and the normals of moved facets recomputed.
 
+        Raises ContentError (``E_RANGE``) if a position does not fit into float32 in a binary file.
+        """
+        raise NotImplementedError
+
+    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
+        """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
+
         Raises
         ------
-        ContentError
-            with code ``E_RANGE`` if a position does not fit into float32.
+        UnsupportedError
+            for a binary file of float64, which STL does not have.
         """
+        was_text = self.encoding == "ascii"
+        to_text = was_text if encoding == "same" else encoding == "ascii"
+        if not to_text and precision == "float64":
+            raise UnsupportedError(
+                "binary STL has no float64",
+                hint="use --encoding ascii, or --to ply",
+            )
+        if to_text == was_text:
+            if to_text and precision == "float32":
+                vertices = as_float32(vertices).astype(np.float64)
+            return self.replaced(vertices)
+        normals, _ = self._renew_normals(vertices)
+        corners = vertices[self.faces].reshape(-1, 9)
+        if to_text:
+            return ascii_stl(corners, normals, self._name, single=precision != "float64")
+        return binary_stl(corners, normals, self._name)
+
+    def _renew_normals(self, vertices: Floats) -> tuple[Floats, Flags]:
+        """The facets' normals (m, 3) for new vertices, and which changed (m,)."""
+        from msal_cli.kernels.stl_facets import renew_facet_normals
+
+        require_shape(vertices, self.vertices)
+        require_finite_result(vertices)
+        return renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
+
+
+class StlFile(_FacetFile):
+    """A binary STL file, ``n_trailing`` bytes behind its last facet."""
+
+    encoding = "binary_little_endian"
+    precision = "float32"
+
+    def __init__(
+        self,
+        data: Buffer,
+        vertices: Floats,
+        faces: Ints,
+        properties: tuple[str, ...],
+        n_trailing: int,
+    ) -> None:
+        super().__init__(data, vertices, faces)
+        self.properties = properties
+        self.warnings = ()
+        self._end = _FIRST_FACET + FACET.itemsize * len(faces)
+        if n_trailing:
+            more = n_trailing // FACET.itemsize
+            room = f"; they have room for {more} facets that the header does not count"
+            self.warnings = (
+                f"{n_trailing} bytes behind the last facet are kept as they are{room * bool(more)}",
+            )
+
+    @property
+    def normals(self) -> Floats:
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return _facets(self.data, self.n_polygons)["normal"].astype(np.float64)
+
+    @property
+    def _name(self) -> str:
+        header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
+        return header.split(b"\0")[0].decode("ascii", "replace")
+
+    def replaced(self, vertices: Floats) -> Buffer:
         require_shape(vertices, self.vertices)
         if np.array_equal(self.vertices, vertices):
             return self.data
@@ -216,6 +320,9 @@ class StlFile(FacetFile):
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
+        from msal_cli.kernels import stl_facets
+        from msal_cli.kernels.parallel import over_ranges
+
         require_shape(vertices, self.vertices)
         require_finite_result(vertices)
         before, after = memoryview(self.data).cast("B"), memoryview(output).cast("B")
@@ -224,73 +331,301 @@ class StlFile(FacetFile):
         if before[self._end :] != after[self._end :]:
             raise InternalError("the bytes behind the last facet changed")
         old, new = _facets(self.data, self.n_polygons), _facets(output, self.n_polygons)
-        check_replaced(old, new, self.vertices, vertices, self.faces)
+        words = [facets.view("<u2").reshape(-1, FACET.itemsize // 2) for facets in (old, new)]
+        numbers = old["corners"], new["normal"], new["corners"]
+        results: list[tuple[int, int]] = []
 
-    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
+        def check_range(start: int, stop: int) -> None:
+            meshes = self.vertices, vertices, self.faces
+            results.append(stl_facets.check_facets(start, stop, *meshes, *words, *numbers))
 
-        Raises
-        ------
-        UnsupportedError
-            for a binary file of float64, which STL does not have.
-        """
-        if encoding in ("same", "binary", self.encoding):
-            refuse_float64(precision)
-            return self.replaced(vertices)
-        from msal_cli.kernels.stl_facets import renew_facet_normals
-
-        require_shape(vertices, self.vertices)
-        normals, _ = renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
-        corners = vertices[self.faces].reshape(-1, 9)
-        header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
-        name = header.split(b"\0")[0].decode("ascii", "replace")
-        return ascii_stl(corners, normals, name, single=precision != "float64")
+        over_ranges(check_range, self.n_polygons)
+        messages = {
+            stl_facets.WRONG_CORNER: "a corner was not written right",
+            stl_facets.WRONG_NORMAL: "a normal was not written right",
+            stl_facets.WRONG_ATTRIBUTE: "the attribute words of an STL file changed",
+        }
+        for facet, status in sorted(results):
+            if status != stl_facets.RIGHT:
+                raise InternalError(messages[status], where=f"facet {facet}")
 
 
-def check_replaced(
-    before: NDArray[np.void],
-    after: NDArray[np.void],
-    old: Floats,
-    new: Floats,
-    faces: Ints,
-) -> None:
-    """Raise InternalError unless facets (m,) differ just as ``new`` vertices ask for.
+@dataclass(frozen=True, eq=False)
+class _Scan:
+    """Facets of a text: see ``kernels.stl_facets`` for what the arrays are.
 
-    old, new (n, 3) : vertices, whose numbers are in ``faces`` (m, 3).
+    ``end`` is the byte behind the text, ``n_bare`` counts facets without a normal.
     """
-    from msal_cli.kernels import stl_facets as facets
-    from msal_cli.kernels.parallel import over_ranges
 
-    found: list[tuple[int, int]] = []
+    facet_at: Longs
+    offsets: Ints
+    decimals: Longs
+    names: tuple[str, ...]
+    n_solids: int
+    end: int
+    n_bare: int
 
-    def look(start: int, stop: int) -> None:
-        found.append(
-            facets.check_facets(
-                start,
-                stop,
-                old,
-                new,
-                faces,
-                _words(before),
-                _words(after),
-                before["corners"],
-                after["normal"],
-                after["corners"],
-            )
+
+def _scan_text(data: Buffer) -> tuple[_Scan, Floats]:
+    """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``.
+
+    The arrays grow with what is scanned, never with what is claimed.
+    """
+    from msal_cli.kernels import stl_facets
+    from msal_cli.kernels.text import as_bytes
+
+    buf = as_bytes(data)
+    # Some editors end a text with a NUL, or with the end-of-file mark of old systems.
+    tail = bytes(buf[-4096:])
+    buf = buf[: len(buf) - len(tail) + len(tail.rstrip(b"\0\x1a"))]
+    state = np.zeros(stl_facets.N_STATE, dtype=np.int64)
+    if bytes(buf[:3]) == BYTE_ORDER_MARK:
+        state[stl_facets.AT] = len(BYTE_ORDER_MARK)
+    room = len(buf) // _USUAL_FACET + 1
+    facet_at = np.empty(room, dtype=np.int64)
+    offsets = np.empty((room, 12), dtype=np.int32)
+    numbers = np.empty((room, 12))
+    solid_at = np.zeros(stl_facets.MAX_SOLIDS, dtype=np.int64)
+    decimals = np.zeros(4, dtype=np.int64)
+    status = stl_facets.FULL
+    while status == stl_facets.FULL:
+        status, at, word = stl_facets.scan(
+            buf, state, facet_at, offsets, numbers, solid_at, decimals
         )
+        room = n_facets = int(state[stl_facets.FACETS])
+        if status == stl_facets.FULL:
+            room = min(len(buf) // MIN_FACET_BYTES + 1, n_facets + n_facets // 2 + 16)
+        for array in (facet_at, offsets, numbers):
+            array.resize((room, *array.shape[1:]), refcheck=False)
+    if status != stl_facets.WHOLE:
+        raise _scan_error(buf, int(status), int(at), int(word), n_facets)
+    _check_count(n_facets)
+    _decide_numbers(data, facet_at, offsets, numbers)
+    n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
+    lines = ((bytes(buf[at : at + 256]).splitlines() or [b""])[0] for at in solid_at[:n_solids])
+    names = tuple(line.decode("utf-8", "replace").strip() for line in lines)
+    return _Scan(facet_at, offsets, decimals, names, n_solids, len(buf), n_bare), numbers
 
-    over_ranges(look, len(before))
-    for facet, wrong in sorted(found):
-        if wrong != facets.RIGHT:
+
+def _decide_numbers(data: Buffer, facet_at: Longs, offsets: Ints, numbers: Floats) -> None:
+    """Read numbers (m, 12) that are in doubt; raises for a position that is not finite."""
+    view = memoryview(data).cast("B")
+    is_doubtful = ~np.isfinite(numbers)
+    is_doubtful[:, :3] = np.isinf(numbers[:, :3])
+    for facet, token in np.argwhere(is_doubtful).tolist():
+        start = int(facet_at[facet] + offsets[facet, token])
+        try:
+            value = float(_token_at(view, start))
+        except ValueError:
+            value = float("nan")
+        if token >= 3 and not np.isfinite(value):
+            raise _not_finite(facet, (token - 3) // 3, line_of(data, start))
+        numbers[facet, token] = value
+
+
+def _token_at(view: memoryview, start: int) -> bytes:
+    return bytes(view[start : start + 4096]).split(None, 1)[0]
+
+
+def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> InputError:
+    """The error for a text that ``stl_facets.scan`` does not accept."""
+    from msal_cli.kernels import stl_facets
+
+    token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
+    text = token.decode("ascii", "backslashreplace")
+    where = f"facet {facet}, line {line_of(buf, at)}"
+    wanted = stl_facets.WORDS[word]
+    others = {stl_facets.FACET: ("endsolid",), stl_facets.NORMAL: ("outer",)}
+    is_begun = status == stl_facets.BAD_NUMBER or (
+        status == stl_facets.WRONG
+        and any(w.encode().startswith(token.lower()) for w in (wanted, *others.get(word, ())))
+    )
+    if status == stl_facets.CUT or (at + len(token) == len(buf) and is_begun):
+        return TruncatedError(
+            f"the text ends within a solid, after {facet} whole facets",
+            where=where,
+            hint="the file was cut short; copy or export it again",
+        )
+    if status == stl_facets.TOO_LONG:
+        return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
+    message, hint = f"expected '{wanted}', found {text!r}", EXPORT_AGAIN
+    if status == stl_facets.OUTSIDE:
+        message = f"expected 'solid', found {text!r}"
+        hint = "ascii STL is a list of solids; is this another format?"
+    elif status == stl_facets.BAD_NUMBER:
+        message, hint = f"{text!r} is not a number", number_hint(token)
+    elif word == stl_facets.ENDLOOP and token.lower() == b"vertex":
+        hint = "a facet of STL has three corners; triangulate the mesh first"
+    return FormatError(message, where=where, hint=hint)
+
+
+class StlTextFile(_FacetFile):
+    """An ascii STL file; ``normals`` (m, 3) are those of its facets, as they are stored."""
+
+    encoding = "ascii"
+    precision = "text"
+
+    def __init__(
+        self, data: Buffer, scan: _Scan, vertices: Floats, normals: Floats, faces: Ints
+    ) -> None:
+        super().__init__(data, vertices, faces)
+        self._normals = normals
+        self._scan = scan
+        self.properties = (
+            *(("facet normals",) * (scan.n_bare != len(faces))),
+            *((f"{scan.n_solids} solids",) * (scan.n_solids > 1)),
+            *(f"solid {name!r}" for name in scan.names if name),
+        )
+        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - scan.n_bare
+        n_trailing = len(memoryview(data).cast("B")) - scan.end
+        texts = {
+            f"{_count_facets(scan.n_bare)} no normal, and none is added": scan.n_bare,
+            f"{_count_facets(n_bad)} a normal that is not three finite numbers: it is kept, not "
+            "recomputed": n_bad,
+            f"{n_trailing} bytes behind the last solid are kept as they are": n_trailing,
+        }
+        self.warnings = tuple(text for text, count in texts.items() if count)
+
+    @property
+    def normals(self) -> Floats:
+        return self._normals
+
+    @property
+    def _name(self) -> str:
+        return self._scan.names[0]
+
+    def _decimals(self) -> tuple[int, int]:
+        """Digits behind the point for normals and for corners: never fewer than the file has.
+
+        Tokens with an exponent can have any number (``1.5e-17``); theirs count as far as they
+        mean something beside the size of the mesh.
+        """
+        from msal_cli.kernels.numbers import MAX_DECIMALS
+
+        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
+        span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
+        extent = max(float(np.sqrt((span * span).sum())), 1e-300)
+        needed = int(np.ceil(-np.log10(extent * 1e-7)))
+        meant = int(np.ceil(-np.log10(extent * _NOISE)))
+        normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
+        corner = max(plain, min(exponent, meant), needed, 0)
+        return min(normal, MAX_DECIMALS), min(corner, MAX_DECIMALS)
+
+    def _changes(self, vertices: Floats) -> tuple[Floats, Flags]:
+        """The new numbers (m, 12) and which of them are to be written."""
+        m = len(self.faces)
+        numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
+        numbers[:, :3], changed = self._renew_normals(vertices)
+        numbers[:, 3:] = vertices[self.faces].reshape(m, 9)
+        replace[:, :3] = changed[:, None]
+        replace[:, 3:] = (vertices != self.vertices)[self.faces].reshape(m, 9)
+        return numbers, replace
+
+    def replaced(self, vertices: Floats) -> Buffer:
+        if np.array_equal(vertices, self.vertices):
+            return self.data
+        from msal_cli.kernels import stl_facets, text
+        from msal_cli.kernels.numbers import FIXED_BELOW
+
+        numbers, replace = self._changes(vertices)
+        buf = text.as_bytes(self.data)
+        decimals = np.array(self._decimals(), dtype=np.int64)
+        scan = self._scan
+        parts = (slice(at, at + _AT_ONCE) for at in range(0, len(numbers), _AT_ONCE))
+        largest = max(
+            float(np.abs(numbers[part]).max(where=replace[part], initial=0.0)) for part in parts
+        )
+        if largest >= FIXED_BELOW:
+            starts = (scan.facet_at[:, None] + scan.offsets)[replace]
+            return self._write_shortest(starts, numbers[replace])
+        width = text.fixed_width(largest, int(decimals.max()))
+        out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
+        length = stl_facets.write_tokens(
+            buf, scan.facet_at, scan.offsets, replace, numbers, decimals, out
+        )
+        return out[:length].data
+
+    def _write_shortest(self, starts: Longs, numbers: Floats) -> bytes:
+        """The text with tokens replaced by the shortest text of numbers of any size."""
+        view = memoryview(self.data).cast("B")
+        pieces: list[bytes | memoryview] = []
+        copied = 0
+        for start, number in zip(starts.tolist(), numbers.tolist(), strict=True):
+            pieces += [view[copied:start], repr(number).encode()]
+            copied = start + len(_token_at(view, start))
+        return b"".join([*pieces, view[copied:]])
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced:
+        corners within half a last digit, and new normals of unit length."""
+        from msal_cli.kernels import stl_facets
+        from msal_cli.kernels.text import as_bytes
+
+        try:
+            other, there = _scan_text(output)
+        except InputError as failure:
             raise InternalError(
-                {
-                    facets.WRONG_CORNER: "a corner was not written right",
-                    facets.WRONG_NORMAL: "a normal was not written right",
-                    facets.WRONG_ATTRIBUTE: "the attribute words of an STL file changed",
-                }[wrong],
-                where=f"facet {facet}",
-            )
+                f"the STL text that was made cannot be read: {failure}", where=failure.where
+            ) from failure
+        if len(there) != len(self.faces):
+            raise InternalError("the number of facets changed")
+        _, replace = self._changes(vertices)
+        scan = self._scan
+        before = as_bytes(self.data), scan.facet_at, scan.offsets
+        after = as_bytes(output), other.facet_at, other.offsets
+        if not stl_facets.is_same_outside(*before, *after, replace):
+            raise InternalError("text other than that of moved corners changed")
+        step = 10.0 ** -self._decimals()[1]
+        for first in range(0, len(there), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            corners = vertices[self.faces[part]].reshape(-1, 9)
+            wrong = np.abs(there[part, 3:] - corners) > 0.5 * step + 4e-16 * np.abs(corners)
+            if wrong.any():
+                facet, at = np.argwhere(wrong)[0].tolist()
+                raise InternalError(
+                    "a corner was not written right",
+                    where=f"facet {first + facet}, corner {at // 3}",
+                )
+            with np.errstate(over="ignore"):
+                lengths = np.linalg.norm(there[part, :3], axis=1)
+            wrong = replace[part, 0] & ~(np.abs(lengths - 1.0) < 1e-5)
+            if wrong.any():
+                facet = first + int(wrong.argmax())
+                raise InternalError("a normal was not written right", where=f"facet {facet}")
 
 
-def _words(facets: NDArray[np.void]) -> NDArray[np.uint16]:
-    return facets.view("<u2").reshape(-1, FACET.itemsize // 2)
+def _count_facets(number: int) -> str:
+    return f"{number} {'facet has' if number == 1 else 'facets have'}"
+
+
+def binary_stl(corners: Floats, normals: Floats, name: str) -> bytes:
+    """A binary STL file of corners (m, 9) and normals (m, 3)."""
+    facets = np.zeros(len(corners), dtype=FACET)
+    facets["corners"] = as_float32(corners)
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = normals.astype(np.float32)
+    facets["normal"] = np.where(np.isfinite(single), single, np.float32(0.0))
+    # A header that begins with "solid" would make readers take the file for text.
+    header = b"binary STL " + name.encode("ascii", "replace")
+    count = len(corners).to_bytes(4, "little")
+    return header[:HEADER_BYTES].ljust(HEADER_BYTES) + count + facets.tobytes()
+
+
+def ascii_stl(corners: Floats, normals: Floats, name: str, *, single: bool) -> Buffer:
+    """An ascii STL file of corners (m, 9) and normals (m, 3), in the shortest exact digits.
+
+    ``single`` writes what float32 holds.
+    """
+    from msal_cli.kernels.text import fill_rows, print_shortest
+
+    numbers = np.concatenate([np.where(np.isfinite(normals), normals, 0.0), corners], axis=1)
+    numbers[:, :3] = numbers[:, :3].astype(np.float32)
+    digits, stops = print_shortest(numbers.reshape(-1), single)
+    corner = (b"\n      vertex ", b" ", b" ")
+    first = (b"\n    outer loop" + corner[0], b" ", b" ")
+    pieces = (b"  facet normal ", b" ", b" ", *first, *corner, *corner)
+    line = " ".join(name.split())
+    head, tail = (f"{word} {line}".rstrip().encode() + b"\n" for word in ("solid", "endsolid"))
+    return b"".join(
+        [head, *fill_rows((*pieces, b"\n    endloop\n  endfacet\n"), digits, stops), tail]
+    )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.codecs import stl
-from msal_cli.codecs.stl_facets import FACET
+from msal_cli.codecs.stl import FACET
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
 from tests.codecs.test_stl import corners_of, moved, soups
@@ -17,7 +17,7 @@ from tests.codecs.test_stl import corners_of, moved, soups
 NUMBER = re.compile(rb"(?<=[\s])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s])")
 
 
-def read(text: str | bytes) -> stl.stl_ascii.StlTextFile:
+def read(text: str | bytes) -> stl.StlTextFile:
     file = stl.read(text.encode() if isinstance(text, str) else text, "a.stl")
     assert file.encoding == "ascii"
     return file

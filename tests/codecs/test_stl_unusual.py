@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msal_cli.codecs import header, stl
-from msal_cli.codecs.stl_ascii import MIN_FACET_BYTES
+from msal_cli.codecs.stl import MIN_FACET_BYTES
 from msal_cli.errors import MsalError, TruncatedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
@@ -28,7 +28,7 @@ def normal_lines(data: bytes) -> list[bytes]:
     return [one.strip() for one in data.splitlines() if re.match(rb"\s*facet", one, re.I)]
 
 
-def checked(data: bytes) -> tuple[stl.stl_ascii.StlTextFile, bytes]:
+def checked(data: bytes) -> tuple[stl.StlTextFile, bytes]:
     """The file, and its text with all positions moved."""
     file = stl.read(data, "a.stl")
     assert np.array_equal(file.vertices, stl.read(TEXT, "a.stl").vertices)
