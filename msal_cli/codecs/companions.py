@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -42,7 +43,12 @@ def write_companions(
     if not companions:
         return ()
     folder = Path(output_path).parent
-    earlier = _names_of_earlier(output_path)
+    earlier: set[str] = set()
+    if os.path.isfile(output_path):
+        from msal_cli.codecs.gltf import names_of_buffers
+
+        with contextlib.suppress(MsalError):
+            earlier = names_of_buffers(expand(read_whole(output_path), output_path)[0])
     return tuple(_write(companion, folder, earlier, sources) for companion in companions)
 
 
@@ -74,15 +80,3 @@ def _write(companion: Companion, folder: Path, earlier: Collection[str], sources
         ) from failure
     write_whole(target, [companion.data], sources=sources)
     return f"wrote {companion.name}"
-
-
-def _names_of_earlier(output_path: str) -> set[str]:
-    """The buffers of the .gltf that is at the output's place."""
-    if not os.path.isfile(output_path):
-        return set()
-    from msal_cli.codecs.gltf import names_of_buffers
-
-    try:
-        return names_of_buffers(expand(read_whole(output_path), output_path)[0])
-    except MsalError:
-        return set()

@@ -17,6 +17,7 @@ from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
+from msal_cli.codecs.slots import as_float32
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.regular import Buffer
 
@@ -64,13 +65,6 @@ class _Mesh:
         """Corners (c,) and sizes (p,) of the polygons."""
         return corners_of(self.faces if self.polygons is None else self.polygons)
 
-    def positions(self, single: bool) -> Floats:
-        if not single:
-            return self.vertices
-        from msal_cli.codecs.slots import as_float32
-
-        return as_float32(self.vertices).astype(np.float64)
-
 
 def converted(
     mesh_file: MeshFile, vertices: Floats, to: str, encoding: str, precision: str
@@ -115,7 +109,11 @@ def converted(
         )
     single = _is_single(mesh_file, to, encoding, precision)
     mesh, losses = _mesh(mesh_file, vertices, to)
-    losses += _rounding(mesh_file, vertices, single)
+    if single and mesh_file.precision != "float32" and len(vertices):
+        # The loss of digits, where it is one: float32 far from the origin ruins a scan.
+        step, loss = _float32_step(vertices)
+        extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+        losses += [loss] if mesh_file.precision == "float64" or step > 1e-6 * extent else []
     return _write(mesh, to, encoding, single), tuple(losses)
 
 
@@ -138,18 +136,16 @@ def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
 def digits_lost(vertices: Floats) -> tuple[str, ...]:
     """What float32 would take from new positions (n, 3): nothing, or their digits, where it rounds
     them by more than a millionth of the mesh's extent."""
-    extent = float(np.ptp(vertices, axis=0).max())
+    step, loss = _float32_step(vertices)
+    is_exact = step <= 1e-6 * float(np.ptp(vertices, axis=0).max())
+    return () if is_exact and float(np.abs(vertices).max()) < 3e38 else (loss,)
+
+
+def _float32_step(vertices: Floats) -> tuple[float, str]:
+    """How far apart float32 numbers are at the largest coordinate, and that as a loss."""
     largest = float(np.abs(vertices).max())
-    step = _float32_step(largest)
-    return () if largest < 3e38 and step <= 1e-6 * extent else (_digits(step),)
-
-
-def _float32_step(largest: float) -> float:
-    return float(np.spacing(np.float32(min(largest, 3e38))))
-
-
-def _digits(step: float) -> str:
-    return f"digits (float32 rounds positions to {step:.1g} units)"
+    step = float(np.spacing(np.float32(min(largest, 3e38))))
+    return step, f"digits (float32 rounds positions to {step:.1g} units)"
 
 
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
@@ -159,15 +155,6 @@ def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> b
     if precision == "same":
         return only_single or mesh_file.precision == "float32"
     return precision == "float32"
-
-
-def _rounding(mesh_file: MeshFile, vertices: Floats, single: bool) -> list[str]:
-    """The loss of digits, where it is one: float32 far from the origin ruins a scan."""
-    if not single or mesh_file.precision == "float32" or not len(vertices):
-        return []
-    extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
-    step = _float32_step(float(np.abs(vertices).max()))
-    return [_digits(step)] if mesh_file.precision == "float64" or step > 1e-6 * extent else []
 
 
 def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:
@@ -226,7 +213,7 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
         if encoding == "ascii":
             return stl.ascii_stl(rows, normals, "", single=single)
         return stl.binary_stl(rows, normals, "")
-    points = mesh.positions(single)
+    points = as_float32(mesh.vertices).astype(np.float64) if single else mesh.vertices
     if to == "obj":
         return _as_obj(mesh, points, single)
     if to == "off":
@@ -238,8 +225,7 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
     if to in writers:
         return writers[to](points, mesh.faces, single=single)
     if to in SCENES:
-        scene = _as_glb(points, mesh)
-        return scene if to == "glb" else _as_gltf(scene)
+        return _as_scene(points, mesh, to)
     return _as_cells(points.astype(np.float32) if single else points, mesh.faces, to, encoding)
 
 
@@ -261,20 +247,28 @@ def _as_cells(points: NDArray[Any], faces: Ints, to: str, encoding: str) -> byte
         return path.read_bytes()
 
 
-def _as_glb(points: Floats, mesh: _Mesh) -> bytes:
+def _as_scene(points: Floats, mesh: _Mesh, to: str) -> Buffer:
+    """A GLB or .gltf file."""
     import trimesh
+
+    from msal_cli.codecs import gltf
 
     surface = trimesh.Trimesh(
         points, mesh.faces, vertex_colors=mesh.colours, process=False, validate=False
     )
     scene: Any = trimesh.Scene(surface)
-    return bytes(scene.export(file_type="glb"))
+    data = bytes(scene.export(file_type="glb"))
+    if to == "glb":
+        return data
+    file = gltf.GlbFile(data)
+    text = gltf.repack(file, file.vertices, to)
+    assert text is not None
+    return text
 
 
 def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
     """PLY, little endian; ascii through the codec, which knows how to print."""
     from msal_cli.codecs import ply
-    from msal_cli.codecs.slots import as_float32
 
     positions: NDArray[Any] = as_float32(mesh.vertices) if single else mesh.vertices
     real = "<f4" if single else "<f8"
@@ -303,15 +297,6 @@ def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
     corners, sizes = mesh.corners()
     faces = integer_lines(corners + 1, sizes, b"f ", doubled=mesh.normals is not None)
     return b"".join([*pieces, faces])
-
-
-def _as_gltf(scene: bytes) -> Buffer:
-    from msal_cli.codecs import gltf
-
-    made = gltf.read_glb(scene, "")
-    data = gltf.repack(made, made.vertices, "gltf")
-    assert data is not None
-    return data
 
 
 def float_lines(values: Floats, *, single: bool, prefix: bytes = b"") -> bytes:

@@ -34,11 +34,11 @@ from msal_cli.codecs.text_slots import (
 from msal_cli.codecs.threemf_model import (
     Model,
     Use,
-    damaged,
     parse_model,
     place_of,
     start_parser,
 )
+from msal_cli.codecs.xml_offsets import damaged
 from msal_cli.codecs.zip_archive import Archive, Member
 from msal_cli.errors import (
     ContentError,
@@ -183,11 +183,10 @@ class Package:
         An object is followed once, however often it is used, since a file can nest uses so that
         there are more of them than any machine can count.
         """
-        known: dict[tuple[str, int], Floats] = {}
+        frames: dict[tuple[str, int], Floats] = {}
         has_instances = False
-        waiting = deque(
-            (self._root.name, use, np.eye(4)) for use in self.models[self._root.name].items
-        )
+        root = self._root.name
+        waiting = deque((root, use, np.eye(4)) for use in self.models[root].items)
         while waiting:
             name, use, above = waiting.popleft()
             member = self.archive.find(use.path) if use.path else None
@@ -196,14 +195,14 @@ class Package:
             key = own, use.object_id
             if use.object_id not in model.ids:
                 raise self._missing(name, use, f"object {use.object_id}")
-            if key in known:
+            if key in frames:
                 has_instances = True
                 continue
             with np.errstate(all="ignore"):
-                known[key] = above @ use.frame
+                frames[key] = above @ use.frame
             parts = model.components.get(use.object_id, ())
-            waiting.extend((own, part, known[key]) for part in parts)
-        return known, has_instances
+            waiting.extend((own, part, frames[key]) for part in parts)
+        return frames, has_instances
 
 
 _BETWEEN = b"\0"
@@ -344,17 +343,14 @@ class ThreeMfFile(SlotFile):
     def _to_file(self, vertices: Floats) -> list[Floats]:
         """New positions of each mesh in its own frame; unmoved ones exactly as they are stored."""
         result = super()._to_file(vertices)
-        first = 0
-        for values in result:
-            is_finite = np.isfinite(values).all(axis=1)
-            if not is_finite.all():
-                raise ContentError(
-                    "a new position is too large for the frame of its mesh",
-                    code="E_RANGE",
-                    where=f"vertex {first + int(np.argmin(is_finite))}",
-                    hint="scale the mesh down",
-                )
-            first += len(values)
+        is_finite = np.concatenate([np.isfinite(values).all(axis=1) for values in result])
+        if not is_finite.all():
+            raise ContentError(
+                "a new position is too large for the frame of its mesh",
+                code="E_RANGE",
+                where=f"vertex {int(np.argmin(is_finite))}",
+                hint="scale the mesh down",
+            )
         return result
 
 

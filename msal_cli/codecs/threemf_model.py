@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
+from msal_cli.codecs.xml_offsets import damaged
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, UnsupportedError
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
@@ -157,10 +158,6 @@ def parse_model(text: bytes, name: str) -> Model:
         with code ``E_INDEX`` or ``E_NONFINITE``.
     """
     return _Reader(text, name).model
-
-
-def damaged(message: str, where: str) -> FormatError:
-    return FormatError(message, where=where, hint=EXPORT_AGAIN)
 
 
 def place_of(text: bytes, name: str, at: int) -> str:
