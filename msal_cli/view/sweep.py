@@ -6,6 +6,8 @@ The bracket behind ``msal sweep``.
 
 from __future__ import annotations
 
+import itertools
+import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -81,23 +83,21 @@ class Grid:
     ----------
     method : of ``methods``.
     fixed : parameters that are the same in all cells.
-    rows, columns : what varies; ``rows`` is None where only one parameter does.
+    axes : what varies: along rows and columns, or along columns only.
     """
 
     method: Method
     fixed: Mapping[str, object]
-    rows: Axis | None
-    columns: Axis
+    axes: tuple[Axis, ...]
 
     def settings(self) -> Iterator[dict[str, Any]]:
         """What varies, for each cell, row by row."""
-        for down in self.rows.values if self.rows else (None,):
-            for across in self.columns.values:
-                chosen = {} if self.rows is None else {self.rows.name: down}
-                yield {**chosen, self.columns.name: across}
+        names = [axis.name for axis in self.axes]
+        for values in itertools.product(*(axis.values for axis in self.axes)):
+            yield dict(zip(names, values, strict=True))
 
 
-def axis(method: Method, text: str, option: str) -> Axis:
+def parse_axis(method: Method, text: str, option: str) -> Axis:
     """The parameter and the values in ``NAME=VALUE,VALUE,...``; UsageError for another form, an
     unknown parameter, or a value that is not allowed or is there twice."""
     name, sign, listed = text.partition("=")
@@ -129,22 +129,18 @@ def grid(
                 f"{method.name} has neither iterations nor K, which vary by default",
                 hint=f"say what does with --columns; see `msal methods {method.name}`",
             )
-    if columns is None:
-        rows, columns = None, rows
-    assert columns is not None
-    across = axis(method, columns, "--columns" if rows is not None else "the values")
-    down = None if rows is None else axis(method, rows, "--rows")
-    taken = [
-        across.name,
-        *([down.name] if down else []),
-        *(method.spec(name).name for name in fixed),
+    given = [(columns, "--columns"), (rows, "--rows")]
+    texts = [(text, option) for text, option in given if text is not None]
+    axes = [
+        parse_axis(method, text, option if texts[1:] else "the values") for text, option in texts
     ]
-    for name in taken:
-        if taken.count(name) > 1:
+    names = [*(axis.name for axis in axes), *(method.spec(name).name for name in fixed)]
+    for name in names:
+        if names.count(name) > 1:
             raise UsageError(f"{name} is set in two places", hint="let it vary or set it, not both")
-    if len(across.values) * len(down.values if down else (0,)) > MAX_CELLS:
+    if math.prod(len(axis.values) for axis in axes) > MAX_CELLS:
         raise UsageError(f"that makes more than {MAX_CELLS} cells", hint="try fewer values")
-    wanted = Grid(method, fixed, down, across)
+    wanted = Grid(method, fixed, tuple(axes[::-1]))
     for chosen in wanted.settings():
         method.validate({**fixed, **chosen})
     return wanted
@@ -251,28 +247,28 @@ def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
 def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: View) -> Image:
     """(H, W, 3) uint8: at the left the input, the choices and the reference, then the grid with its
     numbers.  ``done`` has the cells of the grid and those of choices."""
-    sides = [(draw_grid(on, on.ready.mesh, view), pictures.titles_of((on.name,))[0], ["input"])]
+    title = pictures.titles_of((on.name,))[0]
+    nearest = find_nearest([cell for cell, _ in done])
+    errors = [cell.mean_angular_error_deg for cell, _ in done]
+    least = min((error for error in errors if error is not None), default=None)
+    sides: list[Panel] = [(draw_grid(on, on.ready.mesh, view), title, ["input"])]
+    cells: list[Panel] = []
+    for cell, image in done:
+        panel = image, _title(cell, least, nearest), _lines(cell)
+        (sides if cell.choice else cells).append(panel)
     if on.reference is not None:
         error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
         sides.append((draw_grid(on, on.reference, view), "reference", [words]))
-    nearest = find_nearest([cell for cell, _ in done])
-    errors = [cell.mean_angular_error_deg for cell, _ in done]
-    least = min((error for error in errors if error is not None), default=None)
-    drawn = [
-        (cell.choice, (image, _title(cell, least, nearest), _lines(cell))) for cell, image in done
-    ]
-    cells = [panel for choice, panel in drawn if not choice]
-    sides[1:1] = [panel for choice, panel in drawn if choice]
     style = pictures.style_of(view)
     empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
-    width = len(wanted.columns.values)
+    width = len(wanted.axes[-1].values)
     panels: list[Panel] = []
     for at in range(max(-(-len(cells) // width), len(sides))):
         row = cells[at * width : (at + 1) * width]
         panels += [sides[at] if at < len(sides) else empty, *row, *[empty] * (width - len(row))]
     footer = [
-        f"Each cell: msal denoise {sides[0][1]} -o OUT, and the options below it.",
+        f"Each cell: msal denoise {title} -o OUT, and the options below it.",
         "e: mean edge lengths of the input.",
     ]
     if nearest is not None:
