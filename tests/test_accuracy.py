@@ -1,29 +1,21 @@
-"""The benchmark of accuracy: its cases, its settings, its tables and its cache.
+"""The benchmark of accuracy: its settings and its tables.
 
 Tests that compare with ``methods.names()`` fail for a new method; they say what to run.
 """
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
 from benchmarks import (
-    accuracy,
-    accuracy_outcomes,
     accuracy_tables,
-    accuracy_trials,
     ground_truth,
 )
 from benchmarks.accuracy_grid import Setting, defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.auto import Choice
-from msal_cli.mesh import prepare_mesh
-from tests.shapes import torus
 
 A_NEW_METHOD = (
     "For a new method: add its settings to benchmarks/accuracy_grid.py, run `MSAL_DATA=FOLDER "
@@ -89,56 +81,6 @@ def test_a_summary_by_hand():
     assert found["goal"] == ["5.40", "7.80", ""]
     assert found["`--auto` / best published setting"] == ["1.00", "0.86", ""]
     assert found["`--auto` / tuning for both at once"] == ["0.83", "0.92", ""]
-
-
-@pytest.fixture
-def small(monkeypatch):
-    """One small torus in every class, three settings, and a choice that costs nothing; gives the
-    list of what is run."""
-    true = prepare_mesh(*torus(24, 12)).mesh
-    cases = [
-        ground_truth.Case(
-            f"torus {n}",
-            of,
-            lambda of=of: ground_truth.corrupted(true, 0.0 if of == "clean" else 0.2, 1),
-        )
-        for n, of in enumerate(ground_truth.CLASSES)
-    ]
-    ran: list[str] = []
-    run = accuracy_outcomes.run_setting
-
-    def counted(noisy, true, name, given, reason=""):
-        ran.append(AUTO if reason else name)
-        return run(noisy, true, name, given, reason)
-
-    def chosen(mesh, wishes):
-        parameters = {"iterations": 2 + int(wishes.strength)}
-        return Choice("al", parameters, "for a test", "organic", estimate_noise(mesh))
-
-    monkeypatch.setattr(ground_truth, "cases", lambda quick=False: iter(cases))
-    monkeypatch.setattr(accuracy_trials, "WISHED", ("torus 1",))
-    monkeypatch.setattr(accuracy_trials, "other_cases", lambda: iter(cases[:1]))
-    monkeypatch.setattr(accuracy, "grid", lambda coarse=False: SETTINGS)
-    monkeypatch.setattr(accuracy, "defaults", lambda: SETTINGS[:1])
-    monkeypatch.setattr(accuracy_outcomes, "run_setting", counted)
-    monkeypatch.setattr(accuracy_outcomes, "choose_method", chosen)
-    return ran
-
-
-def test_a_run_goes_on_from_its_cache(small, tmp_path, capsys):
-    words = ["--cache", str(tmp_path / "held.json")]
-    accuracy.main([*words, "--parts", "classes"])
-    first = capsys.readouterr().out
-    assert len(small) == 4 * 4 + 2
-    accuracy.main([*words, "--parts", "classes"])
-    assert capsys.readouterr().out == first
-    assert len(small) == 4 * 4 + 2
-    accuracy.main([*words, "--parts", "classes", "--again"])
-    assert capsys.readouterr().out == first
-    assert small[4 * 4 + 2 :] == [AUTO] * 5
-    headings = re.findall(r"^### (.+)$", first, re.M)
-    assert headings == ["Overview", *(of.capitalize() for of in ground_truth.CLASSES)]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["held.json"]
 
 
 def test_the_page_has_every_class_and_every_method():

@@ -191,32 +191,6 @@ def test_msal_is_installed_from_where_it_is(page: Path) -> None:
     assert all(refresh.source() in words for words in installs), installs
 
 
-def readme_block(name: str) -> str:
-    found = re.search(
-        rf"^<!-- ci: {name} -->\n```sh\n(.+?)^```$", README.read_text("utf-8"), re.M | re.DOTALL
-    )
-    assert found is not None, name
-    return found[1].strip()
-
-
-def test_ci_runs_the_commands_of_the_readme() -> None:
-    script = (ROOT / ".ci/run").read_text("utf-8")
-    set_up, tests = readme_block("set-up"), readme_block("tests")
-    assert "\n" not in set_up and "\n" not in tests, "one command each"
-    for name in ("set-up", "tests"):
-        assert f"run_block {name}" in script
-    # The commands themselves stand in the README only, so that they cannot drift apart.
-    assert tests not in script
-    assert set_up not in script
-    assert "-m venv .venv" in set_up and "msal denoise sample_meshes" in set_up
-    assert "-m pytest" in tests
-    # To try msal needs no package of development, and its tests need all of them.
-    assert "install -q -e . " in set_up and "'.[dev]'" in tests
-    # What the extra brings is used after the block that installs it.
-    checks = [script.index(f".venv/bin/{tool}") for tool in ("ruff", "mypy")]
-    assert min(checks) > script.index("run_block tests")
-
-
 def fields(kind: type[Any], prefix: str = "") -> set[str]:
     """Names of a record's fields; those of an inner record follow with a dot."""
     names = set()

@@ -11,8 +11,7 @@ from benchmarks.scan_simulation.depth_camera import (
     DISTANCE,
 )
 from benchmarks.scan_simulation.occupancy import Grid, fill_voxels
-from benchmarks.scanner_cases import Case, Pair
-from benchmarks.scanner_outcomes import NOISY
+from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_settings import PEER_SETTINGS
 from benchmarks.true_surface import TrueSurface, corner_normals
 from msal_cli.analysis.surface_distance import nearest_on_surface
@@ -191,30 +190,6 @@ def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
     box = prepare_mesh(*cube()).mesh
     normals = face_normals(box.vertices, box.faces)
     assert np.allclose(corner_normals(box), normals[:, None, :])
-
-
-def test_the_cache_is_used_until_the_mesh_changes(tmp_path, monkeypatch):
-    path = tmp_path / "cache.json"
-    made = []
-
-    def make(level: float) -> Pair:
-        made.append(level)
-        true = small_torus()
-        return Pair(true.with_vertices((1.0 + level) * true.vertices), true)
-
-    def rows(level: float, again: bool = False):
-        outcomes = scanner_outcomes.Outcomes(path, None)
-        case = Case("kind", "model", lambda: make(level))
-        if again:
-            outcomes.forget(["msal"], [case.key])
-        return outcomes.run([case], ["msal"], PEER_SETTINGS)["model"]
-
-    first = rows(0.1)
-    assert set(first) == {NOISY, "msal"}
-    assert rows(0.2) == first and made == [0.1]
-    changed = rows(0.2, again=True)
-    assert made == [0.1, 0.2]
-    assert changed[NOISY].errors.distance_percent > first[NOISY].errors.distance_percent
 
 
 def test_the_section_is_printed_without_any_peer(one_model, tmp_path, capsys, monkeypatch):

@@ -179,27 +179,6 @@ def test_heights_times_a_constant_exactly(level, factor):
     assert risk.drift[0] == pytest.approx(factor * float(around @ heights) / 0.1, rel=0.05)
 
 
-def test_it_is_the_true_error_on_the_mean_for_linear_filters(level):
-    # Over many draws of the noise both the estimate and the error scatter; their means agree.
-    once = smoothing(sheet()[0].mesh)
-    twice = (np.eye(len(once)) + once) @ (np.eye(len(once)) + once) - np.eye(len(once))
-    weights = np.array([0.3, 0.5])
-    gaps, slope_gaps = [], []
-    for seed in range(30):
-        part, heights = sheet(noise=0.1, seed=seed)
-        risk = stein(part, 0.1, along(once), along(twice))
-        blend = 0.3 * once @ heights + 0.5 * twice @ heights
-        gaps.append(risk.positions.at(weights) - np.mean((heights + blend) ** 2) / 0.01)
-        tilt = slopes_of(part.mesh, upwards(part.mesh), part.judged)
-        left = tilt((heights + blend)[:, None] * UP)
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(40, len(once)))
-        before = np.mean([np.sum(tilt(0.1 * sign[:, None] * UP) ** 2) for sign in signs])
-        slope_gaps.append(risk.slopes.at(weights) - np.sum(left**2) / before)
-    for gap in (gaps, slope_gaps):
-        assert abs(np.mean(gap)) < 4.0 * np.std(gap) / np.sqrt(len(gap)) + 1e-3
-        assert np.std(gap) < 0.2
-
-
 PROBES = 24
 """Enough that their own scatter, alike in all draws, does not count."""
 

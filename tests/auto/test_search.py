@@ -21,7 +21,7 @@ from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.methods.blend import parse_members
-from tests.shapes import ball, grid, noisy, torus
+from tests.shapes import grid, noisy, torus
 
 
 @pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda candidate: candidate.label)
@@ -195,16 +195,6 @@ def test_the_choice_keeps_within_the_budget(large, budget):
         assert cost <= n
         # What was chosen is not among the next best.
         assert choice.runners_up == ()
-
-
-def test_weights_are_whole_hundredths_of_methods_that_were_tried():
-    vertices, faces = ball(60, 30)
-    bumps = 0.02 * np.sin(25.0 * vertices).prod(axis=1)[:, None] * vertices
-    choice = chosen(prepare_mesh(noisy(vertices + bumps, 0, 0.01), faces).mesh)
-    members = members_of(choice)
-    assert len(members) == choice.parameters["members"].count("*") > 1
-    assert sum(weight for weight, _ in members) <= 1.0 + 1e-9
-    assert all(round(weight, 2) == weight > 0.0 for weight, _ in members)
 
 
 def test_with_trust_the_method_has_a_data_term(mesh):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
-from msal_cli.errors import InputError, UnsupportedError, UsageError
+from msal_cli.errors import UsageError
 from msal_cli.job import constraints
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.kernels.geometry import distances
@@ -271,20 +271,6 @@ def test_trust_is_the_property_over_its_largest_value():
         denoised(ply(vertices, faces, {"q": negative}), weights="q")[0],
         denoised(ply(vertices, faces, {"q": zero}), weights="q")[0],
     )
-
-
-def test_properties_behind_lists_are_read():
-    rows = ["0 0 0 2 7 7 0.5", "1 0 0 0 1.5", "0 1 0 1 7 2.5"]
-    top = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-    top += "property float z\nproperty list uchar int near\nproperty float q\nelement face 1\n"
-    top += "property list uchar int vertex_indices\nend_header\n"
-    file = codecs.open_mesh((top + "\n".join(rows) + "\n3 0 1 2\n").encode(), "a.ply")
-    assert codecs.vertex_property(file, "q").tolist() == [0.5, 1.5, 2.5]
-    with pytest.raises(InputError, match="that is a number"):
-        codecs.vertex_property(file, "near")
-    other = codecs.open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
-    with pytest.raises(UnsupportedError, match="from PLY, not from OBJ"):
-        codecs.vertex_property(other, "confidence")
 
 
 def test_a_property_that_is_not_there_is_an_error_that_lists_the_others():

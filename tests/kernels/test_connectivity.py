@@ -15,7 +15,6 @@ from msal_cli.kernels.connectivity import (
     count_components,
     faces_to_flip,
 )
-from tests.methods.plain_rings import rows
 from tests.paper import one_rings
 from tests.shapes import cube, grid, torus
 
@@ -122,22 +121,3 @@ def test_the_rim_of_a_grid_worked_by_hand():
     assert listed(*averaging_ring(faces, links, "curve")) == rim
     fixed = [[]] * 4 + [middle] + [[]] * 4
     assert listed(*averaging_ring(faces, links, "fixed")) == fixed
-
-
-@given(
-    chosen=st.lists(
-        st.tuples(st.integers(0, 9), st.integers(0, 9), st.integers(0, 9)).filter(
-            lambda face: len(set(face)) == 3
-        ),
-        min_size=1,
-        max_size=25,
-        unique_by=lambda face: tuple(sorted(face)),
-    ),
-    boundary=st.sampled_from(["free", "fixed", "curve"]),
-)
-def test_any_set_of_faces_gives_the_rows_of_the_plain_twin(chosen, boundary):
-    # Non-manifold edges, bow-ties, lone faces and unreferenced vertices all come up.
-    faces = np.array(chosen, dtype=np.int32)
-    links = connectivity(10, faces)
-    expected = [sorted(row) for row in rows(10, faces, boundary)]
-    assert listed(*averaging_ring(faces, links, boundary)) == expected

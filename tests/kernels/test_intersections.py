@@ -103,25 +103,6 @@ def test_neither_the_order_nor_the_size_of_chunks_matters(monkeypatch):
     assert sorted(map(tuple, mixed.tolist())) == pairs
 
 
-def test_every_pair_of_boxes_is_found_once():
-    random = np.random.default_rng(1)
-    # From large to small, and some without an extent.
-    sizes = 10.0 ** random.uniform(-6, 1, (300, 1, 1)) * (random.random((300, 1, 1)) > 0.1)
-    triangles = random.random((300, 1, 3)) + sizes * random.normal(size=(300, 3, 3))
-    given = [
-        pair for some in intersections.near_pairs(triangles) for pair in zip(*some, strict=True)
-    ]
-    assert len({frozenset(pair) for pair in given}) == len(given)
-    low, high = intersections._bounds(triangles)
-    expected = {
-        frozenset((i, j))
-        for i in range(300)
-        for j in range(i)
-        if (low[:, i] <= high[:, j]).all() and (low[:, j] <= high[:, i]).all()
-    }
-    assert {frozenset(pair) for pair in given} == expected
-
-
 @pytest.mark.parametrize("scale", [1.0, 1e-110, 1e60])
 def test_signs_are_exact_where_rounding_is_larger(scale):
     random = np.random.default_rng(2)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.kernels import parallel
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral
-from msal_cli.kernels.sweeps import Constant, Multiscale, Plain, run_sweeps
 
 HUB = 3000
 
@@ -69,19 +67,6 @@ def test_every_vertex_gets_its_own_ring(kind, of):
     assert np.abs(step.move - heights).max() <= 1e-12
     assert np.abs(step.sigma - sigma).max() <= 1e-12
     assert step.largest_sigma == step.sigma.max()
-
-
-@KINDS
-@OPERATORS
-@pytest.mark.parametrize("schedule", [Plain(0.5), Constant(0.5, 0.1), Multiscale()])
-def test_ranges_do_not_change_a_bit(kind, of, schedule, monkeypatch):
-    made, x = operator(kind, of)
-    whole = run_sweeps(x, made, schedule, 3)
-    monkeypatch.setenv("MSAL_THREADS", "7")
-    monkeypatch.setattr(parallel, "MIN_RANGE", 10)
-    cut = run_sweeps(x, made, schedule, 3)
-    assert (cut.vertices == whole.vertices).all()
-    assert (cut.fidelity == whole.fidelity).all()
 
 
 @KINDS

@@ -96,14 +96,6 @@ def test_kernels_agree_with_the_papers(shape, given):
     assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
 
 
-@pytest.mark.parametrize("variant", ["one_ring", "fleishman"])
-def test_the_multiscale_schedule_goes_over_both(variant):
-    vertices, faces = SHAPES["torus"]
-    expected = twin(vertices, faces, 4, variant, K=0.4)
-    actual = run(vertices, faces, iterations=4, variant=variant, schedule="multiscale", K=0.4)
-    assert np.abs(actual - expected).max() <= 1e-12 * np.ptp(vertices)
-
-
 def test_the_one_ring_worked_by_hand():
     # Heights 1, 1, 1, 5 and distances sqrt(2), sqrt(2), sqrt(2), sqrt(26) about an upright normal:
     # the variance of the heights is (1 + 1 + 1 + 9) / 4 = 3, and sigma_c is 2.

@@ -96,23 +96,6 @@ def test_a_vertex_far_from_every_centroid_stays():
     assert (out[:36] != vertices[:36]).any(axis=1).all()
 
 
-def test_the_multiscale_schedule_goes_over_it():
-    # Algorithm 1 with the displacement of the filter for dx.
-    vertices, faces = SHAPES["torus"]
-    rings = paper.one_rings(len(vertices), faces)
-    normals = paper.normal_field(vertices, faces, 1)
-    first = twin(vertices, faces, 1.0, 1.0)
-    sigma = np.zeros(len(vertices))
-    for i, ring in enumerate(rings):
-        h = (first[ring] - first[i]) @ normals[i]
-        sigma[i] = 2 * np.mean(np.abs(h - h.mean()))
-    scale = mean_edge(vertices, rings) / mean_edge(first, rings)
-    second = first + 0.25 * (twin(first, faces, scale, scale) - first)
-    second += (sigma / sigma.max())[:, None] * (vertices - first)
-    actual = run(vertices, faces, iterations=2, schedule="multiscale", K=0.25)
-    assert np.abs(actual - second).max() <= 1e-12 * np.ptp(vertices)
-
-
 @pytest.mark.parametrize("width", [1e-300, 1e-12])
 def test_tiny_widths_do_not_underflow(width):
     vertices, faces = SHAPES["torus"]

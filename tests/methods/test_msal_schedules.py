@@ -41,16 +41,6 @@ def centred(shape):
     return vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2, faces
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("quantile", [0.25, 0.9, 0.99])
-@pytest.mark.parametrize("mollify", [0, 1])
-def test_robust_is_what_its_definition_says(shape, quantile, mollify):
-    vertices, faces = centred(shape)
-    expected = plain.robust(vertices, faces, 4, 0.5, quantile, mollify)
-    actual = run(vertices, faces, schedule="robust", quantile=quantile, mollify=mollify).vertices
-    assert np.abs(actual - expected).max() < 1e-12 * np.ptp(vertices)
-
-
 @given(
     seed=st.integers(0, 10**6),
     level=st.floats(0.0, 0.5),
