@@ -9,7 +9,6 @@ Everything binary is big-endian, as VTK writes it on every machine.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,15 +27,90 @@ for _name, _size in (("char", 1), ("short", 2), ("int", 4), ("long", 8)):
     _CODES |= {f"vtktypeint{8 * _size}": f">i{_size}", f"vtktypeuint{8 * _size}": f">u{_size}"}
 _LINE = re.compile(rb"\s*([^\r\n]*)(?:\r\n|\n|\r|\Z)")
 _PARAGRAPH_END = re.compile(rb"\n[ \t]*\r?\n|\Z")
+_HEADER = re.compile(
+    rb"# vtk DataFile Version[ \t]+(\d+)\.(\d+)[^\r\n]*\r?\n([^\r\n]*)\r?\n"
+    rb"\s*(ASCII|BINARY)[ \t]*\r?\n",
+    re.IGNORECASE,
+)
+_POINTS = ("POLYDATA", "UNSTRUCTURED_GRID", "STRUCTURED_GRID")
+_CELLS = {
+    "VERTICES": "vertex",
+    "LINES": "line",
+    "POLYGONS": "polygon",
+    "TRIANGLE_STRIPS": "strip",
+}
+_PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
+_ZERO = np.zeros(1, dtype=np.int64)
 
 
-class Stream:
-    """A position in a VTK file; ``precision`` is that of the points once they are read."""
+def parse(data: Buffer) -> Layout:
+    """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
+    header = _HEADER.match(data)
+    if not header:
+        raise FormatError(
+            "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY",
+            where="line 1",
+            hint=EXPORT_AGAIN,
+        )
+    is_text = header[4].upper() == b"ASCII"
+    reader = _Reader(data, header.end(), is_text=is_text)
+    words = reader.line()
+    kind = words[1].upper() if len(words) > 1 and words[0].upper() == "DATASET" else ""
+    if not kind:
+        raise reader.damaged("no DATASET is named")
+    if kind not in _POINTS:
+        raise UnsupportedError(
+            f"the data set {kind} has no surface of points",
+            hint="extract the surface in the program that wrote it",
+        )
+    dimensions: list[int] = []
+    while words := reader.line():
+        keyword = words[0].upper()
+        if keyword == "DIMENSIONS":
+            dimensions = [reader.count_of(words, k, "points") for k in (1, 2, 3)]
+        elif keyword in ("POINT_DATA", "CELL_DATA"):
+            reader.back()
+            reader.read_attributes()
+            break
+        else:
+            reader.read_section(words)
+    if reader.points is None:
+        raise reader.damaged("the file has no POINTS")
+    if kind == "STRUCTURED_GRID":
+        reader.surface.add_layer(dimensions, len(reader.points.values))
+    elif reader.cells is not None:
+        raise reader.damaged("the file has no CELL_TYPES")
+    normals = reader.normals
+    has_normals = normals is not None and len(normals.values) == len(reader.points.values)
+    return reader.surface.content(
+        reader.points,
+        reader.precision,
+        encoding="ascii" if is_text else "binary_big_endian",
+        normals=(normals,) if normals is not None and has_normals else (),
+        properties=tuple(reader.properties),
+        warnings=tuple(reader.warnings),
+    )
+
+
+class _Reader:
+    """A position in a VTK file, and what was read up to there.
+
+    Attributes
+    ----------
+    precision : that of the points.
+    cells : sizes and corners of those whose types are not read yet.
+    """
 
     def __init__(self, data: Buffer, at: int, *, is_text: bool) -> None:
         from msal_cli.kernels.text import as_bytes
 
         self.precision = ""
+        self.points: Slots | None = None
+        self.surface = Cells()
+        self.cells: tuple[Longs, Longs] | None = None
+        self.normals: Slots | None = None
+        self.properties: list[str] = []
+        self.warnings: list[str] = []
         self._bytes = data
         self._data = as_bytes(data)
         self._at = self._line_at = self._before_line = at
@@ -63,7 +137,7 @@ class Stream:
         """Go back to the beginning of the last line."""
         self._at = self._before_line
 
-    def skip_paragraph(self) -> None:
+    def _skip_paragraph(self) -> None:
         """Skip to after the next blank line, which ends METADATA."""
         found = _PARAGRAPH_END.search(self._bytes, max(self._at - 1, 0))
         assert found is not None
@@ -81,7 +155,7 @@ class Stream:
             raise self.damaged(f"{word[:40]!r} is not a number of {what}")
         return int(word)
 
-    def positions(self, n_points: int, kind: str) -> Slots:
+    def _read_points(self, n_points: int, kind: str) -> Slots:
         """The points (n, 3) that follow."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
@@ -93,11 +167,11 @@ class Stream:
         self.precision = "float32" if code == ">f4" else "float64"
         return self._floats(n_points, code, is_normals=False)
 
-    def normals(self, count: int, kind: str) -> Slots | None:
+    def _read_normals(self, count: int, kind: str) -> Slots | None:
         """The normals (n, 3) that follow; None if they are stored as whole numbers."""
         code = self._code(kind)
         if code not in (">f4", ">f8"):
-            self.skip(3 * count, kind)
+            self._skip(3 * count, kind)
             return None
         return self._floats(count, code, is_normals=True)
 
@@ -111,7 +185,7 @@ class Stream:
         places = (0, size, 2 * size)
         return Strided(self._data, at, count, 3 * size, places, (code,) * 3)
 
-    def integers(self, count: int, kind: str) -> Longs:
+    def _integers(self, count: int, kind: str) -> Longs:
         """The whole numbers that follow."""
         code = self._code(kind)
         if self._words is not None:
@@ -120,23 +194,23 @@ class Stream:
         at = self._next_bytes(size * count)
         return self._data[at : at + size * count].view(code).astype(np.int64)
 
-    def cells(self, words: list[str]) -> tuple[Longs, Longs]:
+    def _read_cells(self, words: list[str]) -> tuple[Longs, Longs]:
         """Sizes (k,) and corners of the cells whose section begins with this line."""
         first, second = (self.count_of(words, k, "cells") for k in (1, 2))
         at = self._at
         header = self.line()
         if header and header[0].upper() == "OFFSETS":
-            offsets = self.integers(first, self.word_of(header, 1)) if first else _ZERO
+            offsets = self._integers(first, self.word_of(header, 1)) if first else _ZERO
             header = self.line()
             if not header or header[0].upper() != "CONNECTIVITY":
                 raise self.damaged("no CONNECTIVITY")
-            corners = self.integers(second, self.word_of(header, 1))
+            corners = self._integers(second, self.word_of(header, 1))
             sizes = np.diff(offsets)
             if offsets[0] != 0 or offsets[-1] != second or (sizes < 0).any():
                 raise self.damaged("the OFFSETS of cells are wrong")
             return sizes, corners
         self._at = at
-        return self._counted_cells(first, self.integers(second, "int"))
+        return self._counted_cells(first, self._integers(second, "int"))
 
     def _counted_cells(self, n_cells: int, numbers: Longs) -> tuple[Longs, Longs]:
         """Sizes and corners of cells that are stored as a count and their corners each."""
@@ -158,7 +232,7 @@ class Stream:
         is_corner[firsts] = False
         return numbers[firsts], numbers[is_corner]
 
-    def skip(self, count: int, kind: str) -> None:
+    def _skip(self, count: int, kind: str) -> None:
         """Skip an array of so many numbers."""
         if self._words is not None:
             self._next_words(count)
@@ -204,180 +278,93 @@ class Stream:
         self._at += count
         return at
 
-
-_ZERO = np.zeros(1, dtype=np.int64)
-
-
-_HEADER = re.compile(
-    rb"# vtk DataFile Version[ \t]+(\d+)\.(\d+)[^\r\n]*\r?\n([^\r\n]*)\r?\n"
-    rb"\s*(ASCII|BINARY)[ \t]*\r?\n",
-    re.IGNORECASE,
-)
-_POINTS = ("POLYDATA", "UNSTRUCTURED_GRID", "STRUCTURED_GRID")
-_CELLS = {
-    "VERTICES": "vertex",
-    "LINES": "line",
-    "POLYGONS": "polygon",
-    "TRIANGLE_STRIPS": "strip",
-}
-_PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
-
-
-@dataclass(eq=False)
-class _Parsed:
-    """What a file holds, ``cells`` being those whose types are not read yet."""
-
-    points: Slots | None = None
-    surface: Cells = field(default_factory=Cells)
-    cells: tuple[Longs, Longs] | None = None
-    normals: Slots | None = None
-    properties: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-
-
-def parse(data: Buffer) -> Layout:
-    """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
-    header = _HEADER.match(data)
-    if not header:
-        raise FormatError(
-            "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY",
-            where="line 1",
-            hint=EXPORT_AGAIN,
-        )
-    is_text = header[4].upper() == b"ASCII"
-    stream = Stream(data, header.end(), is_text=is_text)
-    words = stream.line()
-    kind = words[1].upper() if len(words) > 1 and words[0].upper() == "DATASET" else ""
-    if not kind:
-        raise stream.damaged("no DATASET is named")
-    if kind not in _POINTS:
-        raise UnsupportedError(
-            f"the data set {kind} has no surface of points",
-            hint="extract the surface in the program that wrote it",
-        )
-    parsed = _Parsed()
-    dimensions: list[int] = []
-    while words := stream.line():
+    def read_section(self, words: list[str]) -> None:
+        """Read a section in front of the attributes; ``words`` are those of its first line."""
         keyword = words[0].upper()
-        if keyword == "DIMENSIONS":
-            dimensions = [stream.count_of(words, k, "points") for k in (1, 2, 3)]
-        elif keyword in ("POINT_DATA", "CELL_DATA"):
-            stream.back()
-            _read_attributes(stream, parsed)
-            break
+        if keyword == "POINTS":
+            n_points = self.count_of(words, 1, "points")
+            self.points = self._read_points(n_points, self.word_of(words, 2))
+        elif keyword in _CELLS:
+            self.surface.add(_CELLS[keyword], *self._read_cells(words))
+        elif keyword == "CELLS":
+            self.cells = self._read_cells(words)
+        elif keyword == "CELL_TYPES":
+            if self.cells is None:
+                raise self.damaged("CELL_TYPES without CELLS")
+            types = self._integers(self.count_of(words, 1, "cells"), "int")
+            self.surface.add_types(types, *self.cells)
+            self.cells = None
+        elif keyword == "METADATA":
+            self._skip_paragraph()
+        elif keyword == "FIELD":
+            self._read_field(words, "")
+        elif keyword.endswith("_COORDINATES") or keyword in ("SPACING", "ORIGIN"):
+            raise UnsupportedError(f"{words[0]} in a data set of points", where=self.where())
         else:
-            _read_section(stream, words, parsed)
-    if parsed.points is None:
-        raise stream.damaged("the file has no POINTS")
-    if kind == "STRUCTURED_GRID":
-        parsed.surface.add_layer(dimensions, len(parsed.points.values))
-    elif parsed.cells is not None:
-        raise stream.damaged("the file has no CELL_TYPES")
-    normals = parsed.normals
-    has_normals = normals is not None and len(normals.values) == len(parsed.points.values)
-    return parsed.surface.content(
-        parsed.points,
-        stream.precision,
-        encoding="ascii" if is_text else "binary_big_endian",
-        normals=(normals,) if normals is not None and has_normals else (),
-        properties=tuple(parsed.properties),
-        warnings=tuple(parsed.warnings),
-    )
+            raise self.damaged(f"{words[0][:40]!r} is no section of a VTK file")
 
+    def read_attributes(self) -> None:
+        """Look for normals of points among the attributes; what is not understood is left alone."""
+        owner, n_tuples = "", 0
+        try:
+            while words := self.line():
+                keyword = words[0].upper()
+                if keyword in ("POINT_DATA", "CELL_DATA"):
+                    owner = keyword[: -len("_DATA")].lower()
+                    n_tuples = self.count_of(words, 1, "tuples")
+                elif keyword == "METADATA":
+                    self._skip_paragraph()
+                elif keyword == "FIELD":
+                    self._read_field(words, owner, n_tuples)
+                else:
+                    self._read_attribute(words, owner, n_tuples)
+        except InputError as failure:
+            first = failure.where or "the first"
+            self.warnings.append(
+                f"attributes from {first} on were not understood ({failure}); they are kept as "
+                "they are"
+            )
 
-def _read_section(stream: Stream, words: list[str], parsed: _Parsed) -> None:
-    """Read a section in front of the attributes; ``words`` are those of its first line."""
-    keyword = words[0].upper()
-    if keyword == "POINTS":
-        n_points = stream.count_of(words, 1, "points")
-        parsed.points = stream.positions(n_points, stream.word_of(words, 2))
-    elif keyword in _CELLS:
-        parsed.surface.add(_CELLS[keyword], *stream.cells(words))
-    elif keyword == "CELLS":
-        parsed.cells = stream.cells(words)
-    elif keyword == "CELL_TYPES":
-        if parsed.cells is None:
-            raise stream.damaged("CELL_TYPES without CELLS")
-        types = stream.integers(stream.count_of(words, 1, "cells"), "int")
-        parsed.surface.add_types(types, *parsed.cells)
-        parsed.cells = None
-    elif keyword == "METADATA":
-        stream.skip_paragraph()
-    elif keyword == "FIELD":
-        _read_field(stream, words, "", parsed)
-    elif keyword.endswith("_COORDINATES") or keyword in ("SPACING", "ORIGIN"):
-        raise UnsupportedError(f"{words[0]} in a data set of points", where=stream.where())
-    else:
-        raise stream.damaged(f"{words[0][:40]!r} is no section of a VTK file")
+    def _read_attribute(self, words: list[str], owner: str, n_tuples: int) -> None:
+        keyword = words[0].upper()
+        name = self.word_of(words, 1)
+        if keyword == "SCALARS":
+            width = int(words[3]) if len(words) > 3 and words[3].isdigit() else 1
+            table = self.line()
+            if not table or table[0].upper() != "LOOKUP_TABLE":
+                self.back()
+            self._skip(n_tuples * width, self.word_of(words, 2))
+        elif keyword == "COLOR_SCALARS":
+            width = self.count_of(words, 2, "colours")
+            self._skip(n_tuples * width, "unsigned_char")
+        elif keyword == "LOOKUP_TABLE":
+            self._skip(4 * self.count_of(words, 2, "colours"), "unsigned_char")
+        elif keyword == "NORMALS" and owner == "point":
+            self.normals = self._read_normals(n_tuples, self.word_of(words, 2))
+        elif keyword in _PER_TUPLE:
+            self._skip(n_tuples * _PER_TUPLE[keyword], self.word_of(words, 2))
+        elif keyword == "TEXTURE_COORDINATES":
+            self._skip(n_tuples * self.count_of(words, 2, "numbers"), self.word_of(words, 3))
+        elif keyword in ("GLOBAL_IDS", "PEDIGREE_IDS", "EDGE_FLAGS"):
+            self._skip(n_tuples, self.word_of(words, 2))
+        else:
+            raise FormatError(f"{words[0][:40]!r} is no attribute", where=self.where())
+        if keyword == "NORMALS" and owner == "cell":
+            self.warnings.append("normals of cells are kept as they are")
+        self.properties.append(f"{owner}.{name}")
 
-
-def _read_attributes(stream: Stream, parsed: _Parsed) -> None:
-    """Look for normals of points among the attributes; what is not understood is left alone."""
-    owner, n_tuples = "", 0
-    try:
-        while words := stream.line():
-            keyword = words[0].upper()
-            if keyword in ("POINT_DATA", "CELL_DATA"):
-                owner = keyword[: -len("_DATA")].lower()
-                n_tuples = stream.count_of(words, 1, "tuples")
-            elif keyword == "METADATA":
-                stream.skip_paragraph()
-            elif keyword == "FIELD":
-                _read_field(stream, words, owner, parsed, n_tuples)
+    def _read_field(self, words: list[str], owner: str, n_points: int = -1) -> None:
+        """Read the arrays of a FIELD; one of normals of the points is replaced."""
+        for _ in range(self.count_of(words, 2, "arrays")):
+            header = self.line()
+            if header and header[0].upper() == "METADATA":
+                self._skip_paragraph()
+                header = self.line()
+            width, n_tuples = (self.count_of(header, k, "numbers") for k in (1, 2))
+            name, kind = self.word_of(header, 0), self.word_of(header, 3)
+            is_normals = owner == "point" and width == 3 and name.lower() == "normals"
+            if is_normals and n_tuples == n_points and self.normals is None:
+                self.normals = self._read_normals(n_tuples, kind)
             else:
-                _read_attribute(stream, words, owner, n_tuples, parsed)
-    except InputError as failure:
-        parsed.warnings.append(
-            f"attributes from {failure.where or 'the first'} on were not understood ({failure}); "
-            "they are kept as they are"
-        )
-
-
-def _read_attribute(
-    stream: Stream, words: list[str], owner: str, n_tuples: int, parsed: _Parsed
-) -> None:
-    keyword = words[0].upper()
-    name = stream.word_of(words, 1)
-    if keyword == "SCALARS":
-        width = int(words[3]) if len(words) > 3 and words[3].isdigit() else 1
-        table = stream.line()
-        if not table or table[0].upper() != "LOOKUP_TABLE":
-            stream.back()
-        stream.skip(n_tuples * width, stream.word_of(words, 2))
-    elif keyword == "COLOR_SCALARS":
-        width = stream.count_of(words, 2, "colours")
-        stream.skip(n_tuples * width, "unsigned_char")
-    elif keyword == "LOOKUP_TABLE":
-        stream.skip(4 * stream.count_of(words, 2, "colours"), "unsigned_char")
-    elif keyword == "NORMALS" and owner == "point":
-        parsed.normals = stream.normals(n_tuples, stream.word_of(words, 2))
-    elif keyword in _PER_TUPLE:
-        stream.skip(n_tuples * _PER_TUPLE[keyword], stream.word_of(words, 2))
-    elif keyword == "TEXTURE_COORDINATES":
-        stream.skip(n_tuples * stream.count_of(words, 2, "numbers"), stream.word_of(words, 3))
-    elif keyword in ("GLOBAL_IDS", "PEDIGREE_IDS", "EDGE_FLAGS"):
-        stream.skip(n_tuples, stream.word_of(words, 2))
-    else:
-        raise FormatError(f"{words[0][:40]!r} is no attribute", where=stream.where())
-    if keyword == "NORMALS" and owner == "cell":
-        parsed.warnings.append("normals of cells are kept as they are")
-    parsed.properties.append(f"{owner}.{name}")
-
-
-def _read_field(
-    stream: Stream, words: list[str], owner: str, parsed: _Parsed, n_points: int = -1
-) -> None:
-    """Read the arrays of a FIELD; one of normals of the points is replaced."""
-    for _ in range(stream.count_of(words, 2, "arrays")):
-        header = stream.line()
-        if header and header[0].upper() == "METADATA":
-            stream.skip_paragraph()
-            header = stream.line()
-        width, n_tuples = (stream.count_of(header, k, "numbers") for k in (1, 2))
-        name, kind = stream.word_of(header, 0), stream.word_of(header, 3)
-        is_normals = owner == "point" and width == 3 and name.lower() == "normals"
-        if is_normals and n_tuples == n_points and parsed.normals is None:
-            parsed.normals = stream.normals(n_tuples, kind)
-        else:
-            stream.skip(width * n_tuples, kind)
-        parsed.properties.append(f"{owner}.{name}" if owner else f"field {name}")
+                self._skip(width * n_tuples, kind)
+            self.properties.append(f"{owner}.{name}" if owner else f"field {name}")
