@@ -64,6 +64,7 @@ def geometry(path: Path) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], li
     return mesh.vertices, mesh.faces, [len(polygon) for polygon in mesh.polygons()]
 
 
+@pytest.mark.ci
 def test_the_folder_holds_what_the_script_makes(made: dict[str, bytes]) -> None:
     there = {p.name for p in FOLDER.iterdir() if p.suffix not in (".py", "") and p.is_file()}
     assert there == set(made)

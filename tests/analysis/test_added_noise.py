@@ -210,3 +210,11 @@ def test_settings_that_mean_nothing_are_refused(settings, named):
         AddedNoise("property")
     with pytest.raises(UsageError, match="salt"):
         add_plain_noise(prepare_mesh(*grid()).mesh, "salt", 0.1, 0)
+
+
+def test_vertices_without_faces_stay_out_of_the_noise():
+    vertices, faces = torus()
+    alone = prepare_mesh(np.concatenate([vertices, [[50.0, 0.0, 0.0]]]), faces)
+    with_stray = added(alone.mesh, "half", direction=(1.0, 0.0, 0.0))
+    moved = (with_stray != alone.mesh.vertices).any(axis=1)
+    assert 0.4 < moved.mean() < 0.55

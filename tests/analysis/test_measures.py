@@ -311,3 +311,9 @@ def test_parts_that_cancel_out_are_not_harmed_by_a_small_change():
     assert change.volume_after / change.volume_before == pytest.approx(0.9)
     assert harmful_change(mesh, after, change, has_volume=True) is None
     assert change.normals is raw.normals
+
+
+def test_planes_and_open_edges_have_no_curvature():
+    assert np.abs(mean_curvature(prepare_mesh(*grid()).mesh)).max() < 1e-12
+    mesh = prepare_mesh(*fan([1.0, 0.0, 1.0, 0.0, 1.0, 0.0])).mesh
+    assert (mean_curvature(mesh)[1:] == 0.0).all()

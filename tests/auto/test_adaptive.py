@@ -154,3 +154,12 @@ def test_noise_that_neighbours_share_may_take_a_linear_filter():
     choice = adaptive.choose_adaptive(mesh)
     made = result_of(mesh, choice.method, choice.parameters)
     assert angle(true, made) < 1.05 * angle(true, result_of(mesh, "taubin", {}))
+
+
+def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
+    mesh, _ = torus_with(0.2)
+    errors = np.full(3, 0.1)
+    monkeypatch.setattr("msal_cli.auto.risk.Risk.log_errors", lambda *_: (errors, errors))
+    choice = adaptive.choose_adaptive(mesh)
+    assert choice.method == NONE
+    assert "add more error" in choice.reason

@@ -214,3 +214,10 @@ def test_levels_stand_for_quiet_usual_and_loud_places():
     assert (quiet | loud == part.judged).all()
     assert not (quiet & loud).any()
     assert (part.mesh.vertices[loud, 1] > 0.0).all()
+
+
+def test_nothing_is_evened_out_for_a_method_with_trust():
+    mesh, _ = pair("isotropic")
+    trusted = mesh.with_constraints(None, np.full(len(mesh.vertices), 0.5))
+    for choice in (adaptive.choose_adaptive(trusted), choose_auto(trusted)):
+        assert choice.method in ("al", "msal")

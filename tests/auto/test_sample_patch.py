@@ -9,6 +9,7 @@ from msal_cli.auto.sample_patch import (
     MACHINED,
     MARGIN,
     ORGANIC,
+    PATCH,
     TEXTURED,
     _in_space,
     is_seen_from_one_side,
@@ -187,3 +188,21 @@ def test_few_or_no_edges_between_faces():
     assert surface_kind(flat) == ORGANIC
     # Every edge of a coarse cube is an edge: nothing smooth lies between.
     assert surface_kind(Mesh(*cube())) == TEXTURED
+
+
+def test_patches_lie_all_over_the_mesh(large):
+    part = select_patch(large, 4 * PATCH)
+    x, y, _ = part.mesh.vertices.T
+    quadrants = {(a > 0, b > 0) for a, b in zip(x.tolist(), y.tolist(), strict=True)}
+    assert len(quadrants) == 4
+
+
+def test_vertices_without_faces_are_no_part_of_it(large):
+    stray = np.random.default_rng(0).uniform(-1e6, 1e6, (20_000, 3))
+    mesh = Mesh(np.concatenate([stray, large.vertices]), large.faces + len(stray))
+    part = select_patch(mesh, 10_000)
+    plain = select_patch(large, 10_000)
+    assert (part.mesh.vertices == plain.mesh.vertices).all()
+    assert (part.judged == plain.judged).all()
+    few = Mesh(np.concatenate([stray, torus()[0]]), torus()[1] + len(stray))
+    assert len(select_patch(few, 10_000).mesh.vertices) == 288

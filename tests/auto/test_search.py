@@ -406,3 +406,14 @@ def test_it_is_better_than_the_default_and_than_the_scan(name, level):
 def test_clean_samples_hardly_move(name):
     true = ground_truth.opened(SAMPLES / name)
     assert moved_edges(true, made_by(chosen(true), true)) < 0.015
+
+
+def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
+    monkeypatch.setattr(
+        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+    )
+    left = chosen(mesh, budget=1.05)
+    assert left.method == NONE and "add more error" in left.reason
+    choice = chosen(mesh, budget=1.05, strength=1.0)
+    assert choice.method == "al" and choice.tried == left.tried
+    assert choice.parameters["noise"] > 1.15 * estimate_noise(mesh).mean_edges

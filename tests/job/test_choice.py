@@ -25,6 +25,7 @@ from msal_cli.job.settings import (
     Settings,
     Task,
     forecast,
+    method_bytes_per_face,
     resolve_parameters,
 )
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -232,3 +233,9 @@ def test_most_noise_is_asked_of_the_method():
     msal_method, taubin = methods.find("msal"), methods.find("taubin")
     assert msal_method.most_noise_edges(msal_method.validate({})) == 0.15
     assert taubin.most_noise_edges(taubin.validate({})) == float("inf")
+
+
+def test_memory_is_set_aside_for_the_hungriest_method_that_may_be_chosen():
+    most = method_bytes_per_face(Settings(AUTO, {}))
+    assert most >= max(methods.find(name).bytes_per_face for name in selection.METHODS)
+    assert method_bytes_per_face(Settings(AUTO, {}, fields=("sigma",))) > most

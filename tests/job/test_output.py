@@ -168,3 +168,14 @@ def test_a_backup_is_kept_once_and_is_no_link_to_the_original(tmp_path):
         (tmp_path / "scan.obj.orig").symlink_to(path)
         with pytest.raises(OutputError, match="exists and is not this file"):
             output.keep_backup(task, b"old")
+
+
+def test_a_folder_is_made_if_need_be(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for path in ("out.obj", "a/b/out.obj", "a/b/out.obj", "memory://x/out.obj"):
+        output.make_folder_of(path)
+    assert (tmp_path / "a/b").is_dir()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+    with pytest.raises(OutputError, match="cannot be made"):
+        (tmp_path / "file").touch()
+        output.make_folder_of("file/out.obj")

@@ -14,6 +14,8 @@ from msal_cli.kernels import library
 from msal_cli.kernels.compiled import arg_type
 from tests.kernel_build import some_kernels as some
 
+pytestmark = pytest.mark.ci
+
 
 def test_arrays_are_written_and_numbers_come_back(call):
     values, result = np.arange(5.0), np.empty(5)

@@ -139,3 +139,12 @@ def test_pmc_keeps_volume_that_amc_loses():
 
     assert change("amc") < -0.1
     assert abs(change("pmc")) < 0.005
+
+
+@pytest.mark.parametrize("variant", ["amc", "pmc"])
+def test_no_time_step_is_too_long(variant):
+    mesh = scan(level=0.2)
+    moved = diffused(mesh, variant=variant, time_step=1000.0, iterations=60)
+    before, _ = area_and_volume(mesh.vertices, mesh.faces)
+    assert area_and_volume(moved, mesh.faces)[0] < before
+    assert np.abs(moved).max() < 1.05 * np.abs(mesh.vertices).max()

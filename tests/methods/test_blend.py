@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.auto.candidates import CANDIDATES
@@ -244,3 +245,15 @@ def test_a_share_goes_part_of_the_way(relax):
 
     assert made(0.3) == pytest.approx(0.7 * mesh.vertices + 0.3 * made(1.0), abs=1e-12)
     assert (made(0.0) == mesh.vertices).all()
+
+
+def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
+    most = max(methods.find(x.method).bytes_per_face for x in CANDIDATES)
+    assert BLEND.bytes_per_face >= most + KEPT_PER_FACE
+    of_plain = {"blend", "hc", "msal", "taubin"}
+    assert {candidate.method for candidate in CANDIDATES} | of_plain == set(selection.METHODS)
+
+
+def test_it_has_a_data_term_if_every_member_has():
+    for members, has in (("0.5*msal", True), ("0.5*msal+0.5*learned", False)):
+        assert BLEND.has_data_term(BLEND.validate({"members": members})) == has

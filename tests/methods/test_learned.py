@@ -160,3 +160,15 @@ def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
     )
     assert resolve_noise(noisy, 0.0) == (None, False)
     assert np.isfinite(run(noisy)).all()
+
+
+def test_texture_is_returned_for_white_noise_or_when_it_is_asked_for():
+    true = smooth()
+    numbers = np.random.default_rng(1).standard_normal((len(true.vertices), 1))
+    level = 0.2 * true.mean_edge_length
+    scan = true.with_vertices(true.vertices + level * numbers * true.vertex_normals())
+    usual, returned, lost = (
+        run(scan, noise=0.2, **given)
+        for given in ({}, {"texture": "returned"}, {"texture": "lost"})
+    )
+    assert (usual == returned).all() and (usual != lost).any()

@@ -11,7 +11,7 @@ import trimesh
 from msal_cli.kernels.geometry import area_and_volume, restore_volume
 from msal_cli.mesh import prepare_mesh
 from tests.methods.runs import denoise, free_vertices, small_scan
-from tests.shapes import cube, noisy, torus
+from tests.shapes import cube, grid, noisy, torus
 
 flowed = functools.partial(denoise, "mean_curvature_flow")
 
@@ -129,3 +129,12 @@ def test_the_fixed_point_of_the_scaling_is_the_centre_of_mass():
     out = restore_volume(np.concatenate([original, pyramid[8:]]), pyramid, split)
     assert np.allclose(out[:8], 0.5 + 2.0 * (vertices - 0.5), atol=1e-14)
     assert (out[8:] == pyramid[8:]).all()  # no face has them
+
+
+def test_an_open_surface_is_not_scaled():
+    vertices, faces = grid(9, 8)
+    mesh = prepare_mesh(noisy(vertices, 5, 0.1), faces).mesh
+    assert (flowed(mesh, volume="restore") == flowed(mesh)).all()
+    # Nor is one that passed through itself.
+    vertices, faces = cube()
+    assert (restore_volume(-2.0 * vertices, vertices, faces) == vertices).all()

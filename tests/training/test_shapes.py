@@ -17,6 +17,8 @@ from training.connectivity import build_edges, edge_lengths, face_crosses, shape
 from training.shapes import RECIPES, Recipe, build_shape
 from training.surface import LabelledMesh, PolyhedralSurface
 
+pytestmark = pytest.mark.ci
+
 SOME = (0, 4, 8, 11)
 """Recipes of the quick set, of several triangulations."""
 
