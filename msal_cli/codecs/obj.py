@@ -24,7 +24,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.kernels import obj_scan as scan
+from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
 MISFIT_DEG = 30.0
@@ -118,21 +120,20 @@ class _ObjLayout(Layout):
 
 
 def _parse_layout(data: Buffer) -> _ObjLayout:
-    from msal_cli.kernels.text import as_bytes
-
-    content = parse_content(data)
+    content = _Reader(data).read()
     buf = as_bytes(data)
     normals: tuple[Statements, ...] = ()
     if content.face_normals is not None:
-        at, used = content.normal_at, content.normal_decimals
+        values, at, decimals = content.normals
         normal = Statements(
-            buf, at, used, 2, values=content.normals, unit_length=True, significant=_NO_LIMIT
+            buf, at, decimals, 2, values=values, unit_length=True, significant=_NO_LIMIT
         )
         normals = (normal,)
+    values, at, decimals = content.positions
     return _ObjLayout(
         "ascii",
         "text",
-        (_Positions(buf, content.vertex_at, content.decimals, 1, values=content.vertices),),
+        (_Positions(buf, at, decimals, 1, values=values),),
         content.corners,
         content.sizes,
         faces=content.faces,
@@ -151,7 +152,8 @@ def _renew_normals(content: Content, old: Floats, new: Floats) -> list[tuple[Flo
     from msal_cli.kernels.geometry import regroup_normals
 
     assert content.face_normals is not None
-    return [regroup_normals(old, new, content.faces, content.face_normals, content.normals)]
+    stored = content.normals.values
+    return [regroup_normals(old, new, content.faces, content.face_normals, stored)]
 
 
 class ObjFile(SlotFile):
@@ -192,31 +194,25 @@ class ObjFile(SlotFile):
     def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
         """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""
         assert isinstance(self._layout, _ObjLayout)
-        parsed = self._layout.content
-        if parsed.face_normals is None:
+        content = self._layout.content
+        if content.face_normals is None:
             return ()
         from msal_cli.kernels.shared_normals import find_misfits, find_users
 
-        users = find_users(parsed.vertices, parsed.faces, parsed.face_normals, len(parsed.normals))
+        old, stored, faces = content.positions.values, content.normals.values, content.faces
+        users = find_users(old, faces, content.face_normals, len(stored))
         if users is None:
             return ()
         [(normals, _)] = self._new_normals(vertices)
-        misfits = find_misfits(
-            users,
-            parsed.vertices,
-            vertices,
-            parsed.faces,
-            parsed.normals,
-            normals,
-            math.radians(MISFIT_DEG),
-        )
-        face = np.repeat(np.arange(len(parsed.sizes)), parsed.sizes - 2)
+        limit = math.radians(MISFIT_DEG)
+        misfits = find_misfits(users, old, vertices, faces, stored, normals, limit)
+        face = np.repeat(np.arange(len(content.sizes)), content.sizes - 2)
         before = len(np.unique(face[misfits.faces_before]))
         after = len(np.unique(face[misfits.faces_after]))
         if after <= before:
             return ()
         n_normals = int(misfits.entries.sum())
-        return (_misfit_warning(n_normals, before, after, len(parsed.sizes), MISFIT_DEG),)
+        return (_misfit_warning(n_normals, before, after, len(content.sizes), MISFIT_DEG),)
 
 
 @dataclass(eq=False)
@@ -235,15 +231,29 @@ class _Positions(Statements):
         return max(min(usual_decimals(self.used), MAX_DECIMALS), needed)
 
 
+class _Rows(NamedTuple):
+    """Statements of three numbers: ``values`` (n, 3) float64, in file units; ``at`` (n,) int64,
+    where each begins; ``decimals`` (n,) uint8, the most decimals of its numbers."""
+
+    values: Floats
+    at: Longs
+    decimals: Bytes
+
+    def resized(self, n_rows: int) -> _Rows:
+        values, at, decimals = self
+        return _Rows(_resized(values, n_rows), _resized(at, n_rows), _resized(decimals, n_rows))
+
+    def first(self, n_rows: int) -> _Rows:
+        return _Rows(self.values[:n_rows], self.at[:n_rows], self.decimals[:n_rows])
+
+
 @dataclass(frozen=True, eq=False)
 class Content:
     """One OBJ file, parsed.
 
     Attributes
     ----------
-    vertices : (n, 3) float64, file units; vertex_at : (n,) int64, where each statement begins;
-        decimals : (n,) uint8, the most decimals of its numbers.
-    normals, normal_at, normal_decimals : the same for the vn statements, (g, 3), (g,), (g,).
+    positions, normals : the v and the vn statements.
     faces : (m, 3) int32, polygons cut into triangles.
     face_normals : (m, 3) int32, the vn of each corner, -1 for none; None where no corner has one.
     corners, sizes : (k,) and (p,) int32, the p polygons as they are in the file; ``corners`` and
@@ -253,18 +263,14 @@ class Content:
     libraries : (l,) int64, where the mtllib statements begin.
     """
 
-    vertices: Floats
-    vertex_at: Longs
-    decimals: Bytes
-    normals: Floats
-    normal_at: Longs
-    normal_decimals: Bytes
+    positions: _Rows
+    normals: _Rows
     faces: Ints
     face_normals: Ints | None
     corners: Ints
     sizes: Ints
     state: Longs
-    keywords: dict[bytes, tuple[int, int]]
+    keywords: Keywords
     libraries: Longs
 
 
@@ -279,177 +285,150 @@ def _cut_triangles(corners: Ints, sizes: Ints) -> Ints:
     return triangles
 
 
-def parse_content(data: Buffer) -> Content:
-    """Parse the bytes of an OBJ file.
-
-    Raises FormatError (binary data, a word that is no number or corner, a statement that is too
-    short), TruncatedError (the file is empty, or its last line breaks off), ContentError
-    (``E_NONFINITE``, ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
-    """
-    from msal_cli.kernels.text import as_bytes
-
-    refuse_binary(data)
-    return _Reading(data, as_bytes(data)).content()
+def _resized(array: NDArray[_T], n_rows: int) -> NDArray[_T]:
+    """A copy with room for ``n_rows`` rows."""
+    larger = np.empty((n_rows, *array.shape[1:]), dtype=array.dtype)
+    larger[: len(array)] = array
+    return larger
 
 
-class _Reading:
-    """The arrays that the walk fills, grown as it asks for it."""
+class _Reader:
+    """The arrays that the walk over ``data`` fills, grown as it asks for it."""
 
-    def __init__(self, data: Buffer, buf: Bytes) -> None:
-        from msal_cli.kernels import obj_scan
-
-        self._scan = obj_scan
+    def __init__(self, data: Buffer) -> None:
+        refuse_binary(data)
         self._data = data
-        self._buf = buf
-        size = len(buf)
-        n_vertices, n_normals, n_faces, n_zeros = obj_scan.count_statements(buf)
+        self._buf = as_bytes(data)
+        size = len(self._buf)
+        n_vertices, n_normals, n_faces, n_zeros = scan.count_statements(self._buf)
         if n_zeros:
-            at = next(re.finditer(rb"\0", memoryview(data))).start()
-            raise _binary_error(data, at)
-        has_normals = n_normals > 1
+            raise _binary_error(data, next(re.finditer(rb"\0", memoryview(data))).start())
         # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
         # whatever the bytes say.
         most = (size + 1) // 8 + 1
-        n_vertices, n_normals = min(n_vertices, most), min(n_normals, most)
-        self._n_faces = min(n_faces, most)
+        n_vertices, n_faces = min(n_vertices, most), min(n_faces, most)
         if size > 2**33 or n_vertices >= 2**31:
             raise TooLargeError(
                 f"{size:,} bytes are more than an OBJ file may have here",
                 hint="convert the mesh to binary PLY",
             )
-        self.vertices = np.empty((n_vertices, 3))
-        self.vertex_at = np.empty(n_vertices, dtype=np.int64)
-        self.decimals = np.empty(n_vertices, dtype=np.uint8)
-        self.normals = np.empty((n_normals if has_normals else 0, 3))
-        self.normal_at = np.empty(len(self.normals), dtype=np.int64)
-        self.normal_decimals = np.empty(len(self.normals), dtype=np.uint8)
-        self.corners = np.empty(3 * self._n_faces, dtype=np.int32)
-        self.corner_normals = np.empty(len(self.corners) if has_normals else 0, dtype=np.int32)
-        self.sizes = np.empty(self._n_faces, dtype=np.int32)
-        self.undecided = np.empty((64, 2), dtype=np.int64)
-        self.keywords = np.empty((obj_scan.MAX_KEYWORDS, 4), dtype=np.int64)
-        self.libraries = np.empty(obj_scan.MAX_LIBRARIES, dtype=np.int64)
-        self.state = self._begun()
+        n_normals = min(n_normals, most) if n_normals > 1 else 0
+        none = _Rows(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint8))
+        self._positions, self._normals = none.resized(n_vertices), none.resized(n_normals)
+        self._n_faces = n_faces
+        self._corners = np.empty(3 * n_faces, dtype=np.int32)
+        self._corner_normals = np.empty(3 * n_faces if n_normals else 0, dtype=np.int32)
+        self._sizes = np.empty(n_faces, dtype=np.int32)
+        self._undecided = np.empty((64, 2), dtype=np.int64)
+        self._keywords = np.empty((scan.MAX_KEYWORDS, 4), dtype=np.int64)
+        self._libraries = np.empty(scan.MAX_LIBRARIES, dtype=np.int64)
+        self._state = self._begin()
 
-    def _begun(self) -> Longs:
+    def _begin(self) -> Longs:
         """The state of a walk that is about to start."""
-        scan = self._scan
         state = np.zeros(scan.N_STATE, dtype=np.int64)
         state[scan.LARGEST_VERTEX] = -1
         if self._buf[:3].tobytes() == BYTE_ORDER_MARK:
             state[scan.AT] = 3
         return state
 
-    def content(self) -> Content:
-        scan, state = self._scan, self.state
+    def read(self) -> Content:
+        state = self._state
         while (result := self._walk(state, _ALL)) == scan.FULL:
             self._grow()
         if result != scan.WHOLE:
-            raise self._refusal(result)
-        n_vertices, n_normals = int(state[scan.VERTICES]), int(state[scan.NORMALS])
-        n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
-        vertices, normals = self.vertices[:n_vertices], self.normals[:n_normals]
-        self._decide(vertices, normals)
+            raise self._scan_error(result)
+        n_vertices, n_faces = int(state[scan.VERTICES]), int(state[scan.FACES])
+        n_normals, n_corners = int(state[scan.NORMALS]), int(state[scan.CORNERS])
+        positions, normals = self._positions.first(n_vertices), self._normals.first(n_normals)
+        self._decide_numbers()
         # A normal that is none is as good as zero, which is kept and compares equal to itself.
-        normals[~np.isfinite(normals).all(axis=1)] = 0.0
-        corners, sizes = self.corners[:n_corners], self.sizes[:n_faces]
+        normals.values[~np.isfinite(normals.values).all(axis=1)] = 0.0
+        corners, sizes = self._corners[:n_corners], self._sizes[:n_faces]
         if n_corners == 3 * n_faces and bool((sizes == 3).all()):
             # One number instead of one for each face.
             sizes = np.broadcast_to(np.int32(3), (n_faces,))
-            del self.sizes
+            del self._sizes
         keywords = {
             self._buf[at : at + size].tobytes(): (int(count), int(at))
-            for _, count, at, size in self.keywords[: int(state[scan.KEYWORDS])]
+            for _, count, at, size in self._keywords[: int(state[scan.KEYWORDS])]
         }
         self._require_whole_face()
         if not n_vertices or not n_faces:
             raise _no_faces_error(n_vertices, int(state[scan.SHORT]), keywords)
-        self._require_finite(vertices)
-        self._require_vertices(corners, sizes, n_vertices)
+        self._require_finite(positions)
+        if state[scan.LARGEST_VERTEX] >= n_vertices:
+            raise self._missing_vertex_error(corners, sizes, n_vertices)
         face_normals = None
-        corner_normals = self.corner_normals[:n_corners]
+        corner_normals = self._corner_normals[:n_corners]
         if n_normals and len(corner_normals):
             if state[scan.LARGEST_NORMAL] > n_normals:
                 corner_normals[corner_normals >= n_normals] = -1
             if (corner_normals >= 0).any():
                 face_normals = _cut_triangles(corner_normals, sizes)
-        return Content(
-            vertices=vertices,
-            vertex_at=self.vertex_at[:n_vertices],
-            decimals=self.decimals[:n_vertices],
-            normals=normals,
-            normal_at=self.normal_at[:n_normals],
-            normal_decimals=self.normal_decimals[:n_normals],
-            faces=_cut_triangles(corners, sizes),
-            face_normals=face_normals,
-            corners=corners,
-            sizes=sizes,
-            state=state,
-            keywords=keywords,
-            libraries=self.libraries[: int(state[scan.LIBRARIES])],
-        )
+        faces = _cut_triangles(corners, sizes)
+        libraries = self._libraries[: int(state[scan.LIBRARIES])]
+        polygons = faces, face_normals, corners, sizes
+        return Content(positions, normals, *polygons, state, keywords, libraries)
 
     def _walk(self, state: Longs, n_faces: int) -> int:
         """Go on until ``n_faces`` faces are read; what ``scan`` says."""
-        outputs = (
-            *(self.vertices, self.vertex_at, self.decimals),
-            *(self.normals, self.normal_at, self.normal_decimals),
-            *(self.corners, self.corner_normals, self.sizes),
-            *(self.undecided, self.keywords, self.libraries),
-        )
-        return int(self._scan.scan(self._buf, state, n_faces, *outputs))
+        polygons = self._corners, self._corner_normals, self._sizes
+        others = self._undecided, self._keywords, self._libraries
+        outputs = (*self._positions, *self._normals, *polygons, *others)
+        return int(scan.scan(self._buf, state, n_faces, *outputs))
 
     def _grow(self) -> None:
-        scan, state = self._scan, self.state
+        state = self._state
         n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
-        if state[scan.UNDECIDED_ROWS] == len(self.undecided):
-            self.undecided = _grown(self.undecided, 2 * len(self.undecided))
-        elif state[scan.VERTICES] == len(self.vertices):
-            self.vertices = _grown(self.vertices, 2 * len(self.vertices) + 1)
-            self.vertex_at = _grown(self.vertex_at, len(self.vertices))
-            self.decimals = _grown(self.decimals, len(self.vertices))
-        elif len(self.normals) and state[scan.NORMALS] == len(self.normals):
-            self.normals = _grown(self.normals, 2 * len(self.normals) + 1)
-            self.normal_at = _grown(self.normal_at, len(self.normals))
-            self.normal_decimals = _grown(self.normal_decimals, len(self.normals))
-        elif n_faces == len(self.sizes):
-            self.sizes = _grown(self.sizes, 2 * len(self.sizes))
+        n_vertices, n_normals = len(self._positions.at), len(self._normals.at)
+        if state[scan.UNDECIDED_ROWS] == len(self._undecided):
+            self._undecided = _resized(self._undecided, 2 * len(self._undecided))
+        elif state[scan.VERTICES] == n_vertices:
+            self._positions = self._positions.resized(2 * n_vertices + 1)
+        elif n_normals and state[scan.NORMALS] == n_normals:
+            self._normals = self._normals.resized(2 * n_normals + 1)
+        elif n_faces == len(self._sizes):
+            self._sizes = _resized(self._sizes, 2 * len(self._sizes))
         else:
             # As many for each face to come as the faces so far have.
             alike = (n_corners // max(n_faces, 1) + 1) * self._n_faces
-            room = max(min(alike, len(self._buf) // 2), len(self.corners) * 3 // 2 + 1)
-            self.corners = _grown(self.corners, room)
-            if len(self.corner_normals):
-                self.corner_normals = _grown(self.corner_normals, room)
+            room = max(min(alike, len(self._buf) // 2), len(self._corners) * 3 // 2 + 1)
+            self._corners = _resized(self._corners, room)
+            if len(self._corner_normals):
+                self._corner_normals = _resized(self._corner_normals, room)
 
-    def _decide(self, vertices: Floats, normals: Floats) -> None:
+    def _decide_numbers(self) -> None:
         """Read the statements with numbers that need Python's ``float``."""
         view = memoryview(self._data)
-        for is_normal, row in self.undecided[: self.state[self._scan.UNDECIDED_ROWS]].tolist():
-            at = int(self.normal_at[row] + 2 if is_normal else self.vertex_at[row] + 1)
+        for is_normal, row in self._undecided[: self._state[scan.UNDECIDED_ROWS]].tolist():
+            rows = self._normals if is_normal else self._positions
+            at = int(rows.at[row]) + (2 if is_normal else 1)
             for axis in range(3):
                 word = _WORD.match(view, at)
                 assert word is not None  # the walk has seen three numbers here
                 at = word.end()
-                (normals if is_normal else vertices)[row, axis] = _number(word[1])
+                try:
+                    rows.values[row, axis] = float(word[1])
+                except ValueError:
+                    # NaN as old run-time libraries print it has no other form.
+                    rows.values[row, axis] = math.nan
 
     def _place(self, at: int) -> str:
         return f"line {line_of(self._data, at)}"
 
-    def _refusal(self, result: int) -> InputError:
+    def _scan_error(self, result: int) -> InputError:
         """The error for what the walk returned."""
-        scan, state = self._scan, self.state
+        state = self._state
         at = int(state[scan.WORD])
         place = self._place(at)
         statement = bytes(self._buf[int(state[scan.AT]) : int(state[scan.AT]) + 2])
-        stop = int(scan.skip_word(self._buf, at))
-        word = self._buf[at:stop].tobytes()
+        word = self._buf[at : int(scan.skip_word(self._buf, at))].tobytes()
         shown = word[:40].decode("ascii", "backslashreplace")
         next_face = f"face {int(state[scan.FACES]) + int(state[scan.SHORT]) + 1}"
-        is_cut = self._is_last_line(at) and _BEGUN.fullmatch(word) is not None
         if result == scan.BAD_INDEX:
             return _bad_index_error(shown, f"{place}, {next_face}", int(state[scan.VERTICES]))
-        if is_cut:
+        if self._is_last_line(at) and _BEGUN.fullmatch(word) is not None:
             return TruncatedError(
                 "the last line breaks off", where=place, hint="copy or export the file again"
             )
@@ -458,24 +437,18 @@ class _Reading:
             is_normal = statement == b"vn"
             number = int(state[scan.NORMALS if is_normal else scan.VERTICES]) + 1
             what = "normal" if is_normal else "vertex"
+            message = f"a {what} needs three numbers"
             if result == scan.BAD_NUMBER:
                 message = f"{shown!r} is not a number"
-            else:
-                message = f"a {what} needs three numbers"
             is_flat = _PLANE_POSITION.match(memoryview(self._data), int(state[scan.AT]))
             if is_flat and number == 1:
                 message += ", but it has two: the file is a drawing in the plane"
                 hint = "msal denoises surfaces in space; add a third number to every v line"
-            return FormatError(
-                message,
-                where=f"{place}, {what} {number}",
-                hint=number_hint(word, hint),
-            )
-        message = (
-            "a face has no corners"
-            if result == scan.NO_CORNERS
-            else f"{shown!r} is not a corner of a face: v, v/vt, v//vn or v/vt/vn in whole numbers"
-        )
+            where = f"{place}, {what} {number}"
+            return FormatError(message, where=where, hint=number_hint(word, hint))
+        message = f"{shown!r} is not a corner of a face: v, v/vt, v//vn or v/vt/vn in whole numbers"
+        if result == scan.NO_CORNERS:
+            message = "a face has no corners"
         return FormatError(message, where=f"{place}, {next_face}", hint=hint)
 
     def _is_last_line(self, at: int) -> bool:
@@ -485,9 +458,8 @@ class _Reading:
 
     def _require_whole_face(self) -> None:
         """Raise where the last line is a face that breaks off."""
-        scan, state = self._scan, self.state
-        last_short = int(state[scan.LAST_SHORT_AT])
-        if state[scan.SHORT] and self._is_last_line(last_short):
+        last_short = int(self._state[scan.LAST_SHORT_AT])
+        if self._state[scan.SHORT] and self._is_last_line(last_short):
             # A face that lost its last corners and its line end did not lose them on purpose.
             raise TruncatedError(
                 "the last line breaks off: its face has fewer than three corners",
@@ -495,70 +467,47 @@ class _Reading:
                 hint="copy or export the file again",
             )
 
-    def _require_finite(self, vertices: Floats) -> None:
-        """Raise where a position (n, 3) is not finite."""
-        finite = np.isfinite(vertices)
-        if finite.all():
-            return
-        bad = int(np.argmin(finite.all(axis=1)))
-        raise ContentError(
-            f"the position {tuple(vertices[bad].tolist())} is not finite",
-            where=f"{self._place(int(self.vertex_at[bad]))}, vertex {bad + 1}",
-            hint="remove the vertex and its faces, or export the file again",
-            code="E_NONFINITE",
-        )
+    def _require_finite(self, positions: _Rows) -> None:
+        """Raise where a position is not finite."""
+        finite = np.isfinite(positions.values)
+        if not finite.all():
+            bad = int(np.argmin(finite.all(axis=1)))
+            raise ContentError(
+                f"the position {tuple(positions.values[bad].tolist())} is not finite",
+                where=f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
+                hint="remove the vertex and its faces, or export the file again",
+                code="E_NONFINITE",
+            )
 
-    def _require_vertices(self, corners: Ints, sizes: Ints, n_vertices: int) -> None:
-        """Raise where a face names a vertex that the whole file does not have."""
-        scan = self._scan
-        if self.state[scan.LARGEST_VERTEX] < n_vertices:
-            return
+    def _missing_vertex_error(self, corners: Ints, sizes: Ints, n_vertices: int) -> ContentError:
+        """The error for a face that names a vertex that the whole file does not have."""
         corner = int(np.argmax(corners >= n_vertices))
         face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
         number = int(corners[corner]) + 1
-        self.sizes = np.empty(len(sizes), dtype=np.int32)
+        self._sizes = np.empty(len(sizes), dtype=np.int32)
         # A second walk that ends behind this face says where it is, and so no other walk need
         # keep the place of every face.
-        again = self._begun()
+        again = self._begin()
         self._walk(again, face + 1)
         number_of_face = face + 1 + int(again[scan.SHORT])
         place = self._place(int(again[scan.LAST_FACE_AT]))
         shown = "2147483648 or more" if number >= 2**31 else str(number)
-        raise _bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
-
-
-def _number(word: bytes) -> float:
-    """A number of any length; NaN as old run-time libraries print it has no other form."""
-    try:
-        return float(word)
-    except ValueError:
-        return math.nan
-
-
-def _grown(array: NDArray[_T], rows: int) -> NDArray[_T]:
-    """A copy with room for ``rows`` rows."""
-    larger = np.empty((rows, *array.shape[1:]), dtype=array.dtype)
-    larger[: len(array)] = array
-    return larger
+        return _bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
 
 
 def _name_properties(state: Longs, keywords: Keywords) -> tuple[str, ...]:
     """What is carried along beside positions and faces."""
-    from msal_cli.kernels import obj_scan
-
-    found = []
-    if state[obj_scan.TEXTURE]:
-        found.append("texture coordinates")
-    if state[obj_scan.NORMALS]:
-        found.append("normals")
-    if state[obj_scan.COLOURED]:
-        found.append("vertex colours")
-    if state[obj_scan.WEIGHTED]:
-        found.append("weights w")
-    found += [words for keyword, words in _PROPERTY_OF.items() if keyword in keywords]
-    if not _FREE_FORM.isdisjoint(keywords):
-        found.append("free-form geometry (vertices that only it uses stay in place)")
-    return tuple(found)
+    is_there = {
+        "texture coordinates": state[scan.TEXTURE],
+        "normals": state[scan.NORMALS],
+        "vertex colours": state[scan.COLOURED],
+        "weights w": state[scan.WEIGHTED],
+        **{words: keyword in keywords for keyword, words in _PROPERTY_OF.items()},
+        "free-form geometry (vertices that only it uses stay in place)": (
+            not _FREE_FORM.isdisjoint(keywords)
+        ),
+    }
+    return tuple(name for name, has_it in is_there.items() if has_it)
 
 
 def _find_references(data: Buffer, libraries: Longs) -> tuple[str, ...]:
@@ -591,33 +540,31 @@ def _argument(view: memoryview, at: int, keyword: bytes) -> str:
 def _describe_warnings(
     state: Longs, keywords: Keywords, line_at: Callable[[int], int]
 ) -> tuple[str, ...]:
-    """What a user should know of a file that could be read all the same; ``line_at`` is the line of
-    a byte."""
-    from msal_cli.kernels import obj_scan
-
-    found = []
-    if state[obj_scan.WEIGHTED]:
-        line = line_at(int(state[obj_scan.WEIGHTED_AT]))
-        found.append(
-            f"{_counted(state[obj_scan.WEIGHTED], 'vertex has', 'vertices have')} a weight w other"
+    """What a user should know of a file that could be read all the same; ``line_at`` is the line
+    of a byte."""
+    warnings = []
+    if state[scan.WEIGHTED]:
+        line = line_at(int(state[scan.WEIGHTED_AT]))
+        warnings.append(
+            f"{_counted(state[scan.WEIGHTED], 'vertex has', 'vertices have')} a weight w other"
             f" than 1 (first in line {line}); x y z are taken as they stand and w is kept"
         )
-    if state[obj_scan.SHORT]:
-        line = line_at(int(state[obj_scan.SHORT_AT]))
-        found.append(
-            f"{_counted(state[obj_scan.SHORT], 'face has', 'faces have')} fewer than three corners"
+    if state[scan.SHORT]:
+        line = line_at(int(state[scan.SHORT_AT]))
+        warnings.append(
+            f"{_counted(state[scan.SHORT], 'face has', 'faces have')} fewer than three corners"
             f" (first in line {line}); kept in the file, left out of the computation"
         )
     for number, count, what in (
-        (state[obj_scan.LARGEST_TEXTURE], state[obj_scan.TEXTURE], "texture coordinate"),
-        (state[obj_scan.LARGEST_NORMAL], state[obj_scan.NORMALS], "normal"),
+        (state[scan.LARGEST_TEXTURE], state[scan.TEXTURE], "texture coordinate"),
+        (state[scan.LARGEST_NORMAL], state[scan.NORMALS], "normal"),
     ):
         if number > count:
-            found.append(f"faces name {what} {number}, but there are {count}; kept as they are")
-    if state[obj_scan.BEFORE_FIRST]:
-        found.append(
+            warnings.append(f"faces name {what} {number}, but there are {count}; kept as they are")
+    if state[scan.BEFORE_FIRST]:
+        warnings.append(
             "faces name a texture coordinate or normal 0, or one before the first"
-            f" ({_counted(state[obj_scan.BEFORE_FIRST], 'corner', 'corners')}); kept as they are"
+            f" ({_counted(state[scan.BEFORE_FIRST], 'corner', 'corners')}); kept as they are"
         )
     unknown = {
         keyword: seen
@@ -630,11 +577,11 @@ def _describe_warnings(
             for keyword, (_, at) in list(unknown.items())[:_SHOWN]
         )
         total = sum(count for count, _ in unknown.values())
-        found.append(
+        warnings.append(
             f"{_counted(total, 'line is', 'lines are')} no statement that is known and kept as"
             f" {'it is' if total == 1 else 'they are'}: {shown}{', ...' * (len(unknown) > _SHOWN)}"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _misfit_warning(
@@ -642,7 +589,7 @@ def _misfit_warning(
 ) -> str:
     """What to say where ``n_after`` of all faces are further than a limit from a ``vn`` that they
     share, and fewer of them were before."""
-    before, after = (f"{100.0 * one / n_faces:.1f} %" for one in (n_before, n_after))
+    before, after = (f"{100.0 * count / n_faces:.1f} %" for count in (n_before, n_after))
     return (
         f"{_counted(n_normals, 'vn is', 'vn are')} shared by faces that turned apart: {n_after} of"
         f" {n_faces} faces ({after}) are now more than {limit_deg:.0f} degrees off their vn"

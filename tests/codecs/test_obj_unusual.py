@@ -57,13 +57,13 @@ def test_shared_normals_that_cannot_fit_are_counted_in_the_record():
     output, record = denoise_bytes(data, "a.obj", Settings(method="taubin", parameters=parameters))
     assert output is not None and record.status == "written"
     (warning,) = (one for one in record.warnings if " vn " in one)
-    after, content = open_mesh(bytes(output), "a.obj"), obj.parse_content(bytes(output))
+    after, content = open_mesh(bytes(output), "a.obj"), obj._Reader(bytes(output)).read()
     n_off = 0
     for quad, entry in zip(after.polygons(), content.face_normals[::2, 0], strict=True):
         fans = [quad[[0, 1, 2]], quad[[0, 2, 3]]]
         for corners in after.vertices[np.array(fans)]:
             normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-            cosine = normal @ content.normals[entry] / np.linalg.norm(normal)
+            cosine = normal @ content.normals.values[entry] / np.linalg.norm(normal)
             if cosine < np.cos(np.radians(30.0)):
                 n_off += 1
                 break
