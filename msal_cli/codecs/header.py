@@ -106,10 +106,10 @@ def _believed(size: int, is_packed: bool) -> int:
 def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     is_whole = is_packed or len(head) >= size
     view = memoryview(head)
-    header, error = _try(lambda: ply_header.parsed(view, is_whole))
+    header, error = _try(lambda: ply_header.parse_header(view, is_whole))
     if header is None:
         # The end of the last line may be all that was not read.
-        header, _ = _try(lambda: ply_header.parsed(view))
+        header, _ = _try(lambda: ply_header.parse_header(view))
     if header is None:
         return Header("ply", error=error)
     vertex, face = header.find("vertex"), header.find("face")

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.mesh_file import Layout, require_finite
-from msal_cli.codecs.ply_body import Fixed, Lines, Section, located
-from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, Property, parsed
+from msal_cli.codecs.ply_body import Fixed, Lines, Section, find_sections
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, parse_header
 from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
@@ -41,8 +41,8 @@ MAX_SPACINGS = 4.0
 
 def grid_shape(header: Header, grid: Element) -> tuple[int, int]:
     """Rows and columns of the grid; FormatError where the header does not give them."""
-    found = {name: header.infos.get(name, "") for name in ("num_rows", "num_cols")}
-    missing = [f"'obj_info {name}'" for name, word in found.items() if not word]
+    sizes = {name: header.infos.get(name, "") for name in ("num_rows", "num_cols")}
+    missing = [f"'obj_info {name}'" for name, word in sizes.items() if not word]
     if missing:
         raise FormatError(
             f"the header has a range grid but no {' and no '.join(missing)}",
@@ -50,21 +50,20 @@ def grid_shape(header: Header, grid: Element) -> tuple[int, int]:
             hint="write 'obj_info num_rows R' and 'obj_info num_cols C' below the format line; "
             f"R times C are {grid.count}",
         )
-    if not all(word.isdecimal() and len(word) < 10 for word in found.values()):
-        raise FormatError(
-            f"the size of the range grid, {' by '.join(found.values())[:60]}, is not two counts",
-            where="header",
-            hint="correct the lines 'obj_info num_rows' and 'obj_info num_cols'",
-        )
-    rows, columns = (int(word) for word in found.values())
-    if rows * columns != grid.count:
-        raise FormatError(
+    message = f"the size of the range grid, {' by '.join(sizes.values())[:60]}, is not two counts"
+    if all(word.isdecimal() and len(word) < 10 for word in sizes.values()):
+        rows, columns = (int(word) for word in sizes.values())
+        if rows * columns == grid.count:
+            return rows, columns
+        message = (
             f"the range grid has {grid.count} samples, but {rows} rows of {columns} columns are "
-            f"{rows * columns}",
-            where="header",
-            hint="correct the lines 'obj_info num_rows' and 'obj_info num_cols'",
+            f"{rows * columns}"
         )
-    return rows, columns
+    raise FormatError(
+        message,
+        where="header",
+        hint="correct the lines 'obj_info num_rows' and 'obj_info num_cols'",
+    )
 
 
 def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
@@ -154,13 +153,6 @@ class Surface:
         pieces = np.maximum(np.asarray(self.lengths) - 2, 0)
         return cut, np.repeat(np.arange(self.n_faces), pieces)
 
-    def touched(self, moved: Flags) -> Flags:
-        """Which faces (n_faces,) have a corner among the ``moved`` vertices (n,)."""
-        cut, face = self._fans()
-        result = np.zeros(self.n_faces, dtype=bool)
-        result[face[moved[cut].any(axis=1)]] = True
-        return result
-
     def face_normals(
         self, old_vertices: Floats, vertices: Floats, moved: Flags, old_normals: Floats
     ) -> tuple[Floats, Flags]:
@@ -177,8 +169,8 @@ class Surface:
             before, _ = _area_vectors(old_vertices, cut, face, self.n_faces)
             after, scale = _area_vectors(vertices, cut, face, self.n_faces)
             length = np.sqrt((after * after).sum(axis=1))
-            changed = self.touched(moved) & usable & (length > _FLAT * scale)
-            changed &= np.isfinite(length)
+            changed = usable & (length > _FLAT * scale) & np.isfinite(length)
+            changed &= np.bincount(face, moved[cut].any(axis=1), self.n_faces) > 0
             opposed = (before * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
         sense = np.where(opposed, -1.0, 1.0)[:, None]
         unit = np.where(changed[:, None], after, 0.0) / np.where(changed, length, 1.0)[:, None]
@@ -186,16 +178,16 @@ class Surface:
 
     def polygons(self) -> list[Any] | Triangles:
         """The faces with all their corners: (m, k) int32 where all agree, else a list."""
+        is_triangulated = isinstance(self.lengths, int) and self.lengths == 3
+        if self.faces is None or is_triangulated or not self.n_faces:
+            return self.triangles
         strips = self.triangles[len(self.triangles) - self.n_strip_triangles :]
-        if self.faces is None or isinstance(self.lengths, int):
-            if self.faces is None or self.lengths == 3 or not self.n_faces:
-                return self.triangles
-            corners = self.faces.items(self.list_name)[0].astype(np.int32)
-            whole = corners.reshape(self.n_faces, self.lengths)
-            if self.lengths < 3:
-                return strips
-            return [*whole, *strips] if len(strips) else whole
+        if isinstance(self.lengths, int) and self.lengths < 3:
+            return strips
         corners = self.faces.items(self.list_name)[0].astype(np.int32)
+        if isinstance(self.lengths, int):
+            whole = corners.reshape(self.n_faces, self.lengths)
+            return [*whole, *strips] if len(strips) else whole
         cuts = np.cumsum(self.lengths)[:-1]
         return [polygon for polygon in np.split(corners, cuts) if len(polygon) > 2] + list(strips)
 
@@ -242,48 +234,46 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
     if n_vertices > MAX_VERTICES:
         raise TooLargeError(f"{n_vertices} vertices are more than the {MAX_VERTICES} that are read")
     warnings: list[str] = []
-    triangles = np.empty((0, 3), dtype=np.int32)
-    strips = triangles
+    triangles = strips = np.empty((0, 3), dtype=np.int32)
     lengths: int | Longs = 0
-    faces = sections.get("face")
-    name = corner_list(faces.element) if faces is not None else ""
-    if faces is not None and name:
+    lists = {
+        element: (section, name)
+        for element, section in sections.items()
+        if element in ("face", "tristrips", GRID) and (name := corner_list(section.element))
+    }
+    faces, list_name = lists.get("face", (None, ""))
+    if faces is not None:
         if all(faces.element.find(name) for name in CORNERS):
-            warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used")
-        triangles, lengths = _polygon_triangles(faces, name, n_vertices)
-        few = faces.element.count if isinstance(lengths, int) else int((lengths < 3).sum())
-        if isinstance(lengths, int) and lengths >= 3:
-            few = 0
-        if few:
-            warnings.append(f"{few} faces have fewer than three corners and are only carried along")
-    strip_section = sections.get("tristrips")
-    strip_name = corner_list(strip_section.element) if strip_section is not None else ""
-    if strip_section is not None and strip_name:
-        strips = _strip_triangles(strip_section, strip_name, n_vertices)
-    grid = sections.get(GRID)
+            warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {list_name} is used")
+        triangles, lengths = _polygon_triangles(faces, list_name, n_vertices)
+        n_few = int((np.broadcast_to(lengths, faces.element.count) < 3).sum())
+        if n_few:
+            warnings.append(
+                f"{n_few} faces have fewer than three corners and are only carried along"
+            )
+    if "tristrips" in lists:
+        strips = _strip_triangles(*lists["tristrips"], n_vertices)
     samples = None
-    if not len(triangles) and not len(strips) and grid is not None and corner_list(grid.element):
-        samples = _grid_samples(grid, header, n_vertices)
-        strips = triangulate_grid(samples, vertices)
     if not len(triangles) and not len(strips):
-        face = sections.get("face")
-        raise no_faces(face.element if face is not None else None, n_vertices)
+        if GRID not in lists:
+            raise _no_faces_error(sections.get("face"), n_vertices)
+        samples = _grid_samples(*lists[GRID], header, n_vertices)
+        strips = triangulate_grid(samples, vertices)
     return Surface(
         triangles=np.concatenate([triangles, strips]) if len(strips) else triangles,
         lengths=lengths,
-        n_faces=faces.element.count if faces is not None and name else 0,
+        n_faces=faces.element.count if faces is not None else 0,
         n_strip_triangles=len(strips),
         warnings=tuple(warnings),
-        faces=faces if name else None,
-        list_name=name,
+        faces=faces,
+        list_name=list_name,
         grid=samples,
     )
 
 
-def _grid_samples(section: Section, header: Header, n_vertices: int) -> Ints:
+def _grid_samples(section: Section, name: str, header: Header, n_vertices: int) -> Ints:
     """The samples (rows, columns) of a range grid, -1 for none."""
     shape = grid_shape(header, section.element)
-    name = corner_list(section.element)
     items, lengths = section.items(name)
     if (lengths > 1).any():
         raise FormatError(
@@ -292,33 +282,33 @@ def _grid_samples(section: Section, header: Header, n_vertices: int) -> Ints:
             hint="each sample is a list of no vertex or one",
         )
     corners = _as_indices(items, section, name).reshape(-1)
-    if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
-        raise bad_index(
-            section, name, int(np.argmax(corners.view(np.uint32) >= n_vertices)), n_vertices
-        )
+    _require_vertices(corners, section, name, n_vertices)
     samples = np.full(section.element.count, -1, dtype=np.int32)
     samples[lengths > 0] = corners
     return samples.reshape(shape)
 
 
-def no_faces(face: Element | None, n_vertices: int) -> ContentError:
-    """The error for a file without triangles; ``face`` is its element of that name."""
-    if face is not None and face.count and not corner_list(face):
+def _require_vertices(corners: Triangles, section: Section, name: str, n_vertices: int) -> None:
+    """Raise ContentError (``E_INDEX``) for a list item that is no vertex."""
+    # Seen as unsigned, a negative index is a very large one.
+    if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
+        item = int(np.argmax(corners.view(np.uint32) >= n_vertices))
+        raise _bad_index_error(section, name, item, n_vertices)
+
+
+def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
+    """The error for a file without triangles; ``faces`` is its element ``face``."""
+    if faces is None or not faces.element.count:
         return ContentError(
-            "the faces have no list 'vertex_indices' or 'vertex_index'",
-            where="element face",
-            hint="export the mesh with its faces' corners under one of these names",
+            f"the file has {n_vertices} vertices but no faces: it is a point cloud",
+            hint="make a surface of the points first (for example by Poisson reconstruction)",
             code="E_NO_FACES",
         )
-    if face is not None and face.count:
-        return ContentError(
-            "no face has three corners or more", where="element face", code="E_NO_FACES"
-        )
-    return ContentError(
-        f"the file has {n_vertices} vertices but no faces: it is a point cloud",
-        hint="make a surface of the points first (for example by Poisson reconstruction)",
-        code="E_NO_FACES",
-    )
+    message, hint = "no face has three corners or more", ""
+    if not corner_list(faces.element):
+        message = "the faces have no list 'vertex_indices' or 'vertex_index'"
+        hint = "export the mesh with its faces' corners under one of these names"
+    return ContentError(message, where="element face", hint=hint, code="E_NO_FACES")
 
 
 def _polygon_triangles(
@@ -334,10 +324,7 @@ def _polygon_triangles(
         is_uniform = len(each) > 0 and bool((each == each[0]).all())
         lengths = int(each[0]) if is_uniform else np.asarray(each, dtype=np.int64)
         corners = _as_indices(items, section, name)
-    # Seen as unsigned, a negative index is a very large one.
-    if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
-        at = int(np.argmax(corners.view(np.uint32) >= n_vertices))
-        raise bad_index(section, name, at, n_vertices)
+    _require_vertices(corners, section, name, n_vertices)
     if not isinstance(lengths, int):
         from msal_cli.kernels.ply_scan import fans
 
@@ -364,7 +351,7 @@ def _strip_triangles(section: Section, name: str, n_vertices: int) -> Triangles:
     # -1 ends a strip; as an unsigned 32-bit number it is the largest one.
     beyond = (corners.view(np.uint32) >= n_vertices) & (corners != -1)
     if beyond.any():
-        raise bad_index(section, name, int(np.argmax(beyond)), n_vertices)
+        raise _bad_index_error(section, name, int(np.argmax(beyond)), n_vertices)
     triangles = np.empty((len(corners), 3), dtype=np.int32)
     count = unroll_strips(corners, lengths, triangles)
     return triangles[:count].copy()
@@ -398,7 +385,7 @@ def _record_of(section: Section, name: str, item: int) -> int:
     return int(np.searchsorted(np.cumsum(lengths), item, side="right"))
 
 
-def bad_index(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
+def _bad_index_error(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
     """The error for a list item that is no vertex."""
     record = _record_of(section, name, item)
     value = section.items(name)[0].reshape(-1)[item].item()
@@ -443,21 +430,6 @@ def vertex_element(header: Header) -> Element:
                 f"the coordinate '{name}' of element 'vertex' {problem}", where="header"
             )
     return vertex
-
-
-def scalar_property(vertex: Element, name: str) -> Property:
-    """The property ``name`` of the vertices; InputError (``E_PROPERTY``) if there is none that is
-    a number."""
-    prop = vertex.find(name)
-    if prop is None or prop.is_list:
-        known = [each.name for each in vertex.properties if not each.is_list]
-        raise InputError(
-            f"the vertices have no property {name!r}"
-            + (" that is a number" if prop is not None else ""),
-            code="E_PROPERTY",
-            hint=f"they have: {', '.join(known)}",
-        )
-    return prop
 
 
 def precision_of(header: Header, vertex: Element) -> str:
@@ -566,21 +538,20 @@ class PlyLayout(Layout):
 def parse(data: Buffer) -> PlyLayout:
     """Find the positions, normals and faces of a PLY file; errors as in ``read``."""
     content = as_bytes(memoryview(data).cast("B"))
-    header = parsed(memoryview(data).cast("B"))
+    header = parse_header(memoryview(data).cast("B"))
     vertex = vertex_element(header)
-    sections, end = located(content, header, wanted_names)
+    sections, end = find_sections(content, header, wanted_names)
     positions = sections["vertex"].slots(POSITION)
     vertices = positions.values
     require_finite(vertices, sections["vertex"].where)
-    # Found here, so that a word that is no number is reported before any work is done.
-    elements = [
-        name
+    # Read here, so that a word that is no number is reported before any work is done.
+    normals = {
+        name: section.slots(NORMAL)
         for name, section in sections.items()
         if name in ("vertex", "face") and has_normals(section.element)
-    ]
-    normals = {name: sections[name].slots(NORMAL) for name in elements}
-    found = find_surface(sections, header, vertices)
-    if not found.n_faces:
+    }
+    surface = find_surface(sections, header, vertices)
+    if not surface.n_faces:
         normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
@@ -592,21 +563,21 @@ def parse(data: Buffer) -> PlyLayout:
         precision=precision_of(header, vertex),
         positions=(positions,),
         normals=tuple(normals.values()),
-        renew_normals=functools.partial(_renew_normals, found, normals),
+        renew_normals=functools.partial(_renew_normals, surface, normals),
         vertices=vertices,
-        faces=found.triangles,
-        properties=properties_of(header, found.grid),
+        faces=surface.triangles,
+        properties=properties_of(header, surface.grid),
         references=header.textures,
         warnings=(
             *warnings_of(header, vertex),
-            *found.warnings,
+            *surface.warnings,
             *((_STREAM_WARNING,) if is_stream else ()),
             *((f"{n_behind} bytes behind the last element are kept as they are",) * bool(n_behind)),
         ),
         header=header,
         sections=sections,
         end=end,
-        surface=found,
+        surface=surface,
         normal_elements=tuple(normals),
         is_stream=is_stream,
     )
@@ -647,17 +618,24 @@ class PlyFile(SlotFile):
     def vertex_property(self, name: str) -> Floats:
         """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
         is none."""
-        element = self._layout.sections["vertex"].element
-        scalar_property(element, name)
+        properties = self._layout.sections["vertex"].element.properties
+        scalars = [prop.name for prop in properties if not prop.is_list]
+        if name not in scalars:
+            is_list = any(prop.name == name for prop in properties)
+            raise InputError(
+                f"the vertices have no property {name!r}{' that is a number' * is_list}",
+                code="E_PROPERTY",
+                hint=f"they have: {', '.join(scalars)}",
+            )
         if name in POSITION + NORMAL:
             return self._layout.sections["vertex"].slots((name,)).values[:, 0]
-        found, _ = located(
+        sections, _ = find_sections(
             as_bytes(self._data),
             self._layout.header,
             lambda element: (name,) if element.name == "vertex" else (),
             last="vertex",
         )
-        values: Floats = np.ascontiguousarray(found["vertex"].slots((name,)).values[:, 0])
+        values: Floats = np.ascontiguousarray(sections["vertex"].slots((name,)).values[:, 0])
         return values
 
     def polygons(self) -> list[Any] | NDArray[np.int32]:

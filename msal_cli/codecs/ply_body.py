@@ -31,6 +31,9 @@ _NONE = np.empty(0, dtype=np.int64)
 ALL_DIGITS = 1_000
 """Significant digits of which a file has never too many for fixed-point text."""
 
+Wanted = Callable[[Element], Sequence[str]]
+"""The properties of an element whose places are to be kept where that costs memory."""
+
 _TOKEN = re.compile(rb"\S")
 
 MAX_UNUSUAL = 5_000
@@ -92,14 +95,8 @@ class Lines:
     @functools.cached_property
     def tokens(self) -> Places:
         """The places of all words of the properties ``kept``."""
-        return _find_tokens(
-            self.data,
-            self.header,
-            self.element,
-            self.start,
-            self.kept,
-            self.is_stream,
-        )[0]
+        places = self.header, self.element, self.start, self.kept, self.is_stream
+        return _find_tokens(self.data, *places)[0]
 
     def where(self, record: int) -> str:
         line = line_of(self.data, int(self.tokens.starts[record, 0]))
@@ -197,7 +194,7 @@ class Lines:
         return starts, stops, lengths
 
 
-def plain_lines(
+def _plain_lines(
     data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
 ) -> Lines | None:
     """The section of an element whose records are plain and of scalars, or of one list among
@@ -205,10 +202,10 @@ def plain_lines(
     if not element.properties or not element.count or not can_hold(data, element, at):
         return None
     read = _read_lists if any(prop.is_list for prop in element.properties) else _read_scalars
-    found = read(data, element, at, wanted)
-    if found is None:
+    if (result := read(data, element, at, wanted)) is None:
         return None
-    return Lines(data, header, element, at, found[1], kept_names(element, wanted), found[0])
+    values, stop = result
+    return Lines(data, header, element, at, stop, kept_names(element, wanted), values)
 
 
 def _read_scalars(
@@ -224,9 +221,8 @@ def _read_scalars(
         for group in (POSITION, NORMAL)
         if set(group) <= set(names) and tuple(all_names[all_names.index(group[0]) :][:3]) == group
     ]
-    groups = np.array(
-        [next((g for g, one in enumerate(together) if name in one), -1) for name in all_names]
-    )
+    group_of = {name: g for g, group in enumerate(together) for name in group}
+    groups = np.array([group_of.get(name, -1) for name in all_names])
     values = np.empty((element.count, len(names)))
     first_at = np.empty((len(together), element.count), dtype=np.int64)
     decimals = np.empty((len(together), element.count), dtype=np.uint8)
@@ -278,28 +274,9 @@ def _read_lists(
     return Values((), np.empty((element.count, 0)), {}, name, items[:n_items], lengths), int(at)
 
 
-def find_lines(
-    data: Bytes,
-    header: Header,
-    element: Element,
-    at: int,
-    wanted: Sequence[str],
-    is_stream: bool = False,
-) -> Lines:
-    """The section of an element that begins at byte ``at``, its tokens found one by one.
-
-    Raises TruncatedError and FormatError with the record and its line.
-    """
-    kept = kept_names(element, wanted)
-    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
-    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream)
-    lines.__dict__["tokens"] = tokens
-    return lines
-
-
-def read_stream(
-    data: Bytes, header: Header, wanted: Callable[[Element], Sequence[str]]
-) -> tuple[dict[str, Lines], int] | None:
+def _read_stream(
+    data: Bytes, header: Header, wanted: Wanted
+) -> tuple[dict[str, Section], int] | None:
     """The sections of all elements of an ascii file by name, and the byte behind the last one,
     whatever lines the records are on; None if that leaves tokens over, or some are missing.
 
@@ -308,16 +285,16 @@ def read_stream(
     must take all tokens, and each begin on a line of its own where there are several lines.
     """
     filled = [element for element in header.elements if element.count and element.properties]
-    if not filled or not all(can_hold(data, one, header.size) for one in filled):
+    if not filled or not all(can_hold(data, element, header.size) for element in filled):
         return None
     if not data[header.size :].all():
         return None
-    sections: dict[str, Lines] = {}
+    sections: dict[str, Section] = {}
     gaps: list[Bytes] = []
     at = header.size
     for element in header.elements:
         try:
-            sections[element.name] = find_lines(data, header, element, at, wanted(element), True)
+            sections[element.name] = section_at(data, header, element, at, wanted(element), True)
         except InputError:
             return None
         stop = sections[element.name].stop
@@ -402,10 +379,6 @@ def _find_tokens(
     )
 
 
-Wanted = Callable[[Element], Sequence[str]]
-"""The properties of an element whose places are to be kept where that costs memory."""
-
-
 @dataclass(frozen=True)
 class Fixed:
     """Binary records of ``stride`` bytes each from byte ``start`` on.
@@ -467,25 +440,16 @@ class Varied:
     def where(self, record: int) -> str:
         return f"{self.element.name} {record}"
 
-    def _pieces(self, name: str) -> tuple[np.dtype[np.generic], Longs, Longs]:
-        """Type, first bytes (count,) and sizes in bytes (count,) of a property's values."""
-        prop = self.element.properties[self.element.index(name)]
-        dtype = np.dtype(self.order + prop.code)
-        k = self.columns[name]
-        return (
-            dtype,
-            np.ascontiguousarray(self.starts[:, k]),
-            self.lengths[:, k] * dtype.itemsize,
-        )
-
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
         """All values of a property, one record behind another, and each record's number."""
         from msal_cli.kernels.ply_scan import gather
 
-        dtype, starts, sizes = self._pieces(name)
+        dtype = np.dtype(self.order + self.element.properties[self.element.index(name)].code)
+        k = self.columns[name]
+        sizes = self.lengths[:, k] * dtype.itemsize
         packed = np.empty(int(sizes.sum()), dtype=np.uint8)
-        gather(self.data, starts, sizes, packed)
-        return packed.view(dtype), np.ascontiguousarray(self.lengths[:, self.columns[name]])
+        gather(self.data, np.ascontiguousarray(self.starts[:, k]), sizes, packed)
+        return packed.view(dtype), np.ascontiguousarray(self.lengths[:, k])
 
     def column(self, name: str) -> NDArray[np.generic]:
         """The values of a scalar (count,) as the file stores them, copied."""
@@ -503,7 +467,7 @@ def _codes(element: Element, order: str, names: Sequence[str]) -> tuple[str, ...
     return tuple(order + prop.code for prop in element.find_all(names))
 
 
-def located(
+def find_sections(
     data: Bytes, header: Header, wanted: Wanted, last: str = ""
 ) -> tuple[dict[str, Section], int]:
     """The sections of all elements by name, and the byte behind the last one.
@@ -513,30 +477,23 @@ def located(
     nothing over.  Raises TruncatedError and FormatError with the element, record and, in ascii,
     line.
     """
-    try:
-        return _in_turn(data, header, wanted, last)
-    except (FormatError, TruncatedError):
-        found = read_stream(data, header, wanted) if header.encoding == "ascii" else None
-        if found is None:
-            raise
-        return dict(found[0]), found[1]
-
-
-def _in_turn(
-    data: Bytes, header: Header, wanted: Wanted, last: str
-) -> tuple[dict[str, Section], int]:
-    """What ``located`` returns for binary records, and for ascii ones that have lines."""
+    is_text = header.encoding == "ascii"
     sections: dict[str, Section] = {}
     at = header.size
-    for element in header.elements:
-        names = wanted(element)
-        plain = (
-            plain_lines(data, header, element, at, names) if header.encoding == "ascii" else None
-        )
-        sections[element.name] = plain or section_at(data, header, element, at, names)
-        at = sections[element.name].stop
-        if element.name == last:
-            break
+    try:
+        for element in header.elements:
+            names = wanted(element)
+            plain = _plain_lines(data, header, element, at, names) if is_text else None
+            section = plain or section_at(data, header, element, at, names)
+            sections[element.name] = section
+            at = section.stop
+            if element.name == last:
+                break
+    except (FormatError, TruncatedError):
+        stream = _read_stream(data, header, wanted) if is_text else None
+        if stream is None:
+            raise
+        return stream
     return sections, at
 
 
@@ -552,11 +509,15 @@ def section_at(
     unless ``is_stream``.
 
     ``names`` are the properties whose places are to be kept where that costs memory.
-    Errors as in ``located``.
+    Errors as in ``find_sections``.
     """
-    if header.encoding == "ascii":
-        return find_lines(data, header, element, at, names, is_stream)
-    return _records(data, header, element, at, names)
+    if header.encoding != "ascii":
+        return _records(data, header, element, at, names)
+    kept = kept_names(element, names)
+    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
+    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream)
+    lines.__dict__["tokens"] = tokens
+    return lines
 
 
 def _records(

@@ -22,26 +22,19 @@ MAX_BYTES = 65_536
 MAX_LINES = 1_000
 """Most lines of a header; real ones have a few dozen."""
 
-TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
+_SPELLINGS = {
+    "i1": ("char", "int8"),
+    "u1": ("uchar", "uint8"),
+    "i2": ("short", "int16"),
+    "u2": ("ushort", "uint16"),
+    "i4": ("int", "int32"),
+    "u4": ("uint", "uint32"),
+    "i8": ("int64",),
+    "u8": ("uint64",),
+    "f4": ("float", "float32"),
+    "f8": ("double", "float64"),
 }
+TYPES = {name: code for code, names in _SPELLINGS.items() for name in names}
 """Number types as files spell them, and their numpy codes; the 64-bit integers are an extension."""
 
 _STRUCTURAL = ("format", "element", "property", "end_header")
@@ -51,13 +44,6 @@ _ALIKE = 0.65
 """Similarity, from 0 to 1, from which on a word counts as a misspelt keyword."""
 
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
-
-_RESPELT = {
-    ("f4", False): "float",
-    ("f4", True): "float32",
-    ("f8", False): "double",
-    ("f8", True): "float64",
-}
 
 
 @dataclass(frozen=True)
@@ -191,16 +177,16 @@ class Header:
         return ">" if self.encoding == "binary_big_endian" else "<"
 
 
-def _decoded(text: bytes) -> str:
+def _decode(text: bytes) -> str:
     try:
         return text.decode("utf-8")
     except UnicodeDecodeError:
         return text.decode("latin-1")
 
 
-def _shown(text: bytes) -> str:
+def _show(text: bytes) -> str:
     """A word of the file fit for a message: printable and short."""
-    word = _decoded(text[:60])
+    word = _decode(text[:60])
     return repr(word if len(text) <= 60 else word + "...")
 
 
@@ -233,32 +219,25 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
     """
     ending = b"\r" if newline == b"\r" else b"\n"
     lines: list[bytes] = []
-    at = 0
-    while True:
+    at = stop = 0
+    while stop >= 0 and len(lines) < MAX_LINES:
         stop = head.find(ending, at)
-        line = head[at:] if stop < 0 else head[at:stop]
-        lines.append(line)
-        if line.strip() == b"end_header" and (stop >= 0 or whole):
-            # The last line needs no line end when no data follow.
-            return lines, len(head) if stop < 0 else stop + 1
-        if len(lines) >= MAX_LINES:
-            raise TooLargeError(
-                f"the header has no 'end_header' within its first {MAX_LINES} lines",
-                where=f"line {len(lines)}",
-                hint="the file is damaged, or is not a PLY mesh",
-            )
-        if stop < 0:
-            break
+        lines.append(head[at:] if stop < 0 else head[at:stop])
         at = stop + 1
-    if whole:
+        if lines[-1].strip() == b"end_header" and (stop >= 0 or whole):
+            # The last line needs no line end when no data follow.
+            return lines, len(head) if stop < 0 else at
+    place = f"line {len(lines)}"
+    if whole and len(lines) < MAX_LINES:
         raise TruncatedError(
             "the file ends within its header: there is no 'end_header'",
-            where=f"line {len(lines)}",
+            where=place,
             hint="the file was cut short; copy or export it again",
         )
+    limit = f"{MAX_LINES} lines" if len(lines) >= MAX_LINES else f"{MAX_BYTES} bytes"
     raise TooLargeError(
-        f"the header has no 'end_header' within its first {MAX_BYTES} bytes",
-        where=f"line {len(lines)}",
+        f"the header has no 'end_header' within its first {limit}",
+        where=place,
         hint="the file is damaged, or is not a PLY mesh",
     )
 
@@ -281,33 +260,33 @@ class _Parser:
     def read_format(self, words: list[bytes]) -> None:
         if self.encoding:
             raise self.fail("the header states its format twice")
-        if len(words) != 3 or _decoded(words[1]) not in ENCODINGS:
+        if len(words) != 3 or _decode(words[1]) not in ENCODINGS:
             raise self.fail(
-                f"the format line {_shown(b' '.join(words))} is not understood",
+                f"the format line {_show(b' '.join(words))} is not understood",
                 "expected 'format ascii 1.0', 'format binary_little_endian 1.0' or "
                 "'format binary_big_endian 1.0'",
             )
         if words[2] != b"1.0":
             raise UnsupportedError(
-                f"PLY version {_shown(words[2])} is not known",
+                f"PLY version {_show(words[2])} is not known",
                 where=f"line {self.line + 1}",
                 hint="only version 1.0 exists",
             )
-        self.encoding = _decoded(words[1])
+        self.encoding = _decode(words[1])
         self.format_line = self.line
 
     def read_element(self, words: list[bytes]) -> None:
         if len(words) != 3:
             raise self.fail("an element line needs a name and a count")
-        name = _decoded(words[1])
+        name = _decode(words[1])
         # Twenty digits hold every count a file could have; more would only burn time in int().
         if not words[2].isdigit() or len(words[2]) > 20:
             raise self.fail(
-                f"the count {_shown(words[2])} of element {_shown(words[1])} is not a whole "
+                f"the count {_show(words[2])} of element {_show(words[1])} is not a whole "
                 "number from 0 up"
             )
         if any(element.name == name for element in self.elements):
-            raise self.fail(f"the header declares element {_shown(words[1])} twice")
+            raise self.fail(f"the header declares element {_show(words[1])} twice")
         self.elements.append(Element(name, int(words[2]), ()))
 
     def read_property(self, words: list[bytes]) -> None:
@@ -316,19 +295,19 @@ class _Parser:
         is_list = len(words) > 1 and words[1] == b"list"
         if len(words) != (5 if is_list else 3):
             raise self.fail(
-                f"the property line {_shown(b' '.join(words))} is not understood",
+                f"the property line {_show(b' '.join(words))} is not understood",
                 "expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'",
             )
         for word in words[2 if is_list else 1 : -1]:
-            if _decoded(word) not in TYPES:
-                raise self.fail(f"the number type {_shown(word)} is not known")
-        count_type = _decoded(words[2]) if is_list else ""
+            if _decode(word) not in TYPES:
+                raise self.fail(f"the number type {_show(word)} is not known")
+        count_type = _decode(words[2]) if is_list else ""
         if is_list and TYPES[count_type][0] == "f":
             raise self.fail(f"the count of a list cannot be of type {count_type}")
         element = self.elements[-1]
-        prop = Property(_decoded(words[-1]), _decoded(words[-2]), count_type, self.line)
+        prop = Property(_decode(words[-1]), _decode(words[-2]), count_type, self.line)
         if element.find(prop.name):
-            raise self.fail(f"element '{element.name}' declares property {_shown(words[-1])} twice")
+            raise self.fail(f"element '{element.name}' declares property {_show(words[-1])} twice")
         self.elements[-1] = Element(element.name, element.count, (*element.properties, prop))
 
     def read(self, text: bytes) -> None:
@@ -337,10 +316,10 @@ class _Parser:
             return
         if words[0] == b"obj_info":
             if len(words) == 3:
-                self.infos[_decoded(words[1])] = _decoded(words[2])
+                self.infos[_decode(words[1])] = _decode(words[2])
         elif words[0] == b"comment":
             if len(words) > 2 and words[1].lower() == b"texturefile":
-                self.textures.append(_decoded(text.split(None, 2)[2].strip()))
+                self.textures.append(_decode(text.split(None, 2)[2].strip()))
         elif words[0] == b"format":
             self.read_format(words)
         elif words[0] == b"element":
@@ -349,9 +328,9 @@ class _Parser:
             self.read_property(words)
         elif _is_stray(text, words[0]):
             # As old versions of Blender write: "Created by Blender3D 2.43", without "comment".
-            self.strays.append(Stray(self.line + 1, _shown(text), bool(self.elements)))
+            self.strays.append(Stray(self.line + 1, _show(text), bool(self.elements)))
         else:
-            raise self.fail(f"the header line {_shown(text)} is not understood")
+            raise self.fail(f"the header line {_show(text)} is not understood")
 
 
 def _is_stray(text: bytes, keyword: bytes) -> bool:
@@ -360,12 +339,12 @@ def _is_stray(text: bytes, keyword: bytes) -> bool:
 
     if any((c < 32 and c != 9) or c == 127 for c in text.rstrip(b"\r")):
         return False
-    word = _decoded(keyword[:60]).lower()
+    word = _decode(keyword[:60]).lower()
     is_glued = any(word.startswith(keyword) for keyword in _STRUCTURAL)
     return not is_glued and not get_close_matches(word, _STRUCTURAL, cutoff=_ALIKE)
 
 
-def parsed(data: memoryview, is_whole: bool = True) -> Header:
+def parse_header(data: memoryview, is_whole: bool = True) -> Header:
     """The header of the PLY file ``data`` (bytes), or of its beginning if not ``is_whole``.
 
     Lines of other words are kept among ``Header.strays``.  Raises FormatError (not PLY, or a line
@@ -399,7 +378,7 @@ def parsed(data: memoryview, is_whole: bool = True) -> Header:
     )
 
 
-def retyped(header: Header, text: bytes, encoding: str, codes: dict[int, str]) -> bytes:
+def retype_header(header: Header, text: bytes, encoding: str, codes: dict[int, str]) -> bytes:
     """The header's bytes with another encoding and other types of scalar properties.
 
     ``text`` is the header as it stands in the file; ``codes`` maps line numbers (from 0) of
@@ -410,8 +389,8 @@ def retyped(header: Header, text: bytes, encoding: str, codes: dict[int, str]) -
     lines = text.split(ending)
     second_words = {header.format_line: encoding}
     for line, code in codes.items():
-        old = lines[line].split()[1].decode()
-        second_words[line] = _RESPELT[code, old[-1].isdigit()]
+        is_sized = lines[line].split()[1][-1:].isdigit()
+        second_words[line] = _SPELLINGS[code][is_sized]
     for line, word in second_words.items():
         lines[line] = re.sub(rb"^(\s*\S+\s+)\S+", rb"\g<1>" + word.encode(), lines[line])
     return ending.join(lines)

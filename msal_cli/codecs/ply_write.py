@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_body import Lines, Section, section_at
-from msal_cli.codecs.ply_header import Header, Property, retyped
+from msal_cli.codecs.ply_header import Header, Property, retype_header
 from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError, InternalError, UsageError
 from msal_cli.storage.regular import Buffer
@@ -92,7 +92,7 @@ class Recoding:
 
     def header(self) -> bytes:
         text = self._data[: self._header.size].tobytes()
-        return retyped(self._header, text, self.encoding, self._codes)
+        return retype_header(self._header, text, self.encoding, self._codes)
 
     def encoded(self, values: Mapping[tuple[str, str], Floats], end: int) -> bytearray:
         """The whole file.  ``values`` holds, for (element, property), the (count,) numbers to be
@@ -105,14 +105,8 @@ class Recoding:
             place = output.rindex(b"end_header")
             output[place:place] = b"".join(line + self._header.newline for line in lines)
         for element in self._header.elements:
-            section = section_at(
-                self._data,
-                self._header,
-                element,
-                at,
-                [prop.name for prop in element.properties],
-                self._is_stream,
-            )
+            names = [prop.name for prop in element.properties]
+            section = section_at(self._data, self._header, element, at, names, self._is_stream)
             at = section.stop
             is_touched = any(
                 (element.name, prop.name) in values or prop.line in self._codes
@@ -258,16 +252,11 @@ def _append_text(output: bytearray, columns: Sequence[Column], count: int, newli
     ]
     for begin in range(0, count, _CHUNK):
         end = min(begin + _CHUNK, count)
-        part = [
-            Column(column.property, column.values[begin:end], None)
-            if column.lengths is None or first is None
-            else Column(
-                column.property,
-                column.values[first[begin] : first[end]],
-                column.lengths[begin:end],
-            )
-            for column, first in zip(columns, firsts, strict=True)
-        ]
+        part = []
+        for column, first in zip(columns, firsts, strict=True):
+            items = slice(begin, end) if first is None else slice(first[begin], first[end])
+            lengths = None if column.lengths is None else column.lengths[begin:end]
+            part.append(Column(column.property, column.values[items], lengths))
         output += _lines_of(part, end - begin, newline).data
 
 
@@ -285,12 +274,14 @@ def _lines_of(columns: Sequence[Column], count: int, newline: bytes) -> Bytes:
     sizes = np.empty_like(starts)
     texts = [np.frombuffer(b" " + newline, dtype=np.uint8)]
     size = len(texts[0])
-    for one in columns:
-        printings = [(one.values, slot)]
-        if one.lengths is not None:
-            items = np.repeat(slot + 1 - (np.cumsum(one.lengths) - one.lengths), one.lengths)
-            printings = [(one.lengths, slot), (one.values, items + np.arange(len(items)))]
-            slot = slot + one.lengths
+    for column in columns:
+        printings = [(column.values, slot)]
+        if column.lengths is not None:
+            items = np.repeat(
+                slot + 1 - (np.cumsum(column.lengths) - column.lengths), column.lengths
+            )
+            printings = [(column.lengths, slot), (column.values, items + np.arange(len(items)))]
+            slot = slot + column.lengths
         slot = slot + 1
         for values, slots in printings:
             text, stops = _token_text(values)
@@ -422,5 +413,5 @@ def with_fields(
 
 def _printable(comment: str) -> str:
     text = comment.encode("ascii", "backslashreplace").decode()
-    text = "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
+    text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
     return text[:_MAX_COMMENT]

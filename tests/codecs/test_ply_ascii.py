@@ -74,7 +74,7 @@ def test_both_walks_read_and_write_the_same(
     data = data[:at] + noise + data[at + len(noise) :]
     plain = outcome(data, seed)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ply_body, "plain_lines", lambda *_: None)
+        patch.setattr(ply_body, "_plain_lines", lambda *_: None)
         assert plain == outcome(data, seed)
 
 
