@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import base64
 import binascii
+import functools
 import lzma
 import re
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.cells import Cells
-from msal_cli.codecs.mesh_file import Dependent, Layout, Shift
+from msal_cli.codecs.mesh_file import Dependent, Layout, Parse, Shift
 from msal_cli.codecs.slots import UnitSlots, to_type
 from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
@@ -44,19 +44,26 @@ _MAX_LZMA_BYTES = 256 << 20
 _BLANKS = b" \t\r\n"
 
 
-@dataclass(eq=False)
 class Coding:
-    """How a file stores arrays: ``order`` of bytes, size of the ``header`` numbers, the name of
-    the ``compressor``, and where the appended data begin, or -1."""
+    """How a file stores arrays: ``order`` of bytes, type of the ``header`` numbers, and the name of
+    the ``compressor``."""
 
-    data: Buffer = field(repr=False)
-    order: str
-    header: str
-    compressor: str
-    appended_at: int = -1
-    appended_stop: int = -1
-    is_raw: bool = False
-    expanded_bytes: int = 0
+    def __init__(self, data: Buffer, root: Element, appended: re.Match[bytes] | None) -> None:
+        self.data = data
+        self.compressor = root.attributes.get("compressor", "")
+        if self.compressor not in _COMPRESSORS:
+            raise UnsupportedError(
+                f"arrays compressed by {self.compressor[:40]} are not read",
+                hint="write the file with zlib compression, or with none",
+            )
+        order = {"LittleEndian": "<", "BigEndian": ">"}.get(root.attributes.get("byte_order", ""))
+        header = {"UInt32": "u4", "UInt64": "u8"}.get(root.attributes.get("header_type", "UInt32"))
+        if order is None or header is None:
+            raise damaged("byte_order or header_type is wrong", "line 1")
+        self.order, self.header = order, order + header
+        self.appended_at = appended.end() if appended else -1
+        self._is_raw = appended is not None and appended[1] == b"raw"
+        self._expanded_bytes = 0
 
     @property
     def head_bytes(self) -> int:
@@ -66,14 +73,14 @@ class Coding:
     def expand(self, size: int, packed: int, at: int) -> None:
         """Count an array of ``size`` bytes that is stored in ``packed``; TooLargeError beyond what
         one array, or all arrays together, may expand to."""
-        self.expanded_bytes += size
+        self._expanded_bytes += size
         of_all = max(ALWAYS_EXPANDED, MAX_RATIO * len(self.data))
-        if size > max(ALWAYS_EXPANDED, MAX_RATIO * packed) or self.expanded_bytes > min(
+        if size > max(ALWAYS_EXPANDED, MAX_RATIO * packed) or self._expanded_bytes > min(
             of_all, memory_bytes() // 2
         ):
             raise TooLargeError(
                 f"an array of {packed:,} bytes expands to {size:,}, and all to "
-                f"{self.expanded_bytes:,}",
+                f"{self._expanded_bytes:,}",
                 where=f"byte {at}",
                 hint="write the file without compression if it is what it should be",
             )
@@ -85,47 +92,75 @@ class Coding:
         offset = array.attributes.get("offset", "").strip()
         if self.appended_at < 0 or not re.fullmatch(r"[0-9]{1,18}", offset):
             raise damaged("an array is said to be appended, but is not", f"byte {array.start}")
-        return self.appended_at + int(offset), self.appended_stop, self.is_raw
+        return self.appended_at + int(offset), len(self.data), self._is_raw
 
+    def code_of(self, array: Element) -> str:
+        """numpy's type of an array's numbers."""
+        kind = array.attributes.get("type", "")
+        if kind not in _CODES:
+            raise UnsupportedError(
+                f"numbers of the type {kind[:40]!r} are not read", where=f"byte {array.start}"
+            )
+        return self.order + _CODES[kind]
 
-def _code_of(array: Element, coding: Coding) -> str:
-    """numpy's type of an array's numbers."""
-    kind = array.attributes.get("type", "")
-    if kind not in _CODES:
-        raise UnsupportedError(
-            f"numbers of the type {kind[:40]!r} are not read", where=f"byte {array.start}"
+    def integers(self, array: Element) -> NDArray[np.int64]:
+        """All whole numbers of an array (k,)."""
+        code = self.code_of(array)
+        if array.attributes.get("format", "ascii") == "ascii":
+            return Words(self.data, array.inside, array.text_stop).integers(slice(None))
+        content = self.decode(array)[0]
+        if len(content) % np.dtype(code).itemsize:
+            raise damaged("an array is cut", f"byte {array.start}")
+        return np.frombuffer(content, dtype=code).astype(np.int64)
+
+    def numbers(self, array: Element, count: int, *, are_normals: bool = False) -> UnitSlots:
+        """The rows (count, 3) of an array of floating-point numbers."""
+        from msal_cli.kernels.text import as_bytes
+
+        code = self.code_of(array)
+        if code[1] != "f":
+            raise UnsupportedError(
+                f"positions are stored as {array.attributes['type']}",
+                where=f"byte {array.start}",
+                hint="write them as Float32 or Float64",
+            )
+        data = as_bytes(self.data)
+        if array.attributes.get("format", "ascii") == "ascii":
+            words = Words(data, array.inside, array.text_stop)
+            _require_count(len(words), 3 * count, array)
+            return Tokens(data, words.starts, words.stops, unit_length=are_normals)
+        return EncodedNumbers(self, array, code, count)
+
+    def decode(self, array: Element) -> tuple[Buffer, int, int]:
+        """The bytes of an array, and between which bytes of the file it and its header are."""
+        start, stop, is_raw = self.place(array)
+        view = memoryview(self.data).cast("B")[:stop]
+        source = _Source(view, start, is_raw=is_raw)
+        width = np.dtype(self.header).itemsize
+        head = source.take(self.head_bytes)
+        counts = np.frombuffer(head, dtype=self.header).tolist()
+        if not self.compressor:
+            content = source.take(counts[0])
+            self.expand(len(content), len(content), start)
+            return content, source.first, source.at
+        n_blocks, block_bytes, last_bytes = counts
+        if n_blocks * width > stop - start:
+            raise TruncatedError("blocks are missing", where=f"byte {start}", hint=EXPORT_AGAIN)
+        sizes = np.frombuffer(source.take(n_blocks * width), dtype=self.header).tolist()
+        source.begin_data()
+        packed = sum(sizes)
+        total = (n_blocks - 1) * block_bytes + (last_bytes or block_bytes) if n_blocks else 0
+        self.expand(total, packed, start)
+        content = b"".join(
+            _expanded(
+                source.take(size),
+                last_bytes if last_bytes and k == n_blocks - 1 else block_bytes,
+                self.compressor,
+                start,
+            )
+            for k, size in enumerate(sizes)
         )
-    return coding.order + _CODES[kind]
-
-
-def _integers(array: Element, coding: Coding) -> NDArray[np.int64]:
-    """All whole numbers of an array (k,)."""
-    code = _code_of(array, coding)
-    if array.attributes.get("format", "ascii") == "ascii":
-        return Words(coding.data, array.inside, array.text_stop).integers(slice(None))
-    content = _decoded(array, coding)[0]
-    if len(content) % np.dtype(code).itemsize:
-        raise damaged("an array is cut", f"byte {array.start}")
-    return np.frombuffer(content, dtype=code).astype(np.int64)
-
-
-def _numbers(array: Element, coding: Coding, count: int, *, are_normals: bool = False) -> UnitSlots:
-    """The rows (count, 3) of an array of floating-point numbers."""
-    from msal_cli.kernels.text import as_bytes
-
-    code = _code_of(array, coding)
-    if code[1] != "f":
-        raise UnsupportedError(
-            f"positions are stored as {array.attributes['type']}",
-            where=f"byte {array.start}",
-            hint="write them as Float32 or Float64",
-        )
-    data = as_bytes(coding.data)
-    if array.attributes.get("format", "ascii") == "ascii":
-        words = Words(data, array.inside, array.text_stop)
-        _require_count(len(words), 3 * count, array)
-        return Tokens(data, words.starts, words.stops, unit_length=are_normals)
-    return EncodedNumbers(coding, array, code, count)
+        return content, source.first, source.at
 
 
 def _require_count(there: int, wanted: int, array: Element) -> None:
@@ -142,7 +177,7 @@ class EncodedNumbers(UnitSlots):
     """An array that is one unit, since it may be compressed or written in base64."""
 
     def __init__(self, coding: Coding, array: Element, code: str, count: int) -> None:
-        content, start, stop = _decoded(array, coding)
+        content, start, stop = coding.decode(array)
         _require_count(len(content), 3 * np.dtype(code).itemsize * count, array)
         self.codes = (code,) * 3
         self.starts = np.array([start], dtype=np.int64)
@@ -184,38 +219,6 @@ class EncodedNumbers(UnitSlots):
         if is_split:
             return base64.b64encode(head) + base64.b64encode(content)
         return base64.b64encode(head + content)
-
-
-def _decoded(array: Element, coding: Coding) -> tuple[Buffer, int, int]:
-    """The bytes of an array, and between which bytes of the file it is stored, headers included."""
-    start, stop, is_raw = coding.place(array)
-    view = memoryview(coding.data).cast("B")[:stop]
-    source = _Source(view, start, is_raw=is_raw)
-    width = np.dtype(coding.header).itemsize
-    head = source.take(coding.head_bytes)
-    counts = np.frombuffer(head, dtype=coding.header).tolist()
-    if not coding.compressor:
-        content = source.take(counts[0])
-        coding.expand(len(content), len(content), start)
-        return content, source.first, source.at
-    n_blocks, block_bytes, last_bytes = counts
-    if n_blocks * width > stop - start:
-        raise TruncatedError("blocks are missing", where=f"byte {start}", hint=EXPORT_AGAIN)
-    sizes = np.frombuffer(source.take(n_blocks * width), dtype=coding.header).tolist()
-    source.begin_data()
-    packed = sum(sizes)
-    total = (n_blocks - 1) * block_bytes + (last_bytes or block_bytes) if n_blocks else 0
-    coding.expand(total, packed, start)
-    content = b"".join(
-        _expanded(
-            source.take(size),
-            last_bytes if last_bytes and k == n_blocks - 1 else block_bytes,
-            coding.compressor,
-            start,
-        )
-        for k, size in enumerate(sizes)
-    )
-    return content, source.first, source.at
 
 
 def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
@@ -284,17 +287,7 @@ _APPENDED = re.compile(rb"<AppendedData(?:\s+encoding\s*=\s*[\"'](\w+)[\"'])?\s*
 _POLYGONS = (("Verts", "vertex"), ("Lines", "line"), ("Strips", "strip"), ("Polys", "polygon"))
 
 
-def parse_vtu(data: Buffer) -> Layout:
-    """Read an unstructured grid; errors as of ``_parse``."""
-    return _parse(data, "vtu")
-
-
-def parse_vtp(data: Buffer) -> Layout:
-    """Read polygonal data; errors as of ``_parse``."""
-    return _parse(data, "vtp")
-
-
-def _parse(data: Buffer, format: str) -> Layout:
+def _parse(format: str, data: Buffer) -> Layout:
     """Read a VTU or VTP file.
 
     Raises UnsupportedError for another compression, another type of VTK file, and curved cells,
@@ -310,7 +303,7 @@ def _parse(data: Buffer, format: str) -> Layout:
         if suffix is None:
             raise UnsupportedError(f"a VTKFile of the type {kind[:40]!r} is not read")
         raise FormatError(f"a {kind} is a .{suffix} file", hint=f"rename it to .{suffix}")
-    coding = _coding(data, root, appended)
+    coding = Coding(data, root, appended)
     grid = root.find(kind)
     pieces = list(grid.all("Piece")) if grid is not None else []
     parts = [part for part in (_Piece(piece, coding) for piece in pieces) if part.n_points]
@@ -329,7 +322,7 @@ def _parse(data: Buffer, format: str) -> Layout:
     if any(piece is not None and _named(piece, "normals") is not None for piece in cell_data):
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
-    codes = {_code_of(part.points_array, coding) for part in parts}
+    codes = {coding.code_of(part.points_array) for part in parts}
     return Layout(
         "ascii" if is_text else "binary",
         "float64" if coding.order + "f8" in codes else "float32",
@@ -347,23 +340,8 @@ def _parse(data: Buffer, format: str) -> Layout:
     )
 
 
-def _coding(data: Buffer, root: Element, appended: re.Match[bytes] | None) -> Coding:
-    compressor = root.attributes.get("compressor", "")
-    if compressor not in _COMPRESSORS:
-        raise UnsupportedError(
-            f"arrays compressed by {compressor[:40]} are not read",
-            hint="write the file with zlib compression, or with none",
-        )
-    order = {"LittleEndian": "<", "BigEndian": ">"}.get(root.attributes.get("byte_order", ""))
-    header = {"UInt32": "u4", "UInt64": "u8"}.get(root.attributes.get("header_type", "UInt32"))
-    if order is None or header is None:
-        raise damaged("byte_order or header_type is wrong", "line 1")
-    coding = Coding(data, order, order + header, compressor)
-    if appended:
-        coding.appended_at = appended.end()
-        coding.appended_stop = len(data)
-        coding.is_raw = appended[1] == b"raw"
-    return coding
+parse_vtu: Parse = functools.partial(_parse, "vtu")
+parse_vtp: Parse = functools.partial(_parse, "vtp")
 
 
 class _Piece:
@@ -381,10 +359,10 @@ class _Piece:
         if points is None or points.attributes.get("NumberOfComponents") != "3":
             raise damaged("a piece has no points of three coordinates", f"byte {piece.start}")
         self.points_array = points
-        self.points = _numbers(points, coding, self.n_points)
+        self.points = coding.numbers(points, self.n_points)
         cells = piece.find("Cells")
         if cells is not None:
-            types = _integers(_array(cells, "types"), coding)
+            types = coding.integers(_array(cells, "types"))
             self.cells.add_types(types, *_lists(cells, coding))
         for name, kind in _POLYGONS:
             group = piece.find(name)
@@ -395,8 +373,8 @@ class _Piece:
             self.properties += [f"{owner}.{name}" for name in names]
         group = piece.find("PointData")
         array = None if group is None else _named(group, group.attributes.get("Normals", "normals"))
-        if array is not None and _code_of(array, coding)[1] == "f":
-            self.normals = _numbers(array, coding, self.n_points, are_normals=True)
+        if array is not None and coding.code_of(array)[1] == "f":
+            self.normals = coding.numbers(array, self.n_points, are_normals=True)
 
 
 def _named(group: Element, name: str) -> Element | None:
@@ -424,8 +402,8 @@ def _array(group: Element, name: str) -> Element:
 
 def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
     """Sizes (k,) and corners of the cells of a group."""
-    sizes = np.diff(_integers(_array(group, "offsets"), coding), prepend=0)
-    corners = _integers(_array(group, "connectivity"), coding)
+    sizes = np.diff(coding.integers(_array(group, "offsets")), prepend=0)
+    corners = coding.integers(_array(group, "connectivity"))
     if (sizes < 0).any() or sizes.sum() > len(corners):
         raise damaged("the offsets of cells are wrong", f"byte {group.start}")
     return sizes, corners[: sizes.sum()]
