@@ -94,6 +94,7 @@ def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
         assert (normal[:, 2] > 0).all(), "faces look at the camera"
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("name", NAMES)
 def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
     source = sample(name, "noisy")

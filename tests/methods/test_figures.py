@@ -114,7 +114,8 @@ FIGURES = [
 ]
 
 
-SLOW = {"anisotropic_diffusion", "guided_normal", "l0", "static_dynamic"}
+SLOW = ("anisotropic_diffusion", "bilateral_normal", "guided_normal", "l0", "normal_diffusion")
+SLOW += ("static_dynamic",)
 
 
 @pytest.mark.parametrize(
