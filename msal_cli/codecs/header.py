@@ -19,24 +19,13 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 from msal_cli.codecs import ply_header
 from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name, refuse_utf16
 from msal_cli.errors import FormatError, MsalError, TooLargeError, TruncatedError
-from msal_cli.storage.gzip_streams import (
-    ALWAYS_EXPANDED,
-    GZIP_MAGIC,
-    MAX_RATIO,
-    read_whole,
-)
-from msal_cli.storage.regular import (
-    LOOKED_AT,
-    Buffer,
-    largest_bytes,
-    open_regular,
-    too_large,
-)
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
+from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url
 
 _ALWAYS_BELIEVED = 256 << 20
@@ -87,13 +76,17 @@ def read_header(
         "ply": lambda: _read_ply(head, size, is_packed),
         "stl": lambda: _read_stl(head, size, is_packed),
         "glb": lambda: _read_glb(head, size, is_packed),
-        "obj": lambda: _read_obj(head),
         "vtk": lambda: Header("vtk-ascii" if _VTK_TEXT.match(head) else "vtk"),
     }
     if beside:
-        readers["gltf"] = lambda: Header("glb", **_described(head, size + beside))
+        readers["gltf"] = lambda: Header("glb", **_count_scene(head, size + beside))
     try:
         refuse_utf16(head)
+        if format == "obj":
+            from msal_cli.codecs.obj import refuse_binary
+
+            refuse_binary(head)
+            return Header("obj", is_text=True)
         return readers[format]() if format in readers else Header(format)
     except MsalError as error:
         return Header(format, error=error)
@@ -123,7 +116,13 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     least = header.least_bytes() + is_text
     if least > _believed(size, is_packed):
         if error is None and least - is_text > size:
-            error = _too_short(size, least - is_text)
+            error = TruncatedError(
+                f"the header counts {least - is_text:,} bytes at the least, but the file has "
+                f"{size:,}",
+                where=f"byte {size}",
+                hint="the file was cut short or its header counts are wrong; copy or export it "
+                "again",
+            )
         return Header(flavour, is_text, most_bytes=most, error=error)
     n_triangles: int = n_faces
     if strips is not None:
@@ -167,30 +166,21 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
         # A closed surface has half as many vertices as facets, once its corners are welded.
         counts = 3 * count, count, count // 2, count
         return Header("stl", is_text, least, most, *counts, error)
-    facets = len(_FACET.findall(head))
-    if not facets:
+    n_seen = len(_FACET.findall(head))
+    if not n_seen:
         return Header("stl-ascii", is_text, most_bytes=most, error=error)
     # A facet that is cut off at the end of what was read does not count as one.
-    n_facets = int(size * facets / len(head)) + 1
-    return Header(
-        "stl-ascii",
-        is_text,
-        most_bytes=most,
-        n_vertices=n_facets // 2,
-        n_triangles=n_facets,
-        error=error,
-    )
+    n_facets = int(size * n_seen / len(head)) + 1
+    return Header("stl-ascii", is_text, 0, most, None, None, n_facets // 2, n_facets, error)
 
 
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import gltf
 
-    most, error = _try(
-        lambda: size if is_packed else gltf.expected_bytes(memoryview(head), size),
-    )
+    most, error = _try(lambda: size if is_packed else gltf.expected_bytes(memoryview(head), size))
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     is_there = head[:4] == b"glTF" and stop <= len(head)
-    counts = _described(head[_GLB_CHUNK:stop], size) if is_there else {}
+    counts = _count_scene(head[_GLB_CHUNK:stop], size) if is_there else {}
     return Header("glb", False, most_bytes=most, error=error, **counts)
 
 
@@ -202,7 +192,7 @@ def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
         return None, error
 
 
-def _described(text: bytes, size: int) -> dict[str, Any]:
+def _count_scene(text: bytes, size: int) -> dict[str, Any]:
     """The counts of a glTF scene whose description and buffers have ``size`` bytes; nothing where
     the description is damaged, as the reader will say."""
     try:
@@ -222,21 +212,6 @@ def _described(text: bytes, size: int) -> dict[str, Any]:
         return {}
     counts = {"vertices": n_vertices, "faces": n_triangles}
     return {**counts, "n_vertices": n_vertices, "n_triangles": n_triangles}
-
-
-def _read_obj(head: bytes) -> Header:
-    from msal_cli.codecs.obj import refuse_binary
-
-    refuse_binary(head)
-    return Header("obj", True)
-
-
-def _too_short(size: int, least: int) -> TruncatedError:
-    return TruncatedError(
-        f"the header counts {least:,} bytes at the least, but the file has {size:,}",
-        where=f"byte {size}",
-        hint="the file was cut short or its header counts are wrong; copy or export it again",
-    )
 
 
 MAX_BEHIND = 256 << 20
@@ -292,11 +267,16 @@ def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) ->
         if header.is_text is None:
             return
         is_text = header.is_text
-        if header.most_bytes is not None:
-            _refuse_behind(size, header.most_bytes)
+        most = header.most_bytes
+        if most is not None and size > 2 * most + MAX_BEHIND:
+            raise TooLargeError(
+                f"the header counts {most:,} bytes at the most, but the file has {size:,}",
+                where=f"byte {most}",
+                hint="cut off what follows, or export the mesh again",
+            )
     # A text has no zero bytes, which a hole is made of, and compressed data have not many; some at
     # the end may be carried along.
-    hole = _hole(file, size) if is_text else size
+    hole = _find_hole(file, size) if is_text else size
     if size - hole > MAX_BEHIND:
         raise FormatError(
             f"a hole full of zeros begins {size - hole:,} bytes before the end",
@@ -305,16 +285,7 @@ def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) ->
         )
 
 
-def _refuse_behind(size: int, most: int) -> None:
-    if size > 2 * most + MAX_BEHIND:
-        raise TooLargeError(
-            f"the header counts {most:,} bytes at the most, but the file has {size:,}",
-            where=f"byte {most}",
-            hint="cut off what follows, or export the mesh again",
-        )
-
-
-def _hole(file: BinaryIO, size: int) -> int:
+def _find_hole(file: BinaryIO, size: int) -> int:
     """The first byte of the first hole of a sparse file; ``size`` if it has none that is known."""
     seek_hole = getattr(os, "SEEK_HOLE", None)
     if seek_hole is None:
@@ -333,34 +304,40 @@ BASE_BYTES = 52_000_000
 """Resident memory of a worker that has denoised a mesh of next to nothing: the interpreter, the
 libraries and the compiled kernels (36 to 48 MB measured)."""
 
-# Bytes of resident memory per byte of the file, and per vertex and per triangle together, at the
-# peak of the default method.  From benchmarks/peak_memory.py on a torus with a million faces:
-# the forecast is what was measured plus 8 to 20 %.
-_PER_BYTE = {
-    "ply": 2.1,
-    "ply-ascii": 6.0,
-    "obj": 4.1,
-    "stl": 1.6,
-    "stl-ascii": 4.2,
-    "glb": 4.0,
-    "vtk": 12.0,
-    "vtk-ascii": 13.0,
-    "vtu": 16.0,
-    "vtp": 12.0,
-    "off": 15.0,
-    "gltf": 19.0,
-    "3mf": 52.0,
-    "": 32.0,
-}
-_PER_BYTE_ELSE = 9.2
-_PER_ELEMENT = {"glb": 75.0, "ply": 45.0, "stl": 45.0}
-_PER_ELEMENT_ELSE = 60.0
 
-# Where the counts are not known: a triangle for so many bytes, for what a method adds.  Fewer bytes
-# than files have, that is, more triangles.
-_BYTES_PER_FACE = {"obj": 30.0, "vtk": 24.0, "vtu": 12.0, "glb": 16.0, "gltf": 20.0, "3mf": 8.0}
-_BYTES_PER_FACE["stl-ascii"] = 200.0
-_BYTES_PER_FACE_ELSE = 24.0
+class _Cost(NamedTuple):
+    """Bytes of resident memory per byte of the file, and per vertex and per triangle together, at
+    the peak of the default method.
+
+    Where the counts are not known there is a triangle for ``bytes_per_face`` bytes, for what a
+    method adds: fewer bytes than files have, that is, more triangles.
+    """
+
+    per_byte: float
+    per_element: float = 60.0
+    bytes_per_face: float = 24.0
+
+
+# From benchmarks/peak_memory.py on a torus with a million faces: the forecast is what was measured
+# plus 8 to 20 %.
+_COSTS = {
+    "ply": _Cost(2.1, 45.0),
+    "ply-ascii": _Cost(6.0),
+    "obj": _Cost(4.1, bytes_per_face=30.0),
+    "stl": _Cost(1.6, 45.0),
+    "stl-ascii": _Cost(4.2, bytes_per_face=200.0),
+    "glb": _Cost(4.0, 75.0, bytes_per_face=16.0),
+    "vtk": _Cost(12.0),
+    "vtk-ascii": _Cost(13.0),
+    "vtu": _Cost(16.0, bytes_per_face=12.0),
+    "vtp": _Cost(12.0),
+    "off": _Cost(15.0),
+    "gltf": _Cost(19.0, bytes_per_face=20.0),
+    "3mf": _Cost(52.0, bytes_per_face=8.0),
+}
+_UNKNOWN = _Cost(32.0)
+_PER_BYTE_OF_ANY = 9.2
+"""Bytes per byte of a file whose format should count its elements and does not."""
 
 # Bytes per triangle that writing another format takes, what was written being read back.
 _CONVERTED = 450
@@ -444,21 +421,18 @@ def of_beginning(
     found = format_of_name(name) if format is None else format.lower().removeprefix(".")
     found = found or content_format(head)
     header = read_header(found, head, size, is_packed=bool(packed), beside=beside)
-    flavour, triangles = header.flavour, header.n_triangles
+    cost = _COSTS.get(header.flavour, _UNKNOWN)
     size = max(size + beside, header.least_bytes)
-    if triangles is None:
-        triangles = int(size / _BYTES_PER_FACE.get(flavour, _BYTES_PER_FACE_ELSE))
-    per_byte = _PER_BYTE.get(flavour, _PER_BYTE[""])
-    per_face = method_bytes_per_face
-    if to is not None:
-        per_face += _CONVERTED
-    needed = BASE_BYTES + per_byte * size + 2 * packed + per_face * triangles
+    n_triangles = header.n_triangles
+    if n_triangles is None:
+        n_triangles = int(size / cost.bytes_per_face)
+    per_face = method_bytes_per_face + (0 if to is None else _CONVERTED)
+    needed = BASE_BYTES + cost.per_byte * size + 2 * packed + per_face * n_triangles
     if header.n_triangles is not None and header.n_vertices is not None:
-        elements = header.n_vertices + header.n_triangles
-        needed += _PER_ELEMENT.get(flavour, _PER_ELEMENT_ELSE) * elements
-    elif flavour in _PER_ELEMENT:
+        needed += cost.per_element * (header.n_vertices + header.n_triangles)
+    elif header.flavour in ("ply", "stl", "glb"):
         # Sizes alone say of these formats what they say of any.
-        needed += (_PER_BYTE_ELSE - per_byte) * size
+        needed += (_PER_BYTE_OF_ANY - cost.per_byte) * size
     return Forecast(found, header.vertices, header.faces, int(needed))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
-from msal_cli.codecs.header import _PER_BYTE, BASE_BYTES, LOOKED_AT, forecast, of_beginning
+from msal_cli.codecs.header import _COSTS, BASE_BYTES, LOOKED_AT, forecast, of_beginning
 from msal_cli.job.settings import Settings, Task
 from msal_cli.job.settings import forecast as forecast_task
 from msal_cli.storage import gzip_streams
@@ -88,7 +88,7 @@ def test_quads_count_as_faces_but_cost_two_triangles():
     triangles = header.format(6000).encode() + bytes(12 * 4000 + 13 * 6000)
     one, two = told(quads, "a.ply"), told(triangles, "a.ply")
     assert (one.faces, two.faces) == (3000, 6000)
-    extra = int(_PER_BYTE["ply"] * (len(triangles) - len(quads)))
+    extra = int(_COSTS["ply"].per_byte * (len(triangles) - len(quads)))
     assert one.memory_bytes == pytest.approx(two.memory_bytes - extra, abs=200)
 
 
