@@ -13,10 +13,10 @@ from collections import Counter
 from tests.codecs import (
     test_glb,
     test_gltf,
-    test_obj_hostile,
+    test_obj,
     test_off,
     test_ply_hostile,
-    test_stl_hostile,
+    test_stl,
     test_threemf_hostile,
     test_vtk,
     test_vtk_xml,
@@ -50,8 +50,8 @@ def malformed() -> dict[str, tuple[bytes, str, str]]:
     """Content, code and a part of the place by file name; the suffix tells the format."""
     tables = {
         ".ply": test_ply_hostile.DAMAGED,
-        ".obj": test_obj_hostile.DAMAGED,
-        ".stl": test_stl_hostile.DAMAGED,
+        ".obj": test_obj.DAMAGED,
+        ".stl": test_stl.DAMAGED,
         ".glb": test_glb.DAMAGED,
         ".gltf": test_gltf.DAMAGED,
         ".3mf": test_threemf_hostile.DAMAGED,

@@ -1,5 +1,4 @@
-"""PLY by hand-worked cases, real scans and other readers; random structures and damage are in
-``test_ply_structures`` and ``test_ply_hostile``."""
+"""PLY by hand-worked cases, range grids, other readers, and with fields at its vertices."""
 
 from __future__ import annotations
 
@@ -8,15 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
-from msal_cli.codecs import ply
-from msal_cli.errors import ContentError, InternalError, UsageError
+from msal_cli import codecs
+from msal_cli.codecs import open_mesh, ply
+from msal_cli.codecs.header import read_header
+from msal_cli.codecs.ply_write import with_fields
+from msal_cli.errors import ContentError, InternalError, MsalError, UsageError
+from tests.cli.scans import closed_scan, ply_text
 from tests.codecs import plain_ply
-from tests.codecs.plain_ply import Element, Ply
-from tests.shapes import grid, torus
+from tests.codecs.plain_ply import ENCODINGS, Element, Ply
+from tests.shapes import cube, grid, torus
 
 LE, BE = "binary_little_endian", "binary_big_endian"
-ENCODINGS = ("ascii", LE, BE)
 XYZ = [("x", "float", ""), ("y", "float", ""), ("z", "float", "")]
 NORMALS = [("nx", "float", ""), ("ny", "float", ""), ("nz", "float", "")]
 LIST = [("vertex_indices", "int", "uchar")]
@@ -401,3 +404,165 @@ def test_records_of_positions_alone_are_as_any_others(code, extra):
         wrong[at] ^= 1
         with pytest.raises(InternalError):
             file.check(bytes(wrong), moved)
+
+
+SAMPLES = [
+    [0, 1, 2, None],
+    [3, 4, 5, 6],
+    [None, 7, None, 8],
+]
+PLACES = [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (1.75, 0.875), (3, 1), (1, 2), (3, 2)]
+"""A vertex for each sample, on whole numbers but for the sixth, which is nearer to the second."""
+
+TRIANGLES = [
+    # Both diagonals are as long; in the next cell the first one is shorter.
+    *([0, 1, 3], [1, 4, 3]),
+    *([1, 2, 5], [1, 5, 4]),
+    # Cells of three samples.
+    [6, 5, 2],
+    [3, 4, 7],
+    [7, 4, 5],
+    [5, 6, 8],
+]
+INFOS = ["obj_info is_mesh 0", "obj_info num_cols 4", "obj_info num_rows 3", "comment a scan"]
+
+
+def scan(encoding: str = "ascii", infos=INFOS, samples=SAMPLES, heights=None) -> Ply:
+    heights = heights or {}
+    rows = [[float(x), float(y), heights.get(k, 0.0), 0.5] for k, (x, y) in enumerate(PLACES)]
+    cells = [[[] if k is None else [k]] for row in samples for k in row]
+    return Ply(
+        encoding,
+        [
+            Element(
+                "vertex", [(name, "float", "") for name in ("x", "y", "z", "confidence")], rows
+            ),
+            Element("range_grid", [("vertex_indices", "int", "uchar")], cells),
+        ],
+        list(infos),
+    )
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_neighbouring_samples_are_joined_and_only_positions_change(encoding):
+    plain = scan(encoding)
+    data = plain_ply.written(plain)
+    file = open_mesh(data, "a.ply")
+    assert file.faces.tolist() == TRIANGLES
+    assert file.n_polygons == len(TRIANGLES)
+    assert file.properties == ("vertex.confidence float", "range grid of 3 rows and 4 columns")
+    assert file.warnings == ()
+    assert file.replaced(file.vertices.copy()) is data
+    vertices = file.vertices.copy()
+    vertices[4] = [1.25, 1.5, -0.5]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    columns = {name: vertices[:, k].tolist() for k, name in enumerate("xyz")}
+    assert plain_ply.read(output) == replace(plain.with_columns("vertex", columns), newline="\n")
+    assert plain_ply.header(plain) == output[: output.index(b"end_header\n") + 11]
+
+
+def test_a_step_in_depth_is_not_joined():
+    # The median edge is 1, so that the limit is 4: the last vertex is 5 behind its neighbours.
+    file = ply.read(plain_ply.written(scan(heights={8: 5.0})))
+    assert file.faces.tolist() == TRIANGLES[:-1]
+    file = ply.read(plain_ply.written(scan(heights={8: 3.5})))
+    assert file.faces.tolist() == TRIANGLES
+
+
+def test_faces_go_before_the_grid():
+    plain = scan(infos=[])
+    plain.elements.append(Element("face", [("vertex_indices", "int", "uchar")], [[[0, 1, 4]]]))
+    file = ply.read(plain_ply.written(plain))
+    assert file.faces.tolist() == [[0, 1, 4]]
+    assert "element range_grid (12)" in file.properties
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({"infos": []}, "E_FORMAT", "no 'obj_info num_rows' and no 'obj_info num_cols'"),
+        ({"infos": ["obj_info num_cols 4"]}, "E_FORMAT", "no 'obj_info num_rows'"),
+        ({"infos": ["obj_info num_cols 4", "obj_info num_rows 4"]}, "E_FORMAT", "12 samples"),
+        ({"infos": ["obj_info num_cols -4", "obj_info num_rows -3"]}, "E_FORMAT", "-3 by -4"),
+        ({"samples": [[0, 1, 2, None], [9, 4, 5, 6], [None] * 4]}, "E_INDEX", "vertex 9"),
+        ({"samples": [[0, 1, 2, None], [None] * 4, [3, 4, 5, 6]]}, "E_NO_FACES",
+            "no three samples"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_what_is_wrong_with_a_grid(change, code, words, encoding):
+    with pytest.raises(MsalError, match=words) as caught:
+        open_mesh(plain_ply.written(scan(encoding, **change)), "a.ply")
+    assert caught.value.code == code
+    assert caught.value.hint and caught.value.where
+
+
+def test_a_sample_has_at_most_one_vertex():
+    plain = scan("binary_big_endian")
+    plain.element("range_grid").rows[5] = [[4, 5]]
+    with pytest.raises(MsalError, match="more than one vertex") as caught:
+        open_mesh(plain_ply.written(plain), "a.ply")
+    assert caught.value.where == "range_grid 5"
+
+
+def test_the_forecast_counts_its_triangles():
+    data = plain_ply.written(scan("binary_little_endian"))
+    header = read_header("ply", data, len(data))
+    assert (header.n_vertices, header.n_triangles, header.error) == (9, 18, None)
+
+
+QUADS = (
+    b"ply\nformat ascii 1.0\nelement vertex 5\nproperty double x\nproperty double y\n"
+    b"property double z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0\n1 0 0\n1 1 0\n0 1 0\n0.5 2 0\n4 0 1 2 3\n3 3 2 4\n"
+)
+
+
+def opened(data, name="a.ply"):
+    return codecs.open_mesh(bytes(data), name)
+
+
+def test_positions_faces_numbers_and_colours_are_there():
+    source = opened(closed_scan())
+    n = len(source.vertices)
+    colours = np.arange(3 * n, dtype=np.uint8).reshape(n, 3)
+    values = np.linspace(-1.0, 1.0, n)
+    data = with_fields(source, source.vertices, {"deviation": values}, colours, ["of a test"])
+    again = opened(data)
+    assert np.array_equal(again.vertices, source.vertices)
+    assert np.array_equal(again.faces, source.faces)
+    assert "vertex.deviation float" in again.properties
+    assert b"comment of a test\n" in data
+    judge = trimesh.load(trimesh.util.wrap_as_stream(bytes(data)), "ply", process=False)
+    assert np.array_equal(judge.visual.vertex_colors[:, :3], colours)
+    stored = judge.metadata["_ply_raw"]["vertex"]["data"]["deviation"].reshape(-1)
+    assert np.array_equal(stored, values.astype(np.float32))
+
+
+def test_polygons_stay_polygons_and_double_stays_double():
+    source = opened(QUADS)
+    again = opened(with_fields(source, source.vertices + 1e-12, {"a": np.zeros(5)}))
+    assert (again.n_polygons, again.precision) == (2, "float64")
+    assert np.array_equal(again.vertices, source.vertices + 1e-12)
+    assert [list(one) for one in again.polygons()] == [[0, 1, 2, 3], [3, 2, 4]]
+
+
+def test_a_comment_cannot_end_the_header():
+    source = opened(ply_text(*cube()))
+    data = with_fields(source, source.vertices, {}, None, ["a\nend_header\r\x1b[31m\u202e.ply"])
+    assert data.count(b"\nend_header\n") == 1
+    assert np.array_equal(opened(data).vertices, source.vertices)
+
+
+@pytest.mark.parametrize("name", ["x", "red", "two words", "a\nb", ""])
+def test_a_field_that_cannot_be(name):
+    source = opened(ply_text(*cube()))
+    with pytest.raises(InternalError):
+        with_fields(source, source.vertices, {name: np.zeros(8)})
+
+
+def test_what_is_too_large_for_the_type_is_infinite():
+    source = opened(ply_text(*cube()))
+    data = with_fields(source, source.vertices, {"a": np.full(8, 1e300)})
+    assert opened(data).properties == ("vertex.a float",)

@@ -1,8 +1,9 @@
-"""Ascii PLY in one walk: the same as the walk that keeps the place of every word."""
+"""Ascii PLY: one walk and the walk that keeps the place of every word, and records on any lines."""
 
 from __future__ import annotations
 
 import math
+import struct
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.codecs import ply, ply_body
-from msal_cli.errors import InputError
+from msal_cli.errors import FormatError, InputError, InternalError, MsalError
 
 WORDS = st.one_of(
     st.floats(-1e4, 1e4).map(lambda v: b"%.4f" % v),
@@ -137,3 +138,208 @@ def test_letters_behind_a_number_do_not_stand_for_the_next_one() -> None:
     data = data.replace(b"element face", b"property uchar red\nelement face")
     with pytest.raises(InputError, match="fewer values"):
         ply.read(data)
+
+
+HEADER = """ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 3
+property list uchar int vertex_indices
+end_header
+"""
+VERTICES = "0 0 0.25\n1 0 0\n0 1 0\n0 0 1\n"
+FACES = "3 0 1 2\n4 0 1 3 2\n3 1 2 3\n"
+PLAIN = HEADER + VERTICES + FACES
+BLENDER = "Created by Blender3D 2.43 - www.blender.org, source file: a b.blend\n"
+
+STREAMS = {
+    "two records on a line": HEADER + VERTICES.replace("\n1", " 1") + FACES,
+    "all vertices on a line": HEADER + VERTICES.replace("\n", " ")[:-1] + "\n" + FACES,
+    "all faces on a line": HEADER + VERTICES + FACES.replace("\n", "\t"),
+    "one word a line": HEADER + (VERTICES + FACES).replace(" ", "\n"),
+    "one word a line, CR LF": (HEADER + (VERTICES + FACES).replace(" ", "\n")).replace(
+        "\n", "\r\n"
+    ),
+    "a face over two lines": HEADER + VERTICES + FACES.replace("1 3 2", "1\n 3 2"),
+    "everything on one line": HEADER + (VERTICES + FACES).replace("\n", " "),
+    "no last line end": HEADER + VERTICES.replace("0 0 1\n", "0\n0 1\n") + FACES[:-1],
+    "blank lines between": HEADER + VERTICES.replace("0 0 0.25", "\n 0\n\n0 0.25") + "\n" + FACES,
+}
+
+
+def moved(file: ply.PlyFile) -> np.ndarray:
+    """Positions of which the second is the file's."""
+    vertices = file.vertices * 0.5 + 0.125
+    vertices[1] = file.vertices[1]
+    return vertices
+
+
+def masked(text: bytes) -> list[bytes]:
+    """A body's white space, and of its words those that are no positions of moved vertices."""
+    words = text.split()
+    kept = words[3:6] + words[12:]
+    spaces = text
+    for word in words:
+        at = spaces.index(word)
+        spaces = spaces[:at] + b"\0" + spaces[at + len(word) :]
+    return [*kept, spaces]
+
+
+@pytest.mark.parametrize("name", STREAMS)
+def test_records_on_any_lines_are_read_replaced_and_checked(name):
+    data = STREAMS[name].encode()
+    file, plain = ply.read(data), ply.read(PLAIN.encode())
+    assert np.array_equal(file.vertices, plain.vertices)
+    assert np.array_equal(file.faces, plain.faces)
+    assert [list(one) for one in file.polygons()] == [list(one) for one in plain.polygons()]
+    assert len(file.warnings) == 1 and "one to a line" in file.warnings[0]
+    assert bytes(file.replaced(file.vertices.copy())) == data
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    size = data.index(b"end_header") + len(b"end_header")
+    assert output[:size] == data[:size]
+    assert masked(output[size:]) == masked(data[size:])
+    assert np.array_equal(ply.read(output).vertices, vertices)
+
+
+def test_normals_and_other_properties_of_a_stream():
+    vertex = "element vertex 4\nproperty uchar red\nproperty list uchar short near\n"
+    vertex += "".join(f"property float {one}\n" for one in ("nx", "ny", "nz", "z", "y", "x"))
+    header = HEADER.replace("element vertex 4\n", vertex)
+    for one in "xyz":
+        header = header.replace(f"property float {one}\nelement", "element")
+    header = f"{header.split('property float x')[0]}property float x\nelement face"
+    header += HEADER.split("element face")[1]
+    rows = [
+        f"7 {k} {'5 ' * k}0 0 1 {z} {y} {x}"
+        for k, (x, y, z) in enumerate([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    ]
+    plain = ply.read((header + "\n".join(rows) + "\n" + FACES).encode())
+    data = (header + " ".join(rows).replace(" ", "\n", 9) + "\n" + FACES).encode()
+    file = ply.read(data)
+    assert np.array_equal(file.vertices, plain.vertices)
+    assert np.array_equal(file.vertex_property("red"), [7.0] * 4)
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    assert output.split() == bytes(plain.replaced(vertices)).split()
+    damaged = output.replace(b"7", b"8", 1)
+    with pytest.raises(InternalError):
+        file.check(damaged, vertices)
+
+
+def test_an_element_without_records_or_properties_takes_no_words_of_a_stream():
+    more = "element nothing 99999999999\nelement none 0\nproperty list uchar int a\nelement face"
+    data = STREAMS["one word a line"].replace("element face", more).encode()
+    assert len(ply.read(data).faces) == 4
+
+
+BODY = ["comment one 1 2 3", *VERTICES.split("\n")[:2], "  obj_info 7", *VERTICES.split("\n")[2:]]
+COMMENTED = HEADER + "\n".join([*BODY[:-1], "comment", FACES.replace("\n4", "\ncomment\tx\n4")])
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("text", [COMMENTED, COMMENTED.replace("1 0 0", "1e0 0 0", 1)])
+def test_comments_among_records_stay_in_their_places(text, end):
+    data = text.replace("\n", end).encode()
+    file, plain = ply.read(data), ply.read(PLAIN.encode())
+    assert np.array_equal(file.vertices, plain.vertices)
+    assert np.array_equal(file.faces, plain.faces)
+    assert file.warnings == ()
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    old, new = data.split(end.encode()), output.split(end.encode())
+    changed = [was for was, now in zip(old, new, strict=True) if was != now]
+    assert changed == [b"0 0 0.25", b"0 1 0", b"0 0 1"]
+
+
+def test_comments_among_records_become_lines_of_a_binary_header():
+    file = ply.read(COMMENTED.encode())
+    data = bytes(file.encoded(file.vertices, "binary", "same"))
+    comments = b"comment one 1 2 3\nobj_info 7\ncomment\ncomment\tx\nend_header\n"
+    assert data.split(b"vertex_indices\n")[1].startswith(comments)
+    assert np.array_equal(ply.read(data).faces, file.faces)
+
+
+@pytest.mark.parametrize("line", ["# one", "comments", "Comment one", "0 0 0.25 comment"])
+def test_other_words_among_records_are_refused(line):
+    with pytest.raises(MsalError):
+        ply.read(PLAIN.replace("0 0 0.25", f"0 0 0.25\n{line}").encode())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        # A word too few, a word too many, a count that takes from the next record.
+        STREAMS["two records on a line"].replace("1 0 0", "1 0"),
+        STREAMS["two records on a line"].replace("1 0 0", "1 0 0 0"),
+        STREAMS["two records on a line"].replace("4 0 1 3 2", "5 0 1 3 2"),
+        STREAMS["one word a line"][:-2],
+        # Two elements on a line of several.
+        STREAMS["two records on a line"].replace("0 0 1\n3", "0 0 1 3"),
+        STREAMS["all vertices on a line"].replace("0.25", "0.25\0"),
+    ],
+)
+def test_a_stream_that_leaves_or_lacks_words_is_refused(data):
+    with pytest.raises(MsalError) as caught:
+        ply.read(data.encode())
+    assert caught.value.code in ("E_FORMAT", "E_TRUNCATED")
+    assert "line" in caught.value.where
+
+
+@pytest.mark.parametrize("word", ["1.5", "9" * 30, "one"])
+def test_a_corner_of_a_stream_must_be_a_whole_number(word):
+    data = STREAMS["two records on a line"].replace("3 1 2 3", f"3 1 2 {word}")
+    with pytest.raises(FormatError, match="is not a whole number"):
+        ply.read(data.encode())
+
+
+@pytest.mark.parametrize(
+    ("before", "stray"),
+    [
+        ("format", "modelname bunny\n"),
+        ("element vertex", BLENDER),
+        ("element vertex", "source: caf\u00e9\tb\n"),
+        ("element face", "texture a.png\n"),
+        ("property float z", "# of the scanner\n"),
+        ("end_header", "coment Created by hand\n"),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_header_line_without_a_keyword_is_kept_like_a_comment(before, stray, end):
+    data = PLAIN.replace(before, stray + before, 1).replace("\n", end).encode()
+    file = ply.read(data)
+    line = data[: data.index(stray.strip().encode())].count(end.encode()) + 1
+    assert len(file.warnings) == 1
+    assert "no known keyword" in file.warnings[0] and f"in line {line}" in file.warnings[0]
+    vertices = moved(file)
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    size = data.index(b"end_header")
+    assert output[:size] == data[:size]
+    again = ply.read(file.encoded(vertices, "binary", "float64"))
+    assert again.warnings == file.warnings
+    assert np.array_equal(again.vertices, vertices)
+
+
+def binary(stray: str = "") -> bytes:
+    header = HEADER.replace("ascii", "binary_little_endian").replace("face 3", "face 1")
+    corners = struct.pack("<12f", *(float(one) for one in VERTICES.split()))
+    return header.replace("element face", stray + "element face").encode() + (
+        corners + struct.pack("<B3i", 3, 0, 1, 2)
+    )
+
+
+def test_a_stray_line_among_elements_must_not_hide_data():
+    assert len(ply.read(binary("polygons 1\n")).faces) == 1
+    with pytest.raises(FormatError, match="'polygons 1' is not understood, and 4 bytes") as caught:
+        ply.read(binary("polygons 1\n") + bytes(4))
+    assert caught.value.where == "line 7"
+    # Before the first element it declares nothing, and what follows the data is kept.
+    data = binary().replace(b"element vertex", BLENDER.encode() + b"element vertex") + bytes(4)
+    assert len(ply.read(data).warnings) == 2
