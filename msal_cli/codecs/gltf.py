@@ -292,22 +292,7 @@ def read_gltf(data: Buffer, name: str) -> GltfFile:
 
     Raises InputError (``E_READ``) if a buffer cannot be read.
     """
-    text = bytes(data)
-    # Base64 inside the text does not count.
-    size, at = len(text), text.find(_DATA_URI)
-    while at >= 0:
-        end = max(text.find(b'"', at + 1), at)
-        size -= end - at
-        at = text.find(_DATA_URI, end + 1)
-    require_short(size)
-    content = parse_json(text, "description")
-    buffers = _Buffers(content, name)
-    version = str(as_dict(content.get("asset")).get("version", ""))
-    if not version.startswith("2."):
-        raise UnsupportedError(
-            f"glTF version {version[:20]!r} is not read", hint="convert it to version 2"
-        )
-    return GltfFile(data, text, buffers, name)
+    return GltfFile(data, name)
 
 
 def _decode_data_uri(uri: str, where: str) -> bytes | None:
@@ -353,17 +338,25 @@ def _file_name(uri: str, where: str) -> str:
     return name
 
 
-def _read_file(name: str, folder: Path, declared: int, room: int, where: str) -> bytes:
-    """The bytes of the file ``name`` in ``folder``: from ``declared`` to ``room`` of them."""
+def _read_file(name: str, path: str, declared: int, room: int, where: str) -> bytes:
+    """The bytes of the file ``name`` beside that at ``path``: from ``declared`` to ``room``."""
+    # A stream and an object in a store have no folder.
+    if path in ("", "-") or is_url(path):
+        raise UnsupportedError(
+            f"the buffer {name!r} cannot be read, because the .gltf came without its folder",
+            where=where,
+            hint="give the file by its path, or export it as .glb",
+        )
+    folder = Path(path).parent
     try:
-        path = os.path.realpath(folder / name)
-        if not Path(path).is_relative_to(os.path.realpath(folder)):
+        target = os.path.realpath(folder / name)
+        if not Path(target).is_relative_to(os.path.realpath(folder)):
             raise UnsupportedError(
                 f"the buffer {name!r} is a link that leads out of the folder, and is not read",
                 where=where,
                 hint="put the file itself beside the .gltf",
             )
-        with open_regular(path) as file:
+        with open_regular(target) as file:
             size = os.fstat(file.fileno()).st_size
             if size > min(2 * declared + _MAX_BEHIND, room):
                 raise TooLargeError(
@@ -396,25 +389,31 @@ def _read_file(name: str, folder: Path, declared: int, room: int, where: str) ->
     return content
 
 
-class _Buffers:
-    """The buffers of a description, one behind the other.
+class GltfFile(SceneFile):
+    """An opened .gltf file.
 
     Attributes
     ----------
-    scene : the scene that they belong to.
-    names : the files of those that are files, by their numbers.
-    spans : first byte and size of all that each buffer holds, also behind its declared end.
+    names : the files of those buffers that are files, by their numbers.
+    spans : first byte and size in the data of all that each buffer holds, also behind its declared
+        end.
     """
 
-    def __init__(self, content: dict[str, Any], path: str) -> None:
+    format = "gltf"
+
+    def __init__(self, data: Buffer, path: str) -> None:
+        text = bytes(data)
+        # Base64 inside the text does not count.
+        size, at = len(text), text.find(_DATA_URI)
+        while at >= 0:
+            end = max(text.find(b'"', at + 1), at)
+            size -= end - at
+            at = text.find(_DATA_URI, end + 1)
+        require_short(size)
+        content = parse_json(text, "description")
+        self._path = path
         self.names: dict[int, str] = {}
         self.spans: dict[int, tuple[int, int]] = {}
-        self._files: dict[str, tuple[int, int]] = {}
-        self._contents: list[bytes] = []
-        self._size = 0
-        # A stream and an object in a store have no folder.
-        is_file = path not in ("", "-") and not is_url(path)
-        self._folder = Path(path).parent if is_file else None
         entries = as_dicts(content.get("buffers"))
         if len(entries) > _MAX_BUFFERS:
             raise TooLargeError(
@@ -422,18 +421,30 @@ class _Buffers:
                 hint="export the mesh alone",
             )
         places: dict[int, tuple[int, int] | MsalError] = {}
+        pieces: list[bytes] = []
+        files: dict[str, tuple[int, int]] = {}
+        size = 0
         for number, entry in enumerate(entries):
             # What is wrong with a buffer counts only if a surface is in it.
             try:
-                places[number] = self._add(number, entry)
+                piece = self._read_buffer(number, entry, size, files)
+                pieces.append(piece)
+                size += len(piece)
+                places[number] = self.spans[number][0], entry["byteLength"]
             except MsalError as failure:
-                places[number] = failure
-        contents, self._contents = self._contents, []
-        data = contents[0] if len(contents) == 1 else b"".join(contents)
-        self.scene = Scene(content, as_bytes(data), places)
+                places[number] = failure.with_traceback(None)
+        version = str(as_dict(content.get("asset")).get("version", ""))
+        if not version.startswith("2."):
+            raise UnsupportedError(
+                f"glTF version {version[:20]!r} is not read", hint="convert it to version 2"
+            )
+        super().__init__(data, text, Scene(content, as_bytes(b"".join(pieces)), places))
 
-    def _add(self, number: int, entry: dict[str, Any]) -> tuple[int, int]:
-        """Read a buffer; returns its first byte and its declared size."""
+    def _read_buffer(
+        self, number: int, entry: dict[str, Any], start: int, files: dict[str, tuple[int, int]]
+    ) -> bytes:
+        """The bytes of a buffer, which are put at ``start`` into the data; none for another buffer
+        in one of the ``files`` that are there."""
         where = f"buffer {number}"
         uri, declared = entry.get("uri"), entry.get("byteLength")
         if not isinstance(uri, str) or not uri:
@@ -441,17 +452,15 @@ class _Buffers:
         if not isinstance(declared, int) or isinstance(declared, bool) or declared < 0:
             raise damaged(f"byteLength is {declared!r}, not a count", where)
         content = _decode_data_uri(uri, where)
-        name = _file_name(uri, where) if content is None else ""
-        span = self._files.get(name)
-        if span is None:
-            if content is None:
-                content = self._load(name, declared, where)
-            span = self._size, len(content)
-            self._contents.append(content)
-            self._size += len(content)
-        if name:
-            self.names[number] = name
-            self._files[name] = span
+        if content is None:
+            name = _file_name(uri, where)
+            if name not in files:
+                room = memory_bytes() // 2 - start
+                content = _read_file(name, self._path, declared, room, where)
+                files[name] = start, len(content)
+            self.names[number], span = name, files[name]
+        else:
+            span = start, len(content)
         if span[1] < declared:
             raise TruncatedError(
                 f"the buffer should have {declared:,} bytes but has {span[1]:,}",
@@ -459,41 +468,20 @@ class _Buffers:
                 hint=_CUT,
             )
         self.spans[number] = span
-        return span[0], declared
+        return content or b""
 
-    def _load(self, name: str, declared: int, where: str) -> bytes:
-        if self._folder is None:
-            raise UnsupportedError(
-                f"the buffer {name!r} cannot be read, because the .gltf came without its folder",
-                where=where,
-                hint="give the file by its path, or export it as .glb",
-            )
-        room = memory_bytes() // 2 - self._size
-        return _read_file(name, self._folder, declared, room, where)
-
-    def changed(self, data: Buffer) -> set[int]:
+    def _changed(self, data: Buffer) -> set[int]:
         """The buffers that differ in ``data``, that of the scene with new positions."""
         new, old = memoryview(data), self.scene.data.data
         spans = self.spans.items()
         return {number for number, (at, n) in spans if new[at : at + n] != old[at : at + n]}
 
-
-class GltfFile(SceneFile):
-    """An opened .gltf file."""
-
-    format = "gltf"
-
-    def __init__(self, data: Buffer, text: bytes, buffers: _Buffers, path: str) -> None:
-        super().__init__(data, text, buffers.scene)
-        self.buffers = buffers
-        self._path = path
-
     def _pack(self, data: memoryview) -> Buffer:
         """The text with other data, as far as they are in it; the files that hold the others come
         from ``beside``."""
         uris = {}
-        for number in self.buffers.changed(data) - set(self.buffers.names):
-            at, size = self.buffers.spans[number]
+        for number in self._changed(data) - set(self.names):
+            at, size = self.spans[number]
             uri = self.scene.entry("buffers", number)["uri"]
             uris[number] = _encode_data_uri(uri[: uri.index(",") + 1], data[at : at + size])
         return _replace_uris(self.text_of(data), uris)
@@ -507,9 +495,9 @@ class GltfFile(SceneFile):
         restored = []
         original = find_entries(self.text, "buffers")
         for number, spans in enumerate(find_entries(text, "buffers")):
-            if number in self.buffers.names or number not in self.buffers.spans:
+            if number in self.names or number not in self.spans:
                 continue
-            at, size = self.buffers.spans[number]
+            at, size = self.spans[number]
             if _decode_data_uri(content["buffers"][number]["uri"], "") != bytes(
                 data[at : at + size]
             ):
@@ -518,7 +506,7 @@ class GltfFile(SceneFile):
         return replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        if self.buffers.names:
+        if self.names:
             raise UnsupportedError(
                 "a .gltf with buffers of its own has one encoding",
                 hint="leave --encoding and --precision away",
@@ -541,7 +529,7 @@ class GltfFile(SceneFile):
             with code ``E_SIDECAR`` if a buffer of the input would be overwritten.
         """
         is_moved = bool((vertices != self.vertices).any())
-        if not self.buffers.names or (path is None and not is_moved):
+        if not self.names or (path is None and not is_moved):
             return output, ()
         if path is None or is_url(path):
             raise UnsupportedError(
@@ -555,13 +543,13 @@ class GltfFile(SceneFile):
                 hint="write to another folder, or convert it to .glb first",
             )
         data = self.replace_data(vertices) if is_moved else self.scene.data.data
-        changed = self.buffers.changed(data)
+        changed = self._changed(data)
         companions: dict[str, Companion] = {}
         uris = {}
         for number, name in self._new_names(path, changed).items():
-            old_name = self.buffers.names[number]
+            old_name = self.names[number]
             is_input = _is_same(folder / name, own.parent / old_name)
-            if number not in self.buffers.spans or (is_input and number not in changed):
+            if number not in self.spans or (is_input and number not in changed):
                 continue
             if is_input:
                 raise OutputError(
@@ -570,7 +558,7 @@ class GltfFile(SceneFile):
                     path=os.fspath(folder / name),
                     hint="write to another folder",
                 )
-            at, size = self.buffers.spans[number]
+            at, size = self.spans[number]
             companions[name] = Companion(name, memoryview(data)[at : at + size])
             if name != old_name:
                 uris[number] = quote(name)
@@ -581,7 +569,7 @@ class GltfFile(SceneFile):
         stem, new_stem = _stem(self._path), _stem(path)
         names: dict[int, str] = {}
         renamed: dict[str, str] = {}
-        for number, name in self.buffers.names.items():
+        for number, name in self.names.items():
             is_own = Path(name).name == f"{stem}.bin" and stem == new_stem
             if number in changed and not is_own:
                 count = f"_{len(renamed)}" if renamed else ""

@@ -159,7 +159,7 @@ def test_a_buffer_is_named_as_its_output_is(tmp_path, target, buffer, expected):
     assert {name: tree(tmp_path)[name] for name in before} == before
     assert (tmp_path / target).parent.joinpath(expected).is_file()
     moved = opened(tmp_path / target)
-    assert moved.buffers.names == {0: expected}
+    assert moved.names == {0: expected}
     assert not np.array_equal(moved.vertices, opened(source).vertices)
 
 
@@ -307,7 +307,8 @@ def test_buffers_that_are_missing_or_short(tmp_path):
     content = json.loads(source.read_text())
     content["buffers"].append({"uri": "motion.bin", "byteLength": 4})
     source.write_text(json.dumps(content))
-    assert len(opened(source).faces) == 192
+    file = opened(source)
+    assert len(file.faces) == 192 and file.names == {0: "scan.bin"}
 
 
 def edited(change) -> bytes:
