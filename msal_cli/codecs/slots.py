@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,15 +229,11 @@ class Strided(RecordSlots):
 
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         values = np.empty((self.count, len(self.codes)))
-        self.read_into(data, values, origin)
-        return values
-
-    def read_into(self, data: Bytes, values: NDArray[Any], origin: int = 0) -> None:
-        """Store what ``read`` returns in ``values`` (n, k), of any type."""
         # A signalling NaN is reported elsewhere, as what it is.
         with np.errstate(invalid="ignore"):
             for columns, view in self._views(data, origin):
                 values[:, columns] = view
+        return values
 
     def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
         for columns, view in self._views(out, origin):
@@ -267,11 +263,11 @@ class Scattered(RecordSlots):
 
     @property
     def span(self) -> tuple[int, int]:
-        ends = [(at, np.dtype(code)) for at, code in zip(self.at, self.codes, strict=True)]
         if not len(self.at[0]):
             return 0, 0
-        start = min(int(one.min()) for one, _ in ends)
-        return start, max(int(one.max()) + dtype.itemsize for one, dtype in ends)
+        sizes = [np.dtype(code).itemsize for code in self.codes]
+        stop = max(int(at.max()) + size for at, size in zip(self.at, sizes, strict=True))
+        return min(int(at.min()) for at in self.at), stop
 
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         values = np.empty((len(self.at[0]), len(self.codes)))
@@ -346,16 +342,23 @@ def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Overwrite]) 
         raise InternalError("the output is not as long as the input")
 
     def check(start: int, stop: int) -> None:
-        for part in parts[start:stop]:
-            _check_part(data, result, part)
+        for group in groups[start:stop]:
+            first, last = _span(group)
+            restored = result[first:last].copy()
+            for slots, values, where in group:
+                is_other = slots.read(restored, first) != slots.rounded(values)[0]
+                if (is_other & where).any():
+                    raise InternalError("a number of the output is not the computed one")
+                slots.restore(restored, where, first)
+            _require_same(data, restored, first, last, first)
 
     done = 0
-    for group in _overlapping(changes):
-        parts: list[Sequence[Overwrite]] = [group]
-        if len({change.slots.span for change in group}) == 1:
-            parts = list(zip(*(change.parts() for change in group), strict=True))
-        over_ranges(check, len(parts), smallest=_PARTS)
-        start, stop = _span(group)
+    for together in _overlapping(changes):
+        groups: list[Sequence[Overwrite]] = [together]
+        if len({change.slots.span for change in together}) == 1:
+            groups = list(zip(*(change.parts() for change in together), strict=True))
+        over_ranges(check, len(groups), smallest=_PARTS)
+        start, stop = _span(together)
         _require_same(data, result, done, start)
         done = stop
     _require_same(data, result, done, len(data))
@@ -364,7 +367,7 @@ def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Overwrite]) 
 def _overlapping(changes: Sequence[Overwrite]) -> Iterator[list[Overwrite]]:
     """The changes in order, those together whose records hold more than one of the arrays."""
     group: list[Overwrite] = []
-    for change in sorted(changes, key=lambda one: one.slots.span):
+    for change in sorted(changes, key=lambda change: change.slots.span):
         if group and change.slots.span[0] >= _span(group)[1]:
             yield group
             group = []
@@ -376,18 +379,6 @@ def _overlapping(changes: Sequence[Overwrite]) -> Iterator[list[Overwrite]]:
 def _span(group: Sequence[Overwrite]) -> tuple[int, int]:
     spans = [change.slots.span for change in group]
     return min(start for start, _ in spans), max(stop for _, stop in spans)
-
-
-def _check_part(data: Bytes, result: Bytes, group: Sequence[Overwrite]) -> None:
-    """Check the arrays of the same records."""
-    start, stop = _span(group)
-    restored = result[start:stop].copy()
-    for slots, values, where in group:
-        is_other = slots.read(restored, start) != slots.rounded(values)[0]
-        if (is_other & where).any():
-            raise InternalError("a number of the output is not the computed one")
-        slots.restore(restored, where, start)
-    _require_same(data, restored, start, stop, start)
 
 
 def _require_same(data: Bytes, result: Bytes, start: int, stop: int, origin: int = 0) -> None:

@@ -56,48 +56,6 @@ def extent_decimals(vertices: Floats) -> int | None:
     return math.ceil(-math.log10(step)) if step > 0.0 else None
 
 
-def uniform_decimals(
-    used: Bytes, values: Floats, *, unit_length: bool, significant: int = SIGNIFICANT_DIGITS
-) -> int:
-    """Decimals for new numbers of an array: as many as are usual, or as 1e-7 of the extent needs,
-    whichever is more; ``SHORTEST`` where they and the digits before the point are more than
-    ``significant``, or where nothing tells the scale.
-
-    ``used`` are the decimals that the file's numbers have, ``values`` (n, 3) the numbers.
-    """
-    usual = min(usual_decimals(used), SHORTEST - 1)
-    needed: int | None = NORMAL_DECIMALS
-    largest = 1.0
-    if not unit_length:
-        needed = extent_decimals(values)
-        largest = max(float(values.max()), -float(values.min()))
-    if needed is None:
-        return SHORTEST
-    decimals = max(usual, needed)
-    before = max(0, math.ceil(math.log10(largest))) if largest > 0.0 else 0
-    return SHORTEST if decimals + before > significant else min(decimals, SHORTEST)
-
-
-def row_decimals(used: Bytes, least: int, largest: float) -> Bytes | None:
-    """Decimals (n,) for each new position: those that its line has, and at least ``least``.
-
-    ``used`` (n,) are those that the file has, ``largest`` the largest magnitude of a new
-    number.  They are cut down to what float64 tells apart, about 15 digits in all; None where
-    ``least`` are more than that.
-    """
-    most = 16
-    while most >= 0 and not largest * 10.0**most < 2.0**52:
-        most -= 1
-    if least > most:
-        return None
-    return np.clip(used, least, most).astype(np.uint8)
-
-
-def tolerance(decimals: int) -> float:
-    """How far a number that was printed with so many decimals is off at the most."""
-    return 0.0 if decimals >= SHORTEST else 0.5 * 10.0**-decimals * (1.0 + 1e-9)
-
-
 def print_numbers(values: Floats, decimals: int | Bytes) -> tuple[Bytes, Longs]:
     """The texts (size,) of numbers (k,) one behind the other, and where each ends (k,).
 
@@ -166,13 +124,19 @@ class TextSlots(UnitSlots):
 
     @functools.cached_property
     def decimals(self) -> int:
-        """Decimals of new numbers, or ``SHORTEST``; see ``uniform_decimals``."""
-        return uniform_decimals(
-            self.used_decimals(),
-            self.values,
-            unit_length=self.unit_length,
-            significant=self.significant,
-        )
+        """Decimals of new numbers: as many as are usual, or as 1e-7 of the extent needs, whichever
+        is more; ``SHORTEST`` where they and the digits before the point are more than
+        ``significant``, or where nothing tells the scale."""
+        needed: int | None = NORMAL_DECIMALS
+        largest = 1.0
+        if not self.unit_length:
+            needed = extent_decimals(self.values)
+            largest = max(float(self.values.max()), -float(self.values.min()))
+        if needed is None:
+            return SHORTEST
+        decimals = max(min(usual_decimals(self.used_decimals()), SHORTEST - 1), needed)
+        before = max(0, math.ceil(math.log10(largest))) if largest > 0.0 else 0
+        return SHORTEST if decimals + before > self.significant else min(decimals, SHORTEST)
 
     @property
     def _is_whole(self) -> Flags:
@@ -196,7 +160,8 @@ class TextSlots(UnitSlots):
     def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
         if self.has_whole_numbers:
             values = np.where(self._is_whole, np.rint(values), values)
-        return values, tolerance(self.decimals)
+        is_exact = self.decimals >= SHORTEST
+        return values, 0.0 if is_exact else 0.5 * 10.0**-self.decimals * (1.0 + 1e-9)
 
 
 @dataclass(eq=False)
@@ -300,12 +265,18 @@ class Statements(TextSlots):
         return self._spans[1]
 
     def row_decimals(self, values: Floats) -> Bytes | None:
-        """Decimals (n,) for new ``values`` (n, 3), those of their own lines among them; None where
-        all have the same."""
+        """Decimals (n,) for new ``values`` (n, 3): those that the line has, and at least those of
+        the file, cut down to what float64 tells apart, about 15 digits in all; normals have the
+        file's.  None where the file's are more than that."""
+        used, largest = self.used, max(float(values.max()), -float(values.min()))
         if self.unit_length:
-            return row_decimals(np.zeros_like(self.used), self.decimals, 1.0)
-        largest = max(float(values.max()), -float(values.min()))
-        return row_decimals(self.used, self.decimals, largest)
+            used, largest = np.zeros_like(used), 1.0
+        most = 16
+        while most >= 0 and not largest * 10.0**most < 2.0**52:
+            most -= 1
+        if self.decimals > most:
+            return None
+        return np.clip(used, self.decimals, most).astype(np.uint8)
 
 
 class Patch(NamedTuple):
@@ -417,11 +388,11 @@ def is_interleaved(patches: Sequence[Patch]) -> bool:
 def _rows_in_order(patches: Sequence[Patch]) -> Iterator[list[tuple[int, Patch, slice]]]:
     """The statements in the order of the file, as rows of each patch, a block at a time."""
     at = [patch.slots.at for patch in patches]
-    firsts = np.unique(np.concatenate([one[::_ROWS] for one in at]))
-    cuts = [np.append(np.searchsorted(one, firsts), len(one)).tolist() for one in at]
+    firsts = np.unique(np.concatenate([starts[::_ROWS] for starts in at]))
+    cuts = [np.append(np.searchsorted(starts, firsts), len(starts)).tolist() for starts in at]
     for k in range(len(firsts)):
         rows = [slice(cut[k], cut[k + 1]) for cut in cuts]
-        yield [(i, patches[i], one) for i, one in enumerate(rows) if one.start < one.stop]
+        yield [(i, patches[i], part) for i, part in enumerate(rows) if part.start < part.stop]
 
 
 def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
