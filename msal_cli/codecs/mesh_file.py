@@ -292,6 +292,21 @@ def require_finite(
         )
 
 
+def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
+    """Triangles (m, 3) that share each polygon's first corner; a view where all are triangles.
+
+    ``corners`` (c,) are those of the polygons one behind the other, ``sizes`` (p,) how many each
+    has; a polygon of fewer than three gives none.
+    """
+    if len(corners) == 3 * len(sizes) and bool((sizes == 3).all()):
+        return corners.reshape(-1, 3)
+    from msal_cli.kernels import ply_scan
+
+    triangles = np.empty((int(np.maximum(sizes - 2, 0).sum()), 3), dtype=np.int32)
+    ply_scan.fans(corners, np.ascontiguousarray(sizes), triangles)
+    return triangles
+
+
 def fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
     """Places among the corners of triangles that share each polygon's first corner."""
     n_triangles = np.maximum(sizes - 2, 0)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Layout
+from msal_cli.codecs.mesh_file import Layout, cut_polygons
 from msal_cli.codecs.slot_file import Change, SlotFile, require_finite_result
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import (
@@ -274,17 +274,6 @@ class Content:
     libraries: Longs
 
 
-def _cut_triangles(corners: Ints, sizes: Ints) -> Ints:
-    """(m, 3), the polygons cut into fans; a view where all are triangles."""
-    if len(corners) == 3 * len(sizes) and bool((sizes == 3).all()):
-        return corners.reshape(-1, 3)
-    from msal_cli.kernels.ply_scan import fans
-
-    triangles = np.empty((len(corners) - 2 * len(sizes), 3), dtype=np.int32)
-    fans(corners, sizes, triangles)
-    return triangles
-
-
 def _resized(array: NDArray[_T], n_rows: int) -> NDArray[_T]:
     """A copy with room for ``n_rows`` rows."""
     larger = np.empty((n_rows, *array.shape[1:]), dtype=array.dtype)
@@ -365,8 +354,8 @@ class _Reader:
             if state[scan.LARGEST_NORMAL] > n_normals:
                 corner_normals[corner_normals >= n_normals] = -1
             if (corner_normals >= 0).any():
-                face_normals = _cut_triangles(corner_normals, sizes)
-        faces = _cut_triangles(corners, sizes)
+                face_normals = cut_polygons(corner_normals, sizes)
+        faces = cut_polygons(corners, sizes)
         libraries = self._libraries[: int(state[scan.LIBRARIES])]
         polygons = faces, face_normals, corners, sizes
         return Content(positions, normals, *polygons, state, keywords, libraries)

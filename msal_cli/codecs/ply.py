@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Layout, require_finite
+from msal_cli.codecs.mesh_file import Layout, cut_polygons, require_finite
 from msal_cli.codecs.ply_body import Fixed, Lines, Section, find_sections
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, parse_header
 from msal_cli.codecs.slot_file import SlotFile, require_shape
@@ -325,22 +325,8 @@ def _polygon_triangles(
         lengths = int(each[0]) if is_uniform else np.asarray(each, dtype=np.int64)
         corners = _as_indices(items, section, name)
     _require_vertices(corners, section, name, n_vertices)
-    if not isinstance(lengths, int):
-        from msal_cli.kernels.ply_scan import fans
-
-        triangles = np.empty((int(np.maximum(lengths - 2, 0).sum()), 3), dtype=np.int32)
-        fans(corners, lengths, triangles)
-        return triangles, lengths
-    if lengths < 3:
-        return np.empty((0, 3), dtype=np.int32), lengths
-    whole = corners.reshape(-1, lengths)
-    if lengths == 3:
-        return whole, lengths
-    cut = np.empty((len(whole), lengths - 2, 3), dtype=np.int32)
-    cut[:, :, 0] = whole[:, :1]
-    cut[:, :, 1] = whole[:, 1:-1]
-    cut[:, :, 2] = whole[:, 2:]
-    return cut.reshape(-1, 3), lengths
+    sizes = np.broadcast_to(lengths, section.element.count)
+    return cut_polygons(corners, sizes), lengths
 
 
 def _strip_triangles(section: Section, name: str, n_vertices: int) -> Triangles:

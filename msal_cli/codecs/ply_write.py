@@ -353,20 +353,14 @@ def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
 
 def _face_bytes(corners: Longs, sizes: Longs, code: str) -> memoryview:
     """Lists of corners: a count of type ``code``, then 32-bit indices."""
-    if (sizes == sizes[0]).all():
-        k = int(sizes[0])
-        faces = np.empty(len(sizes), dtype=[("count", code), ("corners", "<i4", (k,))])
-        faces["count"] = k
-        faces["corners"] = corners.reshape(-1, k)
-        return faces.view(np.uint8).data
-    width = np.dtype(code).itemsize
-    starts = np.cumsum(sizes * 4 + width) - (sizes * 4 + width)
-    out = np.empty(int(starts[-1] + sizes[-1] * 4 + width), dtype=np.uint8)
-    counts = sizes.astype(code).view(np.uint8).reshape(-1, width)
-    out[starts[:, None] + np.arange(width)] = counts
-    inside = np.arange(len(corners)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    at = np.repeat(starts + width, sizes) + 4 * inside
-    out[at[:, None] + np.arange(4)] = corners.astype("<i4").view(np.uint8).reshape(-1, 4)
+    from msal_cli.kernels.ply_scan import scatter
+
+    widths = np.full(len(sizes), np.dtype(code).itemsize)
+    ends = np.cumsum(widths + 4 * sizes)
+    starts = ends - 4 * sizes
+    out = np.empty(int(ends[-1]), dtype=np.uint8)
+    scatter(out, starts - widths, widths, sizes.astype(code).view(np.uint8))
+    scatter(out, starts, 4 * sizes, corners.astype("<i4").view(np.uint8))
     return out.data
 
 
