@@ -1,0 +1,355 @@
+"""What the beginning of a file tells: counts, a forecast of memory, and lies that are refused."""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msal_cli import codecs, methods
+from msal_cli.codecs import header as first_look
+from msal_cli.codecs import open_mesh
+from msal_cli.codecs.header import _COSTS, BASE_BYTES, LOOKED_AT, forecast, of_beginning, read_input
+from msal_cli.errors import InputError, MsalError
+from msal_cli.job import inspection
+from msal_cli.job.settings import Settings, Task
+from msal_cli.job.settings import forecast as forecast_task
+from msal_cli.storage import gzip_streams
+from tests.codecs import plain_glb, plain_ply, plain_stl, test_gltf
+from tests.job.test_pipeline import WRITERS
+from tests.shapes import grid, noisy, torus
+
+
+def ply(vertices, faces, encoding="binary_little_endian"):
+    rows = np.empty(len(faces), dtype=[("n", "u1"), ("corners", "<i4", 3)])
+    rows["n"], rows["corners"] = 3, faces
+    header = (
+        f"ply\nformat {encoding} 1.0\nelement vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    if encoding == "ascii":
+        lines = ["{:.6f} {:.6f} {:.6f}".format(*one) for one in vertices]
+        lines += ["3 {} {} {}".format(*one) for one in faces]
+        return (header + "\n".join(lines) + "\n").encode()
+    return header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes()
+
+
+def scan(around=24, across=12):
+    vertices, faces = torus(around, across)
+    return noisy(vertices, 0, 0.1 / around), faces
+
+
+def forecast_of(data, name, **options):
+    return of_beginning(bytes(data[:LOOKED_AT]), len(data), name, **options)
+
+
+def converted(to, encoding="same"):
+    opened = codecs.open_mesh(ply(*scan()), "a.ply")
+    if to == "ply":
+        return bytes(opened.encoded(opened.vertices, encoding, "same"))
+    return bytes(codecs.convert(opened, opened.vertices, to, encoding)[0])
+
+
+@pytest.mark.parametrize(
+    ("to", "encoding", "vertices"),
+    [("ply", "same", 288), ("ply", "ascii", 288), ("stl", "same", 1728), ("glb", "same", 288)],
+)
+def test_headers_tell_the_counts(to, encoding, vertices):
+    one = forecast_of(converted(to, encoding), f"a.{to}")
+    assert (one.format, one.vertices, one.faces) == (to, vertices, 576)
+    assert BASE_BYTES < one.memory_bytes < BASE_BYTES + 10**6
+
+
+def test_the_buffers_of_a_gltf_count(tmp_path):
+    path = test_gltf.in_folder(tmp_path)
+    one = forecast(str(path))
+    assert (one.format, one.vertices, one.faces) == ("gltf", 96, 192)
+    with (tmp_path / "scan.bin").open("ab") as file:
+        file.truncate(100_000_000)
+    assert forecast(str(path)).memory_bytes > one.memory_bytes + 100_000_000
+    (tmp_path / "scan.bin").unlink()
+    assert forecast(str(path)).memory_bytes < one.memory_bytes
+
+
+@pytest.mark.parametrize(("to", "encoding"), [("obj", "same"), ("off", "same"), ("stl", "ascii")])
+def test_other_formats_do_not_tell_but_their_size_does(to, encoding):
+    data = converted(to, encoding)
+    one = forecast_of(data, f"a.{to}")
+    assert (one.format, one.vertices, one.faces) == (to, None, None)
+    assert BASE_BYTES + 4 * len(data) < one.memory_bytes < BASE_BYTES + 40 * len(data)
+
+
+def test_quads_count_as_faces_but_cost_two_triangles():
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4000\nproperty float x\n"
+        "property float y\nproperty float z\nelement face {}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    quads = header.format(3000).encode() + bytes(12 * 4000 + 17 * 3000)
+    triangles = header.format(6000).encode() + bytes(12 * 4000 + 13 * 6000)
+    one, two = forecast_of(quads, "a.ply"), forecast_of(triangles, "a.ply")
+    assert (one.faces, two.faces) == (3000, 6000)
+    extra = int(_COSTS["ply"].per_byte * (len(triangles) - len(quads)))
+    assert one.memory_bytes == pytest.approx(two.memory_bytes - extra, abs=200)
+
+
+def test_a_compressed_file_is_told_by_what_is_in_it():
+    vertices, faces = scan(64, 32)
+    plain = ply(vertices, faces)
+    packed = gzip_streams.compress(plain)
+    assert len(packed) < LOOKED_AT
+    one, two = forecast_of(plain, "a.ply"), forecast_of(packed, "a.ply.gz")
+    assert (two.format, two.vertices, two.faces) == ("ply", 2048, 4096)
+    assert 0 <= two.memory_bytes - one.memory_bytes - 2 * len(packed) < len(plain)
+    rows = np.random.default_rng(0).random((30_000, 3))
+    text = "".join("v {:.5f} {:.5f} {:.5f}\n".format(*row) for row in rows).encode()
+    packed = gzip_streams.compress(text)
+    three, four = forecast_of(text, "a.obj"), forecast_of(packed, "a.obj.gz")
+    grown = (four.memory_bytes - BASE_BYTES) / (three.memory_bytes - BASE_BYTES)
+    assert 1.0 <= grown < 1.6
+
+
+def test_a_method_and_a_conversion_need_more():
+    data = ply(*scan())
+    plain = forecast_of(data, "a.ply")
+    assert forecast_of(data, "a.ply", method_bytes_per_face=1000).memory_bytes == (
+        plain.memory_bytes + 576_000
+    )
+    assert forecast_of(data, "a.ply", to="obj").memory_bytes > plain.memory_bytes
+    assert methods.find("static_dynamic").bytes_per_face > 500
+    assert methods.find("msal").bytes_per_face == 0
+
+
+HEADER_LIES = {
+    "more than there is": (b"vertex 288", b"vertex 1000000000000"),
+    "faces": (b"face 576", b"face 99999999999999999999"),
+    "negative": (b"vertex 288", b"vertex -5"),
+    "no number": (b"vertex 288", b"vertex x"),
+    "no end": (b"end_header", b"end_heaven"),
+    "type": (b"float x", b"flaot x"),
+    "format": (b"binary_little_endian", b"binary_middle_endian"),
+}
+
+
+@pytest.mark.parametrize("lie", HEADER_LIES)
+def test_a_header_that_lies_tells_nothing(lie):
+    data = ply(*scan()).replace(*HEADER_LIES[lie])
+    one = forecast_of(data, "a.ply")
+    assert (one.vertices, one.faces) == (None, None)
+    assert BASE_BYTES < one.memory_bytes < BASE_BYTES + 10**6
+    packed = forecast_of(gzip_streams.compress(data), "a.ply.gz")
+    assert packed.memory_bytes < BASE_BYTES + 10**6 or packed.faces is not None
+
+
+def test_no_beginning_of_anything_raises():
+    generator = np.random.default_rng(0)
+    whole = [ply(*scan()), ply(*scan(), "ascii"), converted("glb"), converted("stl")]
+    whole += [gzip_streams.compress(one) for one in whole[:2]]
+    for data in whole:
+        for _ in range(25):
+            broken = bytearray(data[: generator.integers(0, len(data))])
+            for at in generator.integers(0, max(1, min(len(broken), 600)), 3):
+                if len(broken):
+                    broken[at % len(broken)] = generator.integers(0, 256)
+            for name in ("a.ply", "a.stl", "a.glb", "a.obj", "a.gz", "a", ""):
+                one = forecast_of(bytes(broken), name)
+                assert one.memory_bytes < BASE_BYTES + 50 * (256 << 20)
+
+
+def test_a_file_that_is_not_there_is_not_told(tmp_path):
+    assert forecast(str(tmp_path / "none.ply")).memory_bytes is None
+    assert forecast(str(tmp_path)).memory_bytes is None
+    assert forecast("a\0b.ply").memory_bytes is None
+
+
+_CHILD = """
+import sys
+from msal_cli import methods
+from msal_cli.job.pipeline import denoise_file
+from msal_cli.job.settings import Settings, Task
+parameters = methods.find("msal").validate({})
+record = denoise_file(Task(*sys.argv[1:3], "x"), Settings("msal", parameters))
+assert record.error is None, record.error
+print(next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if "VmHWM" in line))
+"""
+
+
+def peak(path, target):
+    ran = subprocess.run(
+        [sys.executable, "-c", _CHILD, str(path), str(target)], capture_output=True, text=True
+    )
+    assert ran.returncode == 0, ran.stderr
+    return int(ran.stdout)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak is not told")
+@pytest.mark.parametrize(
+    ("form", "around"),
+    [
+        ("ply", 400),
+        *[pytest.param(form, 1000, marks=pytest.mark.slow) for form in ("ply", "ply-ascii", "stl",
+            "obj", "stl-ascii", "off", "ply-gz", "vtk", "vtk-ascii")],
+    ],
+)  # fmt: skip
+def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_path):
+    to, _, flavour = form.partition("-")
+    data = ply(*scan(around, around // 2))
+    opened = codecs.open_mesh(data, "a.ply")
+    if to != "ply":
+        data = codecs.convert(opened, opened.vertices, to, flavour or "same")[0]
+    elif flavour == "ascii":
+        data = opened.encoded(opened.vertices, "ascii", "same")
+    path = tmp_path / f"a.{to}"
+    if flavour == "gz":
+        path, data = path.with_suffix(".ply.gz"), gzip_streams.compress(data)
+    path.write_bytes(data)
+    target = tmp_path / f"out{''.join(path.suffixes)}"
+    peak(path, target)  # compiles the kernels
+    real = peak(path, target)
+    expected_bytes = forecast_task(Task(str(path), str(target), "x"), Settings("msal")).memory_bytes
+    assert real <= 1.03 * expected_bytes <= 2.06 * real
+
+
+GIGABYTE = 10**9
+VERTICES = "element vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+FACES = "element face {}\nproperty list uchar int vertex_indices\n"
+
+
+def ply_header(encoding: str, n_vertices: int = 4, n_faces: int = 1) -> bytes:
+    lines = f"ply\nformat {encoding} 1.0\n" + VERTICES.format(n_vertices) + FACES.format(n_faces)
+    return (lines + "end_header\n").encode()
+
+
+def glb_header(length: int, json_bytes: int) -> bytes:
+    return struct.pack("<4sIIII", b"glTF", 2, length, json_bytes, 0x4E4F534A) + b'{"a":1}'
+
+
+BINARY = "binary_little_endian"
+TEXT = ply_header("ascii") + b"0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n"
+
+# name: beginning, size of the sparse file, code, a word of the message
+LIES = {
+    "endless header.ply": (b"ply\nformat ascii 1.0\ncomment ", GIGABYTE, "E_TOO_LARGE", "65536"),
+    "endless comments.ply": (
+        b"ply\nformat ascii 1.0\n" + b"comment a\n" * 9_000, GIGABYTE, "E_TOO_LARGE", "1000 lines",
+    ),
+    "10^12 vertices.ply": (ply_header(BINARY, 10**12), GIGABYTE, "E_TRUNCATED", "at the least"),
+    "10^12 lines.ply": (ply_header("ascii", 10**12), GIGABYTE, "E_TRUNCATED", "at the least"),
+    "2^64-1 faces.ply": (ply_header(BINARY, 4, 2**64 - 1), GIGABYTE, "E_TRUNCATED", "at the least"),
+    "2^70 vertices.ply": (ply_header(BINARY, 2**70), GIGABYTE, "E_FORMAT", "whole number"),
+    "-1 vertices.ply": (ply_header(BINARY, -1), GIGABYTE, "E_FORMAT", "whole number"),
+    "four vertices.ply": (ply_header(BINARY), GIGABYTE, "E_TOO_LARGE", "at the most"),
+    "text and a hole.ply": (TEXT, GIGABYTE, "E_FORMAT", "hole"),
+    "2^32-1 facets.stl": (bytes(80) + b"\xff" * 4, GIGABYTE, "E_TRUNCATED", "4294967295 facets"),
+    "one facet.stl": (bytes(80) + b"\1\0\0\0", GIGABYTE, "E_TOO_LARGE", "at the most"),
+    "text and a hole.stl": (b"solid a\nfacet normal 0 0 1\n" * 99, GIGABYTE, "E_FORMAT", "hole"),
+    "length.glb": (glb_header(2**32 - 1, 8), GIGABYTE, "E_TRUNCATED", "4294967295"),
+    "JSON beyond.glb": (glb_header(1000, 2**32 - 1), GIGABYTE, "E_TRUNCATED", "4294967315"),
+    "huge JSON.glb": (
+        glb_header(GIGABYTE, GIGABYTE - 20), GIGABYTE, "E_TOO_LARGE", "description",
+    ),
+    "short.glb": (glb_header(28, 8), GIGABYTE, "E_TOO_LARGE", "at the most"),
+    "binary.obj": (b"v 0 0 0\n\1", GIGABYTE, "E_FORMAT", "control"),
+    "text and a hole.obj": (b"v 0 0 0\n" * 9999, GIGABYTE, "E_FORMAT", "hole"),
+    "member and a hole.ply.gz": (gzip.compress(TEXT, mtime=0), GIGABYTE, "E_FORMAT", "hole"),
+    "larger than memory.ply": (ply_header(BINARY), 10**13, "E_TOO_LARGE", "memory"),
+    "larger than memory.off": (b"OFF\n", 10**13, "E_TOO_LARGE", "memory"),
+    "larger than memory.ply.gz": (b"\x1f\x8b\x08", 10**13, "E_TOO_LARGE", "memory"),
+}  # fmt: skip
+
+
+def sparse(path, beginning: bytes, size: int) -> str:
+    """A file that takes no room on the disk however large it is."""
+    with path.open("wb") as file:
+        file.write(beginning)
+        try:
+            file.truncate(size)
+        except OSError:
+            pytest.skip("this file system has no files so large")
+    if path.stat().st_blocks * 512 > max(1 << 20, 2 * len(beginning)):
+        pytest.skip("this file system has no sparse files")
+    return str(path)
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_a_lie_is_refused_before_it_is_loaded(name, tmp_path):
+    beginning, size, code, word = LIES[name]
+    path = sparse(tmp_path / name, beginning, size)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=word) as caught:
+        read_input(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert caught.value.code == code
+    assert caught.value.hint or "whole number" in word
+    assert peak < 10_000_000
+
+
+@pytest.mark.parametrize("name", ["2^32-1 facets.stl", "10^12 vertices.ply"])
+def test_the_way_of_a_file_begins_with_a_look(name, tmp_path):
+    path = sparse(tmp_path / name, *LIES[name][:2])
+    record = inspection.inspect_file(path)
+    assert record.error is not None and record.error.code == "E_TRUNCATED"
+
+
+def whole_files():
+    vertices, faces = torus(60, 40)
+    for name, writer in WRITERS.items():
+        yield name, writer(vertices, faces)
+    yield "quads.ply", plain_ply.written(plain_ply.cube("binary_big_endian", "double"))
+    yield "part.stl", plain_stl.text(vertices[faces].reshape(-1, 9)).encode()
+
+
+@pytest.mark.parametrize(("name", "data"), list(whole_files()), ids=lambda one: str(one)[:12])
+def test_whole_files_pass(name, data, tmp_path, monkeypatch):
+    monkeypatch.setattr(first_look, "LOOKED_AT", 512)
+    monkeypatch.setattr(first_look, "MAX_BEHIND", 64)
+    path = tmp_path / name
+    path.write_bytes(data)
+    assert read_input(path) == data
+    if name == "scan.obj":
+        return  # half of it is a mesh too
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(MsalError):
+        open_mesh(read_input(path), name)
+
+
+def test_bytes_behind_the_mesh_are_carried_along_within_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(first_look, "LOOKED_AT", 512)
+    monkeypatch.setattr(first_look, "MAX_BEHIND", 2_000)
+    vertices, faces = grid(8, 8)
+    for name in ("a.stl", "a.ply", "a.glb"):
+        writer = {
+            "a.stl": lambda: plain_stl.binary(vertices[faces].reshape(-1, 9)),
+            "a.ply": lambda: WRITERS["scan.ply"](vertices, faces),
+            "a.glb": lambda: _glb(vertices, faces),
+        }[name]
+        path = tmp_path / name
+        path.write_bytes(writer() + bytes(1_500))
+        assert open_mesh(read_input(path), name).n_polygons == len(faces)
+        path.write_bytes(writer() + bytes(10**6))
+        with pytest.raises(MsalError) as caught:
+            read_input(path)
+        assert caught.value.code == "E_TOO_LARGE"
+
+
+def _glb(vertices, faces) -> bytes:
+    scene = plain_glb.Scene()
+    at = scene.positions(vertices)
+    indices = scene.accessor(faces.reshape(-1), "<u2", "SCALAR")
+    scene.mesh({"attributes": {"POSITION": at}, "indices": indices})
+    return scene.data()
+
+
+def test_what_cannot_be_opened_is_an_error_of_reading(tmp_path):
+    for path in (tmp_path / "missing.ply", tmp_path, "a\0b.ply"):
+        with pytest.raises(InputError) as caught:
+            read_input(path)
+        assert caught.value.code == "E_READ"
