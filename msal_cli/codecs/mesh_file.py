@@ -55,7 +55,7 @@ class HasVertexProperties(Protocol):
         ...
 
 
-class MeshFile(Protocol):
+class MeshFile(Surface, Protocol):
     """An opened mesh file; every codec returns one.
 
     Attributes
@@ -78,21 +78,10 @@ class MeshFile(Protocol):
     format: str
     encoding: str
     precision: str
-    faces: NDArray[np.int32]
-    merged_vertices: int
     n_polygons: int
     properties: tuple[str, ...]
     references: tuple[str, ...]
     warnings: tuple[str, ...]
-
-    @property
-    def vertices(self) -> NDArray[np.float64]:
-        """The positions of the vertices, see above."""
-        ...
-
-    def forget_vertices(self) -> None:
-        """Let go of ``vertices`` where they can be read again in little time."""
-        ...
 
     def replaced(self, vertices: NDArray[np.float64]) -> Buffer:
         """The file with its positions replaced and its normals, where it has them, recomputed.

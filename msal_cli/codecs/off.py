@@ -46,14 +46,8 @@ def parse(data: Buffer) -> Layout:
         raise UnsupportedError("binary OFF is not read", hint=_CONVERT)
     words = Words(data, header.end(), comment=b"#")
     n_vertices, n_faces = words.count(0, "vertices"), words.count(1, "faces")
-    first = words.first_of_lines()
-    if len(first) == 1:
-        n_counts = min(3, len(words))
-    else:
-        # Counts may stand on one line or on several.
-        line_of_faces = int(words.lines[1])
-        n_counts = int(np.searchsorted(words.lines, line_of_faces, side="right"))
-        n_counts = min(n_counts, 3)
+    # Counts may stand on one line or on several.
+    n_counts = min(3, int(np.searchsorted(words.lines, words.lines[1], side="right")))
     width = 3 + 3 * has_normals + 2 * has_texture + 4 * has_colours
     warnings = []
     try:
@@ -154,23 +148,20 @@ def _by_lines(words: Words, start: int, n_vertices: int, n_faces: int) -> _Parse
 
 
 def _by_words(words: Words, start: int, n_vertices: int, n_faces: int, width: int) -> _Parsed:
-    """UnitSlots one behind the other; what stands on a line behind a face is its colour."""
+    """Words one behind the other; what stands on a line behind a face is its colour."""
     words.require(start + n_vertices * width, f"{n_vertices} vertices")
     at = start + np.arange(n_vertices, dtype=np.int64) * width
-    next_word = start + n_vertices * width
-    counts = []
-    first = np.empty(n_faces if n_faces <= len(words) else 0, dtype=np.int64)
+    first_of_faces = next_word = start + n_vertices * width
     words.require(next_word + n_faces, f"{n_faces} faces")
-    numbers = words.integers(slice(next_word, None)).tolist()
-    offset = next_word
+    numbers = words.integers(slice(next_word, None))
+    sizes_or_corners = numbers.tolist()
+    first = np.empty(n_faces, dtype=np.int64)
     for k in range(n_faces):
         words.require(next_word + 1, f"{n_faces} faces")
-        size = numbers[next_word - offset]
         first[k] = next_word
-        counts.append(size)
-        next_word += 1 + max(size, 0)
+        next_word += 1 + max(sizes_or_corners[next_word - first_of_faces], 0)
     words.require(next_word, f"{n_faces} faces")
-    sizes = np.array(counts, dtype=np.int64)
+    sizes = numbers[first - first_of_faces]
     _require_sizes(sizes, words, first)
     if next_word < len(words):
         raise FormatError("more numbers than the header counts follow", hint=EXPORT_AGAIN)
