@@ -239,4 +239,4 @@ def test_holes_are_not_looked_for_without_seek_hole_and_pread(tmp_path, monkeypa
     monkeypatch.setattr(header, "os", OtherOs("SEEK_HOLE", "pread"))
     (tmp_path / "a").write_bytes(b"x" * 10)
     with (tmp_path / "a").open("rb") as file:
-        assert header._hole(file, 10) == 10
+        assert header._find_hole(file, 10) == 10
