@@ -11,8 +11,15 @@ import pytest
 from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
-from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
+from msal_cli.analysis.noise_estimate import (
+    NOISE,
+    TEXTURE,
+    NoiseCharacter,
+    Reading,
+    estimate_noise,
+)
 from msal_cli.auto import FAMILY, NONE, adaptive
+from msal_cli.auto.candidates import LINEAR
 from msal_cli.mesh import prepare_mesh
 from tests.auto.test_search import angle
 from tests.shapes import cube, torus
@@ -154,6 +161,38 @@ def test_noise_that_neighbours_share_may_take_a_linear_filter():
     choice = adaptive.choose_adaptive(mesh)
     made = result_of(mesh, choice.method, choice.parameters)
     assert angle(true, made) < 1.05 * angle(true, result_of(mesh, "taubin", {}))
+
+
+@pytest.mark.parametrize(
+    ("level", "kind", "rings", "is_tried"),
+    [
+        (0.06, "unknown", 0, False),
+        (0.06, "correlated", 1, False),
+        (0.06, "correlated", 2, True),
+        (0.2, "unknown", 0, True),
+        (0.2, "correlated", 1, True),
+    ],
+)
+def test_weak_noise_that_may_be_relief_takes_no_linear_filter(
+    monkeypatch, level, kind, rings, is_tried
+):
+    mesh, _ = torus_with(level)
+    character = NoiseCharacter(kind, rings, "normals", None, 0.0, 0.0, 0.9, "a test")
+    noise = dataclasses.replace(estimate_noise(mesh), character=character)
+    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: noise)
+    choice = adaptive.choose_adaptive(mesh)
+    assert choice.tried == (3 + len(LINEAR) if is_tried else 2)
+
+
+def test_what_is_farther_from_the_pilot_in_one_measure_is_not_taken(monkeypatch):
+    """The first is much better in angles, and worse in distances."""
+    mesh, _ = torus_with(0.06)
+    character = NoiseCharacter("correlated", 1, "normals", None, 0.0, 0.0, 0.9, "a test")
+    noise = dataclasses.replace(estimate_noise(mesh), character=character)
+    monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: noise)
+    errors = np.array([0.1, -0.5]), np.array([-3.0, -0.5]), np.full(2, 0.01)
+    monkeypatch.setattr("msal_cli.auto.risk.CandidateRuns.compare", lambda *_: errors)
+    assert adaptive.choose_adaptive(mesh).method == "msal"
 
 
 def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
