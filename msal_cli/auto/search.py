@@ -119,6 +119,10 @@ much."""
 UNEVEN_WIDTH = 0.18
 """The same width, as it is taken for noise that is not the same everywhere."""
 
+MOST = 0.5
+"""Sum of weights from which those of a machined part are raised to 1: where it is flat, what would
+be left of the noise is no shape."""
+
 WEAK = 0.1
 """White noise in mean edge lengths below which a range scan may have more that neighbours share."""
 
@@ -214,7 +218,9 @@ class _Search:
             if not is_drawn:
                 return self._choose_by_mirror(surface)
             if surface == MACHINED and self.wishes.prefer == "balanced":
-                usable = [LEARNED]
+                # Of what is not known to be white nothing is given back.
+                is_white = self.noise.character.kind != "unknown"
+                usable = [LEARNED if is_white else ROBUST_LEARNED]
         self._total = _RUNS * len(usable) + 1
         first = study.positions([pilot], np.ones(1))
         judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
@@ -412,6 +418,9 @@ class _Search:
         """The best blend of ``members`` by the judges, of ``tried`` candidates."""
         risks = _risks(judges)
         weights = self._prune(members, risks)
+        is_plain = surface == MACHINED and self.wishes.prefer == "balanced"
+        if is_plain and weights.sum() >= MOST:
+            weights = round_weights(weights / weights.sum())
         rows = self._by_level(study.part, judges, weights)
         share = wished_share(self.wishes) * (self._hedge(risks, weights) if self.is_unsure else 1.0)
         # Only the smooth shape is wanted: farther, whatever the filters make of more noise.

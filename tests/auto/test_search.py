@@ -21,7 +21,7 @@ from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.methods.blend import parse_members
-from tests.shapes import grid, noisy, torus
+from tests.shapes import box, grid, noisy, torus
 
 
 @pytest.mark.parametrize("candidate", CANDIDATES, ids=lambda candidate: candidate.label)
@@ -406,6 +406,42 @@ def test_it_is_better_than_the_default_and_than_the_scan(name, level):
 def test_clean_samples_hardly_move(name):
     true = ground_truth.opened(SAMPLES / name)
     assert moved_edges(true, made_by(chosen(true), true)) < 0.015
+
+
+@pytest.fixture(scope="module")
+def box_scan():
+    true = prepare_mesh(*box(16, 12, 10)).mesh
+    return true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", 0.2, 1))
+
+
+def test_of_a_machined_part_nothing_is_given_back_unless_noise_is_white(box_scan, monkeypatch):
+    assert chosen(box_scan).parameters["texture"] == "auto"
+    estimate = estimate_noise(box_scan)
+    kind = dataclasses.replace(estimate.character, kind="unknown")
+    unknown = dataclasses.replace(estimate, character=kind)
+    monkeypatch.setattr(search, "estimate_noise", lambda mesh: unknown)
+    choice = chosen(box_scan)
+    assert (choice.method, choice.parameters["texture"]) == ("learned", "lost")
+
+
+@pytest.mark.parametrize(
+    ("share", "wishes", "end"),
+    [
+        (0.7, {}, "; learned"),
+        (0.7, {"prefer": "volume"}, "; 70% learned"),
+        (0.3, {}, "; 30% learned"),
+    ],
+)
+def test_the_larger_part_of_the_way_becomes_all_of_it_on_a_machined_part(
+    box_scan, monkeypatch, share, wishes, end
+):
+    def of_the_first(risks, *others):
+        weights = np.zeros(len(risks[0].drift))
+        weights[0] = share
+        return weights
+
+    monkeypatch.setattr(search, "best_weights", of_the_first)
+    assert end in chosen(box_scan, **wishes).reason
 
 
 def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
