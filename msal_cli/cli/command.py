@@ -6,73 +6,27 @@ The groups are data: help, the man pages, the reference and shell completion rea
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from msal_cli.cli import config, console
+from msal_cli.cli.options import MESSAGES, OptionGroup
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-Decorator = Callable[[Any], Any]
-
-_ATTRIBUTE = "option_groups"
 _MAX_NAME_WIDTH = 26
 # Of what a command does, in the short help.
 _PARAGRAPHS = 2
 # Longer ones are left to --help-all.
 _MAX_DEFAULT_LENGTH = 20
 
-MESSAGES = "Messages and help"
-"""The group that ``-h`` and ``--help-all`` belong to."""
 
-
-class OptionGroup(NamedTuple):
-    """Options that help shows together, by the names of their parameters.
-
-    ``common`` are those that most people need; ``more`` are shown by ``--help-all`` only.
-    """
-
-    title: str
-    common: tuple[str, ...]
-    more: tuple[str, ...]
-
-
-def _more(function: Any) -> Any:
-    return function
-
-
-MORE: Decorator = _more
-"""In a group: the options behind it are shown by ``--help-all`` only."""
-
-
-def group(title: str, *options: Decorator) -> Decorator:
-    """A decorator for the options of one group; each is a decorator as ``click.option`` makes."""
-
-    def decorate(function: Any) -> Any:
-        n_before = n_more = len(_parameters(function))
-        # The last option first: click shows them in the order in which they are read.
-        for option in reversed(options):
-            function = option(function)
-            if option is MORE:
-                n_more = len(_parameters(function))
-        names = [str(parameter.name) for parameter in _parameters(function)]
-        added = OptionGroup(
-            title, tuple(reversed(names[n_more:])), tuple(reversed(names[n_before:n_more]))
-        )
-        # A new tuple, because wrapped functions share the attributes of what they wrap.
-        setattr(function, _ATTRIBUTE, (added, *getattr(function, _ATTRIBUTE, ())))
-        return function
-
-    return decorate
-
-
-def _parameters(function: Any) -> list[click.Parameter]:
-    # Where click keeps what decorates a function that is no command yet.
-    kept: list[click.Parameter] = getattr(function, "__click_params__", [])
-    return kept
+class Request(SimpleNamespace):
+    """The values of a command line by the names of its parameters, and the click ``context``."""
 
 
 class Command(click.Command):
@@ -81,21 +35,31 @@ class Command(click.Command):
     If ``configurable``, its options may come from a configuration file, too.
     """
 
-    def __init__(self, *given: Any, configurable: bool = True, **settings: Any) -> None:
-        super().__init__(*given, **settings)
+    def __init__(
+        self,
+        name: str,
+        groups: Sequence[OptionGroup],
+        arguments: Sequence[click.Argument],
+        *,
+        configurable: bool,
+        **settings: Any,
+    ) -> None:
         self.configurable = configurable
-        groups: list[OptionGroup] = list(getattr(self.callback, _ATTRIBUTE, ()))
+        options = [option for group in groups for option in group.common + group.more]
+        of_messages = [group for group in groups if group.title == MESSAGES]
+        self.groups = [group for group in groups if group.title != MESSAGES]
         if configurable:
-            options = config.make_options()
-            self.params += options
-            names = tuple(str(option.name) for option in options)
-            groups.append(OptionGroup("Configuration", (), names))
-        everything = _help_all()
-        self.params.append(everything)
-        at = next((k for k, group in enumerate(groups) if group.title == MESSAGES), None)
-        own = OptionGroup(MESSAGES, (), ()) if at is None else groups.pop(at)
-        self.groups = (*groups, own._replace(common=(*own.common, "help", "help_all")))
-        everything.hidden = not self._has_more()
+            self.groups.append(config.OPTIONS)
+            options += config.OPTIONS.more
+        self._help_all = _make_help_all()
+        self.groups += of_messages or [OptionGroup(MESSAGES, (), ())]
+        super().__init__(name, params=[*arguments, *options, self._help_all], **settings)
+        self._help_all.hidden = not self._has_more()
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command with its ``Request``."""
+        assert self.callback is not None
+        return ctx.invoke(self.callback, Request(**ctx.params, context=ctx))
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the command line, with values of a configuration file where it gives none."""
@@ -111,22 +75,21 @@ class Command(click.Command):
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters; ``--help-all`` comes last, after click's own ``--help``."""
         found = super().get_params(ctx)
-        return sorted(found, key=lambda parameter: parameter.name == "help_all")
+        return sorted(found, key=lambda parameter: parameter is self._help_all)
 
     def grouped_options(
         self, ctx: click.Context, *, everything: bool = True
     ) -> Iterator[tuple[str, list[click.Option]]]:
         """The title and the options of each group, or only those that most people need."""
-        options = {
-            # The name of click's own option depends on its version.
-            "help" if parameter is self.get_help_option(ctx) else parameter.name: parameter
-            for parameter in self.get_params(ctx)
-            if isinstance(parameter, click.Option) and not parameter.hidden
-        }
         for title, common, more in self.groups:
-            names = common + more if everything else common
-            if names:
-                yield title, [options[name] for name in names if name in options]
+            options = [*common, *more] if everything else [*common]
+            if title == MESSAGES:
+                own = (self.get_help_option(ctx), self._help_all)
+                options[len(common) : len(common)] = [
+                    option for option in own if option is not None and not option.hidden
+                ]
+            if options:
+                yield title, options
 
     def format_help_text(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """What the command does; without ``--help-all`` two paragraphs of it."""
@@ -170,7 +133,7 @@ class Command(click.Command):
 _META = "msal_cli.help_all"
 
 
-def _help_all() -> click.Option:
+def _make_help_all() -> click.Option:
     def show(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
         if value and not ctx.resilient_parsing:
             ctx.meta[_META] = True
@@ -203,29 +166,47 @@ def first_clause(text: str) -> str:
     return f"{words}  [default: {default}" if is_short else words
 
 
-def command(name: str, **settings: Any) -> Callable[[Callable[..., Any]], Command]:
-    """``click.command`` with the groups of its options."""
-    return click.command(name, cls=Command, **settings)
+def grouped_command(
+    name: str,
+    *groups: OptionGroup,
+    arguments: Sequence[click.Argument] = (),
+    configurable: bool = True,
+    epilog: str = "Exit status: see msal --help.",
+) -> Callable[[Callable[[Request], int]], Command]:
+    """Make a command of a function, whose docstring is the help."""
+
+    def decorate(function: Callable[[Request], int]) -> Command:
+        return Command(
+            name,
+            groups,
+            arguments,
+            configurable=configurable,
+            callback=function,
+            help=function.__doc__,
+            epilog=epilog,
+        )
+
+    return decorate
 
 
-@command(
+@grouped_command(
     "completion",
+    arguments=[click.Argument(["shell"], type=click.Choice(["bash", "zsh", "fish"]))],
     configurable=False,
     epilog="""\b
 bash:  msal completion bash > ~/.local/share/bash-completion/completions/msal
 zsh:   msal completion zsh > ~/.zfunc/_msal     (a folder of your fpath)
 fish:  msal completion fish > ~/.config/fish/completions/msal.fish""",
 )
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
-@click.pass_context
-def completion(context: click.Context, shell: str) -> int:
+def completion(request: Request) -> int:
     """Print a script that completes commands, options, methods and file names in SHELL."""
     from click.shell_completion import get_completion_class
 
     from msal_cli.cli.main import COMPLETE_VARIABLE
 
-    kind = get_completion_class(shell)
+    kind = get_completion_class(request.shell)
     if kind is None:
-        raise click.UsageError(f"there is no completion for {shell}")
-    console.put(kind(context.find_root().command, {}, "msal", COMPLETE_VARIABLE).source())
+        raise click.UsageError(f"there is no completion for {request.shell}")
+    program = request.context.find_root().command
+    console.put(kind(program, {}, "msal", COMPLETE_VARIABLE).source())
     return console.SUCCESS

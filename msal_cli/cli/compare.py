@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, options
-from msal_cli.cli.command import MESSAGES, MORE, group
-from msal_cli.cli.command import command as grouped_command
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
-from msal_cli.errors import UsageError
+from msal_cli.cli.logs import with_log
+from msal_cli.cli.options import MESSAGES, PATH, group, resolve_format
+from msal_cli.errors import MsalError, UsageError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import ComparisonRecord
@@ -27,6 +28,48 @@ _HEAT_MAP = r"ply\r?\nformat [^\n]*\n(comment [^\n]*\n)*?comment msal [^\n]*: de
 
 @grouped_command(
     "compare",
+    group("Input and output", "--include\n--exclude\nmore:\n--format\n"),
+    group(
+        "What to measure",
+        """
+--heatmap FILE.ply
+    Write B as PLY with its distance from A, vertex by vertex, as property deviation and as
+    colours; comments in the file give their range.
+more:
+--check
+--unit
+""",
+    ),
+    group(
+        "Gates",
+        """
+--fail-on EXPR ...
+    Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or 'hausdorff >
+    0.5e' (mean edge lengths of A). Repeatable.
+--baseline REPORT.json
+    Exit with 4 if a figure is worse than in REPORT.json: what --json printed before, or a report
+    of msal denoise --reference.
+more:
+--tolerance PERCENT
+    With --baseline: by how much of what it was a figure may be worse, such as 2%. [default: 1%]
+--ignore-missing
+    Of folders: leave out files that only one of them has, and figures of the baseline whose files
+    are not there.
+""",
+    ),
+    group(
+        "Reports",
+        """
+--json -> as_json
+    Print one JSON object for two files; for more files and for folders one document, whose records
+    list holds an object per pair.
+""",
+    ),
+    group(MESSAGES, "--verbose\n"),
+    arguments=[
+        click.Argument(["before"], metavar="A", type=PATH),
+        click.Argument(["others"], metavar="B...", nargs=-1, required=True, type=PATH),
+    ],
     epilog="""\b
 Examples:
   msal compare truth.ply denoised.ply --heatmap deviation.ply
@@ -36,90 +79,8 @@ Examples:
 \b
 Exit status: see msal --help.""",
 )
-@click.argument("before", metavar="A", type=options.PATH)
-@click.argument("others", metavar="B...", nargs=-1, required=True, type=options.PATH)
-@group(
-    "Input and output",
-    options.FILES,
-    MORE,
-    options.FORMAT,
-)
-@group(
-    "What to measure",
-    click.option(
-        "--heatmap",
-        metavar="FILE.ply",
-        type=options.PATH,
-        help="Write B as PLY with its distance from A, vertex by vertex, as property deviation "
-        "and as colours; comments in the file give their range.",
-    ),
-    MORE,
-    options.CHECK,
-    options.UNIT,
-)
-@group(
-    "Gates",
-    click.option(
-        "--fail-on",
-        metavar="EXPR",
-        multiple=True,
-        help="Exit with 4 if this is so for any pair, such as 'mean_angular_error_deg > 6' or "
-        "'hausdorff > 0.5e' (mean edge lengths of A). Repeatable.",
-    ),
-    click.option(
-        "--baseline",
-        metavar="REPORT.json",
-        type=options.PATH,
-        help="Exit with 4 if a figure is worse than in REPORT.json: what --json printed before, "
-        "or a report of msal denoise --reference.",
-    ),
-    MORE,
-    click.option(
-        "--tolerance",
-        metavar="PERCENT",
-        type=options.parse_percentage,
-        help="With --baseline: by how much of what it was a figure may be worse, such as 2%.  "
-        "[default: 1%]",
-    ),
-    click.option(
-        "--ignore-missing",
-        is_flag=True,
-        help="Of folders: leave out files that only one of them has, and figures of the baseline "
-        "whose files are not there.",
-    ),
-)
-@group(
-    "Reports",
-    click.option(
-        "--json",
-        "as_json",
-        is_flag=True,
-        help="Print one JSON object for two files; for more files and for folders one document, "
-        "whose records list holds an object per pair.",
-    ),
-)
-@group(
-    MESSAGES,
-    options.verbose,
-)
-@click.pass_context
-def command(
-    context: click.Context,
-    /,
-    before: str,
-    others: tuple[str, ...],
-    heatmap: str | None,
-    include: tuple[str, ...],
-    exclude: tuple[str, ...],
-    format: str | None,
-    fail_on: tuple[str, ...],
-    unit: str | None,
-    checks: tuple[str, ...],
-    baseline: str | None,
-    tolerance: float | None,
-    ignore_missing: bool,
-    as_json: bool,
-) -> int:
+@with_log
+def command(request: Request) -> int:
     """Measure B against A, which is the reference: before and after, or truth and result.
 
     A and B are two files, or two folders whose files are matched by relative path. With more than
@@ -133,34 +94,35 @@ def command(
     all can be compared.
     """
     from msal_cli.batch.inputs import discover_inputs
+    from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import compare_files
     from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.gates import names_field
     from msal_cli.version import __version__
 
-    refuse_conflicts(find_given(context))
-    gates = build_checks(fail_on, baseline, tolerance, unit)
-    format = options.resolve_format(format)
-    sides = [discover_inputs((path,), include, exclude) for path in (before, *others)]
-    is_checked = bool(checks) or names_field(gates.gates, "self_intersections")
+    refuse_conflicts(find_given(request.context))
+    checks = _build_checks(request)
+    request.format = resolve_format(request.format)
+    before, others, heatmap = request.before, request.others, request.heatmap
+    patterns = request.include, request.exclude
+    sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
+    is_checked = bool(request.checks) or names_field(checks.gates, "self_intersections")
 
     def compare(before: str, after: str) -> ComparisonRecord:
-        return compare_files(before, after, format, with_intersections=is_checked)
+        return compare_files(before, after, request.format, with_intersections=is_checked)
 
     are_folders = [any(file.root for file in side) for side in sides]
     after = others[0]
-    if ignore_missing and not any(are_folders):
+    if request.ignore_missing and not any(are_folders):
         raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
     if are_folders == [False, False]:
         if heatmap is not None:
-            from msal_cli.cli.report_files import refuse_target
-
             if not heatmap.lower().endswith(".ply"):
                 raise UsageError(
                     f"the heat map {heatmap!r} must be a PLY", hint="name it with the suffix .ply"
                 )
             refuse_target(heatmap, "the heat map", (before, after), replaces=_HEAT_MAP)
-        return _compare_two(before, after, heatmap, format, as_json, gates, compare)
+        return _compare_two(request, checks, compare)
     if any(are_folders) and are_folders != [True, True]:
         raise UsageError(
             "A and B are files and folders",
@@ -170,12 +132,12 @@ def command(
         raise UsageError("--heatmap is for two files", hint="compare them one by one")
     if not any(are_folders):
         table = {path: compare(before, path) for path in others}
-        return _print_table(table, gates, as_json, is_all=True)
+        return _print_table(table, checks, request.as_json, is_all=True)
     first, second = ({file.relative: file.path for file in side} for side in sides)
-    if ignore_missing:
+    if request.ignore_missing:
         first, second = _drop_missing({before: first, after: second})
     records = {}
-    for name in (*first, *(name for name in second if name not in first)):
+    for name in dict.fromkeys((*first, *second)):
         missing = before if name not in first else after if name not in second else None
         paths = (
             first.get(name, f"{before.rstrip('/')}/{name}"),
@@ -187,8 +149,8 @@ def command(
             failure = Failure(_NO_PARTNER, f"there is no {name!r} in {missing!r}")
             records[name] = ComparisonRecord(*paths, version=__version__, error=failure)
     # Files that were left out on purpose are not missed.
-    is_all = not include and not exclude and not ignore_missing
-    return _print_table(records, gates, as_json, is_all=is_all)
+    is_all = not any(patterns) and not request.ignore_missing
+    return _print_table(records, checks, request.as_json, is_all=is_all)
 
 
 def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
@@ -207,32 +169,26 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
 
 
 def _compare_two(
-    before: str,
-    after: str,
-    heatmap: str | None,
-    format: str | None,
-    as_json: bool,
-    checks: Checks,
-    compare: Callable[[str, str], ComparisonRecord],
+    request: Request, checks: Checks, compare: Callable[[str, str], ComparisonRecord]
 ) -> int:
-    from msal_cli.errors import MsalError
     from msal_cli.report import comparison, data
     from msal_cli.report.gates import is_any_broken
 
-    (record,) = checks.judge({after: compare(before, after)}, is_pair=True)
+    (after,) = request.others
+    (record,) = checks.judge({after: compare(request.before, after)}, is_pair=True)
     failure: MsalError | None = None
-    if heatmap is not None and record.error is None:
+    if request.heatmap is not None and record.error is None:
         # What was measured is printed, even if the picture fails.
         try:
-            _write_heatmap(before, after, heatmap, format)
+            _write_heatmap(request)
         except MsalError as error:
             failure = error
-    if as_json:
+    if request.as_json:
         console.put_bytes(data.json_bytes(data.plain_record(record)))
     if record.error is not None:
         _say_failure(record)
         return console.FATAL
-    if not as_json:
+    if not request.as_json:
         console.put_lines(comparison.describe_comparison(record))
     console.say_lines(comparison.broken_gates([record]))
     if failure is not None:
@@ -240,18 +196,19 @@ def _compare_two(
     return console.status_of_files(1, 0, is_gate_failed=is_any_broken([record]))
 
 
-def _write_heatmap(before: str, after: str, target: str, format: str | None) -> None:
+def _write_heatmap(request: Request) -> None:
     from msal_cli.batch import interrupts
-    from msal_cli.job import comparison
+    from msal_cli.job.comparison import build_heatmap, open_mesh_file
     from msal_cli.job.room import room_for_files
     from msal_cli.report.facts import file_name
     from msal_cli.storage import atomic
 
-    with room_for_files((before, after), format):
-        reference = comparison.open_mesh_file(before, format)
-        made = comparison.build_heatmap(reference, comparison.open_mesh_file(after, format), before)
+    paths, target = (request.before, *request.others), request.heatmap
+    with room_for_files(paths, request.format):
+        before, after = (open_mesh_file(path, request.format) for path in paths)
+        made = build_heatmap(before, after, request.before)
         with interrupts.catch_signals(interrupts.raise_for):
-            atomic.write_whole(target, [made.data], sources=(before, after))
+            atomic.write_whole(target, [made.data], sources=paths)
     console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
 
 
@@ -297,8 +254,7 @@ def _print_table(
 def _say_failure(record: ComparisonRecord) -> None:
     """Say why two files could not be compared, under the name of the one that is at fault."""
     error = record.error
-    if error is None:
-        return
+    assert error is not None
     for path in (record.before, record.after):
         if error.where == path or error.where.startswith(f"{path}: "):
             console.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
@@ -340,17 +296,16 @@ class Checks:
         return judged
 
 
-def build_checks(
-    expressions: Sequence[str], baseline: str | None, tolerance: float | None, unit: str | None
-) -> Checks:
-    """The checks: gates, with lengths in ``unit``, and the report at the path ``baseline``."""
+def _build_checks(request: Request) -> Checks:
+    """The checks: gates, with lengths in ``--unit``, and the report that ``--baseline`` names."""
     from msal_cli.job.records import ComparisonRecord
     from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import parse_gates
     from msal_cli.storage import gzip_streams
 
-    gates = parse_gates(expressions, ComparisonRecord, unit)
+    gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
+    baseline = request.baseline
     if baseline is None:
         return Checks(gates, None, 0.0)
     earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
-    return Checks(gates, earlier, 0.01 if tolerance is None else tolerance)
+    return Checks(gates, earlier, 0.01 if request.tolerance is None else request.tolerance)

@@ -15,6 +15,7 @@ import click
 from click.core import ParameterSource
 
 from msal_cli.cli import console
+from msal_cli.cli.options import group
 from msal_cli.errors import UsageError
 
 FILE_NAME = "msal.toml"
@@ -220,26 +221,23 @@ _META = "msal_cli.config"
 Parse = Callable[[click.Context, list[str]], list[str]]
 
 
-def make_options() -> list[click.Option]:
-    """The options of every command that may be configured."""
-    return [
-        click.Option(
-            ["--config"],
-            metavar="FILE",
-            expose_value=False,
-            help="Take options from FILE.  [default: msal.toml in the current folder, or in a "
-            "parent within the repository]",
-        ),
-        click.Option(
-            ["--no-config"], is_flag=True, expose_value=False, help="Read no configuration file."
-        ),
-        click.Option(
-            ["--show-config"],
-            is_flag=True,
-            expose_value=False,
-            help="Print the options that are in force, and where each comes from, and exit.",
-        ),
-    ]
+OPTIONS = group(
+    "Configuration",
+    """
+more:
+--config FILE
+    Take options from FILE. [default: msal.toml in the current folder, or in a parent within the
+    repository]
+--no-config
+    Read no configuration file.
+--show-config
+    Print the options that are in force, and where each comes from, and exit.
+""",
+    config={"type": None, "expose_value": False},
+    no_config={"expose_value": False},
+    show_config={"expose_value": False},
+)
+"""The options of every command that may be configured."""
 
 
 def parse_args(

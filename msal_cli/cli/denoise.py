@@ -5,21 +5,24 @@ from __future__ import annotations
 import logging
 import os
 import re
-import sys
 import time
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import click
-
-from msal_cli.cli import console, options
-from msal_cli.cli.command import command as grouped_command
+from msal_cli.cli import console, logs
+from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.config import options_of_found_file
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
-from msal_cli.cli.denoise_options import OPTIONS
-from msal_cli.cli.methods import list_defaults
-from msal_cli.cli.options import SHORTCUTS, STREAM, parse_assignment
+from msal_cli.cli.denoise_options import GROUPS
+from msal_cli.cli.methods import say_summary
+from msal_cli.cli.options import (
+    INPUTS,
+    SHORTCUTS,
+    STREAM,
+    check_threads_variable,
+    parse_assignment,
+)
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Settings, parse
 
@@ -31,20 +34,15 @@ if TYPE_CHECKING:
     from msal_cli.batch.schedule import EngineFactory, Event
     from msal_cli.cli.streams import Stream
     from msal_cli.job.records import MeshRecord
+    from msal_cli.job.settings import Limits
     from msal_cli.report.data import Run
     from msal_cli.report.gates import Gate
 
 _log = logging.getLogger("msal.denoise")
 
 
-@grouped_command(
-    "denoise",
-    epilog="Exit status: see msal --help.",
-)
-@options.INPUTS
-@OPTIONS
-@click.pass_context
-def command(context: click.Context, /, **given: Any) -> int:
+@grouped_command("denoise", *GROUPS, arguments=[INPUTS])
+def command(request: Request) -> int:
     """Denoise mesh files; nothing but positions changes.
 
     INPUT is a file, a folder (with all its subfolders), a pattern such as 'scans/*.ply', a URL such
@@ -54,37 +52,40 @@ def command(context: click.Context, /, **given: Any) -> int:
     properties, comments and the order of everything stay as they are. What an earlier run has
     finished is not done again.
     """
-    from msal_cli.cli import logs
+    with log_of(request):
+        return _Session(request).run()
 
-    found = options_of_found_file(context)
-    request = Request(**given, given=find_given(context), found=found)
-    with logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file):
-        return _Session(request, context.obj).run()
+
+def log_of(request: Request) -> AbstractContextManager[None]:
+    """The log while a command runs that has ``--quiet`` and ``--log-file``."""
+    return logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file)
+
+
+def read_limits(request: Request) -> Limits:
+    """What one file may take; UsageError for a number of threads that is none."""
+    from msal_cli.job.settings import Limits
+
+    check_threads_variable()
+    return Limits(request.timeout, request.memory_limit, request.max_faces, request.scratch)
 
 
 class _Session:
     """One call of the command: its request, and what its records are measured against."""
 
-    def __init__(self, request: Request, arguments: tuple[str, ...]) -> None:
-        from msal_cli.job.settings import Limits
+    def __init__(self, request: Request) -> None:
         from msal_cli.storage import urls
 
         self._request = request
         # For reports and manifests, without passwords.
-        self._command = ("msal", *map(urls.redact, arguments))
+        self._command = ("msal", *map(urls.redact, request.context.obj))
         self._clock = Clock()
-        self._limits = Limits(
-            request.timeout, request.memory_limit, request.max_faces, request.scratch
-        )
         self._stream: Stream | None = None
-        if options.STREAM in (*request.inputs, request.output):
+        if STREAM in (*request.inputs, request.output):
             from msal_cli.cli.streams import find_stream
 
             self._stream = find_stream(request.inputs, request.output)
         check_request(request, self._stream)
-        options.check_threads_variable()
-        # What a report must not replace, beside the meshes.
-        self._side_files = [path for path in (request.log_file, request.reference) if path]
+        self._limits = read_limits(request)
         self._gates: tuple[Gate, ...] = ()
         if request.fail_on:
             from msal_cli.job.records import MeshRecord
@@ -104,20 +105,18 @@ class _Session:
         return self._run_files(self._build_plan(settings), settings)
 
     def _build_plan(self, settings: Settings) -> Plan:
-        from msal_cli.batch import inputs, plan
+        from msal_cli.batch.inputs import discover_inputs
+        from msal_cli.batch.plan import select_shard
+        from msal_cli.batch.shard import parse_shard
 
         request = self._request
-        shard = None
-        if request.shard is not None:
-            from msal_cli.batch.shard import parse_shard
-
-            shard = parse_shard(request.shard, os.environ)
-        found = inputs.discover_inputs(
+        shard = None if request.shard is None else parse_shard(request.shard, os.environ)
+        found = discover_inputs(
             request.inputs, request.include, request.exclude, output=request.output
         )
         # Everything is checked first, so that each shard refuses what a whole run would.
         everything = plan_files(request, settings, found)
-        return everything if shard is None else plan.select_shard(everything, shard)
+        return everything if shard is None else select_shard(everything, shard)
 
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
         from dataclasses import replace
@@ -128,8 +127,7 @@ class _Session:
         request = self._request
         self._references = _find_references(request, ["-"])
         _refuse_found_targets(request, stream.target)
-        paths = [path for path in (stream.source, stream.target) if path != options.STREAM]
-        self._check_reports(paths)
+        self._check_reports([path for path in (stream.source, stream.target) if path != STREAM])
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
         try:
@@ -140,11 +138,13 @@ class _Session:
         return self._conclude(settings, [record])
 
     def _check_reports(self, paths: list[str]) -> None:
-        if self._request.reports or self._request.csv_columns:
+        """Refuse reports that would replace one of ``paths``, or another file of the run."""
+        request = self._request
+        if request.reports or request.csv_columns:
             from msal_cli.cli import report_files
 
-            taken = [*paths, *self._side_files]
-            report_files.check(self._request.reports, taken, self._request.csv_columns)
+            paths += [path for path in (request.log_file, request.reference) if path]
+            report_files.check(request.reports, paths, request.csv_columns)
 
     def _run_files(self, plan: Plan, settings: Settings) -> int:
         from msal_cli.batch import interrupts
@@ -166,14 +166,11 @@ class _Session:
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
         self._check_reports(paths)
-        names = [task.relative for task in plan.tasks]
-        self._references = _find_references(request, names)
+        self._references = _find_references(request, [task.relative for task in plan.tasks])
         finished: dict[int, MeshRecord] = {}
         _log.info("%s files, method %s %s", len(plan.tasks), settings.method, settings.parameters)
-        if plan.shard is not None and plan.whole is not None and not request.quiet:
-            console.say(
-                f"shard {plan.shard}: {len(plan.tasks):,} of {len(plan.whole.tasks):,} files"
-            )
+        if plan.shard is not None and not request.quiet:
+            console.say(f"shard {plan.shard}: {len(plan.tasks):,} of {len(tasks):,} files")
         bar = progress.bar(plan.tasks, quiet=request.quiet or request.dry_run, is_set=plan.is_set)
 
         def on_event(event: Event) -> None:
@@ -271,7 +268,9 @@ class _Session:
                         _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
         self._print(run, records)
         try:
-            if not is_dry and (request.reports or "GITHUB_ACTIONS" in os.environ):
+            if is_dry and request.reports:
+                console.say("dry run: no report is written")
+            elif not is_dry and (request.reports or "GITHUB_ACTIONS" in os.environ):
                 from msal_cli.cli import report_files
 
                 report_files.annotate(records)
@@ -284,8 +283,6 @@ class _Session:
                     without_pictures=interrupted,
                     quiet=request.quiet,
                 )
-            elif is_dry and request.reports:
-                console.say("dry run: no report is written")
         finally:
             if request.as_json:
                 console.put_bytes(data.render_json(run, records))
@@ -316,29 +313,15 @@ class _Session:
             console.say_lines(text.failures(records, verbose=False))
             console.say_lines(text.broken_gates(records, verbose=False))
         elif not is_listing:
-            console.say_lines(
-                text.summary(
-                    run,
-                    records,
-                    width=console.width(sys.stderr),
-                    verbose=request.verbose > 0,
-                    defaults=list_defaults(records),
-                )
-            )
+            say_summary(run, records, verbose=request.verbose > 0)
 
 
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
-class Request(SimpleNamespace):
-    """The command line of ``msal denoise``: a field for each of ``denoise_options``, and ``given``,
-    which is what ``conflicts.find_given`` found, and ``found``, of
-    ``config.options_of_found_file``."""
-
-
 def check_request(request: Request, stream: Stream | None) -> None:
     """Refuse options that do not go with each other, or with ``stream``; UsageError."""
-    given = dict(request.given)
+    given = find_given(request.context)
     if stream is not None:
         given["stream"] = STREAM
         if stream.target == STREAM:
@@ -371,14 +354,15 @@ def _refuse_found_targets(request: Request, output_file: str | None) -> None:
     """
     from msal_cli.cli.report_files import REPORT, refuse_target
 
+    found = options_of_found_file(request.context)
     is_stream = output_file == STREAM
     hint = "name it on the command line, or give --config msal.toml if you trust that file"
     is_file = output_file is not None and not is_stream
-    if is_file and "output" in request.found and os.path.lexists(str(output_file)):
+    if is_file and "output" in found and os.path.lexists(str(output_file)):
         raise UsageError(
             f"msal.toml names the output {output_file!r}, which is there already", hint=hint
         )
-    if "reports" not in request.found:
+    if "reports" not in found:
         return
     folder = None if is_stream else request.output
     if is_file:

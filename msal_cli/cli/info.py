@@ -3,57 +3,41 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-import click
-
-from msal_cli.cli import console, options
-from msal_cli.cli.command import MESSAGES, group
-from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.options import STREAM
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
+from msal_cli.cli.logs import with_log
+from msal_cli.cli.options import INPUTS, MESSAGES, STREAM, group, resolve_format
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord
-    from msal_cli.report.info import InfoTable
 
 
-@grouped_command("info", epilog="Exit status: see msal --help.")
-@options.INPUTS
-@group(
-    "Input and output",
-    options.FILES,
-    options.FORMAT,
-)
-@group(
-    "What to report",
-    options.CHECK,
-    click.option(
-        "--json",
-        "as_json",
-        is_flag=True,
-        help="Print one JSON document, for one file as for many: its records list holds the files.",
+@grouped_command(
+    "info",
+    group("Input and output", "--include\n--exclude\n--format\n"),
+    group(
+        "What to report",
+        """
+--check
+--json -> as_json
+    Print one JSON document, for one file as for many: its records list holds the files.
+""",
     ),
-)
-@group(
-    MESSAGES,
-    click.option(
-        "-v",
-        "--verbose",
-        count=True,
-        help="Show all that is known of each file, and more of what is done; -vv shows everything.",
+    group(
+        MESSAGES,
+        """
+-v, --verbose ...
+    Show all that is known of each file, and more of what is done; -vv shows everything.
+""",
     ),
+    arguments=[INPUTS],
 )
-def command(
-    inputs: tuple[str, ...],
-    include: tuple[str, ...],
-    exclude: tuple[str, ...],
-    format: str | None,
-    checks: tuple[str, ...],
-    as_json: bool,
-    verbose: int,
-) -> int:
+@with_log
+def command(request: Request) -> int:
     """Report what is in mesh files: format, counts, defects, size, volume, noise, and what is
     carried along.
 
@@ -62,65 +46,33 @@ def command(
 
     Lengths are in file units.
     """
-    from msal_cli.cli import logs
-    from msal_cli.report.info import InfoTable
+    from msal_cli.job.plain_data import as_data
+    from msal_cli.job.records import InfoRecord
+    from msal_cli.report.info import InfoTable, describe_info
 
-    with logs.log_to_console(verbose):
-        known = options.resolve_format(format)
-        paths = _find_paths(inputs, include, exclude)
-        records = _inspect(paths, known, with_intersections=bool(checks))
-        if as_json:
-            return _print_json(records)
-        is_table = len(paths) > 1 and not verbose
-        table = InfoTable(paths, console.width(sys.stdout)) if is_table else None
-        return _print_lines(records, table)
-
-
-def _find_paths(
-    inputs: tuple[str, ...], include: tuple[str, ...], exclude: tuple[str, ...]
-) -> tuple[str, ...]:
-    from msal_cli.batch.inputs import discover_inputs
-
-    if STREAM not in inputs:
-        return tuple(file.path for file in discover_inputs(inputs, include, exclude))
-    if len(inputs) > 1 or include or exclude:
-        raise UsageError(
-            "- must be the only input: standard input is one mesh", hint="give - and no other"
-        )
-    return inputs
-
-
-def _inspect(
-    paths: tuple[str, ...], format: str | None, *, with_intersections: bool
-) -> Iterator[InfoRecord]:
-    from msal_cli.cli.streams import read_stream
-    from msal_cli.job import inspection
-
-    for path in paths:
-        data = read_stream() if path == STREAM else None
-        yield inspection.inspect_file(
-            path, format, data=data, with_intersections=with_intersections
-        )
-
-
-def _print_lines(records: Iterator[InfoRecord], table: InfoTable | None) -> int:
-    """Print each file as soon as it is known, as a row of ``table`` if there is one, failures to
-    standard error; the exit status."""
-    from msal_cli.report.info import describe_info
-
+    request.format = resolve_format(request.format)
+    paths = _find_paths(request)
+    records: Iterable[InfoRecord] = _inspect(paths, request)
+    table = None
+    if request.as_json:
+        records = list(records)
+        console.put_json(InfoRecord.schema, records=[as_data(record) for record in records])
+    elif len(paths) > 1 and not request.verbose:
+        table = InfoTable(paths, console.width(sys.stdout))
     n_printed = n_failed = 0
+    # Each file is printed as soon as it is known.
     for record in records:
         if record.error is not None:
             n_failed += 1
             console.say_failure(record.input, record.error)
             continue
-        if table is None:
-            console.put("\n" if n_printed else "")
-            console.put_lines(describe_info(record))
-        else:
+        if table is not None:
             console.put_lines(
                 [table.row(record)] if n_printed else [table.head(), table.row(record)]
             )
+        elif not request.as_json:
+            console.put("\n" if n_printed else "")
+            console.put_lines(describe_info(record))
         n_printed += 1
         console.flush()
     if table is not None and n_printed:
@@ -128,16 +80,25 @@ def _print_lines(records: Iterator[InfoRecord], table: InfoTable | None) -> int:
     return console.status_of_files(n_printed + n_failed, n_failed)
 
 
-def _print_json(records: Iterator[InfoRecord]) -> int:
-    """Print the document; the exit status."""
-    from msal_cli.job.plain_data import as_data
-    from msal_cli.job.records import InfoRecord
+def _find_paths(request: Request) -> tuple[str, ...]:
+    from msal_cli.batch.inputs import discover_inputs
 
-    everything = list(records)
-    console.put_json(InfoRecord.schema, records=[as_data(record) for record in everything])
-    n_failed = 0
-    for record in everything:
-        if record.error is not None:
-            n_failed += 1
-            console.say_failure(record.input, record.error)
-    return console.status_of_files(len(everything), n_failed)
+    inputs: tuple[str, ...] = request.inputs
+    patterns = request.include, request.exclude
+    if STREAM not in inputs:
+        return tuple(file.path for file in discover_inputs(inputs, *patterns))
+    if len(inputs) > 1 or any(patterns):
+        raise UsageError(
+            "- must be the only input: standard input is one mesh", hint="give - and no other"
+        )
+    return inputs
+
+
+def _inspect(paths: tuple[str, ...], request: Request) -> Iterator[InfoRecord]:
+    from msal_cli.cli.streams import read_stream
+    from msal_cli.job.inspection import inspect_file
+
+    is_checked = bool(request.checks)
+    for path in paths:
+        data = read_stream() if path == STREAM else None
+        yield inspect_file(path, request.format, data=data, with_intersections=is_checked)

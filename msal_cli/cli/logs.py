@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
 import click
 
 from msal_cli.cli import console
+from msal_cli.cli.command import Request
 from msal_cli.errors import MsalError, UsageError
 
 logger = logging.getLogger("msal")
@@ -43,6 +45,17 @@ def log_to_console(verbosity: int, log_file: str | None = None) -> Iterator[None
         for handler in handlers:
             logger.removeHandler(handler)
             handler.close()
+
+
+def with_log(function: Callable[[Request], int]) -> Callable[[Request], int]:
+    """A command that sends the log to the console, as much of it as ``-v`` asks for."""
+
+    @functools.wraps(function)
+    def run(request: Request) -> int:
+        with log_to_console(request.verbose):
+            return function(request)
+
+    return run
 
 
 class _ConsoleHandler(logging.Handler):

@@ -2,43 +2,48 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, options
-from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.command import group
-from msal_cli.cli.options import SHORTCUTS
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
+from msal_cli.cli.options import SHORTCUTS, complete_method, group
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from msal_cli.job.records import MeshRecord
-    from msal_cli.methods import Method, ParameterSpec
+    from msal_cli.methods import Method
+    from msal_cli.report.data import Run
 
 SCHEMA = "msal.methods/1"
 
 
-@grouped_command("methods", configurable=False)
-@click.argument("name", metavar="[NAME]", required=False, shell_complete=options.complete_method)
-@group(
-    "Reports",
-    click.option("--json", "as_json", is_flag=True, help="Print everything as one JSON document."),
+@grouped_command(
+    "methods",
+    group("Reports", "--json -> as_json\n    Print everything as one JSON document.\n"),
+    arguments=[
+        click.Argument(["name"], metavar="[NAME]", required=False, shell_complete=complete_method)
+    ],
+    configurable=False,
+    epilog="",
 )
-def command(name: str | None, as_json: bool) -> int:
+def command(request: Request) -> int:
     """List the methods, or explain the one called NAME."""
     from msal_cli import methods
 
-    chosen = [methods.find(word) for word in ((name,) if name else methods.names())]
-    if as_json:
+    names = (request.name,) if request.name else methods.names()
+    chosen = [methods.find(name) for name in names]
+    if request.as_json:
         _print_json(chosen)
-    elif name:
-        console.put("\n".join(_page(chosen[0])) + "\n")
-    else:
-        console.put("\n".join(_table(chosen)) + "\n")
+        return console.SUCCESS
+    lines = _page(chosen[0]) if request.name else _table(chosen)
+    console.put("\n".join(lines) + "\n")
     return console.SUCCESS
 
 
@@ -67,29 +72,29 @@ def _page(method: Method) -> Iterator[str]:
 
 
 def _print_json(chosen: list[Method]) -> None:
-    names = ("name", "summary", "description", "source")
-    methods = [
-        {name: getattr(method, name) for name in names}
-        | {"parameters": [_describe_parameter(spec) for spec in method.parameters]}
-        for method in chosen
-    ]
+    of_method = ("name", "summary", "description", "source")
+    of_range = ("low", "high", "low_open", "high_open", "choices", "unit")
+    of_parameter = ("name", "symbol", "kind", "default", *of_range, "help", "more")
+    methods = []
+    for method in chosen:
+        data = {name: getattr(method, name) for name in of_method}
+        data["parameters"] = [
+            {name: getattr(spec, name) for name in of_parameter} | {"kind": spec.kind.__name__}
+            for spec in method.parameters
+        ]
+        methods.append(data)
     console.put_json(SCHEMA, methods=methods)
 
 
-def _describe_parameter(spec: ParameterSpec) -> dict[str, Any]:
-    names = ("name", "symbol", "kind", "default", "low", "high", "low_open", "high_open")
-    data = {name: getattr(spec, name) for name in (*names, "choices", "unit", "help", "more")}
-    return data | {"kind": spec.kind.__name__}
-
-
-def list_defaults(records: Sequence[MeshRecord]) -> dict[str, Any]:
-    """The default parameters of the method of a single record; none of a method of another
-    version of msal, and none for several records."""
-    if len(records) != 1 or records[0].method is None:
-        return {}
+def say_summary(run: Run, records: Sequence[MeshRecord], *, verbose: bool) -> None:
+    """The summary of a run to standard error; of a single file with what differs from the defaults
+    of its method, if this version of msal has that."""
     from msal_cli import methods
+    from msal_cli.report import text
 
-    try:
-        return methods.find(records[0].method.name).validate({})
-    except UsageError:
-        return {}
+    defaults: dict[str, Any] = {}
+    if len(records) == 1 and records[0].method is not None:
+        with suppress(UsageError):
+            defaults = methods.find(records[0].method.name).validate({})
+    width = console.width(sys.stderr)
+    console.say_lines(text.summary(run, records, width=width, verbose=verbose, defaults=defaults))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console, options
-from msal_cli.cli.command import MESSAGES, MORE, group
-from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.options import STREAM
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
+from msal_cli.cli.logs import with_log
+from msal_cli.cli.options import INPUTS, QUIET_AND_VERBOSE, STREAM, group, number, resolve_format
 from msal_cli.errors import MsalError, ResourceError, UsageError
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
-    from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.job.output import MadeFile
 
 # Those of added_noise.KINDS, whose module imports numpy; a test compares them.
@@ -37,6 +36,60 @@ _KINDS = (
 
 @grouped_command(
     "noise",
+    group(
+        "Input and output",
+        """
+-o, --output OUT
+    A file for one input, or a folder, which gets a mirrored tree. - is standard output, the
+    default when INPUT is -.
+more:
+--force
+--format
+""",
+    ),
+    group(
+        "Noise",
+        """
+--kind KIND = gaussian-normal
+    What kind of noise; gaussian-normal: along the vertex normals; gaussian: in each coordinate;
+    uniform: in each coordinate, from -level to +level; mixed: along the normals and as much across
+    them; impulsive: at a fraction of the vertices; correlated: shared by neighbours; view: along
+    --direction; quantised: along --direction, with depths in steps; grazing: along --direction,
+    stronger at grazing angles; half: on one half of the mesh; ramp: growing from one end of the
+    mesh to the other; property: in proportion to a vertex property; outliers: a fraction of the
+    vertices far off the surface.
+--level NUMBER = 0.2
+    Standard deviation in mean edge lengths; of uniform noise, the largest move of a coordinate.
+--seed N = 0
+    The same number gives the same noise, for each file.
+more:
+--fraction NUMBER
+    Share of the vertices that impulsive noise or outliers move. [default: 0.1]
+--rings N
+    How often noise is averaged over one-rings, so that neighbours share it; the level stays.
+    [default: 2 for correlated, else 0]
+--direction X,Y,Z
+    Direction of the view; for half and ramp, where there is more noise. Three numbers, or an axis
+    such as -y. [default: z]
+--step NUMBER
+    Step of quantised depths in mean edge lengths. [default: 0.5]
+--border NUMBER
+    With --kind half: width over which the noise begins, as a share of the mesh's extent.
+    [default: 0, sharp]
+--property NAME
+    With --kind property: vertex property of a PLY file that multiplies the noise.
+""",
+        kind=click.Choice(_KINDS),
+        level=number(0.0, 1000.0, "e"),
+        seed=click.IntRange(min=0),
+        fraction=number(0.0, 1.0),
+        rings=click.IntRange(min=0),
+        step=number(1e-9, 1000.0, "e"),
+        border=number(0.0, 1.0),
+    ),
+    group("Many files", "--include\n--exclude\n"),
+    QUIET_AND_VERBOSE,
+    arguments=[INPUTS],
     epilog="""\b
 Examples:
   msal noise clean.ply -o noisy.ply --kind gaussian-normal --level 0.2 --seed 7
@@ -45,113 +98,8 @@ Examples:
 \b
 Exit status: see msal --help.""",
 )
-@options.INPUTS
-@group(
-    "Input and output",
-    click.option(
-        "-o",
-        "--output",
-        metavar="OUT",
-        type=options.PATH,
-        help="A file for one input, or a folder, which gets a mirrored tree. - is standard "
-        "output, the default when INPUT is -.",
-    ),
-    MORE,
-    options.FORCE,
-    options.FORMAT,
-)
-@group(
-    "Noise",
-    click.option(
-        "--kind",
-        type=click.Choice(_KINDS),
-        metavar="KIND",
-        default="gaussian-normal",
-        show_default=True,
-        help="What kind of noise; gaussian-normal: along the vertex normals; gaussian: in each "
-        "coordinate; uniform: in each coordinate, from -level to +level; mixed: along the normals "
-        "and as much across them; impulsive: at a fraction of the vertices; correlated: shared by "
-        "neighbours; view: along --direction; quantised: along --direction, with depths in steps; "
-        "grazing: along --direction, stronger at grazing angles; half: on one half of the mesh; "
-        "ramp: growing from one end of the mesh to the other; property: in proportion to a vertex "
-        "property; outliers: a fraction of the vertices far off the surface.",
-    ),
-    click.option(
-        "--level",
-        metavar="NUMBER",
-        default="0.2",
-        show_default=True,
-        type=options.number(0.0, 1000.0, "e"),
-        help="Standard deviation in mean edge lengths; of uniform noise, the largest move of a "
-        "coordinate.",
-    ),
-    click.option(
-        "--seed",
-        metavar="N",
-        default=0,
-        show_default=True,
-        type=click.IntRange(min=0),
-        help="The same number gives the same noise, for each file.",
-    ),
-    MORE,
-    click.option(
-        "--fraction",
-        metavar="NUMBER",
-        type=options.number(0.0, 1.0),
-        help="Share of the vertices that impulsive noise or outliers move.  [default: 0.1]",
-    ),
-    click.option(
-        "--rings",
-        metavar="N",
-        type=click.IntRange(min=0),
-        help="How often noise is averaged over one-rings, so that neighbours share it; the level "
-        "stays.  [default: 2 for correlated, else 0]",
-    ),
-    click.option(
-        "--direction",
-        metavar="X,Y,Z",
-        type=options.parse_direction,
-        help="Direction of the view; for half and ramp, where there is more noise. Three numbers, "
-        "or an axis such as -y.  [default: z]",
-    ),
-    click.option(
-        "--step",
-        metavar="NUMBER",
-        type=options.number(1e-9, 1000.0, "e"),
-        help="Step of quantised depths in mean edge lengths.  [default: 0.5]",
-    ),
-    click.option(
-        "--border",
-        metavar="NUMBER",
-        type=options.number(0.0, 1.0),
-        help="With --kind half: width over which the noise begins, as a share of the mesh's "
-        "extent.  [default: 0, sharp]",
-    ),
-    click.option(
-        "--property",
-        metavar="NAME",
-        help="With --kind property: vertex property of a PLY file that multiplies the noise.",
-    ),
-)
-@group(
-    "Many files",
-    options.FILES,
-)
-@group(
-    MESSAGES,
-    options.QUIET,
-    options.verbose,
-)
-def command(
-    inputs: tuple[str, ...],
-    output: str | None,
-    include: tuple[str, ...],
-    exclude: tuple[str, ...],
-    format: str | None,
-    force: bool,
-    quiet: bool,
-    **settings: Any,
-) -> int:
+@with_log
+def command(request: Request) -> int:
     """Add a known amount of noise to meshes, and keep everything else in their files.
 
     INPUT is a file, a folder, a pattern, or - for standard input. Vertices at one place stay
@@ -159,24 +107,19 @@ def command(
     """
     import os
 
-    from msal_cli.batch import interrupts, plan
+    from msal_cli.batch import interrupts
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.display_names import escape_for_display
     from msal_cli.report.facts import file_name
 
-    format = options.resolve_format(format)
-    noise = _build_noise(**settings)
-    found = _find_inputs(inputs, include, exclude, output)
-    if found is None:
-        targets = [(inputs[0], output or STREAM)]
-    else:
-        tasks = plan.build_plan(found, output, force=force).tasks
-        targets = [(task.input, task.output) for task in tasks]
+    format = resolve_format(request.format)
+    noise = _build_noise(request)
+    targets = _find_targets(request)
     for _, path in targets:
         if path == STREAM:
             continue
         refuse_target(path, "the output", replaces="")
-        if not force and os.path.lexists(path):
+        if not request.force and os.path.lexists(path):
             raise UsageError(
                 f"the output {path!r} is there already",
                 hint="give it another name, or --force to replace it",
@@ -194,7 +137,7 @@ def command(
             error.path = error.path or source
             console.say_error(error)
             continue
-        if not quiet:
+        if not request.quiet:
             name = file_name(path)
             console.say(f"{name}: {escape_for_display(made.description)}")
             for warning in made.warnings:
@@ -202,21 +145,26 @@ def command(
     return console.status_of_files(len(targets), n_failed)
 
 
-def _find_inputs(
-    inputs: tuple[str, ...], include: tuple[str, ...], exclude: tuple[str, ...], output: str | None
-) -> tuple[DiscoveredInput, ...] | None:
-    """The files to work on; None if one mesh comes or goes through a standard stream."""
+def _find_targets(request: Request) -> list[tuple[str, str]]:
+    """Each input with its output; one of a single pair may be a standard stream."""
     from msal_cli.batch.inputs import discover_inputs
+    from msal_cli.batch.plan import build_plan
     from msal_cli.cli.streams import find_stream
 
-    if STREAM not in (*inputs, output):
-        if output is None:
-            raise UsageError("there is no output", hint="name a file or a folder with -o")
-        return discover_inputs(inputs, include, exclude, output=output)
-    find_stream(inputs, output)
-    if include or exclude:
-        raise UsageError("--include and --exclude are for files, not for standard input or output")
-    return None
+    inputs, output = request.inputs, request.output
+    patterns = request.include, request.exclude
+    if STREAM in (*inputs, output):
+        stream = find_stream(inputs, output)
+        if any(patterns):
+            raise UsageError(
+                "--include and --exclude are for files, not for standard input or output"
+            )
+        return [(stream.source, stream.target)]
+    if output is None:
+        raise UsageError("there is no output", hint="name a file or a folder with -o")
+    found = discover_inputs(inputs, *patterns, output=output)
+    tasks = build_plan(found, output, force=request.force).tasks
+    return [(task.input, task.output) for task in tasks]
 
 
 def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | None) -> MadeFile:
@@ -239,14 +187,15 @@ def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | No
     return made
 
 
-def _build_noise(kind: str, level: float, seed: int, **settings: Any) -> AddedNoise:
+def _build_noise(request: Request) -> AddedNoise:
     """The noise; UsageError for a setting that the kind does not use."""
     from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
 
-    given = {name: value for name, value in settings.items() if value is not None}
-    refuse_unused(kind, given, "--")
-    if kind == "property" and not given.get("property"):
+    names = ("fraction", "rings", "direction", "step", "border", "property")
+    given = {name: value for name in names if (value := getattr(request, name)) is not None}
+    refuse_unused(request.kind, given, "--")
+    if request.kind == "property" and not request.property:
         raise UsageError(
             "--kind property needs --property NAME", hint="msal info lists a file's properties"
         )
-    return AddedNoise(kind, level, seed, **given)
+    return AddedNoise(request.kind, request.level, request.seed, **given)

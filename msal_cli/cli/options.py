@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import math
 import os
 import re
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import click
 
@@ -194,97 +193,139 @@ def complete_method(
 
 # Options.
 
-Decorator = Callable[[Any], Any]
+_TYPES: dict[str, Any] = {
+    **dict.fromkeys(("OUT", "OUT.png", "FILE", "FILE.ply", "FOLDER", "TRUTH", "REPORT.json"), PATH),
+    "DEGREES": number(-360.0, 360.0),
+    "N|auto": parse_jobs,
+    "NAME,...": parse_list,
+    "PERCENT": parse_percentage,
+    "SIZE": parse_size,
+    "TIME": parse_duration,
+    "X,Y,Z": parse_direction,
+}
+"""The types of values, by what help calls these."""
+
+_HEAD = r"(-[^\s,]+(?:, -\S+)*)(?: (?!\.\.\.|=|->)(\S+))?( \.\.\.)?(?: = (\S+))?(?: -> (\w+))?"
 
 
-def combine(*options: Decorator) -> Decorator:
-    """One decorator for several options, which help shows in this order."""
-
-    def decorate(command: Any) -> Any:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return decorate
+MESSAGES = "Messages and help"
+"""The group that ``-h`` and ``--help-all`` belong to."""
 
 
-INPUTS = click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=PATH)
+class OptionGroup(NamedTuple):
+    """Options that help shows together: those that most people need, and those that only
+    ``--help-all`` shows."""
 
-FORMAT = click.option(
-    "--format",
-    "format",
-    metavar="FORMAT",
-    help="Format of the input files, where neither their names nor their content show it.",
-)
-
-FILES = combine(
-    click.option(
-        "--include",
-        metavar="PATTERN",
-        multiple=True,
-        help="Take only files that match, such as '*.ply'; by path or name. Repeatable.",
-    ),
-    click.option(
-        "--exclude",
-        metavar="PATTERN",
-        multiple=True,
-        help="Leave out files or folders that match. Repeatable; wins over --include.",
-    ),
-)
-
-UNIT = click.option(
-    "--unit",
-    type=click.Choice(tuple(METRES)),
-    metavar="UNIT",
-    help="What the numbers in the files are: mm, m, in, ... Then lengths may have a unit (0.01mm).",
-)
-
-CHECK = click.option(
-    "--check",
-    "checks",
-    type=click.Choice((SELF_INTERSECTIONS,)),
-    multiple=True,
-    help="Count the faces that intersect each other, too: a second for 100,000 faces.",
-)
-
-METHOD_PARAMETER = click.option(
-    "--set",
-    "assignments",
-    metavar="NAME=VALUE",
-    multiple=True,
-    help="Any parameter of the method; `msal methods NAME` lists them. Repeatable.",
-)
-
-FORCE = click.option(
-    "--force", is_flag=True, help="Replace files in OUT that no msal denoise wrote."
-)
-
-JSON_REPORT = click.option(
-    "--json", "as_json", is_flag=True, help="Print the JSON report to standard output."
-)
-
-CSV_COLUMNS = click.option(
-    "--csv-columns",
-    type=click.Choice(["common", "all"]),
-    help="Columns of reports in .csv: those that people sort and filter by, or every figure.  "
-    "[default: common]",
-)
-
-QUIET = click.option("-q", "--quiet", is_flag=True, help="No progress and no summary; only errors.")
+    title: str
+    common: tuple[click.Option, ...]
+    more: tuple[click.Option, ...]
 
 
-def verbose(function: Callable[..., int]) -> Callable[..., int]:
-    """``-v``, and a log of that level while the command runs, which does not get the option."""
-
-    @functools.wraps(function)
-    def run(*arguments: Any, verbose: int, **options: Any) -> int:
-        from msal_cli.cli import logs
-
-        with logs.log_to_console(verbose):
-            return function(*arguments, **options)
-
-    option: Callable[[Any], Any] = click.option(
-        "-v", "--verbose", count=True, help="Show more of what is done; -vv shows everything."
+def group(title: str, text: str, **settings: Any) -> OptionGroup:
+    """The options that ``text`` describes; those after a line ``more:`` are not common."""
+    common, _, more = text.partition("more:\n")
+    return OptionGroup(
+        title, tuple(parse_options(common, settings)), tuple(parse_options(more, settings))
     )
-    decorated: Callable[..., int] = option(run)
-    return decorated
+
+
+def parse_options(text: str, settings: dict[str, Any]) -> Iterator[click.Option]:
+    """Options as help describes them: a line each, and below it, indented, the help.
+
+    ``-o, --output OUT = DEFAULT -> name`` is an option whose parameter has another name; without
+    ``OUT`` it is a flag.  ``[a|b]`` is one of these words, and with ``...`` the option may be
+    repeated.  One without help is that of ``_SHARED``.  ``settings`` are by parameter: a type, or a
+    mapping of what ``click.Option`` takes.
+    """
+    for entry in re.findall(r"^-.*\n(?: .*\n)*", text, re.MULTILINE):
+        head, *lines = entry.splitlines()
+        if not lines:
+            yield SHARED[head]
+            continue
+        match = re.fullmatch(_HEAD, head)
+        assert match is not None, head
+        flags, metavar, repeats, default, name = match.groups()
+        words = " ".join(line.strip() for line in lines)
+        more: dict[str, Any] = {"help": re.sub(r" +\[default", "  [default", words)}
+        if metavar is None:
+            more["count" if repeats else "is_flag"] = True
+        elif metavar.startswith("["):
+            more["type"] = click.Choice(metavar[1:-1].split("|"))
+        else:
+            more |= {"metavar": metavar, "type": _TYPES.get(metavar)}
+        if metavar and repeats:
+            more["multiple"] = True
+        if default is not None:
+            more["default"] = int(default) if default.isdigit() else default
+            more["show_default"] = True
+        names = flags.split(", ")
+        name = name or names[-1].partition("/")[0].lstrip("-").replace("-", "_")
+        given = settings.get(name, {})
+        yield click.Option(
+            [*names, name], **more | (given if isinstance(given, dict) else {"type": given})
+        )
+
+
+_SHARED = f"""
+--include PATTERN ...
+    Take only files that match, such as '*.ply'; by path or name. Repeatable.
+--exclude PATTERN ...
+    Leave out files or folders that match. Repeatable; wins over --include.
+--format FORMAT
+    Format of the input files, where neither their names nor their content show it.
+--unit UNIT
+    What the numbers in the files are: mm, m, in, ... Then lengths may have a unit (0.01mm).
+--check [{SELF_INTERSECTIONS}] ... -> checks
+    Count the faces that intersect each other, too: a second for 100,000 faces.
+--set NAME=VALUE ... -> assignments
+    Any parameter of the method; `msal methods NAME` lists them. Repeatable.
+--force
+    Replace files in OUT that no msal denoise wrote.
+--json -> as_json
+    Print the JSON report to standard output.
+--csv-columns [common|all]
+    Columns of reports in .csv: those that people sort and filter by, or every figure.
+    [default: common]
+--fields NAME,...
+    Write lambda, sigma, noise, displacement or curvature of every vertex to a PLY beside each
+    output (scan.fields.ply): properties, and the first one as colours too.
+-j, --jobs N|auto = auto
+    Files at the same time; more is faster and takes more memory. auto is one per core, as far as
+    memory allows. The results do not depend on it.
+--fresh
+    Denoise again what an earlier run has done already.
+--retry-failed
+    Try again what failed in an earlier run and would fail again.
+--timeout TIME
+    Most time for one file: seconds, or 90s, 5m, 1h. [default: none]
+--memory-limit SIZE
+    Most memory for one file and for each worker: 500M, 2G, 1.5GiB. [default: none]
+--max-faces N
+    Refuse files with more faces. [default: none]
+--retries N
+    How often a file is tried again, alone, that was lost to a crash, memory or time. [default: 1]
+--fail-fast
+    Begin no more files once one has failed.
+--max-failures N
+    Begin no more files once N have failed. [default: none]
+-q, --quiet
+    No progress and no summary; only errors.
+-v, --verbose ...
+    Show more of what is done; -vv shows everything.
+"""
+
+SHARED: dict[str, click.Option] = {}
+for _option in parse_options(
+    _SHARED,
+    {
+        "unit": click.Choice(tuple(METRES)),
+        "max_faces": click.IntRange(min=1),
+        "retries": click.IntRange(min=0),
+        "max_failures": click.IntRange(min=1),
+    },
+):
+    SHARED[_option.opts[-1]] = _option
+
+QUIET_AND_VERBOSE = group(MESSAGES, "--quiet\n--verbose\n")
+
+INPUTS = click.Argument(["inputs"], metavar="INPUT...", nargs=-1, required=True, type=PATH)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from msal_cli.cli import console, options
-from msal_cli.cli.command import MESSAGES, group
-from msal_cli.cli.command import command as grouped_command
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
-from msal_cli.cli.methods import list_defaults
+from msal_cli.cli.methods import say_summary
+from msal_cli.cli.options import MESSAGES, PATH, group
 from msal_cli.errors import InputError, UsageError
 from msal_cli.report.data import Run
 from msal_cli.storage.urls import is_url
@@ -25,59 +24,33 @@ if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
 
 
-@grouped_command("report", epilog="Exit status: see msal --help.")
-@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=options.PATH)
-@group(
-    "Reports",
-    click.option(
-        "-o",
-        "--output",
-        "outputs",
-        metavar="FILE",
-        multiple=True,
-        type=options.PATH,
-        help="Write a record of every file, in the format of the suffix; see --report of msal "
-        "denoise. Repeatable.",
+@grouped_command(
+    "report",
+    group(
+        "Reports",
+        """
+-o, --output FILE ... -> outputs
+    Write a record of every file, in the format of the suffix; see --report of msal denoise.
+    Repeatable.
+--json
+--csv-columns
+""",
     ),
-    options.JSON_REPORT,
-    options.CSV_COLUMNS,
-)
-@group(
-    "Gates",
-    click.option(
-        "--fail-on",
-        metavar="EXPR",
-        multiple=True,
-        help="As in msal denoise: exit with 4 if this is so for any file; implies --check. "
-        "Repeatable.",
+    group(
+        "Gates",
+        """
+--fail-on EXPR ...
+    As in msal denoise: exit with 4 if this is so for any file; implies --check. Repeatable.
+--unit
+--check
+    Exit with 1 if all files failed, 3 if some failed or are not finished, 4 if a gate in the
+    report is broken.
+""",
     ),
-    options.UNIT,
-    click.option(
-        "--check",
-        is_flag=True,
-        help="Exit with 1 if all files failed, 3 if some failed or are not finished, 4 if a gate "
-        "in the report is broken.",
-    ),
+    group(MESSAGES, "--quiet\n-v, --verbose ...\n    List every file.\n"),
+    arguments=[click.Argument(["runs"], metavar="RUN...", nargs=-1, required=True, type=PATH)],
 )
-@group(
-    MESSAGES,
-    options.QUIET,
-    click.option("-v", "--verbose", count=True, help="List every file."),
-)
-@click.pass_context
-def command(
-    context: click.Context,
-    /,
-    runs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    fail_on: tuple[str, ...],
-    unit: str | None,
-    as_json: bool,
-    csv_columns: str | None,
-    check: bool,
-    quiet: bool,
-    verbose: int,
-) -> int:
+def command(request: Request) -> int:
     """Report what earlier runs did, shards and reruns together, each file once.
 
     RUN is an output folder or its URL, a manifest in it, or a report in .json or .jsonl. Of several
@@ -91,41 +64,34 @@ def command(
     from msal_cli.report import data, text
     from msal_cli.report.gates import parse_gates, refuse_without_reference, with_gates
 
-    refuse_conflicts(find_given(context))
+    refuse_conflicts(find_given(request.context))
+    outputs, quiet, csv_columns = request.outputs, request.quiet, request.csv_columns
     # Checked before a large folder is read.
     report_files.check(outputs, (), csv_columns)
-    gates = parse_gates(fail_on, MeshRecord, unit)
-    account = summarize(runs)
+    gates = parse_gates(request.fail_on, MeshRecord, request.unit)
+    account = summarize(request.runs)
     done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
-    account = replace(account, records=tuple(with_gates(gates, account.records)))
-    meshes = [path for record in account.records for path in (record.input, record.output) if path]
+    run, records = account.run, tuple(with_gates(gates, account.records))
+    account = replace(account, records=records)
+    meshes = [path for record in records for path in (record.input, record.output) if path]
     report_files.check(outputs, [*account.paths, *meshes])
     if not quiet:
-        console.say_lines(
-            text.summary(
-                account.run,
-                account.records,
-                width=console.width(sys.stderr),
-                verbose=verbose > 0,
-                defaults=list_defaults(account.records),
-            )
-        )
-    elif fail_on:
-        console.say_lines(text.broken_gates(account.records, verbose=False))
+        say_summary(run, records, verbose=request.verbose > 0)
+    elif request.fail_on:
+        console.say_lines(text.broken_gates(records, verbose=False))
     for remark in account.remarks:
         console.say(remark, "bad")
-    if check or gates:
-        report_files.annotate(account.records)
+    is_checked = request.check or bool(gates)
+    if is_checked:
+        report_files.annotate(records)
     try:
-        report_files.write(
-            outputs, account.run, account.records, csv_columns=csv_columns, quiet=quiet
-        )
+        report_files.write(outputs, run, records, csv_columns=csv_columns, quiet=quiet)
     finally:
-        if as_json:
-            console.put_bytes(data.render_json(account.run, account.records))
-    return _exit_status(account) if check or gates else console.SUCCESS
+        if request.as_json:
+            console.put_bytes(data.render_json(run, records))
+    return _exit_status(account) if is_checked else console.SUCCESS
 
 
 def _exit_status(account: RunSummary) -> int:

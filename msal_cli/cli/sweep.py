@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING
 import click
 
 from msal_cli.cli import console, options
-from msal_cli.cli.command import MESSAGES, MORE, group
-from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.options import STREAM
-from msal_cli.cli.view import view_options
+from msal_cli.cli.command import Request, grouped_command
+from msal_cli.cli.logs import with_log
+from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, complete_method, group
+from msal_cli.cli.view import make_view_group, read_view
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.auto.risk import Filter
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Mesh
-    from msal_cli.view.pictures import View
     from msal_cli.view.sweep import Cell, Grid, Subject
 
 SCHEMA = "msal.sweep/1"
@@ -30,6 +29,34 @@ SCHEMA = "msal.sweep/1"
 
 @grouped_command(
     "sweep",
+    group(
+        "Input and output",
+        "-o, --output OUT.png\n    The picture to write.\nmore:\n--format\n",
+        output={"required": True},
+    ),
+    group(
+        "What to try",
+        """
+--method NAME = msal
+    How to denoise; `msal methods` lists them.
+--rows NAME=VALUE,...
+    A parameter and its values from top to bottom. With neither --rows nor --columns:
+    iterations=1,2,4,8.
+--columns NAME=VALUE,...
+    A parameter and its values from left to right. With neither: K=0.25,0.5,0.75,1, if the method
+    has it.
+--set NAME=VALUE ... -> assignments
+    A parameter that is the same in all cells. Repeatable.
+--reference TRUTH
+    The clean mesh, with the same faces: adds the mean angle between face normals, and marks the
+    cell where it is least.
+""",
+        method={"shell_complete": complete_method},
+    ),
+    make_view_group(360),
+    group("Reports", "--json -> as_json\n    Print the numbers as one JSON document.\n"),
+    QUIET_AND_VERBOSE,
+    arguments=[click.Argument(["source"], metavar="FILE", type=PATH)],
     epilog="""\b
 Examples:
   msal sweep scan.ply -o grid.png
@@ -38,80 +65,8 @@ Examples:
 \b
 Exit status: see msal --help.""",
 )
-@click.argument("source", metavar="FILE", type=options.PATH)
-@group(
-    "Input and output",
-    click.option(
-        "-o",
-        "--output",
-        metavar="OUT.png",
-        required=True,
-        type=options.PATH,
-        help="The picture to write.",
-    ),
-    MORE,
-    options.FORMAT,
-)
-@group(
-    "What to try",
-    click.option(
-        "--method",
-        metavar="NAME",
-        default="msal",
-        show_default=True,
-        shell_complete=options.complete_method,
-        help="How to denoise; `msal methods` lists them.",
-    ),
-    click.option(
-        "--rows",
-        metavar="NAME=VALUE,...",
-        help="A parameter and its values from top to bottom. With neither --rows nor --columns: "
-        "iterations=1,2,4,8.",
-    ),
-    click.option(
-        "--columns",
-        metavar="NAME=VALUE,...",
-        help="A parameter and its values from left to right. With neither: K=0.25,0.5,0.75,1, if "
-        "the method has it.",
-    ),
-    click.option(
-        "--set",
-        "assignments",
-        metavar="NAME=VALUE",
-        multiple=True,
-        help="A parameter that is the same in all cells. Repeatable.",
-    ),
-    click.option(
-        "--reference",
-        metavar="TRUTH",
-        type=options.PATH,
-        help="The clean mesh, with the same faces: adds the mean angle between face normals, and "
-        "marks the cell where it is least.",
-    ),
-)
-@view_options(360)
-@group(
-    "Reports",
-    click.option("--json", "as_json", is_flag=True, help="Print the numbers as one JSON document."),
-)
-@group(
-    MESSAGES,
-    options.QUIET,
-    options.verbose,
-)
-def command(
-    source: str,
-    output: str,
-    method: str,
-    rows: str | None,
-    columns: str | None,
-    assignments: tuple[str, ...],
-    reference: str | None,
-    view: View,
-    format: str | None,
-    as_json: bool,
-    quiet: bool,
-) -> int:
+@with_log
+def command(request: Request) -> int:
     """Denoise FILE with every pair of values of two parameters, by the plain command and by --auto,
     and show all results beside it.
 
@@ -127,15 +82,17 @@ def command(
     from msal_cli.view import sweep
     from msal_cli.view.panels import png_bytes
 
+    source, output, reference = request.source, request.output, request.reference
+    view = read_view(request)
     if os.path.splitext(output)[1].lower() != ".png":
         raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
     if STREAM in (source, reference):
         raise UsageError("FILE is a file", hint="write the stream to a file first")
     refuse_target(output, "the picture", [source] if reference is None else [source, reference])
-    format = options.resolve_format(format)
+    format = options.resolve_format(request.format)
     options.check_threads_variable()
-    fixed = _parse_fixed(assignments)
-    grid = sweep.grid(methods.find(method), rows, columns, fixed)
+    fixed = _parse_fixed(request.assignments)
+    grid = sweep.grid(methods.find(request.method), request.rows, request.columns, fixed)
     mesh_file = open_mesh_file(source, format)
     truth = None if reference is None else open_surface(reference, format)
     on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
@@ -146,7 +103,7 @@ def command(
         for cell, mesh, filter in _results(on, grid, mesh_file):
             done.append((cell, sweep.draw_grid(on, mesh, view)))
             filters.append(filter)
-            if not as_json and not quiet:
+            if not request.as_json and not request.quiet:
                 console.put(_describe_cell(cell))
                 console.flush()
         errors = estimate_errors(on.ready.mesh, filters) or repeat(None)
@@ -157,11 +114,11 @@ def command(
         picture = sweep.sheet(on, grid, done, view)
         atomic.write_whole(output, png_bytes(picture), sources=[source])
         cells = [cell for cell, _ in done]
-        if as_json:
+        if request.as_json:
             _print_json(source, reference, grid, cells)
-        elif not quiet:
+        elif not request.quiet:
             console.put(_describe_nearest(cells))
-        if not quiet:
+        if not request.quiet:
             console.say_written(output)
     return console.SUCCESS
 

@@ -3,104 +3,89 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console, options
-from msal_cli.cli.command import MESSAGES, MORE, group
-from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.options import STREAM
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
+from msal_cli.cli.logs import with_log
+from msal_cli.cli.options import (
+    PATH,
+    QUIET_AND_VERBOSE,
+    STREAM,
+    OptionGroup,
+    group,
+    resolve_format,
+)
 from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from msal_cli.view.pictures import View
 
-_VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
-_COLOURS = ("auto", "file", "deviation", "none")
-_UPS = ("auto", "x", "-x", "y", "-y", "z", "-z")
+
+def make_view_group(size: int) -> OptionGroup:
+    """The options that say where pictures of ``size`` pixels are taken from and how they look."""
+    return group(
+        "Picture",
+        f"""
+--view [auto|front|back|left|right|top|bottom] = auto
+    Where from; front and up are guessed from the shape.
+--turn DEGREES
+    Go round; more is to the right.
+--tilt DEGREES
+    Go up; more is higher.
+--up [auto|x|-x|y|-y|z|-z] = auto
+    The axis that points upwards, where the guess is wrong (--up=-y).
+more:
+--size PIXELS = {size}
+    Width of each panel.
+--shading [smooth|flat] = smooth
+    smooth rounds all but creases; flat shows every face.
+--dark
+    Light words on a dark background.
+""",
+        size=click.IntRange(48, 4096),
+    )
 
 
-def view_options(size: int) -> Callable[[Any], Any]:
-    """The options that say where pictures are taken from and how they look.
+def read_view(request: Request) -> View:
+    """The view that the options of ``make_view_group`` ask for."""
+    from msal_cli.view.pictures import View
 
-    The command gets them as one argument, ``view``.
-    """
-
-    def decorate(command: Callable[..., int]) -> Any:
-        @functools.wraps(command)
-        def run(
-            view: str,
-            turn: float | None,
-            tilt: float | None,
-            up: str,
-            size: int,
-            shading: str,
-            dark: bool,
-            **given: Any,
-        ) -> int:
-            from msal_cli.view.pictures import View
-
-            style = "dark" if dark else "light"
-            return command(view=View(view, turn, tilt, up, size, style, shading), **given)
-
-        return group(
-            "Picture",
-            click.option(
-                "--view",
-                type=click.Choice(_VIEWS),
-                default="auto",
-                show_default=True,
-                help="Where from; front and up are guessed from the shape.",
-            ),
-            click.option(
-                "--turn",
-                metavar="DEGREES",
-                type=options.number(-360.0, 360.0),
-                help="Go round; more is to the right.",
-            ),
-            click.option(
-                "--tilt",
-                metavar="DEGREES",
-                type=options.number(-360.0, 360.0),
-                help="Go up; more is higher.",
-            ),
-            click.option(
-                "--up",
-                type=click.Choice(_UPS),
-                default="auto",
-                show_default=True,
-                help="The axis that points upwards, where the guess is wrong (--up=-y).",
-            ),
-            MORE,
-            click.option(
-                "--size",
-                metavar="PIXELS",
-                default=size,
-                show_default=True,
-                type=click.IntRange(48, 4096),
-                help="Width of each panel.",
-            ),
-            click.option(
-                "--shading",
-                type=click.Choice(("smooth", "flat")),
-                default="smooth",
-                show_default=True,
-                help="smooth rounds all but creases; flat shows every face.",
-            ),
-            click.option("--dark", is_flag=True, help="Light words on a dark background."),
-        )(run)
-
-    return decorate
+    style = "dark" if request.dark else "light"
+    place = (request.view, request.turn, request.tilt, request.up)
+    return View(*place, request.size, style, request.shading)
 
 
 @grouped_command(
     "view",
+    group(
+        "Input and output",
+        """
+-o, --output OUT
+    NAME.png for a picture, NAME.html for a page to turn the meshes in; - sends the picture to
+    standard output. Without it: a page in the current folder, shown in the browser where there is
+    a display.
+--format
+""",
+    ),
+    make_view_group(640),
+    group(
+        "Colours",
+        """
+--colours [auto|file|deviation|none] = auto
+    auto: those of the files, and of two the deviation; or one of these, or none.
+""",
+    ),
+    QUIET_AND_VERBOSE,
+    arguments=[
+        click.Argument(["before"], metavar="A", type=PATH),
+        click.Argument(["after"], metavar="[B]", required=False, type=PATH),
+    ],
     epilog="""\b
 Examples:
   msal view scan.ply denoised.ply
@@ -110,46 +95,8 @@ Examples:
 \b
 Exit status: see msal --help.""",
 )
-@click.argument("before", metavar="A", type=options.PATH)
-@click.argument("after", metavar="[B]", required=False, type=options.PATH)
-@group(
-    "Input and output",
-    click.option(
-        "-o",
-        "--output",
-        metavar="OUT",
-        type=options.PATH,
-        help="NAME.png for a picture, NAME.html for a page to turn the meshes in; - sends the "
-        "picture to standard output. Without it: a page in the current folder, shown in the "
-        "browser where there is a display.",
-    ),
-    options.FORMAT,
-)
-@view_options(640)
-@group(
-    "Colours",
-    click.option(
-        "--colours",
-        type=click.Choice(_COLOURS),
-        default="auto",
-        show_default=True,
-        help="auto: those of the files, and of two the deviation; or one of these, or none.",
-    ),
-)
-@group(
-    MESSAGES,
-    options.QUIET,
-    options.verbose,
-)
-def command(
-    before: str,
-    after: str | None,
-    output: str | None,
-    view: View,
-    colours: str,
-    format: str | None,
-    quiet: bool,
-) -> int:
+@with_log
+def command(request: Request) -> int:
     """Show mesh A, or A beside B (before and after) and the deviation of B in colours.
 
     All panels show the same view. Where A and B have the same faces the colours show how far
@@ -166,38 +113,37 @@ def command(
     from msal_cli.view.colours import open_coloured_surface
     from msal_cli.view.panels import png_bytes
 
+    before, after, output = request.before, request.after, request.output
     kind = "html" if output is None else _find_kind(output)
-    format = options.resolve_format(format)
+    format = resolve_format(request.format)
     names = (before,) if after is None else (before, after)
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
     if output is not None and output != STREAM:
         refuse_target(output, "the picture", names)
-    view = dataclasses.replace(view, colours=colours)
+    view = dataclasses.replace(read_view(request), colours=request.colours)
     with room_for_files(names, format):
         first, *second = (open_coloured_surface(name, format) for name in names)
         scene = pictures.scene_of(first, second[0] if second else None, names)
-        if view.shows_file_colours and not quiet:
+        if view.shows_file_colours and not request.quiet:
             for note in scene.notes:
                 console.say(f"msal: {escape_for_display(note)}", "warn")
         if kind == "html":
             default = ("view", *names, *(("-o", output) if output else ()))
-            arguments = click.get_current_context().find_root().obj or default
+            arguments = request.context.find_root().obj or default
             data = pages.page_of(scene, view, shlex.join(("msal", *arguments)))
         else:
             data = png_bytes(pictures.draw_picture(scene, view))
-    if output is None:
-        page = _write_own_page(names, data)
-        if not quiet:
-            console.say_written(page)
-        _show_in_browser(page)
-        return console.SUCCESS
     if output == STREAM:
         console.put_bytes(data)
         return console.SUCCESS
-    atomic.write_whole(output, data, sources=names)
-    if not quiet:
-        console.say_written(output)
+    if output is not None:
+        atomic.write_whole(output, data, sources=names)
+    written = _write_own_page(names, data) if output is None else output
+    if not request.quiet:
+        console.say_written(written)
+    if output is None:
+        _show_in_browser(written)
     return console.SUCCESS
 
 

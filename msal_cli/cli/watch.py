@@ -5,23 +5,22 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from msal_cli.cli import console, options
-from msal_cli.cli import denoise_options as denoise
-from msal_cli.cli.command import MORE, group
-from msal_cli.cli.command import command as grouped_command
-from msal_cli.cli.config import options_of_found_file
-from msal_cli.cli.conflicts import find_given
+from msal_cli.cli import console
+from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.denoise import (
-    Request,
     build_settings,
     check_request,
+    log_of,
     log_record,
     plan_files,
+    read_limits,
 )
+from msal_cli.cli.denoise_options import HOW_TO_DENOISE, MESSAGES_AND_HELP
+from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
 
 if TYPE_CHECKING:
@@ -36,61 +35,6 @@ if TYPE_CHECKING:
 
 _STEP_S = 0.1
 
-_OPTIONS = options.combine(
-    group(
-        "Watching",
-        click.option(
-            "--settle",
-            metavar="TIME",
-            default="2s",
-            show_default=True,
-            type=options.parse_duration,
-            help="How long size and time of a file must stand still before it is taken; longer is "
-            "safer where programs pause while they write.",
-        ),
-        click.option(
-            "--idle-exit",
-            metavar="TIME",
-            type=options.parse_duration,
-            help="End after so long without a new file.  [default: never]",
-        ),
-    ),
-    group(
-        "Input and output",
-        click.option(
-            "-o",
-            "--output",
-            metavar="OUT",
-            required=True,
-            type=options.PATH,
-            help="Folder to write; it gets the tree of the input.",
-        ),
-        MORE,
-        options.FORCE,
-    ),
-    denoise.WHAT_TO_DO,
-    denoise.AUTOMATIC_CHOICE,
-    denoise.LIMITS_ON_MOVEMENT,
-    denoise.FORMATS,
-    group(
-        "Many files",
-        options.FILES,
-        denoise.JOBS,
-        denoise.FRESH,
-        MORE,
-        denoise.RETRY_FAILED,
-        denoise.TIMEOUT,
-        denoise.MEMORY_LIMIT,
-        denoise.MAX_FACES,
-        denoise.RETRIES,
-        denoise.FAIL_FAST,
-        denoise.MAX_FAILURES,
-        options.CHECK,
-        denoise.FIELDS,
-    ),
-    denoise.MESSAGES_AND_HELP,
-)
-
 _NOT_GIVEN = {
     **dict.fromkeys(("in_place", "no_backup", "dry_run", "tile_set", "as_json"), False),
     **dict.fromkeys(("backup", "shard", "scheduler", "scratch", "reference")),
@@ -100,11 +44,52 @@ _NOT_GIVEN = {
 """The options of ``msal denoise`` that a watch does not have."""
 
 
-@grouped_command("watch", epilog="Exit status: see msal --help.")
-@click.argument("folder", metavar="FOLDER", type=options.PATH)
-@_OPTIONS
-@click.pass_context
-def command(context: click.Context, /, folder: str, **given: Any) -> int:
+@grouped_command(
+    "watch",
+    group(
+        "Watching",
+        """
+--settle TIME = 2s
+    How long size and time of a file must stand still before it is taken; longer is safer where
+    programs pause while they write.
+--idle-exit TIME
+    End after so long without a new file. [default: never]
+""",
+    ),
+    group(
+        "Input and output",
+        """
+-o, --output OUT
+    Folder to write; it gets the tree of the input.
+more:
+--force
+""",
+        output={"required": True},
+    ),
+    *HOW_TO_DENOISE,
+    group(
+        "Many files",
+        """
+--include
+--exclude
+--jobs
+--fresh
+more:
+--retry-failed
+--timeout
+--memory-limit
+--max-faces
+--retries
+--fail-fast
+--max-failures
+--check
+--fields
+""",
+    ),
+    MESSAGES_AND_HELP,
+    arguments=[click.Argument(["folder"], metavar="FOLDER", type=PATH)],
+)
+def command(request: Request) -> int:
     """Denoise the mesh files of a folder, and then what arrives in it.
 
     A file is taken when its size and its time have stood still for --settle. Unfinished names
@@ -114,28 +99,19 @@ def command(context: click.Context, /, folder: str, **given: Any) -> int:
     Outputs and records are those of msal denoise FOLDER -o OUT, so a watch that is started again
     does only what is left, and msal report OUT writes reports. Ctrl-C and SIGTERM end it.
     """
-    from msal_cli.cli import logs
-
-    found = options_of_found_file(context)
-    request = Request(
-        **(_NOT_GIVEN | given), inputs=(folder,), given=find_given(context), found=found
-    )
-    with logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file):
-        return _Watch(request, context.obj).run()
+    request = Request(**_NOT_GIVEN | vars(request), inputs=(request.folder,))
+    with log_of(request):
+        return _Watch(request).run()
 
 
 class _Watch:
     """One call of the command: its request, and what became of the files so far."""
 
-    def __init__(self, request: Request, arguments: tuple[str, ...]) -> None:
-        from msal_cli.job.settings import Limits
-
+    def __init__(self, request: Request) -> None:
         self._request = request
-        self._command = ("msal", *arguments)
-        self._limits = Limits(request.timeout, request.memory_limit, request.max_faces)
-        _check_folders(request.inputs[0], request.output)
+        _check_folders(request.folder, request.output)
         check_request(request, None)
-        options.check_threads_variable()
+        self._limits = read_limits(request)
         self._settings = build_settings(request, ())
         self._max_failures: int | None = 1 if request.fail_fast else request.max_failures
         # The input of each output.
@@ -152,20 +128,19 @@ class _Watch:
         from msal_cli.batch.watch import Inbox
 
         request = self._request
-        folder = request.inputs[0]
         with ExitStack() as stack:
             with interrupts.catch_signals(interrupts.raise_for):
                 # From the start to the end, so that no other run works on the folder meanwhile.
                 self._manifests[request.output] = open_folder(request.output, stack)
             inbox = Inbox(
-                folder,
+                request.folder,
                 request.output,
                 request.include,
                 request.exclude,
                 settle_s=request.settle or 0.0,
             )
             if not request.quiet:
-                console.say(f"watching {folder}; Ctrl-C ends it")
+                console.say(f"watching {request.folder}; Ctrl-C ends it")
             try:
                 while not self._is_given_up() and (files := self._wait(inbox)):
                     with interrupts.catch_signals(interrupts.raise_for):
@@ -255,7 +230,7 @@ class _Watch:
             limits=self._limits,
             retries=1 if request.retries is None else request.retries,
             stop_after_failures=left,
-            command=self._command,
+            command=("msal", *request.context.obj),
             manifests=self._manifests,
         )
         if n_current and not request.quiet:
@@ -289,7 +264,7 @@ def _check_folders(folder: str, output: str) -> None:
     from msal_cli.storage.urls import is_url
 
     for name in (folder, output):
-        if name == options.STREAM or is_url(name):
+        if name == STREAM or is_url(name):
             raise UsageError(
                 f"msal watch is for folders of this machine, and {name!r} is none",
                 hint="start msal denoise at fixed times: it does only what is new",
