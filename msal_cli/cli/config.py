@@ -7,7 +7,7 @@ dashes.  The command line wins.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -192,14 +192,31 @@ def _refuse_outside(folder: str, paths: Iterable[str], place: str) -> None:
             )
 
 
-def describe(
-    command: str, rows: Iterable[tuple[click.Option, Any, str]], config: Config | None
+def _describe(
+    command: click.Command, ctx: click.Context, given: dict[str, Any], config: Config | None
 ) -> str:
-    """What ``--show-config`` prints, which is TOML: options, values and where these come from."""
-    lines = [f"# file: {'none' if config is None else config.path}", f"[{command}]"]
-    written = [(f"{key_of(option)} = {_to_toml(value)}", source) for option, value, source in rows]
-    width = max((len(text) for text, _ in written), default=0)
-    lines += [f"{text.ljust(min(width, 40))}  # {source}" for text, source in written]
+    """What ``--show-config`` prints, which is TOML: the options in force, each with its value and
+    where that comes from."""
+    lines = [f"# file: {'none' if config is None else config.path}", f"[{command.name}]"]
+    in_force = ctx.default_map or {}
+    rows = []
+    for option in command.params:
+        name = str(option.name)
+        if not isinstance(option, click.Option) or option.is_eager or name in _NEVER:
+            continue
+        if name in given:
+            value, source = given[name], "command line"
+        elif config is not None and name in in_force:
+            value, source = in_force[name], config.path
+        elif isinstance(option.default, str | int | float) and not (
+            option.default is False or option.count
+        ):
+            value, source = option.default, "default"
+        else:
+            continue
+        rows.append((f"{key_of(option)} = {_to_toml(value)}", source))
+    width = min(40, max((len(text) for text, _ in rows), default=0))
+    lines += [f"{text.ljust(width)}  # {source}" for text, source in rows]
     return "\n".join(lines) + "\n"
 
 
@@ -248,16 +265,22 @@ def parse_args(
     help_option = command.get_help_option(ctx)
     if "help_all" in given or (help_option is not None and help_option.name in given):
         return parse(ctx, args)
-    config = _load(command, ctx, given)
-    if SHOW_CONFIG in given:
-        _parse_whole(command, ctx, list(args), config, parse)
-        rows = list(_rows(command, ctx, given, config))
-        console.put(describe(str(command.name), rows, config))
-        ctx.exit()
-    ctx.meta[_META] = config
-    if config is None:
-        return parse(ctx, args)
-    return _parse_with(command, ctx, args, config, parse)
+    ctx.meta[_META] = config = _load(command, ctx, given)
+    if SHOW_CONFIG not in given:
+        return _parse_with(ctx, args, config, parse)
+    words = list(args)
+    for _ in command.params:
+        ctx.params.clear()
+        try:
+            _parse_with(ctx, list(words), config, parse)
+            break
+        except click.MissingParameter as missing:
+            # Inputs or an output may be missing: something stands for them.
+            is_argument = isinstance(missing.param, click.Argument)
+            option = missing.param.opts[0] if missing.param is not None else ""
+            words = [*words, "MISSING"] if is_argument else [option, "MISSING", *words]
+    console.put(_describe(command, ctx, given, config))
+    raise click.exceptions.Exit(0)
 
 
 def options_of_found_file(ctx: click.Context) -> frozenset[str]:
@@ -292,9 +315,11 @@ def _load(command: click.Command, ctx: click.Context, given: dict[str, Any]) -> 
 
 
 def _parse_with(
-    command: click.Command, ctx: click.Context, args: list[str], config: Config, parse: Parse
+    ctx: click.Context, args: list[str], config: Config | None, parse: Parse
 ) -> list[str]:
-    """Parse twice: the second time without what contradicts the command line."""
+    """Parse twice if there is a file: the second time without what contradicts the command line."""
+    if config is None:
+        return parse(ctx, args)
     # The tables of conflicts are needed only where there is a file.
     from msal_cli.cli.conflicts import find_overruled
 
@@ -307,51 +332,10 @@ def _parse_with(
         source = ctx.get_parameter_source(str(option.name)) if option is not None else None
         if source is not ParameterSource.DEFAULT_MAP or not isinstance(option, click.Option):
             raise
-        place = f"{config.path}: [{command.name}] {key_of(option)}"
+        place = f"{config.path}: [{ctx.command.name}] {key_of(option)}"
         raise UsageError(f"{place}: {error.message}".replace("\n\t", " ")) from None
     if not (overruled := find_overruled(ctx)):
         return rest
     ctx.default_map = {k: v for k, v in config.values.items() if k not in overruled}
     ctx.params.clear()
     return parse(ctx, words)
-
-
-def _parse_whole(
-    command: click.Command,
-    ctx: click.Context,
-    words: list[str],
-    config: Config | None,
-    parse: Parse,
-) -> None:
-    """Parse what may lack inputs or an output: something stands for them."""
-    for _ in command.params:
-        ctx.params.clear()
-        try:
-            if config is None:
-                parse(ctx, list(words))
-            else:
-                _parse_with(command, ctx, list(words), config, parse)
-            return
-        except click.MissingParameter as missing:
-            is_argument = isinstance(missing.param, click.Argument)
-            option = missing.param.opts[0] if missing.param is not None else ""
-            words = [*words, "MISSING"] if is_argument else [option, "MISSING", *words]
-
-
-def _rows(
-    command: click.Command, ctx: click.Context, given: dict[str, Any], config: Config | None
-) -> Iterator[tuple[click.Option, Any, str]]:
-    """The options in force: each with its value, and where that comes from."""
-    for option in command.params:
-        name = str(option.name)
-        if not isinstance(option, click.Option) or option.is_eager or name in _NEVER:
-            continue
-        in_force = ctx.default_map or {}
-        if name in given:
-            yield option, given[name], "command line"
-        elif config is not None and name in in_force:
-            yield option, in_force[name], config.path
-        elif isinstance(option.default, str | int | float) and not (
-            option.default is False or option.count
-        ):
-            yield option, option.default, "default"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,64 +28,42 @@ _AUTO_HINT = (
     "and parameters by hand"
 )
 _ASSUME_HINT = "--assume is for the choice of a method: leave it away, or the method"
-_GIVE_ONE = "give one of them"
+_ROWS = """
+quiet verbose
+    give one of them
+in_place output
+    give one of them
+in_place to: --in-place cannot change the format
+    name an output with -o to use --to
+backup no_backup
+    give one of them
+fail_fast max_failures
+    give one of them
+fields in_place: --fields writes a file beside each output, which the next run in place would take \
+for an input
+    name another folder with -o
+dask in_place: --in-place cannot be used with Dask, which may do a file twice
+    name an output folder with -o, or leave --engine dask away
+tile_set in_place: --in-place cannot be used with --tile-set: once a file has changed, the set \
+that it was part of is gone
+    name an output folder with -o
+tile_set shard: --shard deals out files, and the files of a tile set are one mesh
+    run the set as a whole, or leave --tile-set away
+tile_set timeout: --timeout is for one file, and the files of a tile set are one mesh
+    leave --timeout away
+tile_set dask: --engine dask deals out files, and the files of a tile set are one mesh
+    leave --engine dask away, or leave --tile-set away
+dask jobs: -j is for this machine; a Dask cluster has as many workers as it has
+    leave -j away, or leave --engine dask away
+stdout reference: --reference measures a file, and the mesh goes to standard output
+    name a file with -o
+stdout as_json: the mesh and --json cannot both go to standard output
+    name a file with -o for the mesh, or with --report for the records
+"""
 
 # Two names of ``find_given`` that do not go together, a message in place of the usual one, a hint.
-_CONFLICTS = (
-    ("quiet", "verbose", "", _GIVE_ONE),
-    ("in_place", "output", "", _GIVE_ONE),
-    (
-        "in_place",
-        "to",
-        "--in-place cannot change the format",
-        "name an output with -o to use --to",
-    ),
-    ("backup", "no_backup", "", _GIVE_ONE),
-    ("fail_fast", "max_failures", "", _GIVE_ONE),
-    (
-        "fields",
-        "in_place",
-        "--fields writes a file beside each output, which the next run in place would take for an "
-        "input",
-        "name another folder with -o",
-    ),
-    (
-        "dask",
-        "in_place",
-        "--in-place cannot be used with Dask, which may do a file twice",
-        "name an output folder with -o, or leave --engine dask away",
-    ),
-    (
-        "tile_set",
-        "in_place",
-        "--in-place cannot be used with --tile-set: once a file has changed, the set that it was "
-        "part of is gone",
-        "name an output folder with -o",
-    ),
-    (
-        "tile_set",
-        "shard",
-        "--shard deals out files, and the files of a tile set are one mesh",
-        "run the set as a whole, or leave --tile-set away",
-    ),
-    (
-        "tile_set",
-        "timeout",
-        "--timeout is for one file, and the files of a tile set are one mesh",
-        "leave --timeout away",
-    ),
-    (
-        "tile_set",
-        "dask",
-        "--engine dask deals out files, and the files of a tile set are one mesh",
-        "leave --engine dask away, or leave --tile-set away",
-    ),
-    (
-        "dask",
-        "jobs",
-        "-j is for this machine; a Dask cluster has as many workers as it has",
-        "leave -j away, or leave --engine dask away",
-    ),
+_CONFLICTS: tuple[tuple[str, str, str, str], ...] = (
+    *re.findall(r"(\w+) (\w+)(?:: (.*))?\n    (.*)\n", _ROWS),
     *((first, other, "", _AUTO_HINT) for first in AUTOMATIC for other in ("adaptive", *BY_HAND)),
     *((first, other, "", _AUTO_HINT) for first in ("automatic", "adaptive") for other in BY_HAND),
     *(("assume", other, "", _ASSUME_HINT) for other in BY_HAND),
@@ -92,34 +71,18 @@ _CONFLICTS = (
         ("stream", other, "{other} is for files, not for standard input or output", "")
         for other in _FOR_FILES
     ),
-    (
-        "stdout",
-        "reference",
-        "--reference measures a file, and the mesh goes to standard output",
-        "name a file with -o",
-    ),
-    (
-        "stdout",
-        "as_json",
-        "the mesh and --json cannot both go to standard output",
-        "name a file with -o for the mesh, or with --report for the records",
-    ),
 )
+
+_DASK_HINT = "give --scheduler tcp://HOST:8786; on this machine alone, leave --engine dask away"
 
 # A name that is of no use without the other, and a hint.
 _NEEDS = (
     ("backup", "in_place", "other inputs are never replaced"),
     ("no_backup", "in_place", "other inputs are never replaced"),
     ("scheduler", "dask", "add --engine dask"),
-    (
-        "dask",
-        "scheduler",
-        "give --scheduler tcp://HOST:8786; on this machine alone, leave --engine dask away",
-    ),
+    ("dask", "scheduler", _DASK_HINT),
     ("tolerance", "baseline", "name an earlier report with --baseline"),
-    ("type", "dims", "a raw volume needs its counts, too: --dims X,Y,Z"),
 )
-
 
 # The parameters that ``find_given`` has by other names.
 _PARAMETERS = {"automatic": "method", "adaptive": "method", "dask": "engine"}
@@ -131,11 +94,16 @@ def find_given(context: click.Context) -> dict[str, str]:
     Three values count as options of their own: ``automatic`` and ``adaptive`` for those words in
     place of a method, and ``dask``.
     """
-    given = {
-        parameter.name: max(parameter.opts, key=len)
-        for parameter in context.command.params
-        if parameter.name is not None and _is_given(parameter, context)
-    }
+    given = {}
+    # The default of the program counts, whatever a configuration file gives.
+    from_file, context.default_map = context.default_map, None
+    for parameter in context.command.params:
+        value: Any = context.params.get(str(parameter.name))
+        # 0 is given, too.
+        is_empty = value is None or value is False or value == ()
+        if not is_empty and value != parameter.get_default(context):
+            given[str(parameter.name)] = max(parameter.opts, key=len)
+    context.default_map = from_file
     method = context.params.get("method")
     if method in ("auto", "adaptive"):
         del given["method"]
@@ -143,19 +111,6 @@ def find_given(context: click.Context) -> dict[str, str]:
     if given.pop("engine", None):
         given["dask"] = "--engine dask"
     return given
-
-
-def _is_given(parameter: click.Parameter, context: click.Context) -> bool:
-    value: Any = context.params.get(str(parameter.name))
-    # 0 is given, too.
-    if value is None or value is False or value == ():
-        return False
-    # The default of the program counts, whatever a configuration file gives.
-    from_file, context.default_map = context.default_map, None
-    try:
-        return bool(value != parameter.get_default(context))
-    finally:
-        context.default_map = from_file
 
 
 def find_overruled(context: click.Context) -> set[str]:

@@ -20,18 +20,19 @@ import os
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 from msal_cli.errors import MsalError, OutputError, UsageError
+from msal_cli.job.display_names import escape_for_display
 
 if TYPE_CHECKING:
     from msal_cli.job.records import Failure
     from msal_cli.report.facts import Line
 
-_STYLES: dict[str, dict[str, object]] = {
+_STYLES: dict[str, dict[str, Any]] = {
     "good": {"fg": "green"},
     "bad": {"fg": "red"},
     "faint": {"dim": True},
@@ -40,16 +41,15 @@ _STYLES: dict[str, dict[str, object]] = {
 
 def say(text: str, tone: str = "plain") -> None:
     """A line to standard error, above a progress bar if there is one."""
-    if sys.stderr is None:
+    stream, bars = sys.stderr, sys.modules.get("tqdm")
+    if stream is None:
         return
-    if tone in _STYLES and _is_coloured(sys.stderr):
-        text = click.style(text, **_STYLES[tone])  # type: ignore[arg-type]
-    bars = sys.modules.get("tqdm")
-    if bars is None:
-        _write_words(text)
-        return
-    with bars.tqdm.external_write_mode(file=sys.stderr):
-        _write_words(text)
+    text = _colour(text, tone, stream)
+    bar = bars.tqdm.external_write_mode(file=stream) if bars else nullcontext()
+    # If the terminal is gone, the failure cannot be reported either.
+    with bar, suppress(OSError, ValueError):
+        stream.write(text + "\n")
+        stream.flush()
 
 
 def say_lines(lines: Iterable[Line]) -> None:
@@ -78,7 +78,6 @@ def say_failure(name: str, failure: Failure) -> None:
 
 
 def _say_error_words(words: str, hint: str) -> None:
-    from msal_cli.job.display_names import escape_for_display
 
     say(f"msal: error: {escape_for_display(words)}", "bad")
     if hint:
@@ -87,7 +86,6 @@ def _say_error_words(words: str, hint: str) -> None:
 
 def say_written(path: str) -> None:
     """That a file was written."""
-    from msal_cli.job.display_names import escape_for_display
 
     say(f"wrote {escape_for_display(path)}", "good")
 
@@ -97,25 +95,21 @@ def put(text: str) -> None:
 
     OutputError if it is closed or its disk is full, BrokenPipeError if its reader is gone.
     """
-    stream = _standard_output()
-    encoding = stream.encoding or "ascii"
-    with _translate_errors():
+    with _open_output() as stream:
+        encoding = stream.encoding or "ascii"
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
 
 
 def put_lines(lines: Iterable[Line]) -> None:
     """Lines as data to standard output, coloured if it is a terminal and that is wanted."""
-    is_coloured = sys.stdout is not None and _is_coloured(sys.stdout)
     for line in lines:
-        styles = _STYLES.get(line.tone) if is_coloured else None
-        put((click.style(line.text, **styles) if styles else line.text) + "\n")  # type: ignore[arg-type]
+        put(_colour(line.text, line.tone, sys.stdout) + "\n")
 
 
 def put_bytes(data: bytes | bytearray | memoryview) -> None:
     """Bytes as data to standard output, at once; the errors are those of ``put``."""
-    stream = _standard_output()
     rest = memoryview(data).cast("B")
-    with _translate_errors():
+    with _open_output() as stream:
         stream.flush()
         while len(rest):
             # With PYTHONUNBUFFERED this is the bare stream, which may take a part only: less than
@@ -139,36 +133,19 @@ def put_json(schema: str, **data: Any) -> None:
 def flush() -> None:
     """Hand on what was put to standard output; the errors are those of ``put``."""
     if sys.stdout is not None:
-        with _translate_errors():
-            sys.stdout.flush()
+        with _open_output() as stream:
+            stream.flush()
 
 
 @contextmanager
-def finish_work() -> Iterator[None]:
-    """A block that is done to its end, although nothing may read standard output any more;
-    BrokenPipeError comes at its end."""
-    _lost.append(None)
-    try:
-        yield
-    finally:
-        lost = _lost.pop()
-    if lost is not None:
-        raise lost
-
-
-# For each block of ``finish_work``, the innermost last, the loss of the reader.
-_lost: list[BrokenPipeError | None] = []
-
-
-@contextmanager
-def _translate_errors() -> Iterator[None]:
+def _open_output() -> Iterator[TextIO]:
     """A reader that has gone away is no error to talk about; whatever else goes wrong is."""
+    if sys.stdout is None:
+        raise OutputError("standard output is closed", hint="redirect it, or name a file")
     try:
-        yield
-    except BrokenPipeError as error:
-        if not _lost:
-            raise
-        _lost[-1] = error
+        yield sys.stdout
+    except BrokenPipeError:
+        raise
     except OSError as error:
         raise OutputError(f"standard output cannot be written: {error.strerror}") from None
 
@@ -191,25 +168,11 @@ def is_terminal(stream: TextIO | None) -> bool:
         return False
 
 
-def _standard_output() -> TextIO:
-    if sys.stdout is None:
-        raise OutputError("standard output is closed", hint="redirect it, or name a file")
-    return sys.stdout
-
-
-def _write_words(text: str) -> None:
-    # If the terminal is gone, the failure cannot be reported either.
-    try:
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
-    except (OSError, ValueError):
-        return
-
-
-def _is_coloured(stream: TextIO) -> bool:
-    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return False
-    return is_terminal(stream)
+def _colour(text: str, tone: str, stream: TextIO | None) -> str:
+    is_plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    if tone not in _STYLES or is_plain or not is_terminal(stream):
+        return text
+    return click.style(text, **_STYLES[tone])
 
 
 SUCCESS = 0
@@ -249,8 +212,3 @@ def status_of_error(error: MsalError) -> int:
     if error.code == "E_NOTHING_MATCHED":
         return NOTHING_MATCHED
     return USAGE if isinstance(error, UsageError) else FATAL
-
-
-def status_of_interrupt(interrupt: KeyboardInterrupt) -> int:
-    """The status after a signal: the one that ``batch.interrupts`` noted, or that of Ctrl-C."""
-    return int(getattr(interrupt, "exit_status", INTERRUPTED))

@@ -13,6 +13,7 @@ import click
 from msal_cli.cli import console
 from msal_cli.cli.command import Request
 from msal_cli.errors import MsalError, UsageError
+from msal_cli.job.display_names import escape_for_display
 
 logger = logging.getLogger("msal")
 
@@ -28,7 +29,7 @@ def log_to_console(verbosity: int, log_file: str | None = None) -> Iterator[None
     """
     handlers: list[logging.Handler] = [_ConsoleHandler(verbosity)]
     if log_file is not None:
-        handlers.append(_file_handler(log_file))
+        handlers.append(_FileHandler(log_file))
     logger.setLevel(min(handler.level for handler in handlers))
     logger.propagate = False
     for handler in handlers:
@@ -65,19 +66,29 @@ class _ConsoleHandler(logging.Handler):
         levels = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
         super().__init__(levels.get(verbosity, logging.DEBUG))
         self._with_traces = verbosity > 0
-
         self.setFormatter(_SafeFormatter())
 
     def emit(self, record: logging.LogRecord) -> None:
         text = self.format(record)
         # The failure itself is reported with the file that it belongs to.
-        if _TRACE in text and not self._with_traces:
-            return
-        console.say(f"msal: {record.levelname.lower()}: {text}")
+        if self._with_traces or _TRACE not in text:
+            console.say(f"msal: {record.levelname.lower()}: {text}")
 
 
 class _FileHandler(logging.StreamHandler[TextIO]):
-    """Log records in a file that is open, and is closed with this."""
+    """All log records in a file that is appended to; UsageError if it cannot be opened."""
+
+    def __init__(self, name: str) -> None:
+        from msal_cli.cli.report_files import open_log
+
+        try:
+            super().__init__(open_log(name))
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+            raise UsageError(f"the log file {name!r} cannot be opened: {why}") from None
+        columns = "%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"
+        self.setFormatter(_SafeFormatter(columns))
+        self.setLevel(logging.DEBUG)
 
     def close(self) -> None:
         super().close()
@@ -101,24 +112,7 @@ class _SafeFormatter(logging.Formatter):
 
 
 def _escape(text: str) -> str:
-    from msal_cli.job.display_names import escape_for_display
 
     # Traces, also those that workers send, are the only messages of several lines.
     lines = text.split("\n") if _TRACE in text else [text]
     return "\n".join(map(escape_for_display, lines))
-
-
-def _file_handler(name: str) -> logging.Handler:
-    from msal_cli.cli.report_files import open_log
-
-    try:
-        stream = open_log(name)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise UsageError(f"the log file {name!r} cannot be opened: {why}") from None
-    handler = _FileHandler(stream)
-    handler.setFormatter(
-        _SafeFormatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
-    )
-    handler.setLevel(logging.DEBUG)
-    return handler

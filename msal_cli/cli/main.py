@@ -18,6 +18,7 @@ from click.exceptions import Exit
 from msal_cli.batch import interrupts as signals
 from msal_cli.cli import console
 from msal_cli.errors import MsalError, OutputError
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.version import __version__
 
 COMPLETE_VARIABLE = "_MSAL_COMPLETE"
@@ -161,7 +162,7 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         return console.status_of_error(error)
     except KeyboardInterrupt as interrupt:
         console.say("msal: interrupted")
-        return console.status_of_interrupt(interrupt)
+        return int(getattr(interrupt, "exit_status", console.INTERRUPTED))
     except BrokenPipeError:
         _abandon_output()
         return console.READER_GONE
@@ -169,31 +170,21 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
         console.say("msal: error: not enough memory (E_MEMORY)", "bad")
         return console.FATAL
     except Exception as error:
-        return _internal_error(error)
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            words = f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)"
+        else:
+            what = escape_for_display(f"{type(error).__name__}: {error}")
+            words = f"msal: internal error: {what}; please report it (-v shows where)"
+        console.say(words, "bad")
+        return console.FATAL
 
 
 def _say_usage(error: click.UsageError) -> None:
-    from msal_cli.job.display_names import escape_for_display
-
     command = error.ctx.command_path if error.ctx is not None else "msal"
     # Click lists choices one below the other.
     message = error.format_message().replace("\n\t", " ")
     console.say(f"msal: error: {escape_for_display(message)}", "bad")
     console.say(f"hint: {command} --help shows how it is used")
-
-
-def _internal_error(error: Exception) -> int:
-    from msal_cli.job.display_names import escape_for_display
-
-    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-        console.say(f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)", "bad")
-        return console.FATAL
-    words = f"{type(error).__name__}: {error}"
-    console.say(
-        f"msal: internal error: {escape_for_display(words)}; please report it (-v shows where)",
-        "bad",
-    )
-    return console.FATAL
 
 
 def _flush(status: int) -> int:

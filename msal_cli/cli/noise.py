@@ -11,6 +11,7 @@ from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import INPUTS, QUIET_AND_VERBOSE, STREAM, group, number, resolve_format
 from msal_cli.errors import MsalError, ResourceError, UsageError
+from msal_cli.job.display_names import escape_for_display
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
@@ -109,7 +110,6 @@ def command(request: Request) -> int:
 
     from msal_cli.batch import interrupts
     from msal_cli.cli.report_files import refuse_target
-    from msal_cli.job.display_names import escape_for_display
     from msal_cli.report.facts import file_name
 
     format = resolve_format(request.format)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,14 +61,14 @@ class SweepBar(Silent):
     """A bar for one mesh: the stage it is at, and the sweeps."""
 
     def __init__(self, name: str, *, is_large: bool = False) -> None:
-        self._name = _short(name)
+        self._name = _shorten(name)
         self._stage = ""
         self._wakes = time.monotonic() + (0.0 if is_large else _DELAY_S)
-        self._bar = self._empty()
+        self._bar = self._make_empty()
 
-    def _empty(self) -> Any:
+    def _make_empty(self) -> Any:
         delay = max(0.0, self._wakes - time.monotonic())
-        return _bar(total=1, bar_format="{desc}", delay=delay)
+        return _make_bar(total=1, bar_format="{desc}", delay=delay)
 
     def on_event(self, event: Event) -> None:
         """Follow the one file of a run."""
@@ -83,7 +83,7 @@ class SweepBar(Silent):
         if stage != self._stage and self._bar.n:
             # Another stage is counted from its own beginning, at its own pace.
             self._bar.close()
-            self._bar = self._empty()
+            self._bar = self._make_empty()
         if stage != self._stage or is_counted == (self._bar.bar_format == "{desc}"):
             self._stage = stage
             self._bar.bar_format = _FORMAT if is_counted else "{desc}"
@@ -101,7 +101,7 @@ class FileBar(Silent):
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._tasks = tasks
         self._n_failed = 0
-        self._bar = _bar(total=len(tasks), bar_format=_FORMAT)
+        self._bar = _make_bar(total=len(tasks), bar_format=_FORMAT)
         self._shown = 0.0
 
     def on_event(self, event: Event) -> None:
@@ -109,7 +109,7 @@ class FileBar(Silent):
         from msal_cli.batch.schedule import Finished, Started
 
         if isinstance(event, Started):
-            name = pad_name(_short(self._tasks[event.index].relative), _NAME_WIDTH // 2)
+            name = pad_name(_shorten(self._tasks[event.index].relative), _NAME_WIDTH // 2)
             self._bar.set_description_str(name, refresh=False)
         elif isinstance(event, Finished):
             self._n_failed += event.record.status == "failed"
@@ -129,10 +129,7 @@ class Log(Silent):
     def __init__(self, tasks: Sequence[Task], name: str = "") -> None:
         self._tasks = tasks
         self._name = name
-        self._n_done = 0
-        self._n_current = 0
-        self._n_failed = 0
-        self._n_unsaid = 0
+        self._n_done = self._n_current = self._n_failed = self._n_unsaid = 0
         self._begun = self._said = time.monotonic()
 
     def on_event(self, event: Event) -> None:
@@ -140,7 +137,8 @@ class Log(Silent):
         from msal_cli.batch.schedule import Finished, Progress
 
         if isinstance(event, Progress):
-            self._say_stage(self._tasks[event.index].relative, event.stage, event.done, event.total)
+            self._name = self._tasks[event.index].relative
+            self.on_progress(event.stage, event.done, event.total)
         elif isinstance(event, Finished):
             self._n_done += 1
             self._n_failed += event.record.status == "failed"
@@ -152,14 +150,11 @@ class Log(Silent):
                 self._say_files(event)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Say the stage of a single mesh after a while."""
-        self._say_stage(self._name, stage, done, total)
-
-    def _say_stage(self, name: str, stage: str, done: int, total: int) -> None:
+        """Say the stage of a mesh after a while."""
         if time.monotonic() >= self._said + _SILENT_S:
             self._said = time.monotonic()
             steps = f" {done:,} of {total:,}" if stage in _COUNTED and total > 0 else ""
-            console.say(f"{escape_for_display(name)}: {stage}{steps}")
+            console.say(f"{escape_for_display(self._name)}: {stage}{steps}")
 
     def _say_files(self, event: Finished) -> None:
         from msal_cli.report.text import file_text
@@ -191,7 +186,10 @@ def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
         return SweepBar(f"{len(tasks):,} files as one")
     if len(tasks) > 1:
         return FileBar(tasks)
-    return SweepBar(tasks[0].relative, is_large=_size(tasks[0].input) >= _LARGE_BYTES)
+    size = 0
+    with suppress(OSError, ValueError):
+        size = Path(tasks[0].input).stat().st_size
+    return SweepBar(tasks[0].relative, is_large=size >= _LARGE_BYTES)
 
 
 def stream_bar(name: str, *, quiet: bool) -> Silent:
@@ -207,30 +205,20 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     if quiet or not console.is_terminal(sys.stderr):
         yield lambda done, total: None
         return
-    shown = _bar(desc="pictures", bar_format=_FORMAT, delay=_DELAY_S)
+    with _make_bar(desc="pictures", bar_format=_FORMAT, delay=_DELAY_S) as shown:
 
-    def show(done: int, total: int) -> None:
-        shown.total = total
-        shown.update(done - shown.n)
+        def show(done: int, total: int) -> None:
+            shown.total = total
+            shown.update(done - shown.n)
 
-    try:
         yield show
-    finally:
-        shown.close()
 
 
-def _size(path: str) -> int:
-    try:
-        return Path(path).stat().st_size
-    except (OSError, ValueError):
-        return 0
-
-
-def _short(name: str) -> str:
+def _shorten(name: str) -> str:
     return shorten_name(escape_for_display(name), _NAME_WIDTH)
 
 
-def _bar(**options: Any) -> Any:
+def _make_bar(**options: Any) -> Any:
     import threading
 
     from tqdm import tqdm

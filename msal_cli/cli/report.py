@@ -57,12 +57,15 @@ def command(request: Request) -> int:
     records of a file the newest counts. A file that a run set out to write and did not finish is
     planned.
     """
-    from dataclasses import replace
-
     from msal_cli.cli import report_files
     from msal_cli.job.records import MeshRecord
     from msal_cli.report import data, text
-    from msal_cli.report.gates import parse_gates, refuse_without_reference, with_gates
+    from msal_cli.report.gates import (
+        is_any_broken,
+        parse_gates,
+        refuse_without_reference,
+        with_gates,
+    )
 
     refuse_conflicts(find_given(request.context))
     outputs, quiet, csv_columns = request.outputs, request.quiet, request.csv_columns
@@ -74,7 +77,6 @@ def command(request: Request) -> int:
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
     run, records = account.run, tuple(with_gates(gates, account.records))
-    account = replace(account, records=records)
     meshes = [path for record in records for path in (record.input, record.output) if path]
     report_files.check(outputs, [*account.paths, *meshes])
     if not quiet:
@@ -91,17 +93,12 @@ def command(request: Request) -> int:
     finally:
         if request.as_json:
             console.put_bytes(data.render_json(run, records))
-    return _exit_status(account) if is_checked else console.SUCCESS
-
-
-def _exit_status(account: RunSummary) -> int:
-    """The status of a run that left this behind; what is not finished counts as failed."""
-    from msal_cli.report.gates import is_any_broken
-
-    n_lost = sum(record.status in ("failed", "planned") for record in account.records)
-    status = console.status_of_files(
-        len(account.records), n_lost, is_gate_failed=is_any_broken(account.records)
-    )
+    if not is_checked:
+        return console.SUCCESS
+    # What is not finished counts as failed.
+    n_lost = sum(record.status in ("failed", "planned") for record in records)
+    is_broken = is_any_broken(records)
+    status = console.status_of_files(len(records), n_lost, is_gate_failed=is_broken)
     return status if account.is_whole else console.worst_status(status, console.SOME_FAILED)
 
 
@@ -133,6 +130,7 @@ def summarize(names: Sequence[str]) -> RunSummary:
     UsageError for a name without a file, a folder or a manifest in it; FormatError for a file that
     is neither a manifest nor a report; OutputError or InputError where a file cannot be read.
     """
+    from msal_cli.batch import history as histories
     from msal_cli.batch.manifest import list_manifests
 
     rows: list[FileRow] = []
@@ -142,7 +140,13 @@ def summarize(names: Sequence[str]) -> RunSummary:
     for name in dict.fromkeys(names):
         path = Path(name)
         if is_url(name) or path.is_dir():
-            history = _read_folder(name)
+            history = histories.read_place(name)
+            if history is None:
+                raise UsageError(
+                    f"there is no manifest in the folder {name!r}",
+                    hint="name the output folder of msal denoise (with --in-place the input)",
+                    path=name,
+                )
             remarks += _missing_parts(history.runs, name)
             paths += [] if is_url(name) else map(str, list_manifests(name))
         elif path.is_file():
@@ -162,19 +166,6 @@ def summarize(names: Sequence[str]) -> RunSummary:
     is_finished = not remarks and all(record.status != "planned" for record in records)
     run = _combine(runs, is_finished) if runs else _guess_run(rows, is_finished)
     return RunSummary(run, tuple(records), tuple(remarks), not remarks, tuple(paths))
-
-
-def _read_folder(name: str) -> RunHistory:
-    from msal_cli.batch import history as histories
-
-    history = histories.read_place(name)
-    if history is None:
-        raise UsageError(
-            f"there is no manifest in the folder {name!r}",
-            hint="name the output folder of msal denoise (with --in-place the input)",
-            path=name,
-        )
-    return history
 
 
 def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
@@ -277,16 +268,23 @@ def _newest_records(rows: Iterable[FileRow]) -> list[MeshRecord]:
 
 
 def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
-    """The newest of several runs, with the times of all of the same version and settings."""
+    """The newest of several runs, with the times of all of the same version and settings, and the
+    seconds in which at least one of these was at work."""
     newest = max(runs, key=lambda run: run.at)
     alike = [run for run in runs if run.configuration == newest.configuration]
+    seconds, reached = 0.0, float("-inf")
+    starts = [(_parse_time(run.started), run.seconds) for run in alike]
+    spans = [(start, start + s) for start, s in starts if start is not None and s > 0.0]
+    for start, stop in sorted(spans):
+        seconds += max(0.0, stop - max(start, reached))
+        reached = max(reached, stop)
     return Run(
         version=newest.version,
         command=newest.command,
         settings=newest.settings,
         started=min(run.started for run in alike),
         finished=max(run.finished for run in alike),
-        seconds=round(_seconds_at_work(alike), 3),
+        seconds=round(seconds, 3),
         interrupted=not is_finished,
     )
 
@@ -315,17 +313,6 @@ def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
         seconds=0.0,
         interrupted=not is_finished,
     )
-
-
-def _seconds_at_work(runs: Iterable[RunEntry]) -> float:
-    """The seconds in which at least one run was at work."""
-    starts = [(_parse_time(run.started), run.seconds) for run in runs]
-    total, reached = 0.0, float("-inf")
-    spans = [(start, start + s) for start, s in starts if start is not None and s > 0.0]
-    for start, stop in sorted(spans):
-        total += max(0.0, stop - max(start, reached))
-        reached = max(reached, stop)
-    return total
 
 
 def _parse_time(timestamp: str) -> float | None:

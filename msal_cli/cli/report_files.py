@@ -13,6 +13,7 @@ import os
 import re
 import stat
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -123,7 +124,6 @@ def _draw_pictures(
 ) -> Gallery:
     """The pictures of a page; they are kept beside a local one for the next time."""
     import time
-    from contextlib import suppress
 
     from msal_cli.batch import interrupts
     from msal_cli.cli import progress
@@ -178,21 +178,37 @@ def refuse_target(
     device or a pipe; for one of ``taken``, and for another mesh that is there.
     """
     from msal_cli.batch.plan import identify_file
+    from msal_cli.codecs.detection import content_format
+    from msal_cli.storage.regular import LOOKED_AT, open_regular
     from msal_cli.storage.urls import is_url
 
-    is_remote = is_url(name)
     _refuse_name(name, what, may_be_mesh=replaces is not None)
     here = identify_file(name) or os.path.realpath(name)
     for path in taken:
         if here == (identify_file(path) or os.path.realpath(path)):
             raise UsageError(f"{what} {name!r} would replace {path!r}", hint=_ANOTHER)
-    if is_remote or not os.path.lexists(name):
+    # A link to nowhere is replaced.
+    if is_url(name) or not os.path.exists(name):
         return
     if os.path.isdir(name):
         raise UsageError(f"{what} {name!r} is a folder", hint="name a file in it")
-    if os.path.exists(name) and not os.path.isfile(name):
+    if not os.path.isfile(name):
         raise UsageError(f"{what} {name!r} is a device or a pipe, not a file", hint=_ANOTHER)
-    _refuse_mesh(name, what, replaces)
+    try:
+        with open_regular(name) as file:
+            head, size = file.read(LOOKED_AT), os.fstat(file.fileno()).st_size
+    except OSError:
+        raise UsageError(f"{what} {name!r} is there, and cannot be read", hint=_ANOTHER) from None
+    if replaces is None:
+        if found := content_format(head, size=size):
+            raise UsageError(
+                f"{what} {name!r} would replace a mesh ({found.upper()})", hint=_ANOTHER
+            )
+    elif not re.match(replaces.encode(), head, re.DOTALL):
+        raise UsageError(
+            f"{what} {name!r} would replace a file that is none of its kind",
+            hint="move it away, or give another name",
+        )
 
 
 def _refuse_name(name: str, what: str, *, may_be_mesh: bool = False) -> None:
@@ -210,32 +226,6 @@ def _refuse_name(name: str, what: str, *, may_be_mesh: bool = False) -> None:
             )
         if not may_be_mesh and is_mesh_name(path):
             raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
-
-
-def _refuse_mesh(name: str, what: str, replaces: str | None) -> None:
-    from msal_cli.codecs.detection import content_format
-    from msal_cli.storage.regular import LOOKED_AT, open_regular
-
-    try:
-        with open_regular(name) as file:
-            head, size = file.read(LOOKED_AT), os.fstat(file.fileno()).st_size
-    except OSError:
-        # A link to nowhere; or what cannot be read, and is not known to be ours.
-        if os.path.exists(name):
-            raise UsageError(
-                f"{what} {name!r} is there, and cannot be read", hint=_ANOTHER
-            ) from None
-        return
-    if replaces is None:
-        if found := content_format(head, size=size):
-            raise UsageError(
-                f"{what} {name!r} would replace a mesh ({found.upper()})", hint=_ANOTHER
-            )
-    elif not re.match(replaces.encode(), head, re.DOTALL):
-        raise UsageError(
-            f"{what} {name!r} would replace a file that is none of its kind",
-            hint="move it away, or give another name",
-        )
 
 
 def open_log(name: str) -> io.TextIOWrapper:
@@ -282,8 +272,14 @@ def annotate(records: Sequence[MeshRecord]) -> None:
         return
     from msal_cli.report.github import list_annotations
 
+    # The current folder as a path from the root of the repository; empty outside of it.
+    here = ""
+    if root := os.environ.get("GITHUB_WORKSPACE"):
+        with suppress(OSError, ValueError):
+            here = os.path.relpath(os.path.realpath("."), os.path.realpath(root))
+    here = "" if here == "." or here.startswith("..") else here.replace(os.sep, "/")
     # The runner reads both streams; standard output is for data.
-    for command in list_annotations(records, _here()):
+    for command in list_annotations(records, here):
         console.say(command)
 
 
@@ -309,15 +305,3 @@ def _append_to_summary(name: str, run: Run, records: Sequence[MeshRecord]) -> No
         raise OutputError(
             f"the summary {name!r} cannot be written: {error.strerror}", path=name
         ) from None
-
-
-def _here() -> str:
-    """The current folder as a path from the root of the repository; empty outside of it."""
-    root = os.environ.get("GITHUB_WORKSPACE")
-    if not root:
-        return ""
-    try:
-        here = os.path.relpath(os.path.realpath("."), os.path.realpath(root)).replace(os.sep, "/")
-    except (OSError, ValueError):
-        return ""
-    return "" if here == "." or here.startswith("..") else here

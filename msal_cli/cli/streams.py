@@ -9,7 +9,9 @@ import queue
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import console
@@ -165,35 +167,26 @@ def _find_limit(memory_limit: int | None = None) -> tuple[int, MsalError]:
 
 def _pieces(timeout_s: float | None = None) -> Iterator[bytes]:
     """What comes through standard input; ResourceError if it does not end within ``timeout_s``."""
-    read = _reader()
+    if sys.stdin is None:
+        raise InputError("standard input is closed", code="E_READ")
+    read: Callable[[int], bytes] = sys.stdin.buffer.read
+    with suppress(OSError, ValueError):
+        # A buffered stream cannot be left while another thread reads it.
+        read = partial(os.read, sys.stdin.buffer.fileno())
+    pieces = iter(partial(read, _PIECE), b"")
     try:
-        if timeout_s is None:
-            while piece := read(_PIECE):
-                yield piece
-            return
-        yield from _timely_pieces(read, timeout_s)
+        yield from pieces if timeout_s is None else _timely_pieces(pieces, timeout_s)
     except OSError as error:
         raise InputError(f"the stream cannot be read: {error.strerror}", code="E_READ") from None
 
 
-def _reader() -> Callable[[int], bytes]:
-    if sys.stdin is None:
-        raise InputError("standard input is closed", code="E_READ")
-    try:
-        handle = sys.stdin.buffer.fileno()
-    except (OSError, ValueError):
-        return sys.stdin.buffer.read
-    # A buffered stream cannot be left while another thread reads it.
-    return lambda size: os.read(handle, size)
-
-
-def _timely_pieces(read: Callable[[int], bytes], timeout_s: float) -> Iterator[bytes]:
+def _timely_pieces(pieces: Iterator[bytes], timeout_s: float) -> Iterator[bytes]:
     # A thread, since only sockets can be waited for on every system.
     came: queue.Queue[Any] = queue.Queue(_MAX_WAITING)
 
     def pass_on() -> None:
         try:
-            while piece := read(_PIECE):
+            for piece in pieces:
                 came.put(piece)
             came.put(b"")
         except (OSError, ValueError) as error:
@@ -228,14 +221,19 @@ def denoise_stream(
     With a limit of time or memory a supervised worker does it, which can be ended.  UsageError if
     no file can be denoised within ``limits``; BrokenPipeError if standard output is not read.
     """
-    from msal_cli.job.pipeline import start_record
+    from msal_cli.codecs import header
+    from msal_cli.job.pipeline import denoise_bytes, start_record
     from msal_cli.job.records import Failure
 
-    is_limited = (limits.timeout_s, limits.memory_bytes) != (None, None)
-    denoise = _denoise_in_worker if is_limited else _denoise_here
-    record = start_record(stream.source, settings)
+    name = stream.source
+    record = start_record(name, settings)
+    output: Buffer | None
     try:
-        output, record = denoise(stream, settings, on_progress, limits)
+        if limits.timeout_s is not None or limits.memory_bytes is not None:
+            output, record = _denoise_in_worker(name, settings, on_progress, limits)
+        else:
+            data = read_stream() if name == STREAM else header.read_input(name, settings.format)
+            output, record = denoise_bytes(data, name, settings, on_progress, limits)
         if output is None:
             return record
         if stream.target == STREAM:
@@ -249,22 +247,11 @@ def denoise_stream(
         return replace(record, status="failed", output=None, error=failure)
 
 
-def _denoise_here(
-    stream: Stream, settings: Settings, on_progress: OnProgress, limits: Limits
-) -> tuple[Buffer | None, MeshRecord]:
-    """The bytes of the output, None if it failed, and the record; made in this process."""
-    from msal_cli.codecs import header
-    from msal_cli.job.pipeline import denoise_bytes
-
-    name = stream.source
-    data = read_stream() if name == STREAM else header.read_input(name, settings.format)
-    return denoise_bytes(data, name, settings, on_progress, limits)
-
-
 def _denoise_in_worker(
-    stream: Stream, settings: Settings, on_progress: OnProgress, limits: Limits
+    name: str, settings: Settings, on_progress: OnProgress, limits: Limits
 ) -> tuple[Buffer | None, MeshRecord]:
-    """As ``_denoise_here``, in a worker that is ended when it exceeds its limits.
+    """The bytes of the output, None if it failed, and the record; by a worker that is ended when it
+    exceeds its limits.
 
     What comes through a stream is kept in a private folder until the end.
     """
@@ -281,11 +268,11 @@ def _denoise_in_worker(
         interrupts.catch_signals(interrupts.raise_for),
         tempfile.TemporaryDirectory(prefix="msal-") as folder,
     ):
-        source, left_s = stream.source, limits.timeout_s
+        source, left_s = name, limits.timeout_s
         if source == STREAM:
             source = os.path.join(folder, "input")
             left_s = copy_stream(source, limits.timeout_s, limits.memory_bytes)
-        task = Task(source, os.path.join(folder, "output"), relative=stream.source)
+        task = Task(source, os.path.join(folder, "output"), relative=name)
         record = denoise_in_pool(task, settings, limits, left_s, on_progress)
         return (None if record.error is not None else gzip_streams.read_whole(task.output)), record
 

@@ -17,6 +17,7 @@ from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, complete_method, group
 from msal_cli.cli.view import make_view_group, read_view
 from msal_cli.errors import UsageError
+from msal_cli.job.display_names import escape_for_display
 
 if TYPE_CHECKING:
     from msal_cli.auto.risk import Filter
@@ -99,25 +100,31 @@ def command(request: Request) -> int:
     done = []
     filters: list[Filter] = []
     # The picture is the result, even if nothing reads the numbers.
-    with console.finish_work():
-        for cell, mesh, filter in _results(on, grid, mesh_file):
-            done.append((cell, sweep.draw_grid(on, mesh, view)))
-            filters.append(filter)
-            if not request.as_json and not request.quiet:
+    lost: BrokenPipeError | None = None
+    for cell, mesh, filter in _results(on, grid, mesh_file):
+        done.append((cell, sweep.draw_grid(on, mesh, view)))
+        filters.append(filter)
+        if not request.as_json and not request.quiet and lost is None:
+            try:
                 console.put(_describe_cell(cell))
                 console.flush()
-        errors = estimate_errors(on.ready.mesh, filters) or repeat(None)
-        done = [
-            (replace(cell, risk_edges=error), image)
-            for (cell, image), error in zip(done, errors, strict=False)
-        ]
-        picture = sweep.sheet(on, grid, done, view)
-        atomic.write_whole(output, png_bytes(picture), sources=[source])
+            except BrokenPipeError as error:
+                lost = error
+    errors = estimate_errors(on.ready.mesh, filters) or repeat(None)
+    done = [
+        (replace(cell, risk_edges=error), image)
+        for (cell, image), error in zip(done, errors, strict=False)
+    ]
+    atomic.write_whole(output, png_bytes(sweep.sheet(on, grid, done, view)), sources=[source])
+    try:
+        if lost is not None:
+            raise lost
         cells = [cell for cell, _ in done]
         if request.as_json:
             _print_json(source, reference, grid, cells)
         elif not request.quiet:
             console.put(_describe_nearest(cells))
+    finally:
         if not request.quiet:
             console.say_written(output)
     return console.SUCCESS
@@ -156,7 +163,6 @@ def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
 
 
 def _describe_cell(cell: Cell) -> str:
-    from msal_cli.job.display_names import escape_for_display
 
     numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
     if cell.volume_change_percent is not None:
@@ -167,7 +173,6 @@ def _describe_cell(cell: Cell) -> str:
 
 
 def _describe_nearest(cells: list[Cell]) -> str:
-    from msal_cli.job.display_names import escape_for_display
     from msal_cli.view.sweep import find_nearest
 
     nearest = find_nearest(cells)

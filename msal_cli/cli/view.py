@@ -22,6 +22,7 @@ from msal_cli.cli.options import (
     resolve_format,
 )
 from msal_cli.errors import UsageError
+from msal_cli.job.display_names import escape_for_display
 
 if TYPE_CHECKING:
     from msal_cli.view.pictures import View
@@ -106,7 +107,6 @@ def command(request: Request) -> int:
     import shlex
 
     from msal_cli.cli.report_files import refuse_target
-    from msal_cli.job.display_names import escape_for_display
     from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
     from msal_cli.view import pages, pictures

@@ -22,6 +22,7 @@ from msal_cli.cli.denoise import (
 from msal_cli.cli.denoise_options import HOW_TO_DENOISE, MESSAGES_AND_HELP
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
+from msal_cli.job.display_names import escape_for_display
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -238,7 +239,6 @@ class _Watch:
 
     def _say(self, name: str, record: MeshRecord) -> None:
         """One line for one file, and a second one on what to do about a failure."""
-        from msal_cli.job.display_names import escape_for_display
 
         if record.error is not None:
             console.say_failure(name, record.error)
