@@ -22,12 +22,16 @@ def to_dispatcher(kernel: Kernel, **options: bool) -> Any:
 def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
     from numba import njit
 
+    from kernel_build.lanes import COMPILED
+
     known = kernel.function.__globals__
-    called = {
-        name: _dispatcher(known[name], options)
-        for name in _globals_used(kernel.function.__code__)
-        if isinstance(known.get(name), Kernel)
-    }
+    called = {}
+    for name in _globals_used(kernel.function.__code__):
+        value = known.get(name)
+        if isinstance(value, Kernel):
+            called[name] = _dispatcher(value, options)
+        elif isinstance(value, types.FunctionType) and value in COMPILED:
+            called[name] = COMPILED[value]
     function = types.FunctionType(
         kernel.function.__code__, {**known, **called}, kernel.function.__name__
     )

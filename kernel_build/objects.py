@@ -117,7 +117,9 @@ def _plan(signature: str, target: Target) -> _Plan:
 @functools.cache
 def _tools() -> str:
     """What objects depend on beside the kernels."""
-    sources = [inspect.getsource(one) for one in (lower, to_object, numba_kernels)]
+    from kernel_build import lanes
+
+    sources = [inspect.getsource(one) for one in (lower, to_object, numba_kernels, lanes)]
     versions = [metadata.version(name) for name in ("numba", "llvmlite")]
     return hashlib.sha256(repr((sources, versions, _ENVIRONMENT)).encode()).hexdigest()
 

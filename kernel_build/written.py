@@ -6,9 +6,11 @@ import ast
 import functools
 import inspect
 import textwrap
+import types
 from typing import Any
 
 from msal_cli.kernels.compiled import Kernel
+from msal_cli.kernels.lanes import WRITTEN
 
 _WRITING_METHODS = {"fill", "sort", "partition"}
 
@@ -65,6 +67,9 @@ class _Writes(ast.NodeVisitor):
             callee = self.known.get(node.func.id)
             if isinstance(callee, Kernel):
                 for at in written_arguments(callee):
+                    self.written |= self._roots_of(node.args[at])
+            elif isinstance(callee, types.FunctionType):
+                for at in WRITTEN.get(callee, ()):
                     self.written |= self._roots_of(node.args[at])
         elif isinstance(node.func, ast.Attribute) and node.func.attr in _WRITING_METHODS:
             self.written |= self._roots_of(node.func.value)

@@ -270,8 +270,8 @@ def collect_samples(
         known = np.flatnonzero(one.truth.any(axis=1) & one.cascade.scanned.any(axis=1))
         chosen = np.sort(generator.permutation(known)[:per_mesh])
         descriptors = one.describe()
-        n_vectors = descriptors.vectors.shape[1]
-        inputs.append(descriptors.inputs()[chosen])
+        n_vectors = descriptors.n_vectors
+        inputs.append(descriptors.collect()[0][chosen])
         axes = descriptors.axes[chosen]
         targets.append(np.einsum("kij,kj->ki", axes, one.truth[chosen].astype(np.float32)))
         weights.append(np.full(len(chosen), one.weight, dtype=np.float32))

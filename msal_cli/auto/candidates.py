@@ -94,7 +94,7 @@ def _sinc(iterations: int, pass_band: float, cost: float) -> Candidate:
     return Candidate("windowed_sinc", {"iterations": iterations, "pass_band": pass_band}, cost)
 
 
-LEARNED = Candidate("learned", dict(_SLIDING), 115.0, takes_noise=True)
+LEARNED = Candidate("learned", dict(_SLIDING), 100.0, takes_noise=True)
 """The best by itself on nearly every mesh, and alone on machined parts."""
 
 ROBUST_LEARNED = dataclasses.replace(LEARNED, given={**_SLIDING, "texture": "lost"})

@@ -84,4 +84,7 @@ def arg_type(argument: Any) -> library.ArgType:
         return "f8"
     if isinstance(argument, int):
         return "i8" if argument < 1 << 63 else "u8"
+    if isinstance(argument, tuple):
+        # Only kernels that are interpreted give each other tuples in this way.
+        return f"({', '.join(str(arg_type(one)) for one in argument)})"
     raise TypeError(f"a kernel takes arrays and numbers, not {type(argument).__name__}")

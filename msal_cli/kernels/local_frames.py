@@ -1,110 +1,87 @@
-"""Eigenvectors of many symmetric 3 x 3 matrices at once, by Jacobi's rotations in lanes."""
+"""Eigenvectors of eight symmetric 3 x 3 matrices at once, by Jacobi's rotations in lanes."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.near_blocks import LANES, R1, R2, R3, R4, R5
+from msal_cli.kernels.lanes import choose_greater, fill_lanes, root
 
 SWEEPS = 4
 """Rounds of three rotations: what is left beside the diagonal is below single precision."""
 
 _0, _1, _2 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-_TINY = np.float32(1e-30)
+_MINUS, _TINY = np.float32(-1.0), np.float32(1e-30)
 
 
 @compiled
-def _tangent(p, q, off):
-    """Tangent of the smaller angle whose rotation makes ``off`` zero beside diagonal p, q."""
-    gap = q - p
-    size = gap if gap >= _0 else -gap
-    double = _2 * off
-    turn = double / (size + np.sqrt(gap * gap + double * double) + _TINY)
-    return turn if gap >= _0 else -turn
+def find_axes(tensor):
+    """Unit eigenvectors, three of three lanes, and eigenvalues, greatest first.
 
-
-@compiled
-def find_axes(tensors, at, axes, values):
-    """Unit eigenvectors and eigenvalues, greatest first, of the matrices of all lanes.
-
-    Parameters
-    ----------
-    tensors : rows of lanes xx, xy, xz, yy, yz, zz from the place ``at`` on.
-    axes : gets nine rows of lanes, the coordinates of the first axis first.
-    values : gets three rows of lanes.
+    ``tensor`` are the lanes xx, xy, xz, yy, yz, zz.
     """
-    for lane in range(LANES):
-        for row in range(np.uint64(9)):
-            axes[row * R1 + lane] = _1 if row % np.uint64(4) == np.uint64(0) else _0
-        o = at + lane
-        values[lane] = tensors[o]
-        values[R1 + lane] = tensors[o + R3]
-        values[R2 + lane] = tensors[o + R5]
-        values[R3 + lane] = tensors[o + R1]
-        values[R4 + lane] = tensors[o + R2]
-        values[R5 + lane] = tensors[o + R4]
+    xx, xy, xz, yy, yz, zz = tensor
+    zero, one = fill_lanes(_0), fill_lanes(_1)
+    a, b, c = (one, zero, zero), (zero, one, zero), (zero, zero, one)
     for _ in range(SWEEPS):
-        _rotate(R1 - R1, R1, R3, R4, R5, axes, values)
-        _rotate(R1 - R1, R2, R4, R3, R5, axes, values)
-        _rotate(R1, R2, R5, R3, R4, axes, values)
-    _exchange(R1 - R1, R1, axes, values)
-    _exchange(R1, R2, axes, values)
-    _exchange(R1 - R1, R1, axes, values)
+        xx, yy, xy, xz, yz, a, b = _rotate(xx, yy, xy, xz, yz, a, b)
+        xx, zz, xz, xy, yz, a, c = _rotate(xx, zz, xz, xy, yz, a, c)
+        yy, zz, yz, xy, xz, b, c = _rotate(yy, zz, yz, xy, xz, b, c)
+    xx, yy, a, b = _sort(xx, yy, a, b)
+    yy, zz, b, c = _sort(yy, zz, b, c)
+    xx, yy, a, b = _sort(xx, yy, a, b)
+    return a, b, c, xx, yy, zz
 
 
 @compiled
-def _rotate(p, q, off, rest_p, rest_q, axes, values):
-    """One rotation of the axes ``p`` and ``q``, given as the rows of their diagonal entries."""
-    first, second = p * np.uint64(3), q * np.uint64(3)
-    for lane in range(LANES):
-        t = _tangent(values[p + lane], values[q + lane], values[off + lane])
-        c = _1 / np.sqrt(_1 + t * t)
-        s = t * c
-        change = t * values[off + lane]
-        values[p + lane] -= change
-        values[q + lane] += change
-        values[off + lane] = _0
-        a, b = values[rest_p + lane], values[rest_q + lane]
-        values[rest_p + lane] = c * a - s * b
-        values[rest_q + lane] = s * a + c * b
-        a, b = axes[first + lane], axes[second + lane]
-        axes[first + lane] = c * a - s * b
-        axes[second + lane] = s * a + c * b
-        a, b = axes[first + R1 + lane], axes[second + R1 + lane]
-        axes[first + R1 + lane] = c * a - s * b
-        axes[second + R1 + lane] = s * a + c * b
-        a, b = axes[first + R2 + lane], axes[second + R2 + lane]
-        axes[first + R2 + lane] = c * a - s * b
-        axes[second + R2 + lane] = s * a + c * b
+def _rotate(p, q, off, rest_p, rest_q, first, second):
+    """One rotation of two axes, by the smaller angle that makes ``off`` zero.
+
+    ``p`` and ``q`` are their entries of the diagonal, ``off`` is the one of both, ``rest_p`` and
+    ``rest_q`` those with the third axis.
+    """
+    zero, one, minus = fill_lanes(_0), fill_lanes(_1), fill_lanes(_MINUS)
+    gap = q - p
+    size = choose_greater(zero, gap, gap * minus, gap)
+    double = fill_lanes(_2) * off
+    t = double / (size + root(gap * gap + double * double) + fill_lanes(_TINY))
+    t = choose_greater(zero, gap, t * minus, t)
+    c = one / root(one + t * t)
+    s = t * c
+    change = t * off
+    ax, ay, az = first
+    bx, by, bz = second
+    return (
+        p - change,
+        q + change,
+        zero,
+        c * rest_p - s * rest_q,
+        s * rest_p + c * rest_q,
+        (c * ax - s * bx, c * ay - s * by, c * az - s * bz),
+        (s * ax + c * bx, s * ay + c * by, s * az + c * bz),
+    )
 
 
 @compiled
-def _exchange(p, q, axes, values):
-    """Exchange two axes where the second has the greater value."""
-    first, second = p * np.uint64(3), q * np.uint64(3)
-    for lane in range(LANES):
-        a, b = values[p + lane], values[q + lane]
-        is_less = a < b
-        values[p + lane] = b if is_less else a
-        values[q + lane] = a if is_less else b
-        a, b = axes[first + lane], axes[second + lane]
-        axes[first + lane] = b if is_less else a
-        axes[second + lane] = a if is_less else b
-        a, b = axes[first + R1 + lane], axes[second + R1 + lane]
-        axes[first + R1 + lane] = b if is_less else a
-        axes[second + R1 + lane] = a if is_less else b
-        a, b = axes[first + R2 + lane], axes[second + R2 + lane]
-        axes[first + R2 + lane] = b if is_less else a
-        axes[second + R2 + lane] = a if is_less else b
+def _sort(p, q, first, second):
+    """Two eigenvalues and their axes, the greater first."""
+    ax, ay, az = first
+    bx, by, bz = second
+    return (
+        choose_greater(q, p, q, p),
+        choose_greater(q, p, p, q),
+        (choose_greater(q, p, bx, ax), choose_greater(q, p, by, ay), choose_greater(q, p, bz, az)),
+        (choose_greater(q, p, ax, bx), choose_greater(q, p, ay, by), choose_greater(q, p, az, bz)),
+    )
 
 
 @compiled
-def turn_axes(skews, axes):
-    """Turn each axis round where its row of ``skews`` is negative."""
-    for lane in range(LANES):
-        for axis in range(np.uint64(3)):
-            is_turned = skews[axis * R1 + lane] < _0
-            for row in range(axis * np.uint64(3), axis * np.uint64(3) + np.uint64(3)):
-                value = axes[row * R1 + lane]
-                axes[row * R1 + lane] = -value if is_turned else value
+def turn_axis(skew, axis):
+    """The axis, turned round where ``skew`` is negative."""
+    x, y, z = axis
+    zero, minus = fill_lanes(_0), fill_lanes(_MINUS)
+    return (
+        choose_greater(zero, skew, x * minus, x),
+        choose_greater(zero, skew, y * minus, y),
+        choose_greater(zero, skew, z * minus, z),
+    )

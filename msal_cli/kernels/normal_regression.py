@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,27 +13,24 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import faces_within
 from msal_cli.kernels.geometry import ring_means
-from msal_cli.kernels.near_blocks import WIDE
+from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
     DEVIATION,
     NARROW_MEAN,
     NORMAL,
     NUMBERS,
-    REFINED,
+    OWN_NUMBERS,
+    OWN_VECTORS,
     SCATTER,
-    TWICE,
     UNIT,
     VECTORS,
     WIDE_FILTERED,
     WIDE_MEAN,
-    WIDER,
-    average_around,
     describe,
-    filter_jointly,
 )
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import median
-from msal_cli.kernels.regression_network import STEP, collect_inputs, predict_normals
+from msal_cli.kernels.regression_network import TILE, collect_inputs, predict_normals
 from msal_cli.kernels.vectors import ONE, THREE, TWO
 
 MAX_NEAR = 63
@@ -55,17 +53,13 @@ STATISTICS = 5
 ROOT_3 = 3.0**0.5
 """The edge of equilateral triangles over the distance of their centroids."""
 
-EXCHANGED = 6
-"""Vectors that faces read of those near: the normal, the wide filtered one, the wide mean, the
-first of the other filters, the scanned normal, that of the stage before."""
-
 SAMPLED = 1 << 15
 """Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
 
 GLOBALS = 11
 """Inputs that are the same for all faces of a mesh."""
 
-_FOUR, _FIVE = np.uint64(4), np.uint64(5)
+_FOUR = np.uint64(4)
 
 
 @compiled
@@ -120,18 +114,46 @@ def _fill_marks(start, stop, normals, areas, per_area, ring_start, ring, marks):
 
 
 @compiled
-def _gather_ripples(start, stop, faces, heights, units, scatter, ripples):
-    """Five numbers of each face: its scatter, and means of its corners' ``heights`` (n, 4) in its
-    unit."""
+def _fill_records(
+    start,
+    stop,
+    faces,
+    heights,
+    units,
+    unit,
+    marks,
+    table,
+    others,
+    scanned,
+    before,
+    numbers,
+    records,
+):
+    """The ``records`` (m, 24) of ``lay_guides``, and the own unit over itself plus the mean.
+
+    Their vectors are the normal, two of ``table``, the first of the ``others``, and, where there
+    are any, the normals that were ``scanned`` and of the stage ``before``; their numbers are the
+    area, the scatter, and means of the corners' ``heights`` (n, 4) in the unit of the face.
+    """
+    is_later = len(scanned) > 0
     for f in range(np.uint64(start), np.uint64(stop)):
+        numbers[f, UNIT] = np.float32(units[f] / (units[f] + unit))
+        for k in range(4):
+            records[f, k] = marks[_FOUR * f + np.uint64(k)]
+        for k in range(3):
+            records[f, 4 + k] = table[f, WIDE_FILTERED, k]
+            records[f, 8 + k] = table[f, WIDE_MEAN, k]
+            records[f, 12 + k] = others[f, k]
+            records[f, 16 + k] = np.float32(scanned[f, k] if is_later else 0.0)
+            records[f, 20 + k] = np.float32(before[f, k] if is_later else 0.0)
+        records[f, 7] = numbers[f, SCATTER]
         a, b, c = faces[THREE * f], faces[THREE * f + ONE], faces[THREE * f + TWO]
         per_unit = 1.0 / (3.0 * units[f]) if units[f] > 0.0 else 0.0
-        ripples[_FIVE * f] = scatter[f]
-        for k in range(_FOUR):
-            total = heights[_FOUR * a + k] + heights[_FOUR * b + k] + heights[_FOUR * c + k]
+        for k in range(4):
+            total = heights[a, k] + heights[b, k] + heights[c, k]
             value = total * per_unit
             # Bounded, so that a single spike does not decide a mean.
-            ripples[_FIVE * f + ONE + k] = np.float32(value / (1.0 + value))
+            records[f, 11 + 4 * k] = np.float32(value / (1.0 + value))
 
 
 def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
@@ -195,57 +217,67 @@ class Evidence:
     ----------
     noise : standard deviation, mean edge lengths; None where it is not known.
     is_white : whether that is white noise along the normals.
-    normals : OTHERS arrays (m, 3): normals that other filters give.
+    normals : (m, 3 OTHERS) normals that other filters give, beside each other; zero for none.
     statistics : (m, STATISTICS) of the surroundings of each face.
     """
 
     noise: float | None
     is_white: bool
-    normals: tuple[Floats32, ...]
+    normals: Floats32
     statistics: Floats32
 
 
 def count_vectors(stage: int) -> int:
-    """Vectors of each face in a stage, counted from 0."""
+    """Vectors of each face in a stage, counted from 0; a multiple of four."""
     return VECTORS + OTHERS + GUIDED + (EARLIER if stage else 0)
 
 
 @dataclass(frozen=True, eq=False)
 class Descriptors:
-    """What is known of every face.
+    """What is known of every face in a stage.
 
     Attributes
     ----------
-    vectors : (m, k, 3) candidates for its normal, as many as ``count_vectors`` says.
-    numbers : (m, NUMBERS + STATISTICS).
-    axes : (m, 3, 3) the axes that the vectors are seen along.
-    globals : (GLOBALS,) the same for all faces.
+    arrays : what ``lay_inputs`` makes inputs of: most of what is known is made where it is used,
+        since to write it down takes as long.
+    is_later : whether a stage came before.
+    globals : (GLOBALS,) the inputs that are the same for all faces.
     """
 
-    vectors: Floats32
-    numbers: Floats32
-    axes: Floats32
+    arrays: tuple[NDArray[Any], ...]
+    is_later: bool
     globals: Floats32
 
-    def inputs(self) -> Floats32:
-        """What the network sees of each face, (m, 3 k + NUMBERS + STATISTICS + GLOBALS)."""
-        m, width = self.vectors.shape[:2]
-        own = np.empty((m, 3 * width + self.numbers.shape[1]), dtype=np.float32)
-        over_ranges(collect_inputs, m, *self._flat(), own)
-        return np.concatenate([own, np.broadcast_to(self.globals, (m, GLOBALS))], axis=1)
+    @property
+    def axes(self) -> Floats32:
+        """The axes (m, 3, 3) of each face."""
+        return self.arrays[7].reshape(-1, 3, 3)
 
-    def _flat(self) -> tuple[int, Floats32, int, Floats32, Floats32]:
-        width = self.vectors.shape[1]
-        flat = self.vectors.reshape(-1), self.numbers.reshape(-1), self.axes.reshape(-1)
-        return width, flat[0], self.numbers.shape[1], flat[1], flat[2]
+    @property
+    def n_vectors(self) -> int:
+        """Candidates for the normal of a face."""
+        return count_vectors(int(self.is_later))
+
+    def collect(self) -> tuple[Floats32, Floats32]:
+        """What the network sees of each face, and the candidates (m, k, 3) for its normal.
+
+        The inputs are the candidates along axes of the face, NUMBERS, STATISTICS and GLOBALS.
+        """
+        m, k = len(self.arrays[2]), self.n_vectors
+        own = np.empty((m, 3 * k + NUMBERS + STATISTICS), dtype=np.float32)
+        vectors = np.empty((m, 3 * k), dtype=np.float32)
+        over_ranges(collect_inputs, m, *self.arrays, self.is_later, own, vectors)
+        shared = np.broadcast_to(self.globals, (m, GLOBALS))
+        return np.concatenate([own, shared], axis=1), vectors.reshape(m, k, 3)
 
     def predict(self, network: Network) -> Floats:
         """The unit normals (m, 3) that the network gives."""
-        m = len(self.vectors)
+        m = len(self.arrays[2])
         normals = np.empty((m, 3))
+        sizes = self.n_vectors, network.n_in, network.n_hidden, network.n_out
         weights = network.bound(self.globals)
-        sizes = network.n_in, network.n_hidden, network.n_out
-        over_ranges(predict_normals, m, *self._flat(), *sizes, weights, normals.reshape(-1))
+        of = *self.arrays, self.is_later, *sizes, weights
+        over_ranges(predict_normals, m, *of, normals.reshape(-1))
         return normals
 
 
@@ -262,8 +294,8 @@ class Network:
 
     @property
     def n_in(self) -> int:
-        """Inputs of a face, filled up."""
-        return _fill(self.layers[0][1].shape[1] - GLOBALS)
+        """Inputs of a face."""
+        return int(self.layers[0][1].shape[1]) - GLOBALS
 
     @property
     def n_hidden(self) -> int:
@@ -284,15 +316,15 @@ class Network:
                 for column, value in enumerate(values, start=-GLOBALS):
                     bias += matrix[:, column] * value
                 matrix = matrix[:, :-GLOBALS]
-            rows, columns = _fill(len(bias)), _fill(matrix.shape[1])
-            whole = np.zeros((rows, columns), dtype=np.float32)
-            whole[: len(bias), : matrix.shape[1]] = matrix
-            parts += [np.pad(bias, (0, rows - len(bias))), whole.reshape(-1)]
+            more = _fill(len(bias)) - len(bias)
+            tiles = np.pad(matrix, ((0, more), (0, 0))).reshape(-1, int(TILE), matrix.shape[1])
+            parts += [np.pad(bias, (0, more)), tiles.transpose(0, 2, 1).reshape(-1)]
         return np.concatenate(parts)
 
 
 def _fill(count: int) -> int:
-    return -(-count // int(STEP)) * int(STEP)
+    """The next number of outputs that the kernel takes."""
+    return -(-count // int(TILE)) * int(TILE)
 
 
 class NormalDescriber:
@@ -316,12 +348,10 @@ class NormalDescriber:
         self.evidence = evidence
         self._corners = faces.reshape(-1).view(np.uint32)
         self._marks = np.empty(4 * m, dtype=np.float32)
-        self._table = np.empty(m * 3 * count_vectors(1), dtype=np.float32)
-        self._numbers = np.empty((m, NUMBERS + STATISTICS), dtype=np.float32)
-        self._numbers[:, NUMBERS:] = evidence.statistics
-        self._axes = np.empty((m, 3, 3), dtype=np.float32)
-        self._ripples = np.empty((m, 5), dtype=np.float32)
-        self._exchange = np.empty(m * 3 * EXCHANGED, dtype=np.float32)
+        self._table = np.empty((m, OWN_VECTORS, 3), dtype=np.float32)
+        self._numbers = np.empty((m, OWN_NUMBERS), dtype=np.float32)
+        self._axes = np.empty(9 * m, dtype=np.float32)
+        self._records = np.empty((m, int(RECORD)), dtype=np.float32)
 
     def describe(
         self,
@@ -340,10 +370,9 @@ class NormalDescriber:
         earlier : the scanned normals and those of the stage before, (m, 3) each, for a later
             stage.
         """
-        m = len(normals)
-        width = count_vectors(1 if earlier else 0)
-        table = self._table[: 3 * m * width].reshape(m, width, 3)
-        numbers, ripples, around = self._numbers, self._ripples, self.around
+        m, around = len(normals), self.around
+        table, numbers, records = self._table, self._numbers, self._records
+        given = self.evidence.normals, self.evidence.statistics
         rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
         units = _find_units(centroids, around.ring_start, around.ring)
         per_area = 1.0 / (float(areas.mean()) or 1.0)
@@ -351,58 +380,26 @@ class NormalDescriber:
         unit = float(units.mean()) or 1.0
         per_reach = 1.0 / (WIDE * np.where(units > 0.0, units, unit))
         near = around.near_start.view(np.uint64), around.near.view(np.uint32)
-        of = centroids.reshape(-1), self._marks, per_reach, *near
-        to_numbers = numbers.shape[1], numbers.reshape(-1)
-        to = width, table.reshape(-1), *to_numbers
-        over_ranges(describe, m, *of, *to, self._axes.reshape(-1))
-        numbers[:, UNIT] = units / (units + unit)
-        scatter = np.ascontiguousarray(numbers[:, SCATTER])
-        flat = ripples.reshape(-1)
-        over_ranges(_gather_ripples, m, self._corners, heights.reshape(-1), units, scatter, flat)
-        over_ranges(average_around, m, self._marks, *near, flat, *to_numbers)
-        self._filter_jointly(of, table, earlier)
-        values = _find_globals(table, numbers, ripples, self.evidence)
-        return Descriptors(table, numbers, self._axes, values)
-
-    def _filter_jointly(
-        self,
-        of: tuple[Floats, Floats32, Floats, NDArray[np.uint64], NDArray[np.uint32]],
-        table: Floats32,
-        earlier: tuple[Floats, Floats] | None,
-    ) -> None:
-        """Fill the vectors that are filtered by others."""
-        m, n_read = len(table), EXCHANGED if earlier else EXCHANGED - 2
-        exchange = self._exchange[: 3 * m * n_read].reshape(m, n_read, 3)
-        for place, slot in enumerate((NORMAL, WIDE_FILTERED, WIDE_MEAN)):
-            exchange[:, place] = table[:, slot]
-        exchange[:, 3] = self.evidence.normals[0]
-        for place, normals in enumerate(self.evidence.normals, start=VECTORS):
-            table[:, place] = normals
-            has_none = ~normals.any(axis=1)
-            if has_none.any():
-                table[has_none, place] = table[has_none, NORMAL]
-        guided = VECTORS + OTHERS
-        tasks = [(1, 0, REFINED), (1, 1, TWICE), (2, 2, WIDER), (3, 0, guided)]
-        ranges = [(0.25, 0.5), (0.25, 0.5), (0.25, 0.7), (0.3, 0.6)]
-        if earlier is not None:
-            own = guided + GUIDED
-            for place, before in enumerate(earlier):
-                exchange[:, 4 + place] = before
-                table[:, own + place] = before
-            tasks.append((5, 4, own + 2))
-            ranges.append((0.3, 0.6))
-        per_range = (1.0 / np.array(ranges) ** 2).astype(np.float32)
-        width, flat = table.shape[1], (exchange.reshape(-1), table.reshape(-1))
-        over_ranges(filter_jointly, m, *of, np.array(tasks), per_range, n_read, width, *flat)
+        # One more number: kernels read four coordinates where a point has three.
+        of = np.append(centroids, 0.0), self._marks, per_reach, *near
+        made = table.reshape(-1), numbers.reshape(-1), self._axes
+        over_ranges(describe, m, *of, *made)
+        scanned, before = earlier or (np.empty((0, 3)), np.empty((0, 3)))
+        sizes = self._corners, heights, units, unit, self._marks
+        vectors = table, given[0], scanned, before
+        over_ranges(_fill_records, m, *sizes, *vectors, numbers, records)
+        arrays = *of, *made, *[array.reshape(-1) for array in (records, given[1], given[0])]
+        values = _find_globals(table, numbers, records, self.evidence)
+        return Descriptors(arrays, earlier is not None, values)
 
 
 def _find_globals(
-    table: Floats32, numbers: Floats32, ripples: Floats32, evidence: Evidence
+    table: Floats32, numbers: Floats32, records: Floats32, evidence: Evidence
 ) -> Floats32:
     """What the whole mesh is like: medians of differences between means, of the deviation from
     planes, of scatter and ripples; the level of the noise, whether it is known, and as white."""
     step = max(len(table) // SAMPLED, 1)
-    table, numbers, ripples = table[::step], numbers[::step], ripples[::step]
+    table, numbers, ripples = table[::step], numbers[::step], records[::step, 7::4]
     own, narrow, wide = table[:, NORMAL], table[:, NARROW_MEAN], table[:, WIDE_MEAN]
     of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
     of += [numbers[:, DEVIATION], *ripples.T]

@@ -5,7 +5,9 @@ The inputs of a face are its vectors along its three axes, one behind the other,
 The last one gives a coefficient for each vector; the normal is their combination, normalised.
 So where all vectors are one, the normal is that one, whatever the coefficients.
 
-Products run over lanes of ``LANES`` faces, and every sum over inputs from the first to the last.
+Inputs and vectors are made for FACES at a time, and are not kept.  Every sum over inputs goes from
+the first to the last.  ``TILE`` outputs of twice ``LANES`` faces are summed at a time, which takes
+half of the registers that any processor has.
 """
 
 from __future__ import annotations
@@ -13,16 +15,13 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
+from msal_cli.kernels.lanes import LANES, choose_greater, fill_lanes, load_lanes, store_lanes
+from msal_cli.kernels.near_blocks import LATER_GUIDES, R1, R2
+from msal_cli.kernels.normal_descriptors import FACES, S1, S2, S3, lay_inputs
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, most_neighbours
 
-LANES = np.uint64(64)
-"""Faces that are worked on at a time: with fewer the loops are too short."""
-
-R1, R2, R3, R4, R5, R6, R7 = (np.uint64(64 * rows) for rows in range(1, 8))
-"""What so many rows of lanes take."""
-
-STEP = np.uint64(8)
-"""Inputs that are added at a time; layers have a multiple of it, filled up with zeros."""
+TILE = np.uint64(4)
+"""Outputs that are summed at a time; layers have a multiple of it, filled up with zeros."""
 
 LEAK = np.float32(1.0 / 64.0)
 
@@ -31,121 +30,155 @@ _TINY = 1e-12
 
 
 @compiled
-def _lay_inputs(first, last, width, table, per_face, numbers, axes, x):
-    """Put the inputs of the faces ``first`` to ``last`` side by side, a row of lanes for each."""
-    for lane in range(LANES):
-        f = first + lane if first + lane < last else last - ONE
-        at = np.uint64(9) * f
-        ax, ay, az = axes[at], axes[at + ONE], axes[at + TWO]
-        at += THREE
-        bx, by, bz = axes[at], axes[at + ONE], axes[at + TWO]
-        at += THREE
-        cx, cy, cz = axes[at], axes[at + ONE], axes[at + TWO]
-        at = THREE * width * f
-        row = ZERO + lane
-        for _ in range(width):
-            vx, vy, vz = table[at], table[at + ONE], table[at + TWO]
-            x[row] = vx * ax + vy * ay + vz * az
-            x[row + R1] = vx * bx + vy * by + vz * bz
-            x[row + R2] = vx * cx + vy * cy + vz * cz
-            row += R3
-            at += THREE
-        at = per_face * f
-        for _ in range(per_face):
-            x[row] = numbers[at]
-            row += R1
-            at += ONE
-
-
-@compiled
 def _multiply(n_in, n_out, weights, at, x, y, leak):
-    """One layer: ``y`` of ``x``; from ``at`` on are n_out biases, then the rows of the matrix.
+    """One layer: ``y`` of ``x``; from ``at`` on are n_out biases, then the matrix.
 
-    Returns where the next layer begins.
+    Of the matrix ``TILE`` rows are beside each other: for each input their weights.  Returns where
+    the next layer begins.
     """
-    row = at + n_out
-    for o in range(n_out):
-        to = o * R1
-        bias = weights[at + o]
-        for lane in range(LANES):
-            y[to + lane] = bias
-        for i in range(ZERO, n_in, STEP):
-            w0, w1 = weights[row], weights[row + ONE]
-            w2, w3 = weights[row + TWO], weights[row + THREE]
-            w4, w5 = weights[row + np.uint64(4)], weights[row + np.uint64(5)]
-            w6, w7 = weights[row + np.uint64(6)], weights[row + np.uint64(7)]
-            row += STEP
-            of = i * R1
-            for lane in range(LANES):
-                p = of + lane
-                total = y[to + lane] + w0 * x[p]
-                total += w1 * x[p + R1]
-                total += w2 * x[p + R2]
-                total += w3 * x[p + R3]
-                total += w4 * x[p + R4]
-                total += w5 * x[p + R5]
-                total += w6 * x[p + R6]
-                total += w7 * x[p + R7]
-                y[to + lane] = total
-        for lane in range(LANES):
-            total = y[to + lane]
-            y[to + lane] = total if total > _0 else total * leak
+    row, step = at + n_out, n_in * TILE
+    slope, zero = fill_lanes(leak), fill_lanes(_0)
+    for o in range(ZERO, n_out, TILE):
+        bias = at + o
+        for face in range(ZERO, FACES, LANES + LANES):
+            a0 = a1 = fill_lanes(weights[bias])
+            b0 = b1 = fill_lanes(weights[bias + ONE])
+            c0 = c1 = fill_lanes(weights[bias + TWO])
+            d0 = d1 = fill_lanes(weights[bias + THREE])
+            of, of_end, w = np.uint64(face), face + n_in * S1, row
+            while of < of_end:
+                x0, x1 = load_lanes(x, of), load_lanes(x, of + LANES)
+                weight = fill_lanes(weights[w])
+                a0, a1 = a0 + weight * x0, a1 + weight * x1
+                weight = fill_lanes(weights[w + ONE])
+                b0, b1 = b0 + weight * x0, b1 + weight * x1
+                weight = fill_lanes(weights[w + TWO])
+                c0, c1 = c0 + weight * x0, c1 + weight * x1
+                weight = fill_lanes(weights[w + THREE])
+                d0, d1 = d0 + weight * x0, d1 + weight * x1
+                of += S1
+                w += TILE
+            to = o * S1 + face
+            store_lanes(y, to, choose_greater(a0, zero, a0, a0 * slope))
+            store_lanes(y, to + LANES, choose_greater(a1, zero, a1, a1 * slope))
+            to += S1
+            store_lanes(y, to, choose_greater(b0, zero, b0, b0 * slope))
+            store_lanes(y, to + LANES, choose_greater(b1, zero, b1, b1 * slope))
+            to += S1
+            store_lanes(y, to, choose_greater(c0, zero, c0, c0 * slope))
+            store_lanes(y, to + LANES, choose_greater(c1, zero, c1, c1 * slope))
+            to += S1
+            store_lanes(y, to, choose_greater(d0, zero, d0, d0 * slope))
+            store_lanes(y, to + LANES, choose_greater(d1, zero, d1, d1 * slope))
+        row += step
     return row
 
 
 @compiled
 def predict_normals(
-    start, stop, width, table, per_face, numbers, axes, n_in, n_hidden, n_out, weights, normals
+    start,
+    stop,
+    points,
+    marks,
+    per_reach,
+    near_start,
+    near,
+    table,
+    numbers,
+    axes,
+    records,
+    statistics,
+    others,
+    is_later,
+    n_vectors,
+    n_in,
+    n_hidden,
+    n_out,
+    weights,
+    normals,
 ):
-    """The unit normals (m, 3), flat, of a network with two hidden layers.
+    """The unit normals (m, 3), flat, of a network with two hidden layers; see ``lay_inputs``.
 
-    ``n_in``, ``n_hidden`` and ``n_out`` are multiples of ``STEP``, the first ones of at least
-    as many as there are inputs and vectors.  ``weights`` has the three layers one behind another.
+    ``n_in`` is the number of inputs, ``n_hidden`` and ``n_out`` are multiples of ``TILE``, the
+    last of at least ``n_vectors``.  ``weights`` has the three layers one behind another.
     """
-    width, per_face = np.uint64(width), np.uint64(per_face)
     n_in, n_hidden, n_out = np.uint64(n_in), np.uint64(n_hidden), np.uint64(n_out)
-    x = np.zeros(np.int64(n_in * R1), dtype=np.float32)
-    first_layer = np.empty(np.int64(n_hidden * R1), dtype=np.float32)
-    second_layer = np.empty(np.int64(n_hidden * R1), dtype=np.float32)
-    shares = np.empty(np.int64(n_out * R1), dtype=np.float32)
-    last = np.uint64(stop)
-    for first in range(np.uint64(start), last, LANES):
-        _lay_inputs(first, last, width, table, per_face, numbers, axes, x)
+    described = points, marks, per_reach, near_start, near, table, numbers, axes
+    of = (*described, records, statistics, others)
+    widest = most_neighbours(start, stop, near_start) + ONE
+    faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
+    block = np.empty(np.int64(widest * LATER_GUIDES), dtype=np.float32)
+    counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
+    spare = np.empty(np.int64(R2), dtype=np.float32)
+    vectors = np.zeros(np.int64(S3) * n_vectors, dtype=np.float32)
+    x = np.zeros(np.int64(n_in * S1), dtype=np.float32)
+    first_layer = np.empty(np.int64(n_hidden * S1), dtype=np.float32)
+    second_layer = np.empty(np.int64(n_hidden * S1), dtype=np.float32)
+    shares = np.empty(np.int64(n_out * S1), dtype=np.float32)
+    last, n_vectors = np.uint64(stop), np.uint64(n_vectors)
+    for chunk in range(np.uint64(start), last, FACES):
+        for group in range(ZERO, min(FACES, last - chunk), LANES):
+            first = chunk + group
+            lay_inputs(
+                first, last, group, of, is_later, faces, counts, scales, block, spare, vectors, x
+            )
         at = _multiply(n_in, n_hidden, weights, ZERO, x, first_layer, LEAK)
         at = _multiply(n_hidden, n_hidden, weights, at, first_layer, second_layer, LEAK)
         _multiply(n_hidden, n_out, weights, at, second_layer, shares, _1)
-        for lane in range(LANES):
-            f = first + lane
-            if f >= last:
-                break
-            at = THREE * width * f
-            nx = ny = nz = 0.0
-            for k in range(width):
-                share = shares[k * R1 + lane]
-                nx += share * table[at]
-                ny += share * table[at + ONE]
-                nz += share * table[at + TWO]
-                at += THREE
+        for lane in range(min(FACES, last - chunk)):
+            nx = ny = nz = np.float64(0.0)
+            at = lane
+            for k in range(n_vectors):
+                share = shares[k * S1 + lane]
+                nx += share * vectors[at]
+                ny += share * vectors[at + S1]
+                nz += share * vectors[at + S2]
+                at += S3
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            at = THREE * width * f
             is_there = length > _TINY
-            to = THREE * f
-            normals[to] = nx / length if is_there else table[at]
-            normals[to + ONE] = ny / length if is_there else table[at + ONE]
-            normals[to + TWO] = nz / length if is_there else table[at + TWO]
+            to = THREE * (chunk + lane)
+            normals[to] = nx / length if is_there else vectors[lane]
+            normals[to + ONE] = ny / length if is_there else vectors[S1 + lane]
+            normals[to + TWO] = nz / length if is_there else vectors[S2 + lane]
 
 
 @compiled
-def collect_inputs(start, stop, width, table, per_face, numbers, axes, inputs):
-    """The inputs (m, 3 width + per_face) of all faces, for training."""
-    width, per_face = np.uint64(width), np.uint64(per_face)
-    count = THREE * width + per_face
-    x = np.empty(np.int64(count * R1), dtype=np.float32)
+def collect_inputs(
+    start,
+    stop,
+    points,
+    marks,
+    per_reach,
+    near_start,
+    near,
+    table,
+    numbers,
+    axes,
+    records,
+    statistics,
+    others,
+    is_later,
+    inputs,
+    vectors,
+):
+    """The inputs (m, n_in) and the vectors (m, 3 k) of all faces, for training."""
+    described = points, marks, per_reach, near_start, near, table, numbers, axes
+    of = (*described, records, statistics, others)
+    widest = most_neighbours(start, stop, near_start) + ONE
+    faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
+    block = np.empty(np.int64(widest * LATER_GUIDES), dtype=np.float32)
+    counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
+    spare = np.empty(np.int64(R2), dtype=np.float32)
+    n_in, n_vectors = np.uint64(inputs.shape[1]), np.uint64(vectors.shape[1])
+    of_vectors = np.empty(np.int64(S1 * n_vectors), dtype=np.float32)
+    x = np.empty(np.int64(S1 * n_in), dtype=np.float32)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        _lay_inputs(first, last, width, table, per_face, numbers, axes, x)
-        for lane in range(LANES):
-            if first + lane >= last:
-                break
-            for k in range(count):
-                inputs[first + lane, k] = x[k * R1 + lane]
+        lay_inputs(
+            first, last, ZERO, of, is_later, faces, counts, scales, block, spare, of_vectors, x
+        )
+        for lane in range(min(LANES, last - first)):
+            for k in range(n_in):
+                inputs[first + lane, k] = x[k * S1 + lane]
+            for k in range(n_vectors):
+                vectors[first + lane, k] = of_vectors[k * S1 + lane]

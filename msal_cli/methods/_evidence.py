@@ -51,7 +51,9 @@ def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool) -> Evidence
     rings = ring_of(mesh, "curve")
     terms = [sinc_coefficients(pass_band, iterations) for iterations, pass_band in SINCS]
     outcomes += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
-    normals = tuple(face_normals(outcome, mesh.faces).astype(np.float32) for outcome in outcomes)
+    normals = np.empty((len(mesh.faces), 3 * len(outcomes)), dtype=np.float32)
+    for place, outcome in enumerate(outcomes):
+        normals[:, 3 * place : 3 * place + 3] = face_normals(outcome, mesh.faces)
     return Evidence(noise, is_white, normals, _measure_surroundings(mesh, restored, unit))
 
 

@@ -35,7 +35,7 @@ undone; see ``guided_normal``.  ``sliding=undone`` and ``sliding=kept`` decide i
 
 Faces without area take on the mean normal of those around.  Boundary vertices move with the faces
 that they have, unless ``boundary=fixed``.  A vertex without faces stays.  The cost is proportional
-to the number of faces, 10 to 15 s per million on one core.
+to the number of faces, 7 to 10 s per million on one core.
 
 The weights are two files of the package: ``weights/learned.json``, which has the sizes of the
 layers and the SHA-256 of the other, and ``weights/learned.f32``, little-endian 32-bit numbers: for
@@ -58,7 +58,7 @@ from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
 
-BYTES_PER_FACE = 1150
+BYTES_PER_FACE = 880
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 MIN_KNOWN = 0.03

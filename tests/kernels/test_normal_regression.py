@@ -7,7 +7,17 @@ import itertools
 import numpy as np
 import pytest
 
-from msal_cli.kernels import parallel
+from msal_cli.kernels import (
+    local_frames,
+    near_blocks,
+    normal_descriptors,
+    parallel,
+    regression_network,
+)
+from msal_cli.kernels import (
+    vectors as small_vectors,
+)
+from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_regression import (
@@ -37,20 +47,19 @@ def evidence_of(mesh):
     """Some normals and numbers, as other filters and the surroundings give them."""
     draw = np.random.default_rng(2)
     own = face_normals_and_areas(mesh.vertices, mesh.faces)[0]
-    normals = []
-    for spread in (0.1, 0.2, 0.3, 0.4):
+    normals = np.empty((len(own), 3 * OTHERS), dtype=np.float32)
+    for place, spread in enumerate((0.1, 0.2, 0.3, 0.4)):
         turned = own + spread * draw.normal(size=own.shape)
         turned /= np.linalg.norm(turned, axis=1)[:, None]
-        normals.append(turned.astype(np.float32))
-    assert len(normals) == OTHERS
+        normals[:, 3 * place : 3 * place + 3] = turned
     statistics = draw.random((len(own), STATISTICS)).astype(np.float32)
-    return Evidence(0.1, True, tuple(normals), statistics)
+    return Evidence(0.1, True, normals, statistics)
 
 
 def same_evidence(mesh):
     """Evidence that says nothing beyond the normals of the mesh."""
     own = face_normals_and_areas(mesh.vertices, mesh.faces)[0].astype(np.float32)
-    return Evidence(0.1, True, (own,) * OTHERS, np.zeros((len(own), STATISTICS), np.float32))
+    return Evidence(0.1, True, np.tile(own, OTHERS), np.zeros((len(own), STATISTICS), np.float32))
 
 
 def described(mesh, earlier=None, make_evidence=same_evidence):
@@ -60,6 +69,25 @@ def described(mesh, earlier=None, make_evidence=same_evidence):
     describer = NormalDescriber(mesh.faces, centroids, *rings, make_evidence(mesh))
     heights = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.topology)
     return describer.describe(normals, areas, centroids, heights, earlier), describer.around
+
+
+def numbers_of(descriptors):
+    """The numbers of each face among its inputs."""
+    return descriptors.collect()[0][:, 3 * descriptors.n_vectors : -GLOBALS]
+
+
+def all_kernels():
+    """The kernels that the descriptors and the network are made of."""
+    for module in (
+        near_blocks,
+        local_frames,
+        normal_descriptors,
+        regression_network,
+        small_vectors,
+    ):
+        for value in vars(module).values():
+            if isinstance(value, Kernel):
+                yield value
 
 
 def random_network(width, seed=0, hidden=16):
@@ -95,25 +123,26 @@ def plain(scan):
 
 
 def test_vectors_are_those_of_the_twin(scan, plain):
-    got = described(scan)[0].vectors
+    got = described(scan)[0].collect()[1]
     assert got.shape == (len(scan.faces), count_vectors(0), 3)
     assert np.abs(got[:, :VECTORS] - plain.vectors).max() < 2e-4
 
 
 def test_evidence_stands_behind_the_own_vectors_and_numbers(scan, plain):
     given = evidence_of(scan)
-    got = described(scan, make_evidence=evidence_of)[0]
-    for k, normals in enumerate(given.normals):
-        assert (got.vectors[:, VECTORS + k] == normals).all()
-    assert (got.numbers[:, NUMBERS:] == given.statistics).all()
+    descriptors = described(scan, make_evidence=evidence_of)[0]
+    made = descriptors.collect()[1]
+    others = given.normals.reshape(-1, OTHERS, 3)
+    assert (made[:, VECTORS : VECTORS + OTHERS] == others).all()
+    assert (numbers_of(descriptors)[:, NUMBERS:] == given.statistics).all()
     own = plain.normals
     for k, s in enumerate((0.3, 0.6)):
-        expected = [plain.filtered(f, given.normals[0], own, s) for f in range(len(own))]
-        assert np.abs(got.vectors[:, VECTORS + OTHERS + k] - expected).max() < 2e-4
+        expected = [plain.filtered(f, others[:, 0], own, s) for f in range(len(own))]
+        assert np.abs(made[:, VECTORS + OTHERS + k] - expected).max() < 2e-4
 
 
 def test_numbers_are_those_of_the_twin(scan, plain):
-    got = described(scan)[0].numbers
+    got = numbers_of(described(scan)[0])
     assert np.abs(got[:, :13] - plain.numbers).max() < 2e-4
 
 
@@ -133,18 +162,19 @@ def test_ripples_are_umbrellas_of_umbrellas(scan):
 def test_normals_are_those_of_the_plain_network(scan):
     descriptors, _ = described(scan)
     network = random_network(count_vectors(0))
+    inputs, vectors = descriptors.collect()
     plain = plain_descriptors.predict(
         [(bias.astype(float), matrix.astype(float)) for bias, matrix in network.layers],
-        descriptors.inputs().astype(float),
-        descriptors.vectors.astype(float),
+        inputs.astype(float),
+        vectors.astype(float),
     )
     assert np.abs(descriptors.predict(network) - plain).max() < 1e-3
 
 
 def test_a_later_stage_filters_the_scanned_normals_by_the_last(scan, plain):
     normals = face_normals_and_areas(scan.vertices, scan.faces)[0]
-    last = plain.vectors[:, 3]
-    vectors = described(scan, (normals, last))[0].vectors
+    last = plain.vectors[:, 3].copy()
+    vectors = described(scan, (normals, last))[0].collect()[1]
     first = count_vectors(1) - EARLIER
     assert np.abs(vectors[:, first] - normals).max() < 1e-6
     assert np.abs(vectors[:, first + 1] - last).max() < 1e-6
@@ -167,7 +197,7 @@ def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
         monkeypatch.setenv("MSAL_THREADS", count)
         monkeypatch.setattr(parallel, "MIN_RANGE", 37 if count == "3" else 10**6)
         descriptors = described(scan)[0]
-        results.append((descriptors.inputs(), descriptors.predict(network)))
+        results.append((descriptors.collect()[0], descriptors.predict(network)))
     assert (results[0][0] == results[1][0]).all()
     assert (results[0][1] == results[1][1]).all()
 
@@ -177,8 +207,9 @@ def test_a_turned_mesh_has_the_same_inputs(scan):
     turn *= np.sign(np.linalg.det(turn))
     there = described(scan.with_vertices(scan.vertices @ turn.T))[0]
     here = described(scan)[0]
-    assert np.abs(there.vectors - here.vectors @ turn.T.astype(np.float32)).max() < 1e-3
-    assert np.abs(there.numbers - here.numbers).max() < 1e-3
+    turned = here.collect()[1] @ turn.T.astype(np.float32)
+    assert np.abs(there.collect()[1] - turned).max() < 1e-3
+    assert np.abs(numbers_of(there) - numbers_of(here)).max() < 1e-3
 
 
 def test_a_face_without_area_takes_the_normal_of_those_around():
@@ -188,5 +219,41 @@ def test_a_face_without_area_takes_the_normal_of_those_around():
     mesh = prepare_mesh(vertices, faces).mesh
     assert mesh.flat_faces
     descriptors, _ = described(mesh)
-    assert np.isfinite(descriptors.inputs()).all()
-    assert (np.abs(descriptors.vectors[:, :, 2]) > 0.999).all()
+    inputs, vectors = descriptors.collect()
+    assert np.isfinite(inputs).all()
+    assert (np.abs(vectors[:, :, 2]) > 0.999).all()
+
+
+def test_normals_that_others_do_not_give_are_the_own(scan):
+    def without_first(mesh):
+        given = same_evidence(mesh)
+        given.normals[7, 3:6] = 0.0
+        return given
+
+    own = face_normals_and_areas(scan.vertices, scan.faces)[0]
+    vectors = described(scan, make_evidence=without_first)[0].collect()[1]
+    assert np.abs(vectors[:, VECTORS + 1] - own).max() < 1e-6
+
+
+def test_lanes_of_machine_code_are_those_of_numpy(scan, monkeypatch):
+    network = random_network(count_vectors(1), hidden=8)
+    own = face_normals_and_areas(scan.vertices, scan.faces)[0]
+    descriptors = described(scan, (own, -own))[0]
+    expected = descriptors.predict(network)
+    arrays = descriptors.arrays
+    made = [np.zeros_like(array) for array in arrays[5:8]]
+    normals = np.zeros(3 * len(own))
+    monkeypatch.setenv("MSAL_INTERPRET_KERNELS", "1")
+    for kernel in all_kernels():
+        monkeypatch.setattr(kernel, "_native", {})
+    # Blocks that begin in the middle, and a last one that is not full.
+    start, stop = 501, 520
+    normal_descriptors.describe(start, stop, *arrays[:5], *made)
+    for interpreted, array, width in zip(made, arrays[5:8], (24, 12, 9), strict=True):
+        rows = interpreted.reshape(-1, width)[start:stop], array.reshape(-1, width)[start:stop]
+        columns = slice(0, 10 if width == 12 else width)
+        assert (rows[0][:, columns] == rows[1][:, columns]).all()
+    sizes = descriptors.n_vectors, network.n_in, network.n_hidden, network.n_out
+    weights = network.bound(descriptors.globals)
+    regression_network.predict_normals(start, stop, *arrays, True, *sizes, weights, normals)
+    assert (normals.reshape(-1, 3)[start:stop] == expected[start:stop]).all()
