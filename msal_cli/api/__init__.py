@@ -4,91 +4,51 @@ Functions take arrays of numpy, objects of other mesh libraries, or paths.  They
 log goes to the logger ``msal``.  Errors are those of ``msal_cli.errors``.
 """
 
+# ``as`` makes a name one of this module for type checkers, too.
+# ruff: noqa: I001
 from __future__ import annotations
 
 import logging
 
-from msal_cli.api.compare import compare
-from msal_cli.api.denoise import DenoiseResult, denoise
-from msal_cli.api.files import denoise_file, denoise_folder
-from msal_cli.api.method_list import MethodInfo, list_methods
-from msal_cli.api.noise import add_noise, estimate_noise
-from msal_cli.batch.inputs import NothingMatched
+from msal_cli.api.compare import compare as compare
+from msal_cli.api.denoise import DenoiseResult as DenoiseResult, denoise as denoise
+from msal_cli.api.files import denoise_file as denoise_file, denoise_folder as denoise_folder
+from msal_cli.api.method_list import MethodInfo as MethodInfo, list_methods as list_methods
+from msal_cli.api.noise import add_noise as add_noise, estimate_noise as estimate_noise
+from msal_cli.batch.inputs import NothingMatched as NothingMatched
 from msal_cli.errors import (
-    ContentError,
-    FormatError,
-    InputError,
-    InternalError,
-    LossError,
-    MissingFileError,
-    MissingInputError,
-    MsalError,
-    OutputError,
-    ResourceError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-    UsageError,
+    ContentError as ContentError,
+    FormatError as FormatError,
+    InputError as InputError,
+    InternalError as InternalError,
+    LossError as LossError,
+    MissingFileError as MissingFileError,
+    MissingInputError as MissingInputError,
+    MsalError as MsalError,
+    OutputError as OutputError,
+    ResourceError as ResourceError,
+    TooLargeError as TooLargeError,
+    TruncatedError as TruncatedError,
+    UnsupportedError as UnsupportedError,
+    UsageError as UsageError,
 )
 from msal_cli.job.records import (
-    Area,
-    ChoiceMade,
-    ComparisonRecord,
-    Displacement,
-    Failure,
-    GateResult,
-    MeshRecord,
-    MethodUsed,
-    NoiseEstimate,
-    NoiseReading,
-    NormalChange,
-    Seconds,
-    SelfIntersections,
-    SurfaceDistance,
-    Volume,
+    Area as Area,
+    ChoiceMade as ChoiceMade,
+    ComparisonRecord as ComparisonRecord,
+    Displacement as Displacement,
+    Failure as Failure,
+    GateResult as GateResult,
+    MeshRecord as MeshRecord,
+    MethodUsed as MethodUsed,
+    NoiseEstimate as NoiseEstimate,
+    NoiseReading as NoiseReading,
+    NormalChange as NormalChange,
+    Seconds as Seconds,
+    SelfIntersections as SelfIntersections,
+    SurfaceDistance as SurfaceDistance,
+    Volume as Volume,
 )
-
-__all__ = [
-    "Area",
-    "ChoiceMade",
-    "ComparisonRecord",
-    "ContentError",
-    "DenoiseResult",
-    "Displacement",
-    "Failure",
-    "FormatError",
-    "GateResult",
-    "InputError",
-    "InternalError",
-    "LossError",
-    "MeshRecord",
-    "MethodInfo",
-    "MethodUsed",
-    "MissingFileError",
-    "MissingInputError",
-    "MsalError",
-    "NoiseEstimate",
-    "NoiseReading",
-    "NormalChange",
-    "NothingMatched",
-    "OutputError",
-    "ResourceError",
-    "Seconds",
-    "SelfIntersections",
-    "SurfaceDistance",
-    "TooLargeError",
-    "TruncatedError",
-    "UnsupportedError",
-    "UsageError",
-    "Volume",
-    "add_noise",
-    "compare",
-    "denoise",
-    "denoise_file",
-    "denoise_folder",
-    "estimate_noise",
-    "list_methods",
-]
 
 # Without a handler Python would print warnings to standard error.
 logging.getLogger("msal").addHandler(logging.NullHandler())

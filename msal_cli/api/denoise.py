@@ -20,7 +20,6 @@ from msal_cli.api.mesh_objects import (
     from_arrays,
     read_object,
     vertex_numbers,
-    with_properties,
 )
 from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.errors import ContentError, UsageError
@@ -236,16 +235,15 @@ def denoise(
                 hint=f"of a mesh object the method has to be named: method={faces!r}",
             )
         mesh = read_object(vertices) if is_object else from_arrays(vertices, faces)
-        own: dict[str, Array] = {}
         is_text = isinstance(lock, list | tuple) and lock and all(isinstance(k, str) for k in lock)
         if not (lock is None or isinstance(lock, str) or is_text):
-            own[_MASK] = _as_mask(lock, len(mesh.vertices))
+            mesh.properties[_MASK] = _as_mask(lock, len(mesh.vertices))
             given["lock"] = f"{_MASK} != 0"
         if not (weights is None or isinstance(weights, str)):
-            own[_TRUST] = _as_trust(weights, len(mesh.vertices))
+            mesh.properties[_TRUST] = _as_trust(weights, len(mesh.vertices))
             given["weights"] = _TRUST
-        result = _run(with_properties(mesh, own), parse_arguments(denoise, given))
-        return mesh.copy_with(result.vertices) if is_object else result
+        result = _run(mesh, parse_arguments(denoise, given))
+        return mesh.to_result(result.vertices) if is_object else result
 
 
 def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> Settings:

@@ -6,6 +6,7 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Generator, Mapping, Sequence
+from functools import partial
 from typing import Any, Unpack
 
 from msal_cli.api.denoise import parse_arguments
@@ -13,7 +14,7 @@ from msal_cli.api.mesh_objects import explained_errors
 from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
-from msal_cli.batch.plan import Plan, build_plan
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import check_options, run
 from msal_cli.batch.schedule import Event, Finished
 from msal_cli.errors import UsageError
@@ -116,9 +117,9 @@ def denoise_file(
                 hint="denoise_folder takes folders",
             )
         task = plan.tasks[0]
-        run = FileRun(task.input, settings, None, limits)
-        data = run.read(task)
-        record = run.write(task, data, run.denoise(data, task.output))
+        file = FileRun(task.input, settings, None, limits)
+        data = file.read(task)
+        record = file.write(task, data, file.denoise(data, task.output))
         return with_gates(gates, [record])[0]
 
 
@@ -224,7 +225,8 @@ def denoise_folder(
             fresh=fresh,
             retry_failed=retry_failed,
         )
-        records = _iterate_records(
+        work = partial(
+            run,
             plan,
             settings,
             jobs=jobs,
@@ -233,7 +235,7 @@ def denoise_folder(
             stop_after_failures=max_failures,
             command=("msal_cli.denoise_folder", *sources),
         )
-        return _judged(gates, records)
+        return _iterate_records(work, gates)
 
 
 def _parse(
@@ -246,23 +248,11 @@ def _parse(
     return gates, parse_arguments(function, {**given, "intersections": is_checked})
 
 
-def _judged(
-    gates: Sequence[Gate], records: Generator[MeshRecord, None, None]
-) -> Generator[MeshRecord, None, None]:
-    """The records with the results of the gates; errors are explained."""
-    with explained_errors("the run"):
-        try:
-            for record in records:
-                yield with_gates(gates, [record])[0]
-        finally:
-            records.close()
-
-
 def _iterate_records(
-    plan: Plan, settings: Settings, **options: Any
+    work: Callable[..., Any], gates: Sequence[Gate]
 ) -> Generator[MeshRecord, None, None]:
-    """The records of ``batch.run.run(plan, settings, **options)`` in the order in which files
-    finish; what it raises is raised here.
+    """The records of ``work``, a ``batch.run.run``, in the order in which files finish, with the
+    results of the gates; what it raises is raised here, and explained.
 
     The run has a thread of its own and takes no signals, since Python gives these to the main
     thread only; files are done in worker processes that can be ended at any time.
@@ -277,28 +267,28 @@ def _iterate_records(
         if isinstance(event, Finished):
             messages.put(event.record)
 
-    def work() -> None:
+    def run_in_thread() -> None:
         try:
-            run(plan, settings, on_event=on_event, cancellation=cancellation, **options)
+            work(on_event=on_event, cancellation=cancellation)
+            messages.put(None)
         except BaseException as error:
             messages.put(error)
-        else:
-            messages.put(None)
 
-    thread = threading.Thread(target=work, name="msal", daemon=True)
+    thread = threading.Thread(target=run_in_thread, name="msal", daemon=True)
     thread.start()
-    try:
-        while True:
-            try:
-                # Windows delivers Ctrl-C to a waiting thread only between two waits.
-                message = messages.get(timeout=0.2 if os.name == "nt" else None)
-            except queue.Empty:
-                continue
-            if message is None:
-                return
-            if isinstance(message, BaseException):
-                raise message
-            yield message
-    finally:
-        cancellation.request()
-        thread.join()
+    with explained_errors("the run"):
+        try:
+            while True:
+                try:
+                    # Windows delivers Ctrl-C to a waiting thread only between two waits.
+                    message = messages.get(timeout=0.2 if os.name == "nt" else None)
+                except queue.Empty:
+                    continue
+                if message is None:
+                    return
+                if isinstance(message, BaseException):
+                    raise message
+                yield with_gates(gates, [message])[0]
+        finally:
+            cancellation.request()
+            thread.join()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -47,16 +47,34 @@ class MemoryMesh:
     dtype : number type of the positions that were given, and of those that go back.
     name : what records and errors call it.
     properties : numbers at the vertices, (n,) each, by name.
-    copy_with : makes a copy of the object that was given with other positions (n, 3).
+    copy_object : makes a copy of the object that was given, from this mesh and other positions.
     """
 
     vertices: Floats
     faces: Array
     dtype: np.dtype[Any]
     name: str = ARRAYS
-    properties: Mapping[str, Array] = field(default_factory=dict)
-    copy_with: Callable[[Array], Any] = lambda vertices: vertices
+    properties: dict[str, Array] = field(default_factory=dict)
+    copy_object: Callable[[MemoryMesh, Array], Any] | None = None
     merged_vertices: int = 0
+
+    def to_result(self, vertices: Array) -> Any:
+        """A copy of the object that was given with other positions (n, 3), or these alone."""
+        return vertices if self.copy_object is None else self.copy_object(self, vertices)
+
+    def renew_normals(self, vertices: Array, entries: Array, normals: Any) -> Array:
+        """Stored normals (g, 3) for new positions (n, 3), as the command renews those of files.
+
+        ``entries`` (m, 3) is the normal that each corner of a triangle uses.
+        """
+        from msal_cli.kernels.geometry import regroup_normals
+
+        stored = np.asarray(normals)
+        values = np.ascontiguousarray(stored, dtype=np.float64)
+        faces = np.ascontiguousarray(self.faces, dtype=np.int32)
+        after = np.ascontiguousarray(vertices, dtype=np.float64)
+        renewed, _ = regroup_normals(self.vertices, after, faces, entries.astype(np.int32), values)
+        return renewed.astype(stored.dtype)
 
     def forget_vertices(self) -> None:
         """Nothing: they cannot be read again."""
@@ -96,11 +114,14 @@ def from_arrays(
     vertices: ArrayLike,
     faces: ArrayLike,
     name: str = ARRAYS,
-    properties: Mapping[str, Array] | None = None,
-    copy_with: Callable[[Array], Any] = lambda vertices: vertices,
+    arrays: Mapping[str, Any] | None = None,
+    copy_object: Callable[[MemoryMesh, Array], Any] | None = None,
 ) -> MemoryMesh:
     """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers;
-    ContentError for other shapes and types, and where there are no faces (``E_NO_FACES``)."""
+    ContentError for other shapes and types, and where there are no faces (``E_NO_FACES``).
+
+    Those of the ``arrays`` are properties that have one real number for each vertex.
+    """
     positions, corners = as_array(vertices, "vertices"), as_array(faces, "faces")
     if positions.dtype.kind not in "fiu":
         raise ContentError(
@@ -112,48 +133,42 @@ def from_arrays(
             code="E_NO_FACES",
             hint="msal denoises surfaces; make a mesh of the point cloud first",
         )
-    _require_shape(positions, corners)
-    is_float = positions.dtype.kind == "f"
-    return MemoryMesh(
-        np.ascontiguousarray(positions, dtype=np.float64),
-        corners,
-        positions.dtype if is_float else np.dtype(np.float64),
-        name,
-        properties or {},
-        copy_with,
-    )
-
-
-def _require_shape(vertices: Array, faces: Array) -> None:
-    """Refuse what is no (n, 3) and (m, 3), and indices beyond the vertices, with what to give
-    instead; ContentError."""
-    n = len(vertices)
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
+    for array, what, shape in ((positions, "vertices", "(n, 3)"), (corners, "faces", "(m, 3)")):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ContentError(
+                f"{what} have shape {array.shape}, not {shape}", hint=_hint(array, what)
+            )
+    if corners.dtype.kind not in "iu":
         raise ContentError(
-            f"vertices have shape {vertices.shape}, not (n, 3)", hint=_hint(vertices, "vertices")
-        )
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise ContentError(
-            f"faces have shape {faces.shape}, not (m, 3)", hint=_hint(faces, "faces")
-        )
-    if faces.dtype.kind not in "iu":
-        raise ContentError(
-            f"face indices are {faces.dtype}, not integers",
+            f"face indices are {corners.dtype}, not integers",
             code="E_INDEX",
             hint="give faces.astype(int) if they are whole numbers",
         )
-    low, high = int(faces.min()), int(faces.max())
+    n, low, high = len(positions), int(corners.min()), int(corners.max())
     if low < 0 or high >= n:
-        at, corner = np.argwhere((faces < 0) | (faces >= n))[0]
-        from_one = low == 1 and high == n
+        at, corner = np.argwhere((corners < 0) | (corners >= n))[0]
         raise ContentError(
-            f"a face names vertex {int(faces[at, corner])} of {n}",
+            f"a face names vertex {int(corners[at, corner])} of {n}",
             code="E_INDEX",
             where=f"face {int(at)}",
             hint="the faces count from 1: give faces - 1"
-            if from_one
+            if low == 1 and high == n
             else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
         )
+    properties = {}
+    for key, values in (arrays or {}).items():
+        # Masks are looked at where the numbers are used.
+        array = np.asanyarray(values)
+        if array.dtype.kind in "fiub" and array.size == n == len(array):
+            properties[str(key)] = array
+    return MemoryMesh(
+        np.ascontiguousarray(positions, dtype=np.float64),
+        corners,
+        positions.dtype if positions.dtype.kind == "f" else np.dtype(np.float64),
+        name,
+        properties,
+        copy_object,
+    )
 
 
 def _hint(array: Array, name: str) -> str:
@@ -198,41 +213,15 @@ def vertex_numbers(values: Any, name: str, n_vertices: int) -> Array:
     return array
 
 
-def with_properties(mesh: MemoryMesh, arrays: Mapping[str, Array]) -> MemoryMesh:
-    """The mesh with more numbers at its vertices."""
-    return replace(mesh, properties={**mesh.properties, **arrays})
-
-
-def scalar_properties(arrays: Mapping[str, Any], n_vertices: int) -> dict[str, Array]:
-    """Those of the arrays that have one real number for each vertex."""
-    found = {}
-    for name, values in arrays.items():
-        # Masks are looked at where the numbers are used.
-        array = np.asanyarray(values)
-        if array.dtype.kind in "fiub" and array.size == n_vertices == len(array):
-            found[str(name)] = array
-    return found
-
-
-def fan_triangles(corners: Longs, sizes: Longs) -> tuple[Longs, Longs]:
+def _fan_triangles(corners: Longs, sizes: Longs) -> Longs:
     """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
-    polygons of files, and the polygon (m,) that each is of."""
-    triangles = corners[np.stack(fans(sizes), axis=1)]
-    return triangles, np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
+    polygons of files."""
+    return corners[np.stack(fans(sizes), axis=1)]
 
 
-def renewed_normals(mesh: MemoryMesh, vertices: Array, entries: Array, normals: Array) -> Array:
-    """Stored normals (g, 3) for new positions (n, 3), as the command renews those of files.
-
-    ``entries`` (m, 3) is the normal that each corner of a triangle uses.
-    """
-    from msal_cli.kernels.geometry import regroup_normals
-
-    values = np.ascontiguousarray(normals, dtype=np.float64)
-    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    after = np.ascontiguousarray(vertices, dtype=np.float64)
-    renewed, _ = regroup_normals(mesh.vertices, after, faces, entries.astype(np.int32), values)
-    return renewed.astype(normals.dtype)
+def _own_entries(cells: Longs) -> Longs:
+    """The normal of each triangle's cell (m,) at all its corners (m, 3)."""
+    return np.repeat(cells[:, None], 3, axis=1)
 
 
 def _read_trimesh(mesh: Any) -> MemoryMesh:
@@ -244,13 +233,12 @@ def _read_trimesh(mesh: Any) -> MemoryMesh:
             hint="give mesh.to_mesh()",
         )
 
-    def copy_with(vertices: Array) -> Any:
+    def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
         copy = mesh.copy()
         copy.vertices = vertices
         return copy
 
-    properties = scalar_properties(mesh.vertex_attributes, len(mesh.vertices))
-    return from_arrays(mesh.vertices, mesh.faces, "Trimesh", properties, copy_with)
+    return from_arrays(mesh.vertices, mesh.faces, "Trimesh", mesh.vertex_attributes, copy_object)
 
 
 def _read_pyvista(mesh: Any) -> MemoryMesh:
@@ -264,21 +252,22 @@ def _read_pyvista(mesh: Any) -> MemoryMesh:
             hint="give its faces alone: pyvista.PolyData(mesh.points, mesh.faces); "
             "mesh.triangulate() makes faces of strips",
         )
-    triangles, polygon_of = fan_triangles(*_split(np.asarray(mesh.faces, dtype=np.int64)))
+    corners, sizes = _split(np.asarray(mesh.faces, dtype=np.int64))
+    triangles = _fan_triangles(corners, sizes)
+    cells = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
 
-    def copy_with(vertices: Array) -> Any:
+    def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
         copy = mesh.copy(deep=True)
         copy.points = vertices
-        of_cells = np.repeat(polygon_of[:, None], 3, axis=1)
+        of_cells = _own_entries(cells)
         for data, entries in ((copy.point_data, triangles), (copy.cell_data, of_cells)):
             name = data.active_normals_name
             if name is not None:
-                data[name] = renewed_normals(memory, vertices, entries, np.asarray(data[name]))
+                data[name] = memory.renew_normals(vertices, entries, data[name])
         return copy
 
-    properties = scalar_properties(dict(mesh.point_data.items()), mesh.n_points)
-    memory = from_arrays(np.asarray(mesh.points), triangles, "PolyData", properties, copy_with)
-    return memory
+    arrays = dict(mesh.point_data.items())
+    return from_arrays(np.asarray(mesh.points), triangles, "PolyData", arrays, copy_object)
 
 
 def _split(faces: Longs) -> tuple[Longs, Longs]:
@@ -294,9 +283,7 @@ def _split(faces: Longs) -> tuple[Longs, Longs]:
     while at < len(values):
         starts.append(at)
         at += values[at] + 1
-    is_corner = np.ones(len(faces), dtype=np.bool_)
-    is_corner[starts] = False
-    return faces[is_corner], faces[starts]
+    return np.delete(faces, starts), faces[starts]
 
 
 _KEPT = ("vertex", "line")
@@ -309,41 +296,33 @@ _COMPONENTS = ("nx", "ny", "nz")
 def _read_meshio(mesh: Any) -> MemoryMesh:
     """The mesh of all triangles, quads and polygons, which are cut into triangles for the
     mathematics only; the copy keeps all cells and data, and normals follow the surface."""
-    blocks = []
+    blocks = [np.empty((0, 3), dtype=np.int64)]
     for block in mesh.cells:
         if block.type in ("triangle", "quad") or block.type.startswith("polygon"):
             rows = as_array(block.data, "faces").astype(np.int64, copy=False)
             sizes = np.full(len(rows), rows.shape[1], dtype=np.int64)
-            blocks.append(fan_triangles(rows.reshape(-1), sizes)[0])
+            blocks.append(_fan_triangles(rows.reshape(-1), sizes))
         elif block.type not in _KEPT:
             raise UnsupportedError(
                 f"the meshio.Mesh has {len(block.data)} {block.type} cells",
                 hint="msal denoises surfaces of triangles, quads and polygons of first order; "
                 "extract the surface first",
             )
-    triangles = np.concatenate(blocks) if blocks else np.empty((0, 3), dtype=np.int64)
+    triangles = np.concatenate(blocks)
 
-    def copy_with(vertices: Array) -> Any:
+    def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
         copy = mesh.copy()
-        copy.points = vertices
-        _renew(copy.point_data, memory, vertices, triangles)
+        copy.points, data = vertices, copy.point_data
+        for name in data:
+            if name.lower() in _NORMALS and np.shape(data[name]) == vertices.shape:
+                data[name] = memory.renew_normals(vertices, triangles, data[name])
+        if all(name in data for name in _COMPONENTS):
+            stored = np.stack([np.asarray(data[name]) for name in _COMPONENTS], axis=1)
+            renewed = memory.renew_normals(vertices, triangles, stored)
+            data.update(zip(_COMPONENTS, renewed.T.copy(), strict=True))
         return copy
 
-    properties = scalar_properties(mesh.point_data, len(mesh.points))
-    memory = from_arrays(mesh.points, triangles, "meshio.Mesh", properties, copy_with)
-    return memory
-
-
-def _renew(data: dict[str, Any], mesh: MemoryMesh, vertices: Array, triangles: Array) -> None:
-    """Replace the normals among the data of the points: an array (n, 3), or one per axis."""
-    for name in data:
-        values = np.asarray(data[name])
-        if name.lower() in _NORMALS and values.shape == mesh.vertices.shape:
-            data[name] = renewed_normals(mesh, vertices, triangles, values)
-    if all(name in data for name in _COMPONENTS):
-        stored = np.stack([np.asarray(data[name]) for name in _COMPONENTS], axis=1)
-        renewed = renewed_normals(mesh, vertices, triangles, stored)
-        data.update(zip(_COMPONENTS, renewed.T.copy(), strict=True))
+    return from_arrays(mesh.points, triangles, "meshio.Mesh", mesh.point_data, copy_object)
 
 
 def _read_open3d(mesh: Any) -> MemoryMesh:
@@ -352,51 +331,39 @@ def _read_open3d(mesh: Any) -> MemoryMesh:
         return _read_tensors(mesh)
     triangles = np.asarray(mesh.triangles)
 
-    def copy_with(vertices: Array) -> Any:
+    def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
         copy = type(mesh)(mesh)
         copy.vertices = type(mesh.vertices)(vertices)
-        if mesh.has_vertex_normals():
-            normals = renewed_normals(memory, vertices, triangles, np.asarray(mesh.vertex_normals))
-            copy.vertex_normals = type(mesh.vertex_normals)(normals)
-        if mesh.has_triangle_normals():
-            stored = np.asarray(mesh.triangle_normals)
-            normals = renewed_normals(memory, vertices, _own_entries(triangles), stored)
-            copy.triangle_normals = type(mesh.triangle_normals)(normals)
+        own = _own_entries(np.arange(len(triangles)))
+        for name, entries in (("vertex_normals", triangles), ("triangle_normals", own)):
+            if getattr(mesh, f"has_{name}")():
+                stored = getattr(mesh, name)
+                renewed = memory.renew_normals(vertices, entries, stored)
+                setattr(copy, name, type(stored)(renewed))
         return copy
 
-    vertices = np.array(mesh.vertices)
-    memory = from_arrays(vertices, triangles, "TriangleMesh", copy_with=copy_with)
-    return memory
+    return from_arrays(np.array(mesh.vertices), triangles, "TriangleMesh", {}, copy_object)
 
 
 def _read_tensors(mesh: Any) -> MemoryMesh:
-    vertex = {name: mesh.vertex[name] for name in mesh.vertex}
     triangles = mesh.triangle["indices"].cpu().numpy()
 
-    def renew(data: Any, vertices: Array, entries: Array) -> None:
-        if "normals" in data:
-            stored = data["normals"]
-            values = renewed_normals(memory, vertices, entries, stored.cpu().numpy())
-            data["normals"] = type(stored)(values, stored.dtype, stored.device)
+    def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
+        def to_tensor(values: Array, stored: Any) -> Any:
+            return type(stored)(values, stored.dtype, stored.device)
 
-    def copy_with(vertices: Array) -> Any:
         copy = mesh.clone()
-        stored = vertex["positions"]
-        copy.vertex["positions"] = type(stored)(vertices, stored.dtype, stored.device)
-        renew(copy.vertex, vertices, triangles)
-        renew(copy.triangle, vertices, _own_entries(triangles))
+        copy.vertex["positions"] = to_tensor(vertices, mesh.vertex["positions"])
+        own = _own_entries(np.arange(len(triangles)))
+        for data, entries in ((copy.vertex, triangles), (copy.triangle, own)):
+            if "normals" in data:
+                stored = data["normals"]
+                renewed = memory.renew_normals(vertices, entries, stored.cpu().numpy())
+                data["normals"] = to_tensor(renewed, stored)
         return copy
 
-    arrays = {name: tensor.cpu().numpy() for name, tensor in vertex.items()}
-    positions = arrays["positions"]
-    properties = scalar_properties(arrays, len(positions))
-    memory = from_arrays(positions, triangles, "TriangleMesh", properties, copy_with)
-    return memory
-
-
-def _own_entries(triangles: Array) -> Array:
-    """Each triangle's own normal at all its corners (m, 3)."""
-    return np.repeat(np.arange(len(triangles))[:, None], 3, axis=1)
+    arrays = {name: mesh.vertex[name].cpu().numpy() for name in mesh.vertex}
+    return from_arrays(arrays["positions"], triangles, "TriangleMesh", arrays, copy_object)
 
 
 _READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {

@@ -16,7 +16,6 @@ from msal_cli.api.mesh_objects import (
     from_arrays,
     read_object,
     vertex_numbers,
-    with_properties,
 )
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
@@ -164,7 +163,7 @@ def add_noise(
         mesh = read_object(vertices) if is_object else from_arrays(vertices, faces)
         if not (property is None or isinstance(property, str)):
             factors = vertex_numbers(property, "property", len(mesh.vertices))
-            mesh = with_properties(mesh, {_FACTORS: factors.astype(np.float64)})
+            mesh.properties[_FACTORS] = factors.astype(np.float64)
             given["property"] = _FACTORS
         given = {name: given[name] for name in _READ if given[name] is not None}
         refuse_unused(kind, given)
@@ -177,8 +176,7 @@ def add_noise(
         ready = prepare_mesh(mesh)
         weights = read_weights(mesh, ready, noise.property) if kind == "property" else None
         moved = ready.to_file_vertices(add(ready.mesh, noise, weights), mesh.vertices)
-        noisy = mesh.to_given_type(moved)
-        return mesh.copy_with(noisy) if is_object else noisy
+        return mesh.to_result(mesh.to_given_type(moved))
 
 
 def _to_whole_number(value: Any, name: str) -> int:
