@@ -19,9 +19,20 @@ if TYPE_CHECKING:
 
 # Those of added_noise.KINDS, whose module imports numpy; a test compares them.
 _KINDS = (
-    "gaussian-normal gaussian uniform mixed impulsive correlated view quantised grazing half ramp "
-    "property outliers"
-).split()
+    "gaussian-normal",
+    "gaussian",
+    "uniform",
+    "mixed",
+    "impulsive",
+    "correlated",
+    "view",
+    "quantised",
+    "grazing",
+    "half",
+    "ramp",
+    "property",
+    "outliers",
+)
 
 
 @grouped_command(

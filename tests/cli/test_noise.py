@@ -16,7 +16,7 @@ def scan(tmp_path):
 
 
 def test_the_command_offers_every_kind():
-    assert list(KINDS) == _KINDS
+    assert tuple(KINDS) == _KINDS
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "property", "view"])
