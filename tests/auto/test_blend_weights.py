@@ -89,26 +89,6 @@ def test_the_conditions_of_a_least_hold(seed, count):
     assert np.abs((slope + worth)[weights > 1e-9]).max(initial=0.0) <= 1e-6 * scale
 
 
-def test_a_perfect_filter_gets_everything_and_useless_ones_nothing():
-    # The aim is the first filter's move; the second does nothing, the third goes astray.
-    moves = np.array([[1.0, 2.0, -1.0], [0.0, 0.0, 0.0], [2.0, -1.0, 0.0]])
-    scale = float(moves[0] @ moves[0])
-    perfect = quadratic(moves @ moves.T / scale, moves @ moves[0] / scale)
-    assert perfect.at(np.array([1.0, 0.0, 0.0])) == pytest.approx(0.0, abs=1e-15)
-    weights = best_weights([risk(perfect)], 0.5)
-    assert weights == pytest.approx([1.0, 0.0, 0.0], abs=0.01)
-
-
-def test_where_errors_cancel_the_mean_of_two_is_better_than_both():
-    moves = np.array([[1.0, 1.0], [1.0, -1.0]])
-    aim = np.array([1.0, 0.0])
-    both = quadratic(moves @ moves.T, moves @ aim)
-    assert both.singles() == pytest.approx([1.0, 1.0])
-    weights = best_weights([risk(both)], 0.5)
-    assert weights == pytest.approx([0.5, 0.5], abs=1e-3)
-    assert both.at(weights) == pytest.approx(0.0, abs=1e-3)
-
-
 def test_slopes_count_by_their_share():
     # For places the first filter is right, for slopes the second.
     places = quadratic(np.eye(2), [0.9, 0.0])
@@ -117,14 +97,6 @@ def test_slopes_count_by_their_share():
     assert first[0] == pytest.approx(0.9, abs=0.01)
     assert first == sorted(first, reverse=True)
     assert first[-1] == pytest.approx(0.0, abs=0.01)
-
-
-def test_what_two_estimates_say_lies_between_them():
-    weak, strong = (risk(quadratic([[1.0]], [gain])) for gain in (0.2, 0.6))
-    low, high = best_weights([weak], 0.5)[0], best_weights([strong], 0.5)[0]
-    assert low == pytest.approx(0.2, abs=1e-3)
-    assert high == pytest.approx(0.6, abs=1e-3)
-    assert low < best_weights([weak, strong], 0.5)[0] < high
 
 
 def test_drift_is_avoided_by_what_drifts_the_other_way():
@@ -175,14 +147,3 @@ def test_the_mixture_moves_farther_by_as_much_as_is_asked_for(strength):
     lengths = [np.linalg.norm(moves, axis=1).mean() for moves in (base, mixed)]
     ratio = lengths[1] / lengths[0]
     assert 1.0 + MORE * strength <= ratio < 1.0 + MORE * strength + 0.05
-
-
-def test_no_gain_anywhere_means_no_weights():
-    assert (best_weights([risk(quadratic(np.eye(3), [-1.0, 0.0, -0.1]))], 0.5) == 0.0).all()
-    nothing = quadratic(np.zeros((2, 2)), [0.0, 0.0])
-    assert (best_weights([risk(nothing)], 0.5) == 0.0).all()
-
-
-def test_if_none_moves_far_enough_the_farthest_is_mixed_in():
-    base = np.ones((10, 3))
-    assert strengthen(base, [0.2 * base, 0.9 * base], 2.0) == (1, 1.0)

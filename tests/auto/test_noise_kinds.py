@@ -8,16 +8,13 @@ import functools
 import numpy as np
 import pytest
 
-from benchmarks import machined_shapes
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
 from msal_cli.auto import FAMILY, Wishes, adaptive
-from msal_cli.auto.blend_weights import level_masks, spread_levels
-from msal_cli.auto.noise_model import NoiseModel, build_model
+from msal_cli.auto.noise_model import NoiseModel
 from msal_cli.auto.risk import count_relaxing
-from msal_cli.auto.sample_patch import select_patch
 from msal_cli.auto.search import _Search
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods.blend import parse_levels
@@ -97,18 +94,6 @@ def test_quiet_places_hardly_move(choose):
     moved = np.linalg.norm(made_by(choice, mesh).vertices - mesh.vertices, axis=1)
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert moved[quiet].mean() < 0.1 * moved[loud].mean()
-
-
-def test_noise_of_another_kind_goes_from_a_machined_part():
-    """Noise that grows with the angle to the view fits no model of it, and is all taken away."""
-    true = prepare_mesh(*machined_shapes.chipped_cube()).mesh
-    noise = AddedNoise("grazing", 0.1, seed=2, direction=(0.3, 0.5, 0.8))
-    mesh = true.with_vertices(add_noise(true, noise))
-    choice = choose_auto(mesh)
-    made = made_by(choice, mesh)
-    angles = [angle(true, surface) for surface in (mesh, made)]
-    assert choice.surface == "machined"
-    assert angles[1] < 0.3 * angles[0]
 
 
 def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
@@ -191,33 +176,3 @@ def test_local_levels_follow_the_noise():
     assert local_levels(mesh) is levels
     larger = mesh.with_vertices(3.0 * mesh.vertices)
     assert local_levels(larger) == pytest.approx(levels, rel=1e-6, abs=1e-9)
-
-
-def test_the_model_is_what_was_estimated():
-    meshes = [pair(kind)[0] for kind in ("half", "shared", "isotropic")]
-    half, shared, isotropic = (build_model(mesh, estimate_noise(mesh)) for mesh in meshes)
-    assert half.shares is not None
-    assert np.mean(half.shares**2) == pytest.approx(1.0)
-    assert (shared.rings, shared.direction, shared.shares) == (2, "normals", None)
-    assert (isotropic.rings, isotropic.direction) == (0, "isotropic")
-    assert shared.level == pytest.approx(0.2 * pair("shared")[1].mean_edge_length, rel=0.15)
-
-
-def test_levels_stand_for_quiet_usual_and_loud_places():
-    assert spread_levels(np.linspace(0.0, 0.4, 1001)) == (0.04, 0.2, 0.36)
-    assert spread_levels(np.full(100, 0.2)) == ()
-    assert spread_levels(np.linspace(0.19, 0.21, 101)) == ()
-    mesh, _ = pair("half")
-    part = select_patch(mesh, 2_000)
-    local = np.where(mesh.vertices[:, 1] > 0.0, 0.25, 0.0)
-    quiet, loud = level_masks(part, local, (0.02, 0.2))
-    assert (quiet | loud == part.judged).all()
-    assert not (quiet & loud).any()
-    assert (part.mesh.vertices[loud, 1] > 0.0).all()
-
-
-def test_nothing_is_evened_out_for_a_method_with_trust():
-    mesh, _ = pair("isotropic")
-    trusted = mesh.with_constraints(None, np.full(len(mesh.vertices), 0.5))
-    for choice in (adaptive.choose_adaptive(trusted), choose_auto(trusted)):
-        assert choice.method in ("al", "msal")

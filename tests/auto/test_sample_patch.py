@@ -9,28 +9,19 @@ from msal_cli.auto.sample_patch import (
     MACHINED,
     MARGIN,
     ORGANIC,
-    PATCH,
     TEXTURED,
-    _in_space,
     is_seen_from_one_side,
     select_patch,
     surface_kind,
 )
 from msal_cli.mesh import Mesh, prepare_mesh
-from tests.shapes import ball, box, cube, grid, noisy, torus
+from tests.shapes import ball, box, grid, noisy, torus
 
 
 @pytest.fixture(scope="module")
 def large():
     vertices, faces = torus(250, 120)
     return Mesh(noisy(vertices, 0, 0.01), faces)
-
-
-def confetti(count):
-    """Separate triangles in space, of one size."""
-    draw = np.random.default_rng(0)
-    corners = draw.uniform(0.0, 100.0, (count, 1, 3)) + draw.normal(size=(count, 3, 3))
-    return Mesh(corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
 
 
 def places_of(part, mesh):
@@ -80,14 +71,6 @@ def test_it_is_the_same_with_any_number_of_threads_and_at_another_scale(large, m
         assert (again.judged == first.judged).all()
 
 
-def test_confetti_has_parts_of_full_size():
-    mesh = confetti(10_000)
-    part = select_patch(mesh, 10_000)
-    assert 0.99 * 10_000 <= len(part.mesh.vertices) <= 10_000
-    assert len(part.mesh.faces) == len(part.mesh.vertices) // 3
-    assert part.judged.all()
-
-
 def test_held_vertices_are_neither_judged_nor_held(large):
     held = np.zeros(len(large.vertices), dtype=bool)
     held[::3] = True
@@ -109,18 +92,6 @@ def test_patches_begin_where_somebody_is_judged(large):
     unmarked = select_patch(large.with_constraints(np.ones_like(held), None), 10_000)
     assert not unmarked.judged.any()
     assert len(unmarked.mesh.faces)
-
-
-def test_the_order_in_space_halves_the_box_again_and_again():
-    steps = np.arange(4.0)
-    grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    draw = np.random.default_rng(0).permutation(len(grid))
-    order = grid[draw][_in_space(grid[draw])].astype(int)
-    # z decides between halves first, then y, then x; then the same within a half's halves.
-    octants = [tuple(place) for place in order[::8] // 2]
-    assert octants == [(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)]
-    for first in range(0, len(order), 8):
-        assert [tuple(place) for place in order[first : first + 8] % 2] == octants
 
 
 CUBE = prepare_mesh(*box(8, 8, 8)).mesh
@@ -179,30 +150,3 @@ def test_bumps_are_texture():
 def test_it_is_free_of_scale(scale):
     for mesh in (CUBE, bumpy(0.02), Mesh(*ball())):
         assert surface_kind(mesh.with_vertices(mesh.vertices * scale)) == surface_kind(mesh)
-
-
-def test_few_or_no_edges_between_faces():
-    single = Mesh(np.eye(3), np.array([[0, 1, 2]], dtype=np.int32))
-    assert surface_kind(single) == ORGANIC
-    flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]]), single.faces)
-    assert surface_kind(flat) == ORGANIC
-    # Every edge of a coarse cube is an edge: nothing smooth lies between.
-    assert surface_kind(Mesh(*cube())) == TEXTURED
-
-
-def test_patches_lie_all_over_the_mesh(large):
-    part = select_patch(large, 4 * PATCH)
-    x, y, _ = part.mesh.vertices.T
-    quadrants = {(a > 0, b > 0) for a, b in zip(x.tolist(), y.tolist(), strict=True)}
-    assert len(quadrants) == 4
-
-
-def test_vertices_without_faces_are_no_part_of_it(large):
-    stray = np.random.default_rng(0).uniform(-1e6, 1e6, (20_000, 3))
-    mesh = Mesh(np.concatenate([stray, large.vertices]), large.faces + len(stray))
-    part = select_patch(mesh, 10_000)
-    plain = select_patch(large, 10_000)
-    assert (part.mesh.vertices == plain.mesh.vertices).all()
-    assert (part.judged == plain.judged).all()
-    few = Mesh(np.concatenate([stray, torus()[0]]), torus()[1] + len(stray))
-    assert len(select_patch(few, 10_000).mesh.vertices) == 288

@@ -15,8 +15,8 @@ from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.measures import area_and_volume, normal_statistics
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
-from msal_cli.auto import NONE, Wishes, candidates, search
-from msal_cli.auto.candidates import CANDIDATES, NAMES
+from msal_cli.auto import NONE, Wishes, search
+from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -34,31 +34,6 @@ def test_settings_are_allowed(candidate):
         assert values["noise"] == 0.125
     assert candidate.cost > 0.0
     assert {spec.name for spec in method.parameters} >= set(settings)
-
-
-def test_all_differ_in_what_they_are_and_in_what_they_are_called():
-    assert len({candidate.label for candidate in CANDIDATES}) == len(CANDIDATES)
-    made = {
-        repr((candidate.method, sorted(candidate.settings(0.1).items())))
-        for candidate in CANDIDATES
-    }
-    assert len(made) == len(CANDIDATES)
-
-
-def test_a_farther_reach_is_a_multiple_of_the_noise():
-    settings = [
-        candidate.settings(0.125)["noise"] for candidate in (candidates.LEARNED, candidates.FARTHER)
-    ]
-    assert settings == [0.125, 0.25]
-    assert candidates.FARTHER.label == "learned (noise times 2)"
-
-
-def test_every_name_is_in_use():
-    tried = (*CANDIDATES, *candidates.PULLED, *candidates.LINEAR, candidates.FLATTENER)
-    used = {candidate.method for candidate in tried}
-    # The others are schedules that the plain command chooses.
-    assert set(NAMES) == used | set(candidates._KINDS.values())
-    assert set(candidates._WORDS) <= set(NAMES)
 
 
 CHEAP = 1.01
@@ -154,16 +129,6 @@ def test_it_is_free_of_scale_and_place():
         assert other.risk == pytest.approx(here.risk, rel=1e-6)
 
 
-def test_it_is_free_of_the_axes():
-    # Not of mirrors: winding and probes are those of the numbers.
-    vertices, faces = torus(40, 20)
-    mesh = prepare_mesh(noisy(vertices, 0, 0.05), faces).mesh
-    turned = prepare_mesh(mesh.vertices[:, [1, 2, 0]], faces).mesh
-    here, there = chosen(mesh), chosen(turned)
-    assert here.reason == there.reason
-    assert here.risk == pytest.approx(there.risk, rel=1e-6)
-
-
 @pytest.mark.ci
 def test_what_is_preferred_comes_out_better():
     true = prepare_mesh(*torus(60, 48)).mesh
@@ -211,17 +176,6 @@ def test_where_all_vertices_are_held_nothing_is_done(mesh, spiky):
         choice = chosen(scan.with_constraints(held, None))
         assert choice.method == NONE
         assert np.isfinite(choice.risk)
-
-
-def test_held_vertices_stay_and_are_not_learned_from(mesh):
-    held = mesh.vertices[:, 0] < 0.0
-    wild = mesh.vertices.copy()
-    wild[held] += np.random.default_rng(0).normal(0.0, 0.001, (int(held.sum()), 3))
-    constrained = mesh.with_vertices(wild).with_constraints(held, None)
-    choice = chosen(constrained)
-    made = made_by(choice, constrained)
-    assert (made.vertices[held] == constrained.vertices[held]).all()
-    assert (made.vertices[~held] != constrained.vertices[~held]).any()
 
 
 def odd_meshes():

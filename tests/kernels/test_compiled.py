@@ -87,11 +87,6 @@ def test_without_numba_an_outdated_library_is_an_error(kernel, entries, monkeypa
     assert "python -m kernel_build" in error.value.hint
 
 
-def test_a_wheel_does_not_look_at_sources(kernel, entries, is_wheel, caplog):
-    entries[LINE] = entries[LINE]._replace(source_hash="")
-    assert count(kernel) == 3 and not caplog.text
-
-
 @pytest.mark.parametrize("name", ["TABLE", "LIBRARY"])
 def test_a_library_that_is_not_there_is_an_error(kernel, is_wheel, monkeypatch, tmp_path, name):
     monkeypatch.setattr(library, name, tmp_path / "none")
@@ -116,11 +111,6 @@ def test_a_library_that_is_not_there_is_an_error(kernel, is_wheel, monkeypatch, 
 )
 def test_types_of_arrays(array, text):
     assert library.signature("a.b", (arg_type(array), "i8")) == f"a.b({text}, i8)"
-
-
-def test_it_can_be_interpreted(kernel, monkeypatch):
-    monkeypatch.setenv("MSAL_INTERPRET_KERNELS", "1")
-    assert kernel._load((arg_type(np.ones(1, dtype=np.uint64)),) * 2) is kernel.function
 
 
 def test_threads_that_start_together_load_once(kernel, monkeypatch):

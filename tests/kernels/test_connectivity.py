@@ -94,16 +94,6 @@ def test_a_moebius_band_is_left_alone():
     assert not flip.any()
 
 
-def test_rings_of_closed_fans_are_in_the_order_of_the_faces():
-    # Two tetrahedra that touch in vertex 0: both circles around it are closed.
-    upper = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], dtype=np.int32)
-    lower = np.where(upper == 0, 0, upper + 3).astype(np.int32)
-    links = connectivity(7, np.concatenate([upper, lower]))
-    assert rings(links)[0] == [1, 2, 3, 4, 5, 6]
-    assert rings(links)[1] == [2, 0, 3]
-    assert links.boundary_edges == links.non_manifold_edges == links.inconsistent_edges == 0
-
-
 def listed(start, row):
     return [sorted(row[a:b].tolist()) for a, b in itertools.pairwise(start)]
 

@@ -13,8 +13,6 @@ from msal_cli.kernels.faces import (
     face_centroids,
     face_rings,
     faces_within,
-    flaps,
-    mean_centroid_distance,
 )
 from tests.methods.plain_normals import neighbours
 from tests.shapes import fan, grid
@@ -42,13 +40,6 @@ def test_books_and_bow_ties_by_hand():
     ties = [[0, 1, 2], [2, 3, 4], [4, 5, 0], [6, 7, 8]]
     assert rows(ties, "edge") == [[]] * 4
     assert [sorted(row) for row in rows(ties, "vertex")] == [[1, 2], [0, 2], [0, 1], []]
-
-
-def test_the_order_is_side_by_side_then_corner_by_corner():
-    # A strip of five faces; the third has its sides towards 1 (0-2), none, and 3 (2-4).
-    faces = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4], [4, 5, 6]]
-    assert rows(faces, "edge")[2] == [1, 3]
-    assert rows(faces, "vertex")[2] == [1, 3, 0, 4]
 
 
 def test_an_edge_with_too_many_faces_makes_no_neighbours():
@@ -86,15 +77,6 @@ def test_too_many_neighbours_are_refused(monkeypatch):
         face_rings(faces, links, "vertex")
 
 
-def test_centroids_and_their_distances():
-    vertices = np.array([[0, 0, 0], [3, 0, 0], [0, 3, 0], [3, 3, 6.0]])
-    faces = np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32)
-    centroids = face_centroids(vertices, faces)
-    assert centroids.tolist() == [[1, 1, 0], [2, 2, 2]]
-    rings = face_rings(faces, connectivity(4, faces), "edge")
-    assert mean_centroid_distance(centroids, *rings) == pytest.approx(np.sqrt(6.0), rel=1e-15)
-
-
 def near_rows(vertices, faces, radius, most):
     ring = face_rings(faces, connectivity(len(vertices), faces), "vertex")
     start, near = faces_within(face_centroids(vertices, faces), *ring, radius, most)
@@ -119,10 +101,3 @@ def test_it_stops_at_the_most():
     # The first are those that share a vertex.
     for row, others in zip(found, neighbours(faces, "vertex"), strict=True):
         assert sorted(row[: len(others)]) == others
-
-
-def test_open_and_crowded_edges_are_left_out():
-    # Three faces around the edge 0-1, and a fourth that shares 1-2 with the first.
-    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [2, 1, 5]], dtype=np.int32)
-    found = flaps(faces, connectivity(6, faces))
-    assert found.tolist() in ([[1, 0, 2, 5]], [[1, 5, 2, 0]])

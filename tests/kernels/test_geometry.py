@@ -10,31 +10,12 @@ from msal_cli.kernels.geometry import (
     area_and_volume,
     face_normals,
     face_normals_and_areas,
-    mean_edge_length,
     normals_and_flat_faces,
     regroup_normals,
-    ring_means,
     vertex_normals,
 )
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import cube, grid, noisy, torus
-
-
-def test_cube():
-    vertices, faces = cube()
-    area, volume = area_and_volume(vertices, faces)
-    assert area == pytest.approx(6.0, abs=1e-15)
-    assert volume == pytest.approx(1.0, abs=1e-15)
-    assert area_and_volume(vertices, faces[:, ::-1].copy())[1] == pytest.approx(-1.0)
-    links = prepare_mesh(vertices, faces).mesh.topology
-    edges = 12 * 1.0 + 6 * np.sqrt(2)
-    assert mean_edge_length(vertices, links.ring_start, links.ring) == pytest.approx(edges / 18)
-
-
-def test_degenerate_faces_have_zero_normals():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1e-13, 0]], dtype=float)
-    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], dtype=np.int32)
-    assert face_normals(vertices, faces).tolist() == [[0, 0, 0], [0, 0, 1], [0, 0, 0]]
+from tests.shapes import grid, noisy, torus
 
 
 def test_area_weighting():
@@ -60,23 +41,6 @@ def test_where_unit_normals_cancel_the_areas_decide():
     assert flat == 0
     alike = np.array([[0, 1, 2], [1, 0, 2]], dtype=np.int32)
     assert vertex_normals(vertices, alike, "uniform").tolist() == [[0, 0, 0]] * 4
-
-
-def test_faces_without_area_are_counted_and_left_out():
-    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], dtype=float)
-    faces = np.array([[0, 1, 2], [0, 1, 3]], dtype=np.int32)
-    normals, flat = normals_and_flat_faces(vertices, faces, "uniform")
-    assert flat == 1
-    assert normals.tolist() == [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 0, 0]]
-
-
-def test_ring_means():
-    vertices, faces = grid(3, 3)
-    links = prepare_mesh(np.concatenate([vertices, [[9, 9, 9]]]), faces).mesh.topology
-    values = np.arange(10.0)
-    means = ring_means(values, links.ring_start, links.ring)
-    assert means[4] == pytest.approx((0 + 1 + 3 + 5 + 7 + 8) / 6)
-    assert means[9] == 9.0
 
 
 def stored(vertices, faces):

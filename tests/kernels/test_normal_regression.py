@@ -146,19 +146,6 @@ def test_numbers_are_those_of_the_twin(scan, plain):
     assert np.abs(got[:, :13] - plain.numbers).max() < 2e-4
 
 
-def test_ripples_are_umbrellas_of_umbrellas(scan):
-    rings = rows_of(*scan.topology.one_ring)
-    left, normals = scan.vertices, scan.vertex_normals()
-    got = measure_ripples(scan.vertices, normals, scan.topology)
-    for k in range(3):
-        left = np.array([left[row].mean(axis=0) for row in rings]) - left
-        along = np.einsum("ij,ij->i", left, normals)
-        assert got[:, k] == pytest.approx(np.abs(along), abs=1e-12)
-        if k == 1:
-            sideways = np.linalg.norm(left - along[:, None] * normals, axis=1)
-            assert got[:, 3] == pytest.approx(sideways, abs=1e-9)
-
-
 def test_normals_are_those_of_the_plain_network(scan):
     descriptors, _ = described(scan)
     network = random_network(count_vectors(0))
@@ -183,13 +170,6 @@ def test_a_later_stage_filters_the_scanned_normals_by_the_last(scan, plain):
         assert np.abs(vectors[:, first + 2 + k] - expected).max() < 2e-4
 
 
-def test_where_all_normals_are_one_so_is_the_outcome():
-    mesh = prepare_mesh(*grid(9, 9)).mesh
-    normals = described(mesh)[0].predict(random_network(count_vectors(0), 5))
-    up = face_normals_and_areas(mesh.vertices, mesh.faces)[0][0]
-    assert (np.abs(normals) == np.abs(up)).all()
-
-
 def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
     network = random_network(count_vectors(0))
     results = []
@@ -200,16 +180,6 @@ def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
         results.append((descriptors.collect()[0], descriptors.predict(network)))
     assert (results[0][0] == results[1][0]).all()
     assert (results[0][1] == results[1][1]).all()
-
-
-def test_a_turned_mesh_has_the_same_inputs(scan):
-    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    there = described(scan.with_vertices(scan.vertices @ turn.T))[0]
-    here = described(scan)[0]
-    turned = here.collect()[1] @ turn.T.astype(np.float32)
-    assert np.abs(there.collect()[1] - turned).max() < 1e-3
-    assert np.abs(numbers_of(there) - numbers_of(here)).max() < 1e-3
 
 
 def test_a_face_without_area_takes_the_normal_of_those_around():

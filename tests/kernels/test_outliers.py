@@ -53,13 +53,6 @@ def test_a_spike_goes_back_to_where_it_was():
     assert targets[0] == pytest.approx(mesh.vertices[MIDDLE], abs=1e-9)
 
 
-def test_flat_vertices_and_open_borders_are_not_judged():
-    mesh = spiked(uneven_grid(), 0, (0, 0, 3.0))
-    scores, targets = judged(mesh, 0, MIDDLE)
-    assert (scores == outliers.NOT_JUDGED).all()
-    assert (targets[0] == mesh.vertices[0]).all()
-
-
 def test_only_the_furthest_of_neighbours_is_picked():
     mesh = uneven_grid()
     scores = np.full(100, outliers.NOT_JUDGED)

@@ -7,8 +7,6 @@ import pytest
 
 from msal_cli.analysis.noise_estimate.spread import FREEDOMS, LEFT
 from msal_cli.kernels.patch_fits import (
-    REACHES,
-    TERMS,
     fit_patches,
     fit_scales,
 )
@@ -50,12 +48,6 @@ def test_a_polynomial_leaves_nothing_over(height, exact):
     assert (freedoms[:, CUBIC] > 0).any()
 
 
-def test_degrees_of_freedom():
-    # Inside a grid with one diagonal: 6 neighbours, and 18 up to the second ring.
-    _, freedoms, _, _ = fits_of(graph_of(lambda x, y: x * y), [5 * 12 + 5])
-    assert freedoms.tolist() == [[7 - 3, 7 - 6, 19 - 6, 19 - 10]]
-
-
 @pytest.mark.parametrize("uneven", [0.0, 0.35])
 def test_white_noise_leaves_its_variance(uneven):
     draw = np.random.default_rng(3)
@@ -71,21 +63,6 @@ def test_white_noise_leaves_its_variance(uneven):
     assert gaps[inner].std() > 0.1
 
 
-def test_a_spike_is_told_by_how_far_it_stands_out():
-    mesh = graph_of(lambda x, y: 0.0 * x)
-    mesh.vertices[77, 2] += 0.4
-    _, _, gaps, ratios = fits_of(mesh, [77, 76])
-    assert gaps[0] == pytest.approx(0.4)
-    # All of it is the spike's: nothing is left of the others.
-    assert ratios[0] > 1e5
-    assert ratios[1] < 3.0
-
-
-def wide_graph_of(height, rows=40, columns=40, uneven=0.2):
-    """The same over a larger grid, of half as large arguments."""
-    return graph_of(lambda x, y: height(x / 2, y / 2), rows, columns, uneven)
-
-
 def wide_fits_of(mesh, chosen=None):
     """Variances by the degrees of freedom, and these; then what else ``fit_scales`` gives."""
     up = np.zeros_like(mesh.vertices)
@@ -96,24 +73,6 @@ def wide_fits_of(mesh, chosen=None):
     )
     freedoms = np.maximum(rows - ranks, 0)
     return rests / np.maximum(freedoms, 1), freedoms, rows, frames, offsets
-
-
-def test_vertices_of_the_patches():
-    # Inside a grid with one diagonal: 1 + 3 r (r + 1) vertices within r rings.
-    _, freedoms, rows, frames, _ = wide_fits_of(wide_graph_of(lambda x, y: x * y), [20 * 40 + 20])
-    assert rows.tolist() == [[1 + 3 * rings * (rings + 1) for rings in REACHES]]
-    assert freedoms.tolist() == [(rows[0] - TERMS).tolist()]
-    assert frames.tolist() == [[0.0, 0.0, 1.0]]
-
-
-def test_offsets_have_the_variance_of_the_vertices():
-    draw = np.random.default_rng(3)
-    vertices, faces = grid(90, 80)
-    vertices += 0.1 * draw.standard_normal(vertices.shape)
-    mesh = prepare_mesh(vertices, faces).mesh
-    inside = (np.abs(mesh.vertices[:, :2]) < 35).all(axis=1)
-    _, _, _, _, offsets = wide_fits_of(mesh, np.flatnonzero(inside))
-    assert offsets.std(axis=0) == pytest.approx([0.1, 0.1, 0.1], rel=0.04)
 
 
 def averaged(mesh, heights, rings):

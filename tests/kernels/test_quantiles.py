@@ -14,7 +14,6 @@ from msal_cli.kernels.quantiles import (
     chi_square,
     clusters,
     median,
-    quantile_above_zero,
     select_ranks,
     student,
 )
@@ -40,35 +39,6 @@ def test_many_numbers(kind, odd):
     assert median(values) == np.median(values)
     ranks = (0, 1, n // 3, n - 1)
     assert select_ranks(values, *ranks) == np.sort(values)[list(ranks)].tolist()
-
-
-@pytest.mark.parametrize(
-    ("values", "share", "expected"),
-    [
-        ([4.0, 1.0, 3.0, 2.0], 1.0, 4.0),
-        ([4.0, 1.0, 3.0, 2.0], 0.75, 3.0),
-        ([4.0, 1.0, 3.0, 2.0], 0.76, 4.0),
-        ([4.0, 1.0, 3.0, 2.0], 1e-9, 1.0),
-        ([0.0, 0.0, 5.0, 0.0, 2.0], 0.5, 2.0),
-        ([0.0, -0.0], 0.5, 0.0),
-        ([], 1.0, 0.0),
-    ],
-)
-def test_quantiles_above_zero_by_hand(values, share, expected):
-    assert quantile_above_zero(np.array(values), share) == expected
-
-
-def test_worked_by_hand():
-    # Seeds 0.1, 5.1, 9 (the quantiles 1/6, 1/2, 5/6 of six); bounds 2.6 and 7.05 at once.
-    values = np.array([5.0, 0.0, 9.0, 0.1, 5.1, 0.2])
-    assert clusters(values, 3).tolist() == [1, 0, 2, 0, 1, 0]
-
-
-def test_centres_move():
-    # Seeds 1 and 4 part at 2.5; the means 1 and 6.5 part at 3.75, which takes 3 over, and then
-    # 1.5 and 8 at 4.75, which takes 4.
-    values = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 14.0])
-    assert clusters(values, 2).tolist() == [0, 0, 0, 0, 0, 0, 1]
 
 
 @pytest.mark.parametrize("count", [2, 3, 7])

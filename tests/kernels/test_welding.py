@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from msal_cli.kernels.welding import (
-    duplicate_faces,
     first_alike,
     number_groups,
     weld_corners,
@@ -37,21 +36,6 @@ def test_corners_are_numbered_in_order_of_appearance(corners):
     assert vertices.tolist() == [list(p) for p in wanted]
     assert faces.reshape(-1).tolist() == numbers
     assert not np.signbit(vertices[vertices == 0.0]).any()
-
-
-@pytest.mark.parametrize("share", [0.001, 0.5, 1.0])
-def test_everything_grows_where_more_is_found_than_usual(share):
-    # A closed surface has a sixth as many vertices as corners; these have up to all of them.
-    rng = np.random.default_rng(1)
-    positions = rng.integers(-(2**20), 2**20, (int(share * 30_000), 3)) / 2.0**10
-    order = np.concatenate(
-        [np.arange(len(positions)), rng.integers(0, len(positions), 30_000 - len(positions))]
-    )
-    corners = positions[rng.permutation(order)].reshape(-1, 9)
-    vertices, faces, bad = weld_corners(corners)
-    assert bad == -1
-    assert np.array_equal(vertices[faces].reshape(-1, 9), corners)
-    assert len(np.unique(vertices, axis=0)) == len(vertices)
 
 
 def test_views_into_a_file_are_read():
@@ -113,6 +97,16 @@ def test_pairs_are_numbered_in_order_of_appearance(pairs):
     assert first.tolist() == [pairs.index(pair) for pair in order]
 
 
-def test_duplicates_in_any_order_of_corners():
-    faces = np.array([[0, 1, 2], [2, 3, 0], [2, 0, 1], [1, 0, 2], [3, 4, 5]], dtype=np.int32)
-    assert duplicate_faces(faces).tolist() == [False, False, True, True, False]
+@pytest.mark.parametrize("share", [0.001, 0.5, 1.0])
+def test_everything_grows_where_more_is_found_than_usual(share):
+    # A closed surface has a sixth as many vertices as corners; these have up to all of them.
+    rng = np.random.default_rng(1)
+    positions = rng.integers(-(2**20), 2**20, (int(share * 30_000), 3)) / 2.0**10
+    order = np.concatenate(
+        [np.arange(len(positions)), rng.integers(0, len(positions), 30_000 - len(positions))]
+    )
+    corners = positions[rng.permutation(order)].reshape(-1, 9)
+    vertices, faces, bad = weld_corners(corners)
+    assert bad == -1
+    assert np.array_equal(vertices[faces].reshape(-1, 9), corners)
+    assert len(np.unique(vertices, axis=0)) == len(vertices)

@@ -35,20 +35,6 @@ def test_the_nearer_face_wins_in_any_order(order):
     assert (nearness[columns < rows] == 1.0).all()
 
 
-def test_nearness_is_that_of_the_plane():
-    # near = 2 across + 3 down
-    points = [(x, y, 2.0 * x + 3.0 * y) for x, y in [(-20, -20), (60, -20), (-20, 60)]]
-    nearness, _ = drawn(points, [(0, 1, 2)], 8, 8)
-    rows, columns = np.mgrid[:8, :8] + 0.5
-    assert np.allclose(nearness, 2.0 * columns + 3.0 * rows)
-
-
-def test_what_is_outside_or_has_no_area_is_not_drawn():
-    points = [(-9, -9, 0), (-1, -9, 0), (-1, -1, 0), (1, 1, 0), (3, 3, 0), (5, 5, 0)]
-    _, front = drawn(points, [(0, 1, 2), (3, 4, 5), (3, 3, 4)], 8, 8)
-    assert (front == z_buffer.NOTHING).all()
-
-
 def roof(angle):
     """Two squares that meet at an edge and turn by ``angle`` there."""
     vertices = [(0, 0, 0), (0, 1, 0), (-1, 0, 0), (-1, 1, 0)]
@@ -71,3 +57,9 @@ def test_an_edge_is_smooth_up_to_half_the_crease_and_sharp_beyond_it():
     assert np.allclose(sharp[2:], right, atol=1e-6)
     assert left @ mean < left @ between[0, 1] < 1.0
     assert right @ mean < right @ between[2, 0] < 1.0
+
+
+def test_what_is_outside_or_has_no_area_is_not_drawn():
+    points = [(-9, -9, 0), (-1, -9, 0), (-1, -1, 0), (1, 1, 0), (3, 3, 0), (5, 5, 0)]
+    _, front = drawn(points, [(0, 1, 2), (3, 4, 5), (3, 3, 4)], 8, 8)
+    assert (front == z_buffer.NOTHING).all()

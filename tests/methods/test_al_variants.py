@@ -16,7 +16,7 @@ from msal_cli.kernels.operators import (
 )
 from msal_cli.mesh import prepare_mesh
 from tests import paper
-from tests.methods.pairs import all_errors, errors, opened
+from tests.methods.pairs import errors, opened
 from tests.methods.runs import SHAPES, denoise
 from tests.shapes import fan
 
@@ -87,9 +87,9 @@ def test_every_combination_agrees_with_the_plain_twin(kind, deviation, scaling):
     vertices, faces = SHAPES["torus"]
     mesh = prepare_mesh(vertices, faces).mesh
     given = {"weights": kind, "deviation": deviation, "scaling": scaling}
-    out = denoise("al", mesh, iterations=3, **given)
+    out = denoise("al", mesh, iterations=2, **given)
     tau = 0.25 * mesh.mean_edge_length**2
-    expected = twin(mesh.vertices, faces, 3, kind, deviation, scaling, tau)
+    expected = twin(mesh.vertices, faces, 2, kind, deviation, scaling, tau)
     assert np.abs(out - expected).max() <= 1e-12 * np.ptp(vertices)
     assert np.abs(out - mesh.vertices).max() > 1e-2
 
@@ -112,17 +112,6 @@ def test_the_influence_is_greatest_at_sigma(kind):
     if kind == "tukey":
         beyond = pull(100.0)
         assert pull(1.4826 * 5**0.5 * 1.001) == beyond < pull(1.4826 * 5**0.5 * 0.9)
-
-
-def test_sigma_worked_by_hand():
-    # Heights 1, 1, 1, 5: mean deviation 1.5, median deviation 0; heights 0, 1, 3, 7, 12: 2 and 3.
-    def sigma(heights, deviation):
-        return heights_of_fan(heights, "gauss", deviation).sigma[0]
-
-    assert sigma([1.0, 1.0, 1.0, 5.0], "mean") == pytest.approx(3.0)
-    assert sigma([1.0, 1.0, 1.0, 5.0], "median") == 0.0
-    assert sigma([0.0, 1.0, 3.0, 7.0, 12.0], "median") == pytest.approx(1.4826 * 3)
-    assert sigma([0.0, 1.0, 3.0, 7.0], "median") == pytest.approx(1.4826 * 1.5)
 
 
 @pytest.mark.parametrize("kind", WEIGHTS)
@@ -148,20 +137,6 @@ def test_no_scaled_step_overshoots(scaling):
         assert after < 0.4 * before
 
 
-@pytest.mark.parametrize("scaling", ["mass", "edge"])
-def test_scaled_operators_leave_large_triangles_in_place(scaling):
-    # Fig. 10: AL moves the vertices of large triangles too far; MSAL goes without scaling.
-    noisy_bear, clean = BEAR
-
-    def farthest(name, **given):
-        out = denoise(name, noisy_bear, **given)
-        return np.linalg.norm(out - clean.vertices, axis=1).max() / clean.mean_edge_length
-
-    assert farthest("al", n=3) > 5
-    assert farthest("msal", n=3, K=1 / 3) < 3
-    assert farthest("al", n=8, scaling=scaling) < 0.5
-
-
 @pytest.mark.parametrize(
     ("deviation", "expected"),
     [("mean", [9.74, 9.30, 8.13, 8.40, 8.43]), ("median", [9.74, 7.33, 5.55, 5.28, 5.64])],
@@ -178,11 +153,3 @@ def test_weights_keep_edges_under_weak_noise(real_data, deviation, expected):
     ]
     assert found == pytest.approx(expected, rel=0.015)
     assert found[0] > found[1] > max(found[2:])
-
-
-def test_the_median_leaves_strong_noise(real_data):
-    kinds = ("none", "huber", "lorentz", "gauss", "tukey")
-    found = [
-        all_errors(real_data, "al", n=3, weights=kind, deviation="median")[0][0] for kind in kinds
-    ]
-    assert found == pytest.approx([10.8, 9.75, 9.63, 11.0, 11.9], rel=0.02)

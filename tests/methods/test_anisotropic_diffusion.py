@@ -12,7 +12,7 @@ from msal_cli.kernels.faces import flaps
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepare_mesh
 from tests.methods.runs import denoise, free_vertices, scan, small_scan
-from tests.shapes import box, noisy
+from tests.shapes import box
 
 diffused = functools.partial(denoise, "anisotropic_diffusion")
 
@@ -108,37 +108,6 @@ def test_a_clean_box_is_left_alone():
     vertices, faces = box(6, 6, 6)
     mesh = prepare_mesh(vertices, faces).mesh
     assert (diffused(mesh) == mesh.vertices).all()
-
-
-@pytest.mark.parametrize("variant", ["amc", "pmc"])
-def test_edges_of_a_noisy_box_stay_and_sides_get_flat(variant):
-    vertices, faces = box(10, 10, 10)
-    clean = prepare_mesh(vertices, faces).mesh
-    mesh = clean.with_vertices(noisy(clean.vertices, 1, 0.15))
-    steps = 10 if variant == "amc" else 40
-    kept = diffused(mesh, variant=variant, iterations=steps)
-    isotropic = diffused(mesh, variant=variant, iterations=steps, threshold=1000.0)
-    edge = (np.abs(np.abs(clean.vertices) - 5) < 1e-9).sum(axis=1) > 1
-    side = np.abs(clean.vertices[:, 0] - 5) < 1e-9
-    middle = side & ~edge
-
-    def distance(positions, which):
-        return np.linalg.norm(positions - clean.vertices, axis=1)[which].mean()
-
-    assert distance(kept, edge) < 0.7 * distance(isotropic, edge)
-    assert kept[middle, 0].std() < 0.4 * mesh.vertices[middle, 0].std()
-
-
-def test_pmc_keeps_volume_that_amc_loses():
-    mesh = scan(level=0.02, around=60, across=30)
-    _, before = area_and_volume(mesh.vertices, mesh.faces)
-
-    def change(variant):
-        moved = diffused(mesh, variant=variant, iterations=100, threshold=1000.0)
-        return area_and_volume(moved, mesh.faces)[1] / before - 1
-
-    assert change("amc") < -0.1
-    assert abs(change("pmc")) < 0.005
 
 
 @pytest.mark.parametrize("variant", ["amc", "pmc"])

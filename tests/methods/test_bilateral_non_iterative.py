@@ -7,13 +7,11 @@ import functools
 import numpy as np
 import pytest
 
-from msal_cli.kernels.bilateral import ProjectionAverage
-from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.plain_normals import normals_and_areas
 from tests.methods.runs import SHAPES, run_in_file
 from tests.methods.test_bilateral import mean_edge
-from tests.shapes import cube, grid, noisy
+from tests.shapes import grid, noisy
 
 run = functools.partial(run_in_file, "bilateral_non_iterative")
 
@@ -70,19 +68,6 @@ def test_kernels_agree_with_the_paper(shape, widths):
     size = np.ptp(vertices, axis=0).max()
     assert np.abs(actual - expected).max() <= 1e-12 * size
     assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
-
-
-def test_with_endless_widths_it_is_the_mean_by_area():
-    # All mollified positions are one point then, so that faces keep their own normals.
-    vertices, faces = cube()
-    vertices[:, 0] *= 2.0
-    mesh = prepare_mesh(vertices, faces).mesh
-    free = np.ones(8, dtype=bool)
-    moves = ProjectionAverage(mesh.faces, mesh.topology, free, 1.0, 1e9, 1e9)(mesh.vertices).move
-    # Of the area 10 the sides across x have 2, the others 4 each; from each vertex half of these
-    # are on its own planes, and the other halves are a side length away.
-    signs = -np.sign(mesh.vertices)
-    assert moves == pytest.approx(signs * [2 * 1 / 10, 1 * 2 / 10, 1 * 2 / 10], abs=1e-8)
 
 
 def test_a_vertex_far_from_every_centroid_stays():

@@ -20,7 +20,6 @@ from msal_cli.methods._triangles import even_out
 from msal_cli.methods.blend import (
     KEPT_PER_FACE,
     MAX_MEMBERS,
-    format_levels,
     format_members,
     parse_levels,
     parse_members,
@@ -50,15 +49,6 @@ def test_it_is_the_weighted_mean_of_its_members(mesh):
     )
     assert np.abs(made - by_hand).max() < 1e-14
     assert np.abs(made - mesh.vertices).max() > 0.01
-
-
-@pytest.mark.parametrize("name", ["al", "msal", "bilateral_normal"])
-def test_one_member_of_weight_1_is_that_method_to_the_bit(mesh, name):
-    made = BLEND.denoise(mesh, BLEND.validate({"members": f"1*{name}"}))
-    method = methods.find(name)
-    expected = method.denoise(mesh, method.validate({}))
-    assert (made.vertices == expected.vertices).all()
-    assert set(made.fields) == set(expected.fields)
 
 
 @pytest.mark.parametrize(
@@ -149,15 +139,6 @@ def test_what_is_written_is_read_again(members):
     for member, (_, name, values) in zip(found, given_members, strict=True):
         assert member.method.name == name
         assert member.parameters == methods.find(name).validate(values)
-
-
-def test_whole_hundredths_are_written_short():
-    assert format_members([([0.29], "al", {"iterations": 3}), ([0.71], "msal", {})]) == (
-        "0.29*al(iterations=3)+0.71*msal"
-    )
-    assert format_members([([1.0], "al", {})]) == "1*al"
-    assert format_members([([0.0, 0.25], "al", {})]) == "0:0.25*al"
-    assert format_levels([0.02, 0.25]) == "0.02:0.25"
 
 
 def test_memory_follows_the_members_that_are_given():
@@ -252,8 +233,3 @@ def test_memory_is_that_of_the_hungriest_member_that_is_ever_chosen():
     assert BLEND.bytes_per_face >= most + KEPT_PER_FACE
     of_plain = {"blend", "hc", "msal", "taubin"}
     assert {candidate.method for candidate in CANDIDATES} | of_plain == set(selection.METHODS)
-
-
-def test_it_has_a_data_term_if_every_member_has():
-    for members, has in (("0.5*msal", True), ("0.5*msal+0.5*learned", False)):
-        assert BLEND.has_data_term(BLEND.validate({"members": members})) == has

@@ -64,7 +64,7 @@ def run(request):
 
 def test_it_removes_noise(method):
     # Fine enough that the torus itself is smooth on the scale of the mesh; noise of 0.1 edges.
-    vertices, faces = torus(160, 80)
+    vertices, faces = torus(120, 60)
     clean = prepare_mesh(vertices, faces).mesh
     mesh = prepare_mesh(noisy(vertices, 0, 0.17 * clean.mean_edge_length), faces).mesh
     out = runs.denoise(method.name, mesh)

@@ -97,15 +97,6 @@ def test_it_does_what_it_says(shape, given):
     assert np.abs(out.vertices + ready.origin - expected).max() <= 1e-12 * size
 
 
-def test_features_are_the_ridge():
-    vertices, faces = roof(7, 7, 0.7)
-    _, out = result(noisy(vertices, 5, 0.03), faces)
-    feature = out.fields["feature"].reshape(7, 7)
-    assert feature[1:-1, 3].all()
-    assert not feature[:, [0, 1, 5, 6]].any()
-    assert (out.fields["cluster"][feature.reshape(-1) > 0] == 2).all()
-
-
 def test_flat_triangles_become_even_and_the_rim_stays():
     # Vertices pushed about within a plane: there is nothing to denoise.
     vertices, faces = grid(8, 8)

@@ -12,7 +12,7 @@ from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import l0
 from tests.methods.runs import denoise, error_deg, free_vertices, small_scan
-from tests.shapes import box, noisy, torus
+from tests.shapes import box, noisy
 
 denoised = functools.partial(denoise, "l0")
 
@@ -61,10 +61,10 @@ def twin(mesh, iterations, sparsity, regularity, free):
 @pytest.mark.parametrize(
     ("shape", "boundary", "given"),
     [
-        ("torus", "free", {"iterations": 20}),
+        ("torus", "free", {"iterations": 10}),
         ("torus", "free", {"iterations": 7, "sparsity": 1.0, "regularity": 2.0}),
-        ("grid", "free", {"iterations": 20}),
-        ("grid", "fixed", {"iterations": 20, "regularity": 0.0}),
+        ("grid", "free", {"iterations": 10}),
+        ("grid", "fixed", {"iterations": 10, "regularity": 0.0}),
     ],
 )
 def test_it_agrees_with_the_literal_twin(monkeypatch, shape, boundary, given):
@@ -96,23 +96,3 @@ def test_a_noisy_box_becomes_flat_faces_and_sharp_edges():
     assert (found[true < 45] < 1.0).mean() > 0.99
     assert (np.abs(found[true > 45] - 90) < 3.0).mean() > 0.9
     assert error_deg(clean, out.vertices) < 0.8
-
-
-def test_a_price_of_nothing_changes_nothing():
-    vertices, faces = torus()
-    mesh = prepare_mesh(noisy(vertices, 2, 0.1), faces).mesh
-    out = denoised(mesh, sparsity=0.0, regularity=0.0)
-    assert np.abs(out - mesh.vertices).max() < 1e-3 * mesh.mean_edge_length
-
-
-def test_a_higher_price_leaves_fewer_edges():
-    vertices, faces = torus(40, 20)
-    mesh = prepare_mesh(noisy(vertices, 3, 0.03), faces).mesh
-    corners = flaps(mesh.faces, mesh.topology)
-    bent, moved = [], []
-    for sparsity in (0.002, 0.02, 0.2):
-        out = denoised(mesh, sparsity=sparsity)
-        bent.append((dihedral_angles(out, corners) > np.radians(1)).mean())
-        moved.append(np.abs(out - mesh.vertices).mean())
-    assert bent[0] > bent[1] + 0.05 > bent[2] + 0.1
-    assert moved[0] < moved[1] < moved[2]

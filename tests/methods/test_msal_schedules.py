@@ -111,21 +111,3 @@ def test_trust_scales_the_pull_and_what_is_held_stays(schedule, name):
     stays = method.denoise(mesh.with_constraints(held, None), parameters)
     assert (stays.vertices[held] == mesh.vertices[held]).all()
     assert (stays.vertices[~held] != mesh.vertices[~held]).any()
-
-
-def test_wiener_comes_closer_to_waves_under_noise_than_the_others():
-    vertices, faces = torus(96, 48)
-    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
-    wave = 0.06 * np.sin(4 * vertices[:, 0]) * np.sin(4 * vertices[:, 1])
-    true = vertices + wave[:, None] * normals
-    noise = 0.02 * np.random.default_rng(0).normal(size=len(vertices))
-    scan = true + noise[:, None] * normals
-    origin = prepare_mesh(scan, faces).origin
-
-    def error(**given):
-        found = run(scan, faces, **given).vertices + origin
-        return np.linalg.norm(found - true, axis=1).mean()
-
-    wiener = error(schedule="wiener")
-    assert wiener < 0.6 * np.abs(noise).mean()
-    assert wiener < 0.85 * min(error(), error(schedule="robust"), error(name="al"))

@@ -9,19 +9,15 @@ from hypothesis import strategies as st
 
 from msal_cli import methods
 from msal_cli.errors import UsageError
-from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.faces import face_centroids, face_rings
-from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
+from msal_cli.kernels.faces import face_rings
+from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import (
-    bilateral_averages,
     difference_width,
-    normal_system,
-    threshold_averages,
 )
 from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_normals as plain
 from tests.methods.runs import denoise, error_deg, free_vertices, run, scan, small_scan
-from tests.shapes import cube, fan, grid, noisy, roof, torus
+from tests.shapes import cube, grid, noisy, roof, torus
 
 OPEN_AND_CLOSED = pytest.mark.parametrize(
     ("shape", "boundary"), [("torus", "fixed"), ("grid", "fixed"), ("grid", "free")]
@@ -69,56 +65,6 @@ def test_a_sharp_edge_comes_back_under_noise(name, most_deg):
 # Bilateral
 
 
-def averaged(normals, areas, exponents, similarity):
-    """One pass over faces all of which neighbour the first; the exponents of their distances."""
-    others = len(normals) - 1
-    centroids = np.zeros((others + 1, 3))
-    centroids[1:, 0] = np.sqrt(2.0 * np.asarray(exponents))  # sigma_c = 1
-    return bilateral_averages(
-        np.array(normals, dtype=float),
-        np.array(areas, dtype=float),
-        centroids,
-        np.array([0, others] + [others] * others, dtype=np.int32),
-        np.arange(1, others + 1, dtype=np.int32),
-        1.0,
-        similarity,
-        1,
-        lambda: None,
-    )[0]
-
-
-def test_one_bilateral_sum_worked_by_hand():
-    # Two neighbours at right angles to one another, both at 45 degrees to the face: their
-    # differences are alike.  Areas 1 and 3, exponents of the distances 0 and 1: 1 to 3 / e.
-    half = np.sqrt(0.5)
-    out = averaged([[0, half, half], [0, 0, 1], [0, 1, 0]], [9, 1, 3], [0, 1], 0.35)
-    assert out == pytest.approx(plain.unit(np.array([0, 3 / np.e, 1])), abs=1e-14)
-
-
-def test_far_neighbours_do_not_underflow():
-    # exp(-5000) is zero; the nearer of the two must count all the same, e times as much.
-    out = averaged([[0, 0.6, 0.8], [0, 0.8, 0.6], [0.8, 0, 0.6]], [1, 1, 1], [5000, 5000.68], 9.0)
-    assert np.isfinite(out).all()
-    assert out[1] > out[0] > 0.1
-
-
-def test_faces_without_area_do_not_count():
-    out = averaged([[0, 0, 1], [0, 0, 0], [0, 0.6, 0.8]], [1, 0, 1e-9], [0, 50], 0.35)
-    assert out == pytest.approx([0, 0.6, 0.8], abs=1e-15)
-    assert (averaged([[0, 0, 1], [0, 0, 0]], [1, 0], [0], 0.35) == [0, 0, 1]).all()
-    assert (averaged([[0, 0, 0], [0, 0, 1]], [0, 1], [0], 0.35) == 0).all()
-
-
-def test_two_faces_swap_their_normals():
-    # The own normal is left out: after two passes each face has its own again.
-    vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0.5, 0], [-1, 0.5, 0.4]])
-    faces = np.array([[0, 2, 1], [0, 1, 3]], dtype=np.int32)
-    for passes in (1, 2):
-        mesh, out = run("bilateral_normal", vertices, faces, n=passes, boundary="free")
-        away = np.abs(out - mesh.vertices).max()
-        assert away > 0.05 if passes == 1 else away < 1e-14
-
-
 @given(**ANY_ROUGH_MESH, widths=WIDTHS, passes=st.integers(1, 5))
 def test_local_bilateral_is_the_formula(seed, widths, sharing, boundary, is_closed, passes):
     mesh = rough(is_closed, seed)
@@ -153,70 +99,7 @@ def test_the_defaults_are_the_authors():
     assert_twin(mesh, denoise("normal_threshold", mesh), expected)
 
 
-def system(vertices, faces, sharing="vertex"):
-    rows = face_rings(faces, connectivity(len(vertices), faces), sharing)
-    normals, areas = face_normals_and_areas(vertices, faces)
-    centroids = face_centroids(vertices, faces)
-    return normals, areas, normal_system(normals, areas, centroids, *rows, 0.7, 0.35, 0.01)
-
-
-def dense(matrix, m):
-    """A (m, m), three columns at a time."""
-    result = np.empty((m, m))
-    for first in range(0, m, 3):
-        x = np.zeros((m, 3))
-        for axis in range(min(3, m - first)):
-            x[first + axis, axis] = 1.0
-        product = np.empty_like(x)
-        matrix.times(x, product)
-        result[:, first : first + 3] = product[:, : m - first]
-    return result
-
-
-@pytest.mark.parametrize("sharing", ["vertex", "edge"])
-def test_the_matrix_is_the_formula(sharing):
-    vertices, faces = grid(5, 4)
-    # Two faces more that touch nothing, and at their other sides one another's corner only.
-    vertices = np.concatenate([noisy(vertices, 3, 0.2), 9 + np.eye(3), 10 + np.eye(3)[:2]])
-    faces = np.concatenate([faces, [[20, 21, 22], [22, 23, 24]]]).astype(np.int32)
-    normals, areas, matrix = system(vertices, faces, sharing)
-    rows = plain.neighbours(faces, sharing)
-    centroids = vertices[faces].mean(axis=1)
-    expected = plain.global_matrix(normals, areas, centroids, rows, (0.7, 0.35), 0.01)
-    assert np.abs(dense(matrix, len(faces)) - expected).max() < 1e-13
-    assert np.abs(matrix.diagonal - expected.diagonal()).max() < 1e-13
-
-
-@pytest.mark.parametrize("height", [0.0, 1e-14])
-def test_a_face_without_a_normal_stays_out_of_the_system(height):
-    vertices, faces = grid(4, 4)
-    vertices = np.concatenate([vertices, [[0.5, height, 0.0]]])
-    faces = np.concatenate([faces, [[0, 16, 1]]]).astype(np.int32)
-    matrix = dense(system(vertices, faces)[2], len(faces))
-    assert matrix[-1, -1] == pytest.approx(0.01)
-    assert (matrix[-1, :-1] == 0).all() and (matrix[:-1, -1] == 0).all()
-
-
 # Threshold
-
-
-def threshold_averaged(normals, threshold, passes=1):
-    """Two faces that neighbour one another."""
-    start, ring = np.array([0, 1, 2], dtype=np.int32), np.array([1, 0], dtype=np.int32)
-    return threshold_averages(np.array(normals), start, ring, threshold, passes, lambda: None)
-
-
-def test_two_normals_worked_by_hand():
-    # At 60 degrees n . m = 1/2; with T = 1/4 the own normal weighs 9/16 and the other 1/16.
-    n, m = np.array([0.0, 0.0, 1.0]), np.array([np.sqrt(0.75), 0.0, 0.5])
-    assert threshold_averaged([n, m], 0.25)[0] == pytest.approx(plain.unit(9 * n + m), abs=1e-15)
-    # Beyond the threshold nothing counts.
-    assert (threshold_averaged([n, m], 0.500001, 9) == [n, m]).all()
-    assert (threshold_averaged([n, m], 0.499999, 9) != [n, m]).any()
-    # Faces without a normal stay so and do not count.
-    out = threshold_averaged([m, np.zeros(3)], 0.0, 3)
-    assert out[0] == pytest.approx(m, abs=1e-15)
-    assert (out[1] == 0.0).all()
 
 
 @given(**ANY_ROUGH_MESH, T=st.sampled_from([0.0, 0.3, 0.5, 0.9]), passes=st.integers(1, 6))
@@ -237,18 +120,6 @@ def test_thresholds_that_leave_nothing_are_refused(T):
 
 
 # Guided
-
-
-def test_one_patch_has_one_guide():
-    # All faces of a fan touch, so that each is guided by the mean, upright by symmetry; with a
-    # wide reach and one pass the rim stays and the hub goes to the mean height of the centroids.
-    wide = {"iterations": 1, "vertex_iterations": 1, "closeness": 10, "radius": 10}
-    mesh, out = run("guided_normal", *fan([0.2, -0.2] * 3), **wide, boundary="fixed")
-    assert out == pytest.approx(mesh.vertices, abs=1e-15)
-    mesh, out = run("guided_normal", *fan([0.3] * 6), **wide, boundary="fixed")
-    # The filtered normals are upright but for the Gaussian of distances; centroids are 0.2 up.
-    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.2, abs=2e-3)
-    assert out[1:] == pytest.approx(mesh.vertices[1:], abs=0)
 
 
 def guided_twin(mesh, free, iterations, vertex_iterations, similarity, closeness, radius):
@@ -433,22 +304,3 @@ def test_the_normals_follow_as_the_definition_says(shape, share):
     actual = denoise("wiener", mesh, **chosen, normal_iterations=2, vertex_iterations=3)
     assert_twin(mesh, actual, expected)
     assert np.abs(actual - guide).max() > 1e-3
-
-
-def test_wiener_comes_closer_than_its_parts_in_positions_and_in_normals():
-    vertices, faces = torus(96, 48)
-    normals = prepare_mesh(vertices, faces).mesh.vertex_normals()
-    waves = 0.06 * np.sin(4 * vertices[:, 0]) * np.sin(4 * vertices[:, 1])
-    heights = 0.02 * np.random.default_rng(0).normal(size=len(vertices))
-    ready = prepare_mesh(vertices + (waves + heights)[:, None] * normals, faces)
-    true = ready.mesh.with_vertices(vertices + waves[:, None] * normals - ready.origin)
-
-    def errors(name, **given):
-        out = denoise(name, ready.mesh, **given)
-        return np.array([np.linalg.norm(out - true.vertices, axis=1).mean(), error_deg(true, out)])
-
-    whole = errors("wiener")
-    assert (whole < 0.6 * errors("wiener", n=0)).all()
-    assert (whole < errors("msal")).all()
-    assert (whole < errors("al", n=2)).all()
-    assert (whole < errors("msal", schedule="wiener")).all()

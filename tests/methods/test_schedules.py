@@ -31,12 +31,6 @@ def moved(mesh, vertices):
     return np.linalg.norm(vertices - mesh.vertices, axis=1)
 
 
-def test_the_operators_of_the_paper_are_among_them():
-    assert {"al", "umbrella", "scale_dependent_umbrella", "mean_curvature_flow", "bilateral"} <= (
-        set(SCHEDULED)
-    )
-
-
 def test_the_plain_schedule_is_the_default_and_looks_at_neither_k_nor_lambda(run):
     assert (run(schedule="plain", K=0.1, fidelity=0.9) == run()).all()
 
@@ -53,17 +47,6 @@ def test_a_pull_of_one_keeps_the_last_step_only(run, mesh):
     )
     assert often < 3 * once
     assert often < plain
-
-
-def test_the_stronger_the_pull_the_closer_to_the_input(run, mesh):
-    distances = [
-        moved(mesh, run(n=8, schedule="constant", fidelity=pull)).mean() for pull in (0, 0.1, 0.5)
-    ]
-    assert distances[0] > distances[1] > distances[2] > 0
-
-
-def test_multiscale_starts_with_the_full_step(run):
-    assert np.allclose(run(n=1, schedule="multiscale", K=0.3), run(n=1), rtol=0, atol=1e-15)
 
 
 def test_multiscale_smooths_less_the_smaller_k_is(run, mesh):

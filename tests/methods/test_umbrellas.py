@@ -8,7 +8,7 @@ import pytest
 from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume
 from msal_cli.errors import UsageError
-from msal_cli.kernels.umbrellas import ScaleDependentUmbrella, sinc_coefficients
+from msal_cli.kernels.umbrellas import sinc_coefficients
 from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_rings import hc, rows, scale_dependent_umbrella, umbrella
 from tests.methods.runs import SHAPES, denoise, run
@@ -41,13 +41,6 @@ def assert_twin(mesh, out, expected, least=1e-2):
     assert np.abs(out - mesh.vertices).max() > least
 
 
-def test_a_full_umbrella_step_goes_to_the_mean_of_the_neighbours():
-    vertices, faces = fan([0.2, 0.4, 0.9, 0.5])
-    mesh, out = run("umbrella", vertices, faces, iterations=1, time_step=1.0, boundary="fixed")
-    assert out[0] - mesh.vertices[0] == pytest.approx([0.0, 0.0, 0.5], abs=1e-15)
-    assert (out[1:] == mesh.vertices[1:]).all()
-
-
 def test_a_rim_is_a_curve():
     # The inner vertex of a regular fan stands over the plane of its rim.  Averaged along the rim
     # only, the rim's vertices of a hexagon move towards its centre by half a step of 1 - cos 60,
@@ -76,16 +69,6 @@ def test_the_umbrella_agrees_with_the_plain_twin(shape, boundary, pull):
     assert_twin(mesh, out, x)
 
 
-def test_one_step_of_hc_worked_by_hand():
-    # With a fixed rim only vertex 0 moves: p = 0.3 up, b = 0.3, pushed back by 0.6 of it.
-    vertices, faces = fan([0.3] * 6)
-    mesh, out = run("hc", vertices, faces, iterations=1, boundary="fixed")
-    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.4 * 0.3)
-    # Then p = 0.18 up again, b = 0.3 - (0.1 * 0 + 0.9 * 0.12) = 0.192.
-    out = denoise("hc", mesh, iterations=2, boundary="fixed")
-    assert out[0, 2] - mesh.vertices[0, 2] == pytest.approx(0.3 - 0.6 * 0.192)
-
-
 @BOUNDARIES
 @pytest.mark.parametrize(("alpha", "beta"), [(0.1, 0.6), (0.0, 0.5), (0.7, 0.9)])
 def test_hc_agrees_with_the_plain_twin(boundary, alpha, beta):
@@ -93,12 +76,6 @@ def test_hc_agrees_with_the_plain_twin(boundary, alpha, beta):
     mesh, out = run("hc", vertices, faces, boundary=boundary, alpha=alpha, beta=beta)
     ring = rows(len(vertices), faces, boundary)
     assert_twin(mesh, out, hc(mesh.vertices, ring, 10, alpha, beta))
-
-
-def test_pushing_back_its_own_correction_alone_undoes_everything():
-    # beta = 1, alpha = 0: q = p - (p - q).
-    mesh, out = run("hc", *SHAPES["torus"], alpha=0.0, beta=1.0)
-    assert np.abs(out - mesh.vertices).max() < 1e-13
 
 
 @pytest.mark.parametrize(
@@ -148,13 +125,6 @@ def test_steps_that_amplify_noise_are_refused(shrink, inflate):
     assert f"{-1.06 * shrink:.4g}" in caught.value.hint
 
 
-@pytest.mark.parametrize(("shrink", "inflate"), [(0.5, -1.0), (2 / 3, -1.0), (0.5, -0.5)])
-def test_steps_that_are_allowed_damp_noise(shrink, inflate):
-    TAUBIN.validate({"lambda": shrink, "mu": inflate})
-    k = np.linspace(1, 2, 101)
-    assert np.abs((1 - shrink * k) * (1 - inflate * k)).max() <= 1 + 1e-12
-
-
 def transfer(coefficients, k):
     """The windowed sinc's factor at a frequency."""
     return float(coefficients @ np.cos(np.arange(len(coefficients)) * np.arccos(1 - k / 2)))
@@ -186,26 +156,6 @@ def test_the_transfer_function_is_that_of_vtk(passes, pass_band, expected):
     assert at == pytest.approx(expected, abs=1e-3)
     assert transfer(coefficients, 0.0) == pytest.approx(1.0, abs=1e-15)
     assert transfer(coefficients, pass_band) == pytest.approx(0.99904, abs=1e-9)
-
-
-def test_one_scale_dependent_step_worked_by_hand():
-    # Edges of length 1, 1 and 2 along +x, -x and +y: L = 2/4 (0, 1).
-    x = np.array([[0.0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 2, 0]])
-    start, ring = np.array([0, 3, 3, 3, 3], np.int32), np.array([1, 2, 3], np.int32)
-    moves = ScaleDependentUmbrella(start, ring, 0.1)(x).move
-    assert moves[0] == pytest.approx([0.0, 0.05, 0.0], abs=1e-16)
-    assert (moves[1:] == 0.0).all()
-    # The limit is 4 / (2 (1 + 1 + 1/2)) = 0.8: there it is at the mean with weights 1/l.
-    moves = ScaleDependentUmbrella(start, ring, 7.0)(x).move
-    assert moves[0] == pytest.approx([0.0, 0.4, 0.0], abs=1e-16)
-
-
-def test_edges_without_length_are_left_out():
-    x = np.array([[0.0, 0, 0], [0, 0, 0], [0, 3, 0]])
-    both = ScaleDependentUmbrella(np.array([0, 2, 2, 2], np.int32), np.array([1, 2], np.int32), 9.0)
-    assert both(x).move[0] == pytest.approx([0.0, 3.0, 0.0])
-    only = ScaleDependentUmbrella(np.array([0, 1, 1, 1], np.int32), np.array([1], np.int32), 9.0)
-    assert (only(x).move == 0.0).all()
 
 
 @pytest.mark.parametrize("shape", [SHAPES["torus"], stretched()], ids=["torus", "stretched"])
