@@ -97,8 +97,8 @@ def test_the_check_sees_every_wrong_byte_that_matters(format, data):
     output = bytes(file.replaced(vertices))
     rng = np.random.default_rng(len(data))
     places = range(len(output))
-    if len(output) > 200:
-        places = np.sort(rng.choice(len(output), 200, replace=False)).tolist()
+    if len(output) > 100:
+        places = np.sort(rng.choice(len(output), 100, replace=False)).tolist()
     n_passed = 0
     for at in places:
         wrong = bytearray(output)
@@ -122,7 +122,7 @@ def test_the_check_sees_every_wrong_byte_that_matters(format, data):
 
 @pytest.mark.parametrize(("format", "data"), CASES)
 def test_every_prefix_is_refused_or_is_a_mesh(format, data):
-    step = max(1, len(data) // 150)
+    step = max(1, len(data) // 100)
     for size in range(0, len(data), step):
         try:
             file = open_mesh(data[:size], f"a.{format}")
@@ -160,6 +160,7 @@ def test_what_cannot_be_a_position_is_refused(format, data):
 def test_a_file_is_freed_with_its_last_reference(format, data):
     """A cycle of references would keep the arrays of large files in memory until a collection."""
     gc.collect()
+    gc.freeze()  # what there is need not be looked through again
     gc.disable()
     try:
         file = open_mesh(data, f"a.{format}")
@@ -172,6 +173,7 @@ def test_a_file_is_freed_with_its_last_reference(format, data):
     finally:
         gc.set_debug(0)
         gc.garbage.clear()
+        gc.unfreeze()
         gc.enable()
     assert not left
 
@@ -209,7 +211,7 @@ def test_another_encoding_is_the_same_mesh_or_is_refused(format, data):
 
 @pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_inputs.FUZZED])
 def test_mutants_end_in_an_error_or_in_a_mesh(format):
-    for number in range(60):
+    for number in range(40):
         data = corpus_inputs.mutant(format, number)
         try:
             file = open_mesh(data, f"a.{format}")

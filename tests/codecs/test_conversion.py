@@ -79,14 +79,6 @@ def test_polygons_stay_where_the_target_has_them(to, encoding):
         assert np.array_equal(again.vertices, vertices)
 
 
-def test_polygons_with_more_corners_than_a_byte_counts():
-    angle = np.linspace(0, 2 * np.pi, 300, endpoint=False)
-    vertices = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    source = open_mesh(obj(vertices, [tuple(range(300)), (0, 1, 2)]), "a.obj")
-    again = reopened(convert(source, vertices, "ply")[0], "ply")
-    assert [len(row) for row in again.polygons()] == [300, 3]
-
-
 @pytest.mark.parametrize("to", ["stl", "off", "glb", "vtk"])
 def test_polygons_that_are_triangulated_are_named(to):
     source = open_mesh(obj(cube()[0], QUADS), "a.obj")
@@ -200,29 +192,6 @@ def test_everything_else_is_named():
     _, losses = convert(source, source.vertices, "ply")
     assert set(losses) == set(source.properties)
     assert {"texture coordinates", "materials", "groups"} <= set(losses)
-
-
-def test_unused_vertices_are_lost_in_stl():
-    vertices, faces = cube()
-    source = open_mesh(obj(np.concatenate([vertices, vertices + 5]), faces), "a.obj")
-    assert "8 vertices that no face uses" in convert(source, source.vertices, "stl")[1]
-    assert convert(source, source.vertices, "ply")[1] == ()
-    assert len(reopened(convert(source, source.vertices, "ply")[0], "ply").vertices) == 16
-
-
-def test_number_types_follow_the_source():
-    vertices, faces = cube()
-    text = open_mesh(obj(vertices, faces), "a.obj")
-    single = open_mesh(plain_stl.binary(vertices[faces].reshape(-1, 9)), "a.stl")
-    assert reopened(convert(text, vertices, "ply")[0], "ply").precision == "float64"
-    assert reopened(convert(single, single.vertices, "ply")[0], "ply").precision == "float32"
-    chosen = convert(text, vertices, "ply", precision="float32")[0]
-    assert reopened(chosen, "ply").precision == "float32"
-    chosen = convert(single, single.vertices, "ply", precision="float64")[0]
-    assert reopened(chosen, "ply").precision == "float64"
-    file = open_mesh(chosen, "a.ply")
-    assert b" 0.33333334 " in bytes(convert(file, file.vertices / 3, "obj", "same", "float32")[0])
-    assert b" 0.3333333333333333 " in bytes(convert(file, file.vertices / 3, "obj")[0])
 
 
 def test_digits_that_float32_ruins_are_named():

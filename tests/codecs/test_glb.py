@@ -227,21 +227,6 @@ def test_a_mesh_in_two_places_counts_once():
     assert "instances" not in gltf.read_glb(simple().data(), "").properties
 
 
-def test_shared_lists_are_read_once_however_often_they_are_named():
-    """As a table of materials does: the same sphere very often, over one list of positions."""
-    scene = simple()
-    (primitive,) = scene.content["meshes"][0]["primitives"]
-    copy_of_indices = dict(scene.content["accessors"][primitive["indices"]])
-    scene.content["accessors"].append(copy_of_indices)
-    again = {**primitive, "indices": len(scene.content["accessors"]) - 1}
-    for k in range(3_000):
-        scene.mesh(primitive, again, translation=[3 * k, 0, 0])
-    data = scene.data()
-    file = gltf.read_glb(data, "")
-    assert (len(file.vertices), len(file.faces)) == (8, 12)
-    assert file.scene.buffers[0][1] + 65_536 < 12 * 3 * 6_001
-
-
 @pytest.mark.parametrize("at", [8, 12])
 def test_the_check_sees_a_wrong_length(at):
     """Of the file and of its description, which some readers go by."""
@@ -351,16 +336,6 @@ DAMAGED = {
     "lines only": (edited(setting(*PRIMITIVE, "mode", value=1)), "E_NO_FACES"),
     "nested deeply": (nested(100_000), "E_FORMAT"),
 }  # fmt: skip
-
-
-def test_half_a_surrogate_pair_survives_new_bounds():
-    scene = simple()
-    scene.content["extras"] = {"name": "\ud800"}
-    file = gltf.read_glb(scene.data(), "")
-    vertices = file.vertices * 0.5
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
-    assert content_of(output)[0]["extras"] == {"name": "\ud800"}
 
 
 def test_very_many_lists_over_the_same_bytes_are_refused_at_once():

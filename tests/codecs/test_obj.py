@@ -11,16 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli import methods
 from msal_cli.codecs import normal_warnings, obj, open_mesh
 from msal_cli.errors import InputError, InternalError
-from msal_cli.job.pipeline import denoise_bytes
-from msal_cli.job.settings import Settings
 from msal_cli.kernels import obj_scan, text
 from tests.codecs import plain_ply
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
-TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 ROOF = b"""# two sides that meet at an edge, one normal each
 v 0 0 0
 v 2 0 0
@@ -44,15 +40,6 @@ def moved(file: obj.ObjFile, seed: int = 0, share: float = 1.0, size: float = 0.
 
 
 # Hand-worked
-
-
-def test_one_moved_coordinate_and_nothing_else() -> None:
-    file = obj.read(TETRAHEDRON, "t.obj")
-    vertices = file.vertices.copy()
-    vertices[1, 0] = 1.25
-    output = bytes(file.replaced(vertices))
-    assert output == TETRAHEDRON.replace(b"v 1 0 0", b"v 1.2500000 0 0")
-    file.check(output, vertices)
 
 
 @pytest.mark.parametrize(
@@ -103,13 +90,6 @@ def test_forms_of_a_vertex(line: bytes, end: bytes) -> None:
     assert tokens(output, "v")[0][1:] == tokens(data, "v")[0][1:]
 
 
-def test_negative_numbers_count_from_their_own_line() -> None:
-    data = (
-        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\nf 6 -4 1\n"
-    )
-    assert obj.read(data, "").faces.tolist() == [[0, 1, 2], [3, 4, 5], [5, 2, 0]]
-
-
 def test_normals_follow_the_faces_that_use_them() -> None:
     file = obj.read(ROOF, "roof.obj")
     vertices = file.vertices.copy()
@@ -117,15 +97,6 @@ def test_normals_follow_the_faces_that_use_them() -> None:
     output = bytes(file.replaced(vertices))
     assert b"vn 0.00 0.000000 1.000000\nvn 0.0 0.7 0.7\n" in output
     assert blanked(output) == blanked(ROOF)
-    file.check(output, vertices)
-
-
-def test_normals_that_no_face_uses_stay() -> None:
-    data = ROOF.replace(b"vn 0.00", b"vn 9 9 9\nvn nan 0 1\nvn 0.00").replace(b"//1", b"//3")
-    file = obj.read(data.replace(b"//2", b"//4"), "")
-    vertices = file.vertices + 1e-3 * np.arange(18).reshape(6, 3) ** 2
-    output = bytes(file.replaced(vertices))
-    assert b"vn 9 9 9\nvn nan 0 1\nvn" in output
     file.check(output, vertices)
 
 
@@ -150,26 +121,6 @@ def test_as_many_decimals_as_the_extent_asks_for(scale: float, token: bytes) -> 
     output = bytes(file.replaced(vertices))
     assert tokens(output, "v")[0][2] == token
     file.check(output, vertices)
-
-
-def test_never_fewer_decimals_than_the_file_and_survey_coordinates_lose_nothing() -> None:
-    data = b"v 4650000.123456789 5 5\nv 4650001 5 5\nv 4650000 6 5\nf 1 2 3\n"
-    file = obj.read(data, "")
-    vertices = file.vertices + [[1e-7, 0, 0], [0, 0, 0], [0, 0, 0]]
-    output = bytes(file.replaced(vertices))
-    assert tokens(output, "v")[0][0] == b"4650000.123456889"
-    file.check(output, vertices)
-
-
-def test_numbers_that_need_python_itself() -> None:
-    # beyond fixed point, beyond the table of powers, and of twenty digits in the middle of two
-    data = b"v 1e80 0 0\nv 0 1e90 9007199254740993.0000000000000\nv 1e-90 1 0\nf 1 2 3\n"
-    file = obj.read(data, "")
-    assert file.vertices.tolist() == [[1e80, 0, 0], [0, 1e90, 9007199254740992.0], [1e-90, 1, 0]]
-    vertices = file.vertices * 1.1 + 1e-88
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
-    assert (obj.read(output, "").vertices == vertices).all()
 
 
 # What else a file says
@@ -364,6 +315,7 @@ def real_files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*.obj") if "foreign" not in str(path))
 
 
+@pytest.mark.ci
 def test_real_files_are_read_as_trimesh_reads_them(real_data: Path) -> None:
     import trimesh
 
@@ -483,45 +435,6 @@ def test_claims_do_not_take_memory() -> None:
     assert base is not None and base.nbytes < 4 * len(data)
 
 
-def test_normals_of_any_length_are_replaced_without_a_word() -> None:
-    normals = b"".join(b"vn -1.7e308 1.7e308 %s1.7e308\n" % sign for sign in (b"", b"-"))
-    data = V + b"v 1 1 1\n" + normals + b"f 1//1 2//1 3//2\nf 2//1 3//2 4//1\n"
-    file = obj.read(data, "")
-    vertices = file.vertices * 1.5
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
-    assert b"308" not in output
-
-
-AXES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-CORNERS = {
-    0: [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
-    1: [(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)],
-    2: [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0)],
-    3: [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)],
-    4: [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
-    5: [(0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)],
-}
-
-
-def ball_of_blocks(radius: int) -> bytes:
-    """An OBJ of quads, with one normal for all faces of a direction."""
-    distance = np.linalg.norm(np.indices((2 * radius + 1,) * 3) - radius, axis=0)
-    cells = np.argwhere(distance < radius)
-    filled = {tuple(int(x) for x in cell) for cell in cells}
-    number: dict[tuple[int, ...], int] = {}
-    faces = []
-    for cell in sorted(filled):
-        for side, axis in enumerate(AXES):
-            if tuple(np.add(cell, axis).tolist()) not in filled:
-                corners = (tuple(np.add(cell, one).tolist()) for one in CORNERS[side])
-                at = [number.setdefault(one, len(number) + 1) for one in corners]
-                faces.append("f " + " ".join(f"{one}//{side + 1}" for one in at))
-    lines = ["v {} {} {}".format(*one) for one in number]
-    lines += ["vn {} {} {}".format(*axis) for axis in AXES]
-    return "\n".join([*lines, *faces, ""]).encode()
-
-
 @pytest.mark.parametrize("end", [b"\x1a", b"\x1a\n", b"\r\n\x1a\x1a"])
 def test_the_end_mark_of_old_systems_is_kept(end):
     data = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" + end
@@ -533,27 +446,16 @@ def test_the_end_mark_of_old_systems_is_kept(end):
     assert output.endswith(b"f 1 2 3\n" + end)
 
 
-def test_shared_normals_that_cannot_fit_are_counted_in_the_record():
-    data = ball_of_blocks(4)
-    parameters = {one.name: one.default for one in methods.find("taubin").parameters}
-    output, record = denoise_bytes(data, "a.obj", Settings(method="taubin", parameters=parameters))
-    assert output is not None and record.status == "written"
-    (warning,) = (one for one in record.warnings if " vn " in one)
-    after, content = open_mesh(bytes(output), "a.obj"), obj._Reader(bytes(output)).read()
-    n_off = 0
-    for quad, entry in zip(after.polygons(), content.face_normals[::2, 0], strict=True):
-        fans = [quad[[0, 1, 2]], quad[[0, 2, 3]]]
-        for corners in after.vertices[np.array(fans)]:
-            normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-            cosine = normal @ content.normals.values[entry] / np.linalg.norm(normal)
-            if cosine < np.cos(np.radians(30.0)):
-                n_off += 1
-                break
-    n_faces = record.faces
-    assert 0.3 * n_faces < n_off < n_faces
-    share = f"{n_off} of {n_faces} faces ({100.0 * n_off / n_faces:.1f} %)"
-    assert warning.startswith("6 vn are shared by faces that turned apart: " + share)
-    assert "(0.0 % before)" in warning
+def test_shared_normals_that_cannot_fit_are_counted():
+    file = open_mesh(ROOF.replace(b"0.00 -0.71 0.71", b"0 0 1").replace(b"//2", b"//1"), "a.obj")
+    vertices = file.vertices.copy()
+    vertices[[2, 3], 2] = 0.0
+    assert normal_warnings(file, vertices) == ()
+    (warning,) = normal_warnings(open_mesh(bytes(file.replaced(vertices)), "a.obj"), file.vertices)
+    counted = (
+        "turned apart: 2 of 2 faces (100.0 %) are now more than 30 degrees off their vn (0.0 %"
+    )
+    assert counted in warning
 
 
 def test_a_file_without_normals_or_of_another_format_has_no_such_warning():

@@ -90,13 +90,6 @@ def test_only_positions_and_normals_change(corners, others, attributes):
 # Hand-worked cases
 
 
-def test_a_moved_facet_gets_the_normal_of_its_new_corners():
-    corners = np.array([[0, 0, 0, 1, 0, 0, 0, 1, 0]], dtype=float)
-    file = stl.read(plain_stl.binary(corners), "a.stl")
-    turned = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
-    assert facets_of(bytes(file.replaced(turned)))[0][0] == (1.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize(
     ("stored", "expected"),
     [
@@ -140,13 +133,6 @@ def test_a_facet_that_loses_its_area_keeps_its_normal():
     file.check(output, vertices)
 
 
-def test_a_facet_that_had_no_area_follows_the_right_hand_rule():
-    corners = np.array([[0, 0, 0, 1, 1, 1, 2, 2, 2]], dtype=float)
-    file = stl.read(plain_stl.binary(corners, normals=np.array([[0, 0, 1]])), "a.stl")
-    vertices = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0]], dtype=float)
-    assert facets_of(bytes(file.replaced(vertices)))[0][0] == (0, 0, -1)
-
-
 def test_minus_zero_that_does_not_move_keeps_its_sign():
     corners = tetrahedron()
     corners[0, 0] = -0.0
@@ -168,31 +154,7 @@ def test_a_binary_file_that_begins_with_solid_is_binary():
     assert longer.n_polygons == 4
 
 
-def test_trailing_bytes_are_kept_and_told_of():
-    data = plain_stl.binary(tetrahedron(), trailing=bytes(120))
-    file = stl.read(data, "a.stl")
-    assert "120 bytes" in file.warnings[0]
-    assert "2 facets" in file.warnings[0]
-    vertices = moved(file)
-    output = file.replaced(vertices)
-    assert bytes(output)[-120:] == bytes(120)
-    file.check(output, vertices)
-
-
 # Re-encoding
-
-
-@given(soups())
-def test_binary_to_ascii_and_back(corners):
-    data = plain_stl.binary(corners + 0.0)
-    file = stl.read(data, "a.stl")
-    text = file.encoded(file.vertices, "ascii", "same")
-    again = stl.read(text, "b.stl")
-    assert again.encoding == "ascii"
-    assert np.array_equal(corners_of(again).astype(np.float32), corners_of(file))
-    back = again.encoded(again.vertices, "binary", "same")
-    assert bytes(back)[84:] == data[84:]
-    assert bytes(back)[:10] == b"binary STL"
 
 
 def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):

@@ -15,7 +15,6 @@ import pytest
 
 from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import open_mesh, threemf
-from msal_cli.codecs.mesh_file import PLACEMENT
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import InternalError, UnsupportedError
 from tests.codecs import plain_3mf
@@ -180,32 +179,6 @@ def test_parts_of_equal_numbers_stay_apart():
             for mesh in model.meshes.values()
         }
         assert np.allclose(part.vertices, expected[len(part.vertices)])
-
-
-def test_a_mesh_in_several_places_is_one_mesh():
-    build = '<item objectid="1"/><item objectid="2"/>'
-    twice = (
-        '<components><component objectid="1" transform="1 0 0 0 1 0 0 0 1 5 0 0"/>'
-        '<component objectid="1" transform="1 0 0 0 1 0 0 0 1 9 0 0"/></components>'
-    )
-    file = threemf.read(package(model(shape(1, CUBE) + shape(2, twice), build)), "")
-    assert (len(file.vertices), len(file.faces)) == (8, 12)
-    assert np.array_equal(file.vertices, VERTICES)
-    assert "instances" in file.properties
-    vertices = moved_corner(file)
-    file.check(file.replaced(vertices), vertices)
-
-
-@pytest.mark.parametrize(
-    ("transform", "is_placed"),
-    [("1 0 0 0 1 0 0 0 1 0 0 0", False), ("1 0 0 0 1 0 0 0 1 125 105 10", True)],
-)
-def test_the_place_of_the_only_mesh_is_lost_without_a_scene(transform, is_placed):
-    build = f'<item objectid="1" transform="{transform}"/>'
-    file = threemf.read(package(model(shape(1, CUBE), build)), "")
-    assert np.array_equal(file.vertices, VERTICES)
-    _, losses = convert.converted(file, file.vertices, "ply", "same", "same")
-    assert (PLACEMENT in losses) is is_placed
 
 
 def test_components_that_use_each_other_come_to_an_end():

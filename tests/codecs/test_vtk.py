@@ -163,14 +163,6 @@ def test_strings_in_binary_files_are_passed():
     assert file.warnings == ()
 
 
-def test_what_is_not_understood_behind_the_cells_is_kept_with_a_warning():
-    writer = Writer(True, "POLYDATA").points().add("POLYGONS 1 4", [3, 0, 1, 2])
-    writer.add("POINT_DATA 6").add("HYPER_DATA x 3").add("1 2 3")
-    file, _, output = patched(writer.data, "a.vtk")
-    assert "HYPER_DATA" in file.warnings[0]
-    assert output.endswith(b"HYPER_DATA x 3\n1 2 3\n")
-
-
 def grid_of(cells, types, points=POINTS) -> bytes:
     writer = Writer(True, "UNSTRUCTURED_GRID").points(points)
     writer.add(f"CELLS {len(cells)} {len(counted(cells))}", counted(cells))

@@ -105,8 +105,8 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("real", ["f4", "f8"])
-def test_every_way_to_store_arrays(tmp_path, name, real):
+def test_every_way_to_store_arrays(tmp_path, name):
+    real = "f4" if name == "raw" else "f8"
     height = np.arange(len(VERTICES)) * 0.5
     data = vtu(Writer(**WRITERS[name]), fields=[("height", height)], real=real)
     file, moved, output = patched(data, "a.vtu")
