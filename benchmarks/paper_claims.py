@@ -3,8 +3,8 @@
     MSAL_DATA=FOLDER python benchmarks/paper_claims.py
 
 FOLDER holds clean/ (fandisk.obj, stanford-bunny.obj, igea.ply) and scans/dragon_vrip_res2.ply.gz.
-Prints the tables of docs/claims.md.  Times are the best of five runs on one core, in one
-process, and only their ratios mean anything.
+Prints the tables of benchmarks/results/paper_claims.txt.  Times are the best of five runs on one
+core, in one process, and only their ratios mean anything.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ FOLDER holds clean/fandisk.obj, the paper's Fandisk, and clean/stanford-bunny.ob
 noise files are unknown ("about 10 %"): here every coordinate gets uniform noise of +-0.1 mean edge
 lengths, for several seeds, and what is compared are differences from (Fandisk) and ratios to
 (Bunny, whose scale is unknown) the noisy volume, which hardly depend on the noise.
-Prints the table of docs/table1.md.
+Prints the tables of benchmarks/results/table1.txt.
 """
 
 from __future__ import annotations

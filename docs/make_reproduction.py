@@ -4,8 +4,8 @@
 
 FOLDER holds scans/ (angel.obj, face000.ply, dragon_vrip_res2.ply.gz), clean/ (stanford-bunny.obj,
 igea.ply, fandisk.obj) and pairs/Julius0.2/Original.obj.  Writes the pictures of
-docs/images/reproduction and the tables of docs/reproduction.md, all or those named, and says which
-it leaves out because a file is missing.  Half a minute of processor time.
+docs/images/reproduction and the tables of benchmarks/results/reproduction.txt, all or those named,
+and says which it leaves out because a file is missing.  Half a minute of processor time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from paper_figures import FIGURES, Image, Made, Rows
 from msal_cli.view.panels import png_bytes
 
 DOCS = Path(__file__).resolve().parent
-PAGE = DOCS / "reproduction.md"
+TABLES = DOCS.parent / "benchmarks/results/reproduction.txt"
 IMAGES = DOCS / "images" / "reproduction"
 LARGEST_PICTURE = 270_000  # bytes
 
@@ -55,10 +55,10 @@ def markdown(rows: Rows) -> str:
 
 
 def write_table(name: str, rows: Rows) -> None:
-    """Put a table into the page where the page has its place for it."""
+    """Put a table into its place among the results."""
     place = re.compile(rf"(<!-- made: {name} -->\n).*?(?=<!-- end -->)", re.DOTALL)
-    text = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(place.sub(lambda at: at[1] + markdown(rows), text), encoding="utf-8")
+    text = TABLES.read_text(encoding="utf-8")
+    TABLES.write_text(place.sub(lambda at: at[1] + markdown(rows), text), encoding="utf-8")
 
 
 def write_picture(name: str, picture: Image) -> None:

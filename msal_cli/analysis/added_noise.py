@@ -37,7 +37,7 @@ KINDS = {
     "outliers": "along the normals, and a fraction of the vertices moved by 1 to 3 edges anywhere",
 }
 """The kinds of noise that ``add_noise`` adds; ``uniform`` is that of the paper's Table 1 as
-docs/table1.md remakes it, ``mixed`` that of its Fig. 7."""
+docs/reproduction.md remakes it, ``mixed`` that of its Fig. 7."""
 
 OPTIONS = {
     "gaussian-normal": (),
