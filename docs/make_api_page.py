@@ -79,9 +79,9 @@ def argument(parameter: inspect.Parameter) -> str:
 
 
 def describe(function: Any, seen: set[tuple[str, str]]) -> str:
-    """The beginning of a docstring, and the arguments that are not among those ``seen``."""
+    """The first paragraph of a docstring, and the arguments that are not among those ``seen``."""
     first, *rest = _SECTION.split(inspect.getdoc(function) or "")
-    parts = [*prose(first.strip("\n"), "")]
+    parts = [*prose(first.strip("\n"), "")][:1]
     for title, body in zip(rest[::2], rest[1::2], strict=True):
         if title == "Parameters":
             found = re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body.strip("\n"), re.M)
@@ -99,15 +99,14 @@ def names(text: str) -> str:
 
 
 def record(cls: type, in_reports: dict[type, str]) -> str:
-    """A record: its first sentence, its fields and its properties."""
+    """A record: its first sentence, its fields and its properties; or where it is explained."""
     if cls in in_reports:
-        fields = f"[report.md](report.md#{in_reports[cls]})"
-    else:
-        names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
-        for name, value in vars(cls).items():
-            if isinstance(value, property) and not name.startswith("_"):
-                names.append(name)
-        fields = ", ".join(f"`{name}`" for name in names)
+        return f"| `{cls.__name__}` | [of reports](report.md#{in_reports[cls]}) | |\n"
+    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    for name, value in vars(cls).items():
+        if isinstance(value, property) and not name.startswith("_"):
+            names.append(name)
+    fields = ", ".join(f"`{name}`" for name in names)
     first = inline((inspect.getdoc(cls) or "").split("\n\n")[0])
     return f"| `{cls.__name__}` | {first} | {fields} |\n"
 

@@ -20,9 +20,9 @@ HEAD = """<!-- made by docs/make_command_page.py: change the options and run it 
 
 # All commands and options
 
-[usage.md](usage.md) explains the options with examples. `msal denoise --help` shows those that most
-people need, and `msal denoise --help-all` shows all of them, as this page does. So do the other
-commands. An option that means the same in several commands is explained once.
+What each option does, its direction and its default; `msal denoise --help-all` and
+`man msal-denoise` say more, as those of the other commands do, and [usage.md](usage.md) has
+examples. An option that means the same in several commands is explained once.
 
 """
 
@@ -41,15 +41,14 @@ def inline(text: str) -> str:
     return "".join(parts)
 
 
-def prose(text: str) -> str:
-    """The paragraphs of a command's help; those that click leaves as they are become blocks."""
-    blocks = []
-    for block in re.split(r"\n\s*\n", text.strip()):
-        if block.lstrip().startswith("\b"):
-            blocks.append("```\n" + block.replace("\b\n", "").rstrip() + "\n```")
-        else:
-            blocks.append(inline(block))
-    return "\n\n".join(blocks) + "\n\n"
+KEPT = ("More ", "Greater ", "Less ", "Repeatable", "It selects ", "A number selects ")
+"""How sentences begin that are kept beside the first one of a help text."""
+
+
+def shorten(text: str) -> str:
+    """The first sentence of a help text, and those on directions."""
+    first, *others = re.split(r"(?<=[\w)%'])\. +(?=[A-Z-])", text.removesuffix("."))
+    return ". ".join([first, *(sentence for sentence in others if sentence.startswith(KEPT))]) + "."
 
 
 def line(option: click.Option, context: click.Context) -> str:
@@ -67,7 +66,7 @@ def line(option: click.Option, context: click.Context) -> str:
         text += " WORD is one of " + words[1].replace("|", ", ") + "."
     elif words:
         names = f"{names[: words.start()]} {words[1]}"
-    text = inline(text)
+    text = inline(shorten(text))
     if allowed:
         text += f" Allowed: `{allowed[0]}`."
     if default:
@@ -93,9 +92,6 @@ def section(name: str, seen: set[str]) -> str:
     context = click.Context(command, info_name=name, parent=top, **command.context_settings)
     usage = command.get_usage(context).removeprefix("Usage: ")
     text = f"## msal {name}\n\n{COMMANDS[name]}\n\n```\n{usage}\n```\n\n"
-    body = (command.help or "").strip()
-    if body != COMMANDS[name]:
-        text += prose(body.removeprefix(COMMANDS[name]))
     shared: list[str] = []
     for title, options in groups(command, context):
         found = {option.opts[-1]: line(option, context) for option in options}
@@ -106,8 +102,6 @@ def section(name: str, seen: set[str]) -> str:
             text += f"**{title}**\n\n{''.join(items)}\n"
     if shared:
         text += f"As above: {code(shared)}.\n\n"
-    if command.epilog:
-        text += prose(command.epilog)
     return text
 
 

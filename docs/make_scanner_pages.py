@@ -37,6 +37,10 @@ IMAGES = DOCS / "images" / "scanners"
 RESULTS = DOCS.parent / "benchmarks/results/scanners.txt"
 SIZE = (200, 200)
 COMMAND = "auto"
+COLUMNS = (0, 1, 2, 4, 5, 8, -1)
+"""Of the table of scanners: kind, noisy, plain command, --auto, best single setting."""
+CLEAN = (0, 1, 2, -1)
+"""Of the table of clean meshes: label, mean."""
 LARGEST_PICTURE = 150_000  # bytes
 
 
@@ -113,10 +117,15 @@ def picture_lines(shown: dict[str, Shown]) -> list[str]:
     return lines
 
 
-def without_models(lines: list[str]) -> list[str]:
-    """The tables of accuracy.md, without the columns of single models of the last one."""
+def summary(lines: list[str]) -> list[str]:
+    """The tables of accuracy.md: some columns of the first one, the means of the last one."""
     start = next((at for at, line in enumerate(lines) if line.startswith("| clean ")), len(lines))
-    return lines[:start] + ["|".join(line.split("|")[:3]) + "|" for line in lines[start:]]
+    return [
+        "|".join(line.split("|")[k] for k in (CLEAN if at >= start else COLUMNS))
+        if line.startswith("|")
+        else line
+        for at, line in enumerate(lines)
+    ]
 
 
 def put(page: Path, name: str, lines: list[str]) -> None:
@@ -137,7 +146,7 @@ def main() -> None:
     outcomes = Outcomes(given.cache, None)
     found = {kind: outcomes.known(some) for kind, some in scanner_cases.cases().items()}
     found = {kind: rows for kind, rows in found.items() if rows}
-    put(DOCS / "accuracy.md", "scanners", without_models(scanners.section(found, [])))
+    put(DOCS / "accuracy.md", "scanners", summary(scanners.section(found, [])))
     tables = "\n".join(scanners.section(found, ["models"]))
     RESULTS.write_text(
         f"python -m benchmarks.scanners\n\n{tables}\n", encoding="utf-8", newline="\n"
