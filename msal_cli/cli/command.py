@@ -51,10 +51,17 @@ class Command(click.Command):
         if configurable:
             self.groups.append(config.OPTIONS)
             options += config.OPTIONS.more
-        self._help_all = _make_help_all()
         self.groups += of_messages or [OptionGroup(MESSAGES, (), ())]
-        super().__init__(name, params=[*arguments, *options, self._help_all], **settings)
-        self._help_all.hidden = not self._has_more()
+        super().__init__(name, params=[*arguments, *options], **settings)
+        self._help_all = click.Option(
+            ["--help-all"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            hidden=not self._has_more(),
+            callback=_show_all,
+            help="Show every option, in full, and exit.",
+        )
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command with its ``Request``."""
@@ -65,7 +72,7 @@ class Command(click.Command):
         """Parse the command line, with values of a configuration file where it gives none."""
         if ctx.resilient_parsing or not self.configurable:
             return super().parse_args(ctx, args)
-        return config.parse_args(self, ctx, args, super().parse_args)
+        return config.parse_args(ctx, args, super().parse_args)
 
     def _has_more(self) -> bool:
         """Whether ``--help-all`` shows more than ``--help``."""
@@ -74,8 +81,7 @@ class Command(click.Command):
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """The parameters; ``--help-all`` comes last, after click's own ``--help``."""
-        found = super().get_params(ctx)
-        return sorted(found, key=lambda parameter: parameter is self._help_all)
+        return [*super().get_params(ctx), self._help_all]
 
     def grouped_options(
         self, ctx: click.Context, *, everything: bool = True
@@ -105,7 +111,7 @@ class Command(click.Command):
         """The groups: of common options the first clause, with ``--help-all`` all there is."""
         everything = bool(ctx.meta.get(_META))
         sections = [
-            (title, [_record(option, ctx, everything=everything) for option in options])
+            (title, [option.get_help_record(ctx) or ("", "") for option in options])
             for title, options in self.grouped_options(ctx, everything=everything)
         ]
         widths = [len(name) for _, rows in sections for name, _ in rows]
@@ -114,7 +120,11 @@ class Command(click.Command):
             with formatter.section(title):
                 # As wide as in the other groups.
                 formatter.write_dl(
-                    [(name.ljust(width), text) for name, text in rows], col_max=width
+                    [
+                        (name.ljust(width), text if everything else first_clause(text))
+                        for name, text in rows
+                    ],
+                    col_max=width,
                 )
         n_more = sum(len(group.more) for group in self.groups)
         if not everything and self._has_more():
@@ -133,27 +143,11 @@ class Command(click.Command):
 _META = "msal_cli.help_all"
 
 
-def _make_help_all() -> click.Option:
-    def show(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
-        if value and not ctx.resilient_parsing:
-            ctx.meta[_META] = True
-            click.echo(ctx.get_help(), color=ctx.color)
-            ctx.exit()
-
-    return click.Option(
-        ["--help-all"],
-        is_flag=True,
-        is_eager=True,
-        expose_value=False,
-        callback=show,
-        help="Show every option, in full, and exit.",
-    )
-
-
-def _record(option: click.Option, ctx: click.Context, *, everything: bool) -> tuple[str, str]:
-    """What help shows of an option: its names and its text."""
-    names, text = option.get_help_record(ctx) or ("", "")
-    return names, text if everything else first_clause(text)
+def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        ctx.meta[_META] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
 
 
 def first_clause(text: str) -> str:

@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import MESSAGES, PATH, group, resolve_format
 from msal_cli.errors import MsalError, UsageError
+from msal_cli.job.plain_data import as_data
+from msal_cli.storage import gzip_streams
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.job.records import ComparisonRecord
@@ -98,7 +102,6 @@ def command(request: Request) -> int:
     from msal_cli.job.comparison import compare_files
     from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.gates import names_field
-    from msal_cli.version import __version__
 
     refuse_conflicts(find_given(request.context))
     checks = _build_checks(request)
@@ -197,7 +200,6 @@ def _compare_two(
 
 
 def _write_heatmap(request: Request) -> None:
-    from msal_cli.batch import interrupts
     from msal_cli.job.comparison import build_heatmap, open_mesh_file
     from msal_cli.job.room import room_for_files
     from msal_cli.report.facts import file_name
@@ -219,7 +221,6 @@ def _print_table(
 
     ``is_all``: all files were compared, so that the baseline may miss a file.
     """
-    from msal_cli.job.plain_data import as_data
     from msal_cli.job.records import ComparisonRecord
     from msal_cli.report import comparison
     from msal_cli.report.facts import file_name
@@ -301,7 +302,6 @@ def _build_checks(request: Request) -> Checks:
     from msal_cli.job.records import ComparisonRecord
     from msal_cli.report.comparison import read_comparisons
     from msal_cli.report.gates import parse_gates
-    from msal_cli.storage import gzip_streams
 
     gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
     baseline = request.baseline

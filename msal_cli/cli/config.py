@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import click
 from click.core import ParameterSource
@@ -17,13 +17,12 @@ from click.core import ParameterSource
 from msal_cli.cli import console
 from msal_cli.cli.options import group
 from msal_cli.errors import UsageError
+from msal_cli.storage import urls
 
 FILE_NAME = "msal.toml"
 
-CONFIG, NO_CONFIG, SHOW_CONFIG = "config", "no_config", "show_config"
-
 _ROOT_MARKS = (".git", ".hg")
-_NEVER = (CONFIG, NO_CONFIG, SHOW_CONFIG)
+_NEVER = ("config", "no_config", "show_config")
 
 # A file that lies in a folder of scans from elsewhere must not replace the originals or other
 # files, nor have another machine take part: this it may only when it is named.
@@ -37,8 +36,7 @@ _OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))
 _MAX_BYTES = 1_000_000
 
 
-@dataclass(frozen=True)
-class Config:
+class Config(NamedTuple):
     """A file, which the user named or which was found, and what it gives for one command:
     values as a command line would have them, by the names of parameters."""
 
@@ -47,40 +45,32 @@ class Config:
     is_named: bool
 
 
-def find_file() -> str | None:
+def _find_file() -> str | None:
     """The nearest ``msal.toml``: in the current folder, or in a parent within its repository."""
     if os.path.isfile(FILE_NAME):
         return FILE_NAME
-    folder = os.path.realpath(os.curdir)
-    candidates: list[str] = []
-    while True:
-        if any(os.path.exists(os.path.join(folder, mark)) for mark in _ROOT_MARKS):
-            break
-        above = os.path.dirname(folder)
-        if above == folder:
-            # Outside of a repository parents may be anyone's, such as /tmp.
-            return None
-        folder = above
-        candidates.append(os.path.join(folder, FILE_NAME))
-    nearest = next((path for path in candidates if os.path.isfile(path)), None)
-    return None if nearest is None else os.path.relpath(nearest)
+    here = Path(os.path.realpath(os.curdir))
+    folders = [here, *here.parents]
+    are_roots = [any((folder / mark).exists() for mark in _ROOT_MARKS) for folder in folders]
+    # Outside of a repository parents may be anyone's, such as /tmp.
+    n_parents = are_roots.index(True) if True in are_roots else 0
+    for folder in folders[1 : n_parents + 1]:
+        if (folder / FILE_NAME).is_file():
+            return os.path.relpath(folder / FILE_NAME)
+    return None
 
 
-def read_config(
-    path: str,
-    command: str,
-    commands: Iterable[str],
-    options: Iterable[click.Option],
-    *,
-    is_named: bool,
-) -> Config:
-    """The table of ``command`` in a file that the user ``is_named``, or that was found."""
+def read_config(path: str, ctx: click.Context, *, is_named: bool) -> Config:
+    """The table of the command of ``ctx`` in a file that the user ``is_named``, or that was
+    found."""
+    root, command = ctx.find_root(), str(ctx.command.name)
+    names = root.command.list_commands(root) if isinstance(root.command, click.Group) else [command]
     tables = _read_tables(path)
     for table, content in tables.items():
-        if table not in commands:
+        if table not in names:
             raise UsageError(
                 f"{path}: there is no command for the table [{table}]",
-                hint=_closest(table, list(commands)) or "tables are named as commands: [denoise]",
+                hint=_closest(table, names) or "tables are named as commands: [denoise]",
             )
         if not isinstance(content, dict):
             raise UsageError(
@@ -89,8 +79,8 @@ def read_config(
     # Eager ones are --help and --help-all, whose names depend on the version of click.
     keys = {
         key_of(option): option
-        for option in options
-        if not (option.name in _NEVER or option.is_eager)
+        for option in ctx.command.get_params(ctx)
+        if isinstance(option, click.Option) and not (option.name in _NEVER or option.is_eager)
     }
     values: dict[str, Any] = {}
     for key, value in tables.get(command, {}).items():
@@ -192,15 +182,13 @@ def _refuse_outside(folder: str, paths: Iterable[str], place: str) -> None:
             )
 
 
-def _describe(
-    command: click.Command, ctx: click.Context, given: dict[str, Any], config: Config | None
-) -> str:
+def _describe(ctx: click.Context, given: dict[str, Any], config: Config | None) -> str:
     """What ``--show-config`` prints, which is TOML: the options in force, each with its value and
     where that comes from."""
-    lines = [f"# file: {'none' if config is None else config.path}", f"[{command.name}]"]
+    lines = [f"# file: {'none' if config is None else config.path}", f"[{ctx.command.name}]"]
     in_force = ctx.default_map or {}
     rows = []
-    for option in command.params:
+    for option in ctx.command.params:
         name = str(option.name)
         if not isinstance(option, click.Option) or option.is_eager or name in _NEVER:
             continue
@@ -222,8 +210,6 @@ def _describe(
 
 def _to_toml(value: Any) -> str:
     import json
-
-    from msal_cli.storage import urls
 
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_to_toml, value))}]"
@@ -257,16 +243,15 @@ more:
 """The options of every command that may be configured."""
 
 
-def parse_args(
-    command: click.Command, ctx: click.Context, args: list[str], parse: Parse
-) -> list[str]:
+def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     """Parse ``args`` with the values of the file that they name, or that is found."""
+    command = ctx.command
     given, _, _ = command.make_parser(ctx).parse_args(list(args))
     help_option = command.get_help_option(ctx)
     if "help_all" in given or (help_option is not None and help_option.name in given):
         return parse(ctx, args)
-    ctx.meta[_META] = config = _load(command, ctx, given)
-    if SHOW_CONFIG not in given:
+    ctx.meta[_META] = config = _load(ctx, given)
+    if "show_config" not in given:
         return _parse_with(ctx, args, config, parse)
     words = list(args)
     for _ in command.params:
@@ -279,7 +264,7 @@ def parse_args(
             is_argument = isinstance(missing.param, click.Argument)
             option = missing.param.opts[0] if missing.param is not None else ""
             words = [*words, "MISSING"] if is_argument else [option, "MISSING", *words]
-    console.put(_describe(command, ctx, given, config))
+    console.put(_describe(ctx, given, config))
     raise click.exceptions.Exit(0)
 
 
@@ -295,23 +280,17 @@ def options_of_found_file(ctx: click.Context) -> frozenset[str]:
     )
 
 
-def _load(command: click.Command, ctx: click.Context, given: dict[str, Any]) -> Config | None:
-    path: str | None = given.get(CONFIG)
-    if NO_CONFIG in given:
+def _load(ctx: click.Context, given: dict[str, Any]) -> Config | None:
+    path: str | None = given.get("config")
+    if "no_config" in given:
         if path is not None:
             raise UsageError(
                 "--config and --no-config contradict each other", hint="give one of them"
             )
         return None
     is_named = path is not None
-    path = path or find_file()
-    if path is None:
-        return None
-    root = ctx.find_root()
-    commands = root.command.list_commands(root) if isinstance(root.command, click.Group) else ()
-    options = [option for option in command.get_params(ctx) if isinstance(option, click.Option)]
-    name = str(command.name)
-    return read_config(path, name, commands or (name,), options, is_named=is_named)
+    path = path or _find_file()
+    return None if path is None else read_config(path, ctx, is_named=is_named)
 
 
 def _parse_with(

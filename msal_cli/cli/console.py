@@ -27,6 +27,7 @@ import click
 
 from msal_cli.errors import MsalError, OutputError, UsageError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.job.records import Failure
@@ -125,7 +126,6 @@ def put_bytes(data: bytes | bytearray | memoryview) -> None:
 def put_json(schema: str, **data: Any) -> None:
     """A JSON document to standard output: its schema, the version of msal, and plain ``data``."""
     from msal_cli.report.data import json_bytes, plain
-    from msal_cli.version import __version__
 
     put_bytes(json_bytes(plain({"schema": schema, "version": __version__, **data})))
 

@@ -7,9 +7,12 @@ import os
 import re
 import time
 from contextlib import AbstractContextManager
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import TYPE_CHECKING
 
+from msal_cli.batch import interrupts
 from msal_cli.cli import console, logs
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.config import options_of_found_file
@@ -24,7 +27,10 @@ from msal_cli.cli.options import (
     parse_assignment,
 )
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
-from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Settings, parse
+from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Limits, Settings, parse
+from msal_cli.storage import urls
+from msal_cli.storage.urls import is_url
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,8 +69,6 @@ def log_of(request: Request) -> AbstractContextManager[None]:
 
 def read_limits(request: Request) -> Limits:
     """What one file may take; UsageError for a number of threads that is none."""
-    from msal_cli.job.settings import Limits
-
     check_threads_variable()
     return Limits(request.timeout, request.memory_limit, request.max_faces, request.scratch)
 
@@ -73,8 +77,6 @@ class _Session:
     """One call of the command: its request, and what its records are measured against."""
 
     def __init__(self, request: Request) -> None:
-        from msal_cli.storage import urls
-
         self._request = request
         # For reports and manifests, without passwords.
         self._command = ("msal", *map(urls.redact, request.context.obj))
@@ -119,8 +121,6 @@ class _Session:
         return everything if shard is None else select_shard(everything, shard)
 
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
-        from dataclasses import replace
-
         from msal_cli.cli import progress
         from msal_cli.cli.streams import choose_format, denoise_stream
 
@@ -147,7 +147,6 @@ class _Session:
             report_files.check(request.reports, paths, request.csv_columns)
 
     def _run_files(self, plan: Plan, settings: Settings) -> int:
-        from msal_cli.batch import interrupts
         from msal_cli.batch.run import run
         from msal_cli.batch.schedule import Finished
         from msal_cli.cli import progress
@@ -155,8 +154,6 @@ class _Session:
         request = self._request
         engine: EngineFactory | None = None
         if request.engine == "dask" and request.scheduler is not None:
-            from functools import partial
-
             from msal_cli.batch.dask import DaskEngine
 
             engine = partial(DaskEngine, scheduler=request.scheduler)
@@ -234,10 +231,7 @@ class _Session:
         self, settings: Settings, records: Sequence[MeshRecord], *, interrupted: bool = False
     ) -> int:
         """Measure, print, write the reports, and give the exit status."""
-        from dataclasses import asdict
-
         from msal_cli.report import data
-        from msal_cli.version import __version__
 
         request = self._request
         is_dry = request.dry_run
@@ -381,8 +375,6 @@ def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     """For each input, known by its relative path, the path of its reference; () if none is given
     for.
     """
-    from msal_cli.storage.urls import is_url
-
     truth = request.reference
     if truth is None:
         return ()

@@ -11,6 +11,7 @@ from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import INPUTS, MESSAGES, STREAM, group, resolve_format
 from msal_cli.errors import UsageError
+from msal_cli.job.plain_data import as_data
 
 if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord
@@ -46,7 +47,6 @@ def command(request: Request) -> int:
 
     Lengths are in file units.
     """
-    from msal_cli.job.plain_data import as_data
     from msal_cli.job.records import InfoRecord
     from msal_cli.report.info import InfoTable, describe_info
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.logs import with_log
@@ -108,7 +109,6 @@ def command(request: Request) -> int:
     """
     import os
 
-    from msal_cli.batch import interrupts
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.report.facts import file_name
 

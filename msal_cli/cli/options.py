@@ -13,7 +13,8 @@ import click
 
 from msal_cli.errors import UsageError
 from msal_cli.job.constraints import METRES
-from msal_cli.job.settings import SELF_INTERSECTIONS
+from msal_cli.job.settings import SELF_INTERSECTIONS, parse_format
+from msal_cli.storage import urls
 
 STREAM = "-"
 """The name of standard input and standard output."""
@@ -43,8 +44,6 @@ class PathOrUrl(click.Path):
         path = super().convert(value, param, ctx)
         if "://" not in str(path):
             return path
-        from msal_cli.storage import urls
-
         return urls.normalize_url(str(path))
 
 
@@ -150,7 +149,6 @@ def resolve_format(text: str | None) -> str | None:
     if text is None:
         return None
     from msal_cli.codecs.detection import readable_suffixes
-    from msal_cli.job.settings import parse_format
 
     return parse_format(text, "--format", readable_suffixes())
 
@@ -314,17 +312,15 @@ _SHARED = f"""
     Show more of what is done; -vv shows everything.
 """
 
-SHARED: dict[str, click.Option] = {}
-for _option in parse_options(
-    _SHARED,
-    {
-        "unit": click.Choice(tuple(METRES)),
-        "max_faces": click.IntRange(min=1),
-        "retries": click.IntRange(min=0),
-        "max_failures": click.IntRange(min=1),
-    },
-):
-    SHARED[_option.opts[-1]] = _option
+_SHARED_TYPES = {
+    "unit": click.Choice(tuple(METRES)),
+    "max_faces": click.IntRange(min=1),
+    "retries": click.IntRange(min=0),
+    "max_failures": click.IntRange(min=1),
+}
+
+SHARED = {option.opts[-1]: option for option in parse_options(_SHARED, _SHARED_TYPES)}
+"""Options of several commands, by their names."""
 
 QUIET_AND_VERBOSE = group(MESSAGES, "--quiet\n--verbose\n")
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -15,9 +14,12 @@ from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import MESSAGES, PATH, group
-from msal_cli.errors import InputError, UsageError
+from msal_cli.errors import UsageError
+from msal_cli.job.settings import ADAPTIVE, AUTO
 from msal_cli.report.data import Run
+from msal_cli.storage.gzip_streams import read_whole
 from msal_cli.storage.urls import is_url
+from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.batch.history import FileRow, RunEntry, RunHistory
@@ -72,7 +74,7 @@ def command(request: Request) -> int:
     # Checked before a large folder is read.
     report_files.check(outputs, (), csv_columns)
     gates = parse_gates(request.fail_on, MeshRecord, request.unit)
-    account = summarize(request.runs)
+    account = _summarize(request.runs)
     done = [record for record in account.records if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
@@ -99,28 +101,26 @@ def command(request: Request) -> int:
     n_lost = sum(record.status in ("failed", "planned") for record in records)
     is_broken = is_any_broken(records)
     status = console.status_of_files(len(records), n_lost, is_gate_failed=is_broken)
-    return status if account.is_whole else console.worst_status(status, console.SOME_FAILED)
+    return console.worst_status(status, console.SOME_FAILED) if account.remarks else status
 
 
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
 
 
-@dataclass(frozen=True)
-class RunSummary:
+class _Summary(NamedTuple):
     """What earlier runs did.
 
-    ``remarks`` say in words what is missing or still going on; it ``is_whole`` if nothing is.
-    ``paths`` are the files that it was read from.
+    ``remarks`` say in words what is missing or still going on.  ``paths`` are the files that it was
+    read from.
     """
 
     run: Run
-    records: tuple[MeshRecord, ...]
-    remarks: tuple[str, ...]
-    is_whole: bool
-    paths: tuple[str, ...]
+    records: list[MeshRecord]
+    remarks: list[str]
+    paths: list[str]
 
 
-def summarize(names: Sequence[str]) -> RunSummary:
+def _summarize(names: Sequence[str]) -> _Summary:
     """What the runs did that these output folders, manifests and reports are about.
 
     Of several records of a file, distinguished by the paths of its input and output, the newest
@@ -165,7 +165,7 @@ def summarize(names: Sequence[str]) -> RunSummary:
     records = _newest_records(rows)
     is_finished = not remarks and all(record.status != "planned" for record in records)
     run = _combine(runs, is_finished) if runs else _guess_run(rows, is_finished)
-    return RunSummary(run, tuple(records), tuple(remarks), not remarks, tuple(paths))
+    return _Summary(run, records, remarks, paths)
 
 
 def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
@@ -201,16 +201,10 @@ def _all_shards(run: RunEntry) -> list[str]:
 def _read_file(path: Path) -> RunHistory:
     from msal_cli.batch import history as histories
     from msal_cli.report.data import read_json, read_lines
-    from msal_cli.storage.gzip_streams import read_whole
 
     name = str(path)
     data = bytes(read_whole(name))
-    try:
-        at = path.stat().st_mtime_ns
-    except OSError as error:
-        raise InputError(
-            f"the file cannot be read: {error.strerror}", path=name, code="E_READ"
-        ) from None
+    at = path.stat().st_mtime_ns
     records: Iterable[MeshRecord]
     runs: tuple[RunEntry, ...] = ()
     if path.suffix.lower() == ".jsonl":
@@ -243,28 +237,20 @@ def _read_file(path: Path) -> RunHistory:
     return histories.RunHistory(runs, tuple(rows))
 
 
-def _newest_records(rows: Iterable[FileRow]) -> list[MeshRecord]:
+def _newest_records(rows: Sequence[FileRow]) -> list[MeshRecord]:
     """One record for each file, by the path of its input."""
-    rows = list(rows)
     named = {row.input for row in rows if row.output}
-    newest: dict[tuple[str, str], FileRow] = {}
-    failures: list[FileRow] = []
-    for row in sorted(rows, key=lambda row: row.at):
+    newest: dict[str, dict[str, FileRow]] = {}
+    for row in sorted(rows, key=lambda row: (row.at, not row.output)):
+        by_output = newest.setdefault(row.input, {})
         if row.output or row.input not in named:
-            newest[row.input, row.output] = row
+            by_output[row.output] = row
         else:
-            failures.append(row)
-    outputs: dict[str, list[tuple[str, str]]] = {}
-    for key in newest:
-        outputs.setdefault(key[0], []).append(key)
-    for row in failures:
-        # In a report a failure does not say which output is missing: any of its input.
-        for key in outputs[row.input]:
-            if newest[key].at <= row.at:
-                newest[key] = row
+            # In a report a failure does not say which output is missing: any of its input.
+            by_output.update(dict.fromkeys(by_output, row))
     # Several outputs of one input may have got the same failure.
-    records = {id(row): row.record for row in newest.values()}
-    return sorted(records.values(), key=lambda record: record.input.split("/"))
+    last = {id(row): row.record for by_output in newest.values() for row in by_output.values()}
+    return sorted(last.values(), key=lambda record: record.input.split("/"))
 
 
 def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
@@ -293,8 +279,6 @@ def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
     """What is known of a run of which only the files are known."""
     from msal_cli.auto import ALL
     from msal_cli.batch.history import iso_timestamp
-    from msal_cli.job.settings import ADAPTIVE, AUTO
-    from msal_cli.version import __version__
 
     times = [row.at for row in rows] or [0]
     newest = max(rows, key=lambda row: row.at).record if rows else None

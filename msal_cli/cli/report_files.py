@@ -18,9 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli import report
+from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.settings import DEFAULT_BACKUP
+from msal_cli.job.output import write_output
+from msal_cli.job.settings import DEFAULT_BACKUP, is_mesh_name
+from msal_cli.storage import urls
+from msal_cli.storage.atomic import is_own
+from msal_cli.storage.regular import LOOKED_AT, open_regular
+from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
@@ -36,8 +42,6 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
         raise UsageError(
             f"--csv-columns {csv_columns}: there is no report in .csv", hint="name one, or leave it"
         )
-    from msal_cli.storage import urls
-
     taken = tuple(taken)
     seen: set[str] = set()
     for name in names:
@@ -87,9 +91,6 @@ def write(
     """
     if not names:
         return
-    from msal_cli.batch import interrupts
-    from msal_cli.job.output import write_output
-
     first: OutputError | None = None
     # Pages take longest: after Ctrl-C the other reports are there.
     for name in sorted(names, key=_is_page):
@@ -125,12 +126,9 @@ def _draw_pictures(
     """The pictures of a page; they are kept beside a local one for the next time."""
     import time
 
-    from msal_cli.batch import interrupts
     from msal_cli.cli import progress
-    from msal_cli.job.output import write_output
     from msal_cli.report import gallery
     from msal_cli.report.facts import format_count, seconds_text
-    from msal_cli.storage.urls import is_url
 
     begun = time.monotonic()
     archive = "" if is_url(page) else gallery.cache_path(page)
@@ -179,8 +177,6 @@ def refuse_target(
     """
     from msal_cli.batch.plan import identify_file
     from msal_cli.codecs.detection import content_format
-    from msal_cli.storage.regular import LOOKED_AT, open_regular
-    from msal_cli.storage.urls import is_url
 
     _refuse_name(name, what, may_be_mesh=replaces is not None)
     here = identify_file(name) or os.path.realpath(name)
@@ -213,10 +209,6 @@ def refuse_target(
 
 def _refuse_name(name: str, what: str, *, may_be_mesh: bool = False) -> None:
     """Refuse names of msal's own files and of meshes, also behind links; UsageError."""
-    from msal_cli.job.settings import is_mesh_name
-    from msal_cli.storage import urls
-    from msal_cli.storage.atomic import is_own
-
     is_remote = urls.is_url(name)
     for path in (name,) if is_remote else (name, os.path.realpath(name)):
         # Where case does not count, another case is the same file.
@@ -235,8 +227,6 @@ def open_log(name: str) -> io.TextIOWrapper:
     which might be a mesh, an input or a file of msal's own; OSError and ValueError if it cannot be
     opened.
     """
-    from msal_cli.storage.regular import open_regular
-
     _refuse_name(name, "the log file")
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
     # A pipe without a reader is an error, and is not waited for.

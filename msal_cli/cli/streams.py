@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import (
@@ -24,6 +25,12 @@ from msal_cli.errors import (
     TooLargeError,
     UsageError,
 )
+from msal_cli.job.output import write_output
+from msal_cli.job.records import Failure
+from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format
+from msal_cli.storage import gzip_streams
+from msal_cli.storage.regular import largest_bytes
+from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -56,8 +63,6 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
             "standard input and standard output hold one mesh, not several",
             hint="give one input, or a folder with -o",
         )
-    from msal_cli.storage.urls import is_url
-
     (source,) = inputs
     if source != STREAM and not is_url(source) and not os.path.isfile(source):
         what = "no regular file" if os.path.exists(source) else "no file"
@@ -77,7 +82,6 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
         )
     if output is not None and output != STREAM:
         from msal_cli.cli.report_files import refuse_target
-        from msal_cli.job.settings import refuse_unknown_format
 
         refuse_unknown_format(output)
         refuse_target(output, "the output", [source] if source != STREAM else [], replaces="")
@@ -86,8 +90,6 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
 
 def choose_format(stream: Stream, to: str | None) -> str | None:
     """The format to convert to: that of ``--to``, else that of the output's suffix, if any."""
-    from msal_cli.job.settings import is_mesh_name, output_name
-
     if stream.target == STREAM or not is_mesh_name(stream.target):
         return to
     stem = stream.target[:-3] if stream.target.lower().endswith(".gz") else stream.target
@@ -146,7 +148,6 @@ def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) ->
 def _find_limit(memory_limit: int | None = None) -> tuple[int, MsalError]:
     """The most bytes that standard input may have, and the error if it has more."""
     from msal_cli.machine import available_bytes
-    from msal_cli.storage.regular import largest_bytes
 
     half, free = largest_bytes(), available_bytes()
     if memory_limit is not None and memory_limit < half:
@@ -223,7 +224,6 @@ def denoise_stream(
     """
     from msal_cli.codecs import header
     from msal_cli.job.pipeline import denoise_bytes, start_record
-    from msal_cli.job.records import Failure
 
     name = stream.source
     record = start_record(name, settings)
@@ -257,10 +257,7 @@ def _denoise_in_worker(
     """
     import tempfile
 
-    from msal_cli.batch import interrupts
     from msal_cli.batch.run import check_options, denoise_in_pool
-    from msal_cli.job.settings import Task
-    from msal_cli.storage import gzip_streams
 
     check_options(limits)
     # The folder must be removed, whatever ends this.
@@ -280,10 +277,6 @@ def _denoise_in_worker(
 def _write(output: Buffer, record: MeshRecord, stream: Stream) -> MeshRecord:
     """The record after ``output`` was written to a file, compressed if its name says so."""
     import hashlib
-
-    from msal_cli.batch import interrupts
-    from msal_cli.job.output import write_output
-    from msal_cli.storage import gzip_streams
 
     target = stream.target
     plain, is_compressed = gzip_streams.expand(output, "")

@@ -18,6 +18,7 @@ from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, complete_metho
 from msal_cli.cli.view import make_view_group, read_view
 from msal_cli.errors import UsageError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.job.settings import ADAPTIVE, AUTO, NO_LIMITS, Settings
 
 if TYPE_CHECKING:
     from msal_cli.auto.risk import Filter
@@ -135,7 +136,6 @@ def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cel
     from msal_cli import methods
     from msal_cli.auto import NONE, Wishes
     from msal_cli.job.pipeline import FileRun
-    from msal_cli.job.settings import ADAPTIVE, AUTO, NO_LIMITS, Settings
     from msal_cli.view import sweep
 
     for cell, mesh in sweep.cells(on, grid):

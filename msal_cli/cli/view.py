@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ from msal_cli.cli.options import (
 )
 from msal_cli.errors import UsageError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.storage.regular import open_regular
 
 if TYPE_CHECKING:
     from msal_cli.view.pictures import View
@@ -163,8 +165,6 @@ def _find_kind(output: str) -> str:
 def _write_own_page(sources: tuple[str, ...], data: bytes) -> str:
     """Write ``data`` into the current folder under a name after that of the mesh, which no file has
     that another program made; the name."""
-    from itertools import count
-
     from msal_cli.storage import atomic
 
     stem = os.path.splitext(os.path.basename(sources[-1]).removesuffix(".gz"))[0].lstrip("-")
@@ -179,8 +179,6 @@ def _write_own_page(sources: tuple[str, ...], data: bytes) -> str:
 
 
 def _is_own_page(name: str) -> bool:
-    from msal_cli.storage.regular import open_regular
-
     try:
         with open_regular(name) as file:
             return b'<meta name="generator" content="msal ' in file.read(4096)

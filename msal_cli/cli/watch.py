@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.denoise import (
@@ -23,6 +24,7 @@ from msal_cli.cli.denoise_options import HOW_TO_DENOISE, MESSAGES_AND_HELP
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -124,7 +126,6 @@ class _Watch:
 
     def run(self) -> int:
         """Watch until the end that was asked for; the exit status."""
-        from msal_cli.batch import interrupts
         from msal_cli.batch.manifest import open_folder
         from msal_cli.batch.watch import Inbox
 
@@ -164,8 +165,6 @@ class _Watch:
 
     def _wait(self, inbox: Inbox) -> list[DiscoveredInput]:
         """The next files, in the order of their times; none if the watch is to end."""
-        from msal_cli.batch import interrupts
-
         idle_s = self._request.idle_exit
         quiet_since = time.monotonic()
         with interrupts.catch_signals(self._signals.append):
@@ -239,7 +238,6 @@ class _Watch:
 
     def _say(self, name: str, record: MeshRecord) -> None:
         """One line for one file, and a second one on what to do about a failure."""
-
         if record.error is not None:
             console.say_failure(name, record.error)
         elif record.status != "up-to-date" and not self._request.quiet:
@@ -261,8 +259,6 @@ class _Watch:
 
 def _check_folders(folder: str, output: str) -> None:
     """Refuse what cannot be watched or written by a watch; UsageError."""
-    from msal_cli.storage.urls import is_url
-
     for name in (folder, output):
         if name == STREAM or is_url(name):
             raise UsageError(
