@@ -215,15 +215,6 @@ def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
 
 
 @linux
-def test_what_fits_is_in_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(array_files, "arrays_in_files", None)
-    source = grid(tmp_path / "a.ply", 60)
-    for limits in (Limits(), Limits(memory_bytes=10**9)):
-        task = Task(str(source), str(tmp_path / "out.ply"), "a.ply")
-        assert denoise_file(task, Settings("msal"), limits=limits).status == "written"
-
-
-@linux
 def test_a_disk_that_is_full_is_an_error_and_leaves_nothing(tmp_path):
     import resource
 
@@ -278,15 +269,6 @@ def test_files_in_memory_are_no_scratch(tmp_path, monkeypatch):
     path = sparse(tmp_path / "a.ply", 500_000, 1_000_000)
     error, _ = beyond(path, 10**8, monkeypatch, Limits(scratch="/dev/shm"))
     assert error.code == "E_MEMORY" and "name a folder on a disk by --scratch" in error.hint
-
-
-def test_where_there_are_no_such_files_what_is_guessed_is_halved(tmp_path, monkeypatch):
-    monkeypatch.setattr(array_files, "can_use_files", lambda: False)
-    text = tmp_path / "a.obj"
-    text.write_bytes(b"v 0 0 0\n" * 1_000_000)
-    assert beyond(text, 110_000_000, monkeypatch)[0] is None
-    assert beyond(text, 35_000_000, monkeypatch)[0].code == "E_MEMORY"
-    assert beyond(text, 10**9, monkeypatch, Limits(memory_bytes=60_000_000))[0].code == "E_MEMORY"
 
 
 def test_the_others_of_a_folder_are_done(tmp_path, monkeypatch):

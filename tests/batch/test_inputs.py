@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import time
 from pathlib import Path
 
 import pytest
@@ -48,15 +47,6 @@ def test_hidden_files_and_our_own_are_passed_over(tmp_path):
     made(tmp_path, "a.ply", ".b.ply", ".git/c.ply", ".msal-manifest.jsonl", temporary_name("d.ply"))
     assert relatives(tmp_path) == ["a.ply"]
     assert relatives(f"{tmp_path}/.*") == [".b.ply", ".git/c.ply"]
-
-
-def test_several_folders_are_told_apart_by_their_names(tmp_path):
-    made(tmp_path, "one/a.ply", "two/a.ply", "three.ply")
-    assert relatives(tmp_path / "one", tmp_path / "two", tmp_path / "three.ply") == [
-        "one/a.ply",
-        "two/a.ply",
-        "three.ply",
-    ]
 
 
 def test_a_folder_named_by_dots_is_known_by_its_real_name(tmp_path, monkeypatch):
@@ -120,12 +110,6 @@ class TestGlobs:
         made(tmp_path, "s/one/deep/a.ply", "s/two/b.ply", "s/two/b.txt")
         assert relatives(f"{tmp_path}/s/*") == ["one/deep/a.ply", "two/b.ply"]
 
-    def test_a_plain_suffix_takes_any_name(self, tmp_path):
-        made(tmp_path, "a.scan", "b.scan", "c.ply")
-        assert relatives(f"{tmp_path}/*.scan") == ["a.scan", "b.scan"]
-        assert relatives(f"{tmp_path}/*") == ["c.ply"]
-        assert relatives(f"{tmp_path}/*.*") == ["c.ply"]
-
     def test_a_literal_name_is_that_file(self, tmp_path):
         made(tmp_path, "a[1].ply", "a1.ply")
         assert relatives(f"{tmp_path}/a[1].ply") == ["a[1].ply"]
@@ -165,16 +149,6 @@ class TestLinks:
         (tmp_path / "in/self").symlink_to("self")
         assert relatives(tmp_path / "in") == ["a/b/x.ply"]
 
-    def test_folders_that_all_link_to_each_other_do_not_explode(self, tmp_path):
-        for one in range(12):
-            made(tmp_path, f"{one}/x.ply")
-            for other in range(12):
-                if one != other:
-                    (tmp_path / f"{one}/to{other}").symlink_to(f"../{other}")
-        started = time.perf_counter()
-        assert len(relatives(tmp_path)) == 12 + 12 * 11
-        assert time.perf_counter() - started < 2
-
     def test_a_linked_file_is_an_input_and_a_broken_one_is_not_lost(self, tmp_path):
         made(tmp_path, "store/a.ply")
         (tmp_path / "in").mkdir()
@@ -212,24 +186,6 @@ class TestOddTrees:
             relatives(tmp_path)
         assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
 
-    @pytest.mark.slow
-    def test_a_very_deep_tree_does_not_exhaust_the_stack(self, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        for _ in range(1100):
-            Path("d").mkdir()
-            os.chdir("d")
-        Path("a.ply").write_text("x")
-        os.chdir(tmp_path)
-        try:
-            assert relatives("d") == ["d/" * 1099 + "a.ply"]
-        finally:
-            # shutil.rmtree, and so pytest, would run out of stack itself.
-            os.chdir("d/" * 1100)
-            Path("a.ply").unlink()
-            for _ in range(1100):
-                os.chdir("..")
-                Path("d").rmdir()
-
 
 class TestOutputInside:
     def test_an_output_folder_in_the_input_is_not_searched(self, tmp_path):
@@ -247,11 +203,6 @@ class TestOutputInside:
         (tmp_path / "inner").symlink_to("out/sub")
         assert relatives(tmp_path, output=str(tmp_path / "out")) == ["a.ply"]
         assert relatives(tmp_path, output=str(tmp_path / "alias")) == ["a.ply"]
-
-    def test_what_was_asked_for_by_name_is_searched(self, tmp_path):
-        made(tmp_path, "out/sub/b.ply")
-        assert relatives(tmp_path / "out/sub", output=str(tmp_path / "out")) == ["b.ply"]
-        assert relatives(tmp_path / "out", output=str(tmp_path / "out")) == ["sub/b.ply"]
 
 
 # Patterns
@@ -317,8 +268,3 @@ def test_a_name_with_every_wildcard_bracketed_matches_itself_only(name):
         return
     assert Patterns([quoted]).is_exact(name)
     assert not Patterns([quoted]).is_exact(name + "x")
-
-
-def test_an_empty_pattern_is_refused():
-    with pytest.raises(UsageError):
-        Patterns(["./"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 
 import pytest
@@ -21,6 +20,7 @@ from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.fakes import lost, results
 from tests.batch.test_whole import obj
+from tests.cli.scans import msal
 from tests.report.made import written
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -102,7 +102,7 @@ class TestMemory:
         )
         monkeypatch.setattr(workers, "_BOOT", boot)
         messages = heard(
-            [("hold", 600 << 20), ("double", 2)], limits=Limits(memory_bytes=300_000_000), jobs=1
+            [("hold", 400 << 20), ("double", 2)], limits=Limits(memory_bytes=300_000_000), jobs=1
         )
         assert lost(messages)[0].cause == "memory"
         assert results(messages) == {1: 4}
@@ -112,7 +112,6 @@ class TestMemory:
         options = {"limits": Limits(memory_bytes=300_000_000), "jobs": 1}
         assert lost(heard([("bad_alloc", 0)], **options))[0].cause == "memory"
         assert lost(heard([("abort", 0)], **options))[0].cause == "crash"
-        assert lost(heard([("bad_alloc", 0)]))[0].cause == "crash"
 
     def test_one_that_fits_with_no_other_has_all_cores(self):
         tasks = [("threads", 0)] * 3
@@ -136,11 +135,6 @@ class TestRun:
     def test_one_file_with_a_limit_of_time_is_supervised(self, tmp_path):
         (one,) = ran(tmp_path, {"a": "sleep 60"}, limits=Limits(timeout_s=0.4), retries=0)
         assert one.error.code == "E_TIMEOUT"
-
-    def test_a_foreseen_want_of_memory_is_not_tried_again(self, tmp_path):
-        records = ran(tmp_path, {"a": "foreseen", "b": "x"})
-        assert records[0].error.code == "E_MEMORY" and records[0].error.message == "made to fail"
-        assert records[1].status == "written"
 
     @pytest.mark.parametrize("most", [1, 2])
     def test_after_so_many_failures_nothing_more_is_begun(self, tmp_path, most):
@@ -175,14 +169,6 @@ class TestRun:
 class TestInPlace:
     """The worker dies after it has replaced the file: ``replaced`` in it is the order to."""
 
-    def test_with_a_backup_the_file_is_denoised_once(self, tmp_path):
-        texts = {"a": "replaced once", "b": "x"}
-        records = ran(tmp_path, texts, in_place=True)
-        assert [one.status for one in records] == ["written", "written"]
-        assert "second try" in records[0].warnings[0]
-        assert (tmp_path / "in/a.ply").read_text() == "fake REPLACED ONCE"
-        assert (tmp_path / "in/a.ply.orig").read_text() == texts["a"]
-
     def test_without_a_backup_it_is_never_denoised_twice(self, tmp_path):
         records = ran(tmp_path, {"a": "replaced once", "b": "x"}, in_place=True, backup=None)
         assert records[0].error.code == "E_CHANGED"
@@ -200,29 +186,19 @@ def scans(tmp_path):
     return tmp_path
 
 
-def msal(folder, *options, **more):
-    command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "--method", "msal"]
-    command += options
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, **more)
-
-
 @linux
-def test_the_command_holds_a_real_mesh_to_a_memory_limit(scans):
-    (scans / "in/big.obj").write_text(obj(9, 800, 400))
-    made = msal(scans, "--memory-limit", "65M")
-    assert made.returncode == 3
-    assert "forecast: denoising this file takes up to" in made.stderr
-    assert "the limit is 65 MB (E_MEMORY)" in made.stderr
-
-
-@linux
-def test_a_small_mesh_fits_into_a_small_limit_and_no_limit_is_exceeded_in_silence(scans):
-    made = msal(scans, "--memory-limit", "60M", "--json")
-    assert made.returncode == 0, made.stderr
+@pytest.mark.ci
+def test_a_small_mesh_fits_into_a_small_limit_and_no_limit_is_exceeded_in_silence(
+    scans, monkeypatch
+):
+    monkeypatch.chdir(scans)
+    words = ("denoise", "in", "-o", "out", "--method", "msal", "--json", "--memory-limit")
+    made = msal(*words, "60M")
+    assert made.exit_code == 0, made.stderr
     for record in json.loads(made.stdout)["records"]:
         assert record["peak_memory_bytes"] <= 60 * 1024**2
-    made = msal(scans, "--memory-limit", "52M", "--fresh", "--json")
-    assert made.returncode == 1
+    made = msal(*words, "52M", "--fresh")
+    assert made.exit_code == 1
     for record in json.loads(made.stdout)["records"]:
         assert record["error"]["code"] == "E_MEMORY"
 
@@ -235,12 +211,11 @@ def test_a_record_beyond_the_limit_gets_a_warning():
     assert _warn_of_memory(record, Limits()) is record
 
 
-def test_the_command_gives_up(scans):
+def test_the_command_gives_up(scans, monkeypatch):
+    monkeypatch.chdir(scans)
     for name in ("a", "b"):
         (scans / f"in/{name}.obj").write_text("v 1 2\nf 1 2 3\n")
-    made = msal(scans, "-j1", "--include", "[2ab].obj", "--fail-fast")
-    assert made.returncode == 1
+    made = msal("denoise", "in", "-o", "out", "-j1", "--include", "[2ab].obj", "--fail-fast")
+    assert made.exit_code == 1
     assert "stopped after 1 failure; 1 files were not begun" in made.stderr
     assert "1 not done" in made.stderr
-    assert msal(scans, "--fail-fast", "--max-failures", "2").returncode == 2
-    assert msal(scans, env=os.environ | {"MSAL_THREADS": "many"}).returncode == 2

@@ -175,14 +175,6 @@ class TestShards:
             assert locks_in(tmp_path) == before
 
 
-def test_another_process_with_a_shard_is_named(tmp_path):
-    with locked_elsewhere(tmp_path, 2, 4) as process:
-        for other in (None, Shard(2, 4), Shard(1, 3)):
-            with pytest.raises(UsageError, match=rf"process {process.pid} \(shard 2/4\)"):
-                FolderLock(str(tmp_path), other)
-        FolderLock(str(tmp_path), Shard(1, 4)).release()
-
-
 def test_many_shards_that_start_and_end_at_once_are_not_refused(tmp_path):
     """Also not by the looking of the others, or by the last of them, who clears away."""
     code = (

@@ -255,14 +255,6 @@ class TestInPlace:
         assert plan.manifest_key(1) == "b/c.ply"
         assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
 
-    def test_one_file_has_a_manifest_too(self, tmp_path):
-        # Without it a second run would denoise the file once more.
-        made(tmp_path, "in/a.ply", "in/b.ply")
-        one = planned([tmp_path / "in/a.ply"], None, in_place=True)
-        both = planned([tmp_path / "in/a.ply", tmp_path / "in/b.ply"], None, in_place=True)
-        assert one.manifest_dirs == (str(tmp_path / "in"),)
-        assert both.manifest_dirs == (str(tmp_path / "in"),) * 2
-
     def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):
         made(tmp_path, "a.ply")
         one = [tmp_path / "a.ply"]

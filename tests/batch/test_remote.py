@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import history
 from msal_cli.batch import manifest as manifests
 from msal_cli.batch import shard as shards
 from msal_cli.batch.inputs import NothingMatched, discover_inputs
@@ -173,15 +172,6 @@ def test_from_folder_to_store_and_back(scans, tmp_path):
     assert again == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
 
 
-def test_one_object_into_one_object(scans):
-    (record,) = denoised("memory://scans/2.obj", "memory://out/x.obj")
-    assert record.output == "memory://out/x.obj"
-    assert read_whole("memory://out/x.obj") == expected()["2.obj"]
-    assert list(list_objects("memory://out")) == ["x.obj"]
-    (record,) = denoised("memory://scans/2.obj", "memory://folder")
-    assert record.output == "memory://folder/2.obj"
-
-
 def test_an_object_that_cannot_be_written_is_a_row(scans, monkeypatch):
     real = remote.write_whole
 
@@ -286,22 +276,6 @@ def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
     assert all(entries.get(str(n)).is_done for n in range(4))
 
 
-def test_what_runs_did_is_told_from_their_parts(scans):
-    assert history.read_place("memory://out") is None
-    plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
-    run(plan, settings(), command=["msal", "one"])
-    write_whole("memory://scans/2.obj", b"v 1 2\n")
-    run(
-        build_plan(discover_inputs(["memory://scans"]), "memory://out"),
-        settings(),
-        command=["msal", "two"],
-    )
-    told = history.read_place("memory://out")
-    assert [one.command[-1] for one in told.runs] == ["one", "two"]
-    assert not any(one.interrupted for one in told.runs)
-    assert sorted(row.record.status for row in told.rows) == ["failed", "written", "written"]
-
-
 def test_of_many_shards_one_merges(monkeypatch):
     monkeypatch.setattr(manifests, "MAX_PARTS", 0)
     write([INTENT])
@@ -343,28 +317,3 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
     monkeypatch.setattr(remote, "read_many", late)
     assert ObjectManifest("memory://out").names() == {"a"}
     assert len(calls) == 2
-
-
-def test_the_end_of_a_run_that_is_failing_hides_nothing(monkeypatch):
-    manifest = ObjectManifest("memory://out")
-    manifest.open()
-
-    def refusing(url, data):
-        raise OutputError("access is denied")
-
-    monkeypatch.setattr(remote, "write_whole", refusing)
-
-    def interrupted():
-        try:
-            raise KeyboardInterrupt
-        finally:
-            manifest.close()
-
-    manifest.append([line("a")])
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    other = ObjectManifest("memory://out")
-    other.open()
-    other.append([line("a")])
-    with pytest.raises(OutputError, match="access is denied"):
-        other.close()

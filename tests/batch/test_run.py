@@ -122,13 +122,6 @@ class TestOneTask:
         assert statuses(ran(folders, engine=None)) == ["written"]
         assert statuses(ran(folders, engine=None)) == ["up-to-date"]
 
-    def test_a_file_into_a_file_leaves_no_traces(self, folders):
-        fill(folders, 1)
-        plan = build_plan(discover_inputs([str(folders / "in/00.ply")]), str(folders / "one.ply"))
-        assert statuses(ran(folders, plan=plan)) == ["written"]
-        assert statuses(ran(folders, plan=plan)) == ["written"]
-        assert sorted(path.name for path in folders.iterdir()) == ["in", "one.ply"]
-
 
 class TestFailures:
     @posix
@@ -169,15 +162,6 @@ class TestRerun:
             )
         after = {path: path.stat().st_mtime_ns for path in (folders / "out").glob("*.ply")}
         assert after == before
-
-    def test_the_folder_may_move(self, folders):
-        fill(folders, 3)
-        ran(folders)
-        (folders / "out").rename(folders / "moved")
-        plan = plan_of(folders, output=str(folders / "moved"))
-        records = ran(folders, plan=plan)
-        assert statuses(records) == ["up-to-date"] * 3
-        assert records[0].output == str(folders / "moved/00.ply")
 
 
 class TestDryRun:
@@ -298,13 +282,6 @@ class TestCancellation:
         with pytest.raises(KeyboardInterrupt):
             cancellation.check()
 
-    def test_it_asks_nobody_once_the_run_is_over(self):
-        cancellation, asked = Cancellation(), []
-        with cancellation.notify(lambda: asked.append(1)):
-            cancellation.check()
-        cancellation.request()
-        assert asked == []
-
 
 class TestInterrupts:
     """Signals to a real process, which then must leave no process and no half file behind."""
@@ -338,8 +315,12 @@ class TestInterrupts:
 
     @pytest.mark.parametrize(
         ("name", "to_group", "status"),
-        [("SIGINT", True, 130), ("SIGTERM", False, 143), ("SIGHUP", False, 129)]
-        + [("SIGKILL", False, -9)],
+        [
+            ("SIGINT", True, 130),
+            pytest.param("SIGTERM", False, 143, marks=pytest.mark.ci),
+            pytest.param("SIGHUP", False, 129, marks=pytest.mark.ci),
+            ("SIGKILL", False, -9),
+        ],
     )
     def test_a_signal_ends_all_and_keeps_what_is_finished(self, folders, name, to_group, status):
         fill(folders, 12, f06="hang", f07="hang")
@@ -367,13 +348,6 @@ class TestInterrupts:
             assert process.wait(timeout=2) == 143
         assert tree(folders / "out") == {}
 
-    def test_handlers_are_given_back(self, folders):
-        fill(folders, 2)
-        before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-        ran(folders, **WORKERS)
-        after = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
-        assert before == after
-
     def test_a_second_signal_does_not_wait(self):
         code = (
             "import os, signal, time; from msal_cli.batch.interrupts import catch_signals\n"
@@ -386,18 +360,15 @@ class TestInterrupts:
         assert made.stdout.decode().split() == [str(int(signal.SIGINT))]
         assert (made.returncode, made.stderr) == (143, b"msal: interrupted\n")
 
-    @pytest.mark.parametrize(
-        "hold", ["hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)", "time.sleep(60)"]
-    )
-    def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path, hold):
+    def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path):
         # Neither a kernel nor whoever swallows the exception keeps the process.
         code = (
-            "import hashlib, os, pathlib, signal, sys, time\n"
+            "import hashlib, os, pathlib, signal, sys\n"
             "from msal_cli.batch import interrupts as signals\n"
             "clean = pathlib.Path(sys.argv[1]).touch\n"
             "with signals.catch_signals(print), signals.end_if_late(clean):\n"
             "    os.kill(os.getpid(), signal.SIGTERM)\n"
-            f"    {hold}\n"
+            "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"
         )
         began = time.monotonic()
         made = subprocess.run(
@@ -407,9 +378,10 @@ class TestInterrupts:
         assert time.monotonic() - began < 10
         assert (tmp_path / "cleaned").exists()
 
-    def test_a_block_that_is_left_in_time_goes_on(self):
+    def test_a_block_that_is_left_in_time_goes_on(self, monkeypatch):
         from msal_cli.batch import interrupts as signals
 
+        monkeypatch.setattr(signals, "MAX_DELAY_S", 0.2)
         seen, cleaned = [], []
         n_threads = threading.active_count()
         with signals.catch_signals(seen.append), signals.end_if_late(lambda: cleaned.append(1)):

@@ -26,23 +26,9 @@ def order(schedule, at_once=1):
     return gone
 
 
-def test_the_heaviest_go_first_and_the_rest_in_order():
-    schedule = TaskQueue(range(6), weights={1: 50, 4: 70, 5: 50}, light_bytes=10, budget_bytes=1000)
-    assert order(schedule) == [4, 1, 5, 0, 2, 3]
-
-
 def test_what_fits_beside_no_other_goes_alone_and_before_all():
     schedule = TaskQueue(range(4), weights={2: 95, 3: 60}, light_bytes=10, budget_bytes=100)
     assert order(schedule, 4) == [[2, "alone"], 3, 0, 1]
-
-
-def test_small_ones_fill_what_a_large_one_leaves():
-    schedule = TaskQueue(range(5), weights={0: 60, 1: 60}, light_bytes=15, budget_bytes=100)
-    assert schedule.pop([], 0) == 0
-    assert schedule.pop([0], 0) == 2
-    assert schedule.pop([0, 2], 0) == 3
-    assert schedule.pop([0, 2, 3], 0) is None, "60 + 15 + 15 + 15 is more than 100"
-    assert schedule.pop([2, 3], 0) == 1, "the large one has ended, and the next fits"
 
 
 def test_small_ones_do_not_keep_a_large_one_waiting_for_ever():

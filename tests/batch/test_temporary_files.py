@@ -87,12 +87,6 @@ def test_a_process_that_nobody_asked_after_is_dead(tmp_path):
     assert swept == 1
 
 
-def test_living_and_dead(dead):
-    assert is_alive(os.getpid()) and is_alive(os.getppid())
-    assert not is_alive(dead) and not is_alive(0) and not is_alive(-1)
-    assert is_alive(10**30), "what cannot be told counts as alive"
-
-
 def test_describe_exits_in_words():
     assert describe_exit(-9) == "was killed by SIGKILL"
     assert describe_exit(-200) == "was killed by signal 200"

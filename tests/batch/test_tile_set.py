@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from dataclasses import replace
 
 import numpy as np
@@ -70,16 +69,6 @@ def test_files_in_other_formats_have_the_same_positions(tmp_path):
         start += len(vertices)
 
 
-def test_compressed_files_and_conversions(tmp_path):
-    parts = in_tiles(*noisy_terrain(), 2)
-    contents = {f"{i}.ply.gz": gzip.compress(ply(*part)) for i, part in enumerate(parts)}
-    tasks = tasks_of(tmp_path, contents)
-    assert [one.tile_gap for one in denoise_set(tasks, MSAL)] == [0.0] * 4
-    tasks = [replace(one, output=one.output.replace(".ply.gz", ".stl")) for one in tasks]
-    records = denoise_set(tasks, replace(MSAL, to="stl"))
-    assert [one.tile_gap for one in records] == [0.0] * 4, records[0].error
-
-
 def test_alone_the_files_come_apart(tmp_path):
     # Without this the other tests would show nothing.
     parts = in_tiles(*noisy_ball(), 2)
@@ -142,11 +131,6 @@ def test_the_border_to_a_file_that_fails_is_held(tmp_path):
     assert [one.tile_set.fixed_border_vertices for one in records] == [0] * 4
 
 
-def test_a_set_that_cannot_be_read_at_all(tmp_path):
-    records = denoise_set(tasks_of(tmp_path, {"a.ply": b"ply\n", "b.stl": b""}), MSAL)
-    assert [one.status for one in records] == ["failed", "failed"]
-
-
 def test_the_first_failure_may_stop_the_set(tmp_path):
     contents = plies(in_tiles(*noisy_terrain(), 2)) | {"1.ply": b"ply\n"}
     tasks = tasks_of(tmp_path, contents)
@@ -175,22 +159,6 @@ def test_a_file_that_changes_meanwhile_fails(tmp_path):
     assert records[0].tile_gap == 0.0
 
 
-def test_files_without_borders_are_denoised_too(tmp_path):
-    vertices, faces = noisy_ball()
-    contents = {"a.ply": ply(vertices, faces), "b.ply": ply(vertices + (5.0, 0.0, 0.0), faces)}
-    records = denoise_set(tasks_of(tmp_path, contents), MSAL)
-    assert [one.status for one in records] == ["written"] * 2, records[0].error
-    assert [one.tile_set.neighbours for one in records] == [(), ()]
-    assert [one.tile_gap for one in records] == [0.0, 0.0]
-
-
-def test_a_clean_set_stays_as_it_is(tmp_path):
-    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_ball(level=0.0), 2)))
-    records = denoise_set(tasks, replace(MSAL, min_noise="auto"))
-    assert [one.status for one in records] == ["unchanged"] * 4
-    assert all(one.left_alone for one in records)
-
-
 def test_locks_and_trust_come_from_all_files(tmp_path):
     def with_trust(data, n):
         header, _, rest = data.partition(b"end_header\n")
@@ -208,12 +176,3 @@ def test_locks_and_trust_come_from_all_files(tmp_path):
     records = denoise_set(tasks_of(tmp_path, contents), replace(MSAL, weights="trust"))
     assert [one.status for one in records] == ["written"] * 3 + ["failed"]
     assert records[3].error.code == "E_PROPERTY"
-
-
-def test_seconds_add_up(tmp_path):
-    tasks = tasks_of(tmp_path, plies(in_tiles(*noisy_terrain(), 2)))
-    for record in denoise_set(tasks, MSAL):
-        seconds = record.seconds
-        parts = [getattr(seconds, n) for n in ("read", "connectivity", "choose", "normals")]
-        parts += [seconds.sweeps, seconds.measure, seconds.write]
-        assert seconds.sweeps > 0.0 and sum(parts) == pytest.approx(seconds.total, rel=0.05)

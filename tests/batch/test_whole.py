@@ -73,6 +73,7 @@ def test_any_number_of_jobs_writes_the_bytes_that_one_file_alone_would_get(scans
         assert outputs(scans.parent / f"out{jobs}") == alone
 
 
+@pytest.mark.ci
 def test_four_shards_at_once_write_what_one_run_writes(scans):
     """Real processes on one folder, started together; then a whole run finds nothing to do."""
     (scans / "bad.obj").write_text("v 1 2\nf 1 2 3\n")

@@ -15,7 +15,7 @@ import pytest
 
 from msal_cli.batch import workers
 from msal_cli.batch.schedule import Failed, Interrupt, Progress, Retried, Returned, Started, Work
-from msal_cli.batch.workers import WorkerPool, read_message, write_message
+from msal_cli.batch.workers import WorkerPool
 from msal_cli.errors import ResourceError
 from tests.batch import fakes
 from tests.batch.fakes import heard, lost, pool, results
@@ -60,7 +60,6 @@ def test_every_task_is_done_once_and_workers_are_gone_afterwards():
 def test_no_more_workers_than_tasks_and_each_knows_its_threads():
     assert len(set(results(heard(pool([("pid", 0)], jobs=8))).values())) == 1
     assert results(heard(pool([("threads", 0)] * 2, jobs=2, cores=9))) == {0: "4", 1: "4"}
-    assert results(heard(pool([("threads", 0)], jobs=2, cores=9))) == {0: "9"}
     assert results(heard(pool([("threads", 0)] * 2, jobs=2, cores=1))) == {0: "1", 1: "1"}
 
 
@@ -77,8 +76,8 @@ def test_common_and_progress_arrive():
     ("how", "cause", "words"),
     [
         pytest.param("kill", "crash", "SIGKILL", marks=posix),
-        pytest.param("segfault", "crash", "SIGSEGV", marks=posix),
-        pytest.param("abort", "crash", "SIGABRT", marks=posix),
+        pytest.param("segfault", "crash", "SIGSEGV", marks=[posix, pytest.mark.ci]),
+        pytest.param("abort", "crash", "SIGABRT", marks=[posix, pytest.mark.ci]),
         ("exit", "crash", "exit status 3"),
         ("memory", "memory", "not enough memory"),
     ],
@@ -219,19 +218,3 @@ def test_workers_end_when_the_parent_is_killed(tmp_path):
     while any(fakes.is_running(pid) for pid in pids) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not any(fakes.is_running(pid) for pid in pids)
-
-
-def test_messages_cross_a_pipe_whole():
-    reading, writing = os.pipe()
-    try:
-        data = {"bytes": os.urandom(1 << 20), "text": "\udcff\n"}
-        sender = threading.Thread(target=write_message, args=(writing, data))
-        sender.start()
-        assert read_message(reading) == data
-        sender.join()
-        os.write(writing, b"\x05\0\0")
-        os.close(writing)
-        with pytest.raises(EOFError):
-            read_message(reading)
-    finally:
-        os.close(reading)

@@ -278,45 +278,6 @@ def test_the_options_of_the_record_repeat_a_real_choice(tmp_path):
     assert (tmp_path / "1.ply").read_bytes() == (tmp_path / "2.ply").read_bytes()
 
 
-def test_a_failure_before_the_choice_has_the_wishes(tmp_path):
-    scans = folder_of(tmp_path / "in", bad=b"ply\n")
-    record = denoise(scans, "-o", tmp_path / "out", "--strength", "1", code=1)
-    assert record["method"]["name"] == "auto"
-    assert record["method"]["parameters"]["strength"] == 1.0
-    assert record["choice"] is None
-
-
-def test_other_wishes_make_a_file_anew(scan, tmp_path, choose):
-    choose()
-
-    def is_current(*words):
-        made = msal("denoise", scan.parent, "-o", tmp_path / "out", *words)
-        return "is up to date" in made.stderr
-
-    assert not is_current("--auto")
-    assert is_current("--strength", "-0")
-    assert is_current("--method", "auto", "--auto-budget", "60")
-    assert not is_current("--strength", "0.5")
-    assert not is_current("--strength", "0.5", "--prefer", "normals")
-    assert not is_current("--strength", "0.5", "--keep", "texture")
-    assert not is_current("--auto", "--auto-budget", "9")
-    assert not is_current()
-
-
-def test_trust_without_effect_is_a_warning(tmp_path, choose):
-    choose("al")
-    vertices, faces = torus()
-    head, _, rest = ply_text(vertices, faces).partition(b"\nelement face")
-    lines = rest.split(b"\n")
-    body = [line + b" 1" if 2 < at < 3 + len(vertices) else line for at, line in enumerate(lines)]
-    scan = tmp_path / "scan.ply"
-    scan.write_bytes(head + b"\nproperty float q\nelement face" + b"\n".join(body))
-    record = denoise(scan, "-o", tmp_path / "o.ply", "--auto", "--weights", "q")
-    assert record["warnings"][0] == (
-        "--weights has no effect: al has no pull to the scanned positions"
-    )
-
-
 # --assume
 
 
@@ -401,16 +362,6 @@ def test_quiet_files_stay_byte_for_byte(scans, tmp_path):
             assert gate["broken"] == broken[at]
     assert records["clean.ply"]["displacement"]["max"] == 0.0
     assert "left as it is: noise 0.04" in (tmp_path / "log").read_text()
-
-
-def test_with_auto_a_quiet_file_is_left_alone_before_anything_is_tried(scans, tmp_path):
-    words = ("--auto", "--min-noise", "0.06e", "--json")
-    made = msal("denoise", scans / "fair.ply", "-o", tmp_path / "out.ply", *words)
-    record = record_of(made)
-    assert (record["status"], record["choice"]) == ("unchanged", None)
-    assert record["left_alone"]
-    assert "byte for byte as it was: noise 0.04" in made.stderr
-    assert "below --min-noise 0.06e" in made.stderr
 
 
 # --despike

@@ -67,16 +67,6 @@ def test_folders_are_compared_in_pairs_only(scans, words):
     assert made.exit_code == 2 and "two folders" in made.stderr
 
 
-def test_a_file_that_cannot_be_read(scans):
-    made = msal("compare", scans / "a.ply", scans / "bad.ply", "--json")
-    assert made.exit_code == 1
-    data = json.loads(made.stdout)
-    ONE.validate(data)
-    assert data["error"]["code"] == "E_INDEX"
-    assert str(scans / "bad.ply") in made.stderr
-    assert "Traceback" not in made.stderr
-
-
 @pytest.fixture
 def folders(tmp_path):
     a = folder_of(tmp_path / "A", one=closed_scan(0), gone=closed_scan(1))
@@ -100,20 +90,6 @@ def test_folders_are_matched_by_relative_path(folders):
     codes = [found[name]["error"]["code"] for name in ("gone.ply", "new.ply")]
     assert codes == ["E_NO_PARTNER"] * 2
     assert found["new.ply"]["before"] == str(a / "new.ply")
-
-
-def test_folders_as_a_table(folders):
-    a, b = folders
-    made = msal("compare", a, b, "--exclude", "gone.ply", "--exclude", "new.ply")
-    assert (made.exit_code, made.stderr) == (0, "")
-    head, *rows = made.stdout.splitlines()
-    assert head.split()[:2] == ["after", "angle"]
-    assert "below/two.ply  " in rows[0]
-    assert "B/one.ply  " in rows[1]
-    assert rows[-1].startswith("2 compared")
-    partly = msal("compare", a, b)
-    assert partly.exit_code == 3
-    assert "there is no 'gone.ply' in" in partly.stdout
 
 
 def test_a_file_and_a_folder_are_refused(folders):
@@ -174,17 +150,6 @@ def test_two_files(files, name, tolerance, status):
     assert made.exit_code == status
     assert ("vertex_error_percent > " in made.stderr) == (status == 4)
     assert ("tolerance 1 %" in made.stderr) == (status == 4)
-
-
-def test_the_gates_of_a_baseline_are_in_the_object(files):
-    known = baseline_of(files, files / "truth.ply", files / "good.ply")
-    given = ("compare", files / "truth.ply", files / "worse.ply", "--json")
-    made = msal(*given, "--baseline", known, "--tolerance", "0.5%", "--fail-on", "hausdorff < 0")
-    assert made.exit_code == 4
-    gates = json.loads(made.stdout)["gates"]
-    assert gates[0]["expression"] == "hausdorff < 0"
-    broken = {next(iter(one["values"])) for one in gates if one["broken"]}
-    assert {"vertex_error_percent", "displacement.rms_edges"} <= broken
 
 
 @pytest.mark.parametrize(

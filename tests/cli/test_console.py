@@ -10,13 +10,12 @@ import sys
 
 import pytest
 
-from msal_cli.cli import console, logs, report_files
+from msal_cli.cli import console, logs
 from msal_cli.cli import console as talk
-from msal_cli.errors import ContentError, OutputError, UsageError
-from msal_cli.job.records import Failure
+from msal_cli.errors import ContentError, OutputError
 from msal_cli.report.facts import Line
 from tests.cli.scans import BAD_SCAN, msal
-from tests.report.made import HOSTILE_NAMES, failed
+from tests.report.made import HOSTILE_NAMES
 
 
 class Terminal(io.StringIO):
@@ -62,16 +61,6 @@ def test_an_error_in_words(capsys):
         "msal: error: a\\x1b.ply: vertex 17: position is not finite (E_NONFINITE)\n"
         "hint: repair\\nit\n"
     )
-
-
-def test_a_usage_error_needs_no_code_and_no_name_twice(capsys):
-    talk.say_error(UsageError("there is no file 'a.ply'", path="a.ply"))
-    assert capsys.readouterr().err == "msal: error: there is no file 'a.ply'\n"
-
-
-def test_the_failure_of_a_stream(capsys):
-    talk.say_failure("-", Failure("E_FORMAT", "it is no mesh"))
-    assert capsys.readouterr().err == "msal: error: standard input: it is no mesh (E_FORMAT)\n"
 
 
 def test_what_the_encoding_lacks_is_escaped(monkeypatch):
@@ -216,18 +205,6 @@ def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_an_error_of_ours_is_not_traced(tmp_path):
-    path = tmp_path / "msal.log"
-    with pytest.raises(UsageError), logs.log_to_console(0, str(path)):
-        raise UsageError("x")
-    assert path.read_text() == ""
-
-
-def test_a_log_file_that_cannot_be_opened(tmp_path):
-    with pytest.raises(UsageError, match="log file"), logs.log_to_console(0, str(tmp_path)):
-        pytest.fail("the block must not run")
-
-
 @pytest.fixture
 def in_actions(tmp_path, monkeypatch):
     (tmp_path / "scans").mkdir()
@@ -240,10 +217,3 @@ def test_a_run_marks_its_failures_once(in_actions, tmp_path):
     (tmp_path / "scans" / "bad.ply").write_bytes(BAD_SCAN)
     made = msal("denoise", "bad.ply", "-o", tmp_path / "out.ply", "-q")
     assert made.stderr.count("\n::error file=scans/bad.ply,") == 1
-
-
-@pytest.mark.parametrize("value", ["", "false"])
-def test_elsewhere_nothing_is_said(in_actions, monkeypatch, capsys, value):
-    monkeypatch.setenv("GITHUB_ACTIONS", value)
-    report_files.annotate([failed()])
-    assert capsys.readouterr().err == ""

@@ -177,26 +177,6 @@ def test_one_bad_file_is_one_failed_row(mixed, tmp_path):
     assert by_name["bad.ply"]["error.code"] == "E_INDEX"
 
 
-def test_all_failed_is_fatal(tmp_path):
-    folder = folder_of(tmp_path / "in", a=BAD_SCAN, b=BAD_SCAN)
-    made = msal("denoise", folder, "-o", tmp_path / "out", "-q")
-    assert made.exit_code == 1
-    assert made.stdout == ""
-    lines = made.stderr.splitlines()
-    assert lines[0] == "failed: 2"
-    assert [line for line in lines if "(E_INDEX)" in line] == lines[1::2]
-
-
-def test_the_log_file_tells_every_file(scan, tmp_path):
-    (scan.parent / "bad.ply").write_bytes(b"ply\n")
-    log = tmp_path / "night.log"
-    msal("denoise", scan.parent, "-o", tmp_path / "out", "-q", "--log-file", log)
-    text = log.read_text()
-    assert "scan.ply: written" in text
-    assert "bad.ply: failed: E_" in text
-    assert "2 files" in text
-
-
 def test_what_reaches_the_run(scan, tmp_path, monkeypatch):
     heard = []
 
@@ -306,17 +286,6 @@ def test_a_run_that_is_ended_reports_what_was_done(
     assert sorted(one["status"] for one in data["records"]) == ["planned", "written"]
     again = msal("denoise", mixed, "-o", tmp_path / "out", "--method", "msal")
     assert "1 written, 1 up to date" in again.stderr
-
-
-def test_an_interrupt_wins_over_a_report_that_cannot_be_written(mixed, tmp_path, monkeypatch):
-    def full(*given, **named):
-        raise OutputError("the disk is full")
-
-    monkeypatch.setattr(run_module, "run", Ending(KeyboardInterrupt()))
-    monkeypatch.setattr("msal_cli.cli.report_files.write", full)
-    made = msal("denoise", mixed, "-o", tmp_path / "out", "--report", tmp_path / "r.json")
-    assert made.exit_code == 130
-    assert "the disk is full" in made.stderr
 
 
 def test_a_report_that_cannot_be_written_is_fatal_but_json_is_printed(scan, tmp_path, monkeypatch):

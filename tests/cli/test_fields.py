@@ -80,14 +80,6 @@ def test_a_folder_and_a_rerun(scan, tmp_path):
     assert "lambda" in table(tmp_path / "out" / "scan.fields.ply").dtype.names
 
 
-def test_names_that_are_taken_are_refused(scan, tmp_path):
-    (scan.parent / "scan.fields.ply").write_bytes(closed_scan())
-    given = ("denoise", scan.parent, "-o", tmp_path / "out", "--fields", "sigma")
-    made = msal(*given)
-    assert (made.exit_code, (tmp_path / "out").exists()) == (2, False)
-    assert "which is taken" in made.stderr
-
-
 def test_a_file_of_somebody_else_is_not_replaced(scan, tmp_path):
     theirs = tmp_path / "a.fields.ply"
     theirs.write_bytes(b"mine")

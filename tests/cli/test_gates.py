@@ -9,7 +9,6 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from tests.cli.scans import (
-    BAD_SCAN,
     closed_scan,
     folder_of,
     msal,
@@ -96,23 +95,6 @@ def test_report_judges_earlier_runs(scans, tmp_path):
     made = msal("report", output, "--fail-on", "self_intersections > 0")
     assert made.exit_code == 4
     assert "count them with --check self-intersections" in made.stderr
-
-
-def test_compare_judges_pairs(tmp_path):
-    first = folder_of(tmp_path / "first", a=closed_scan(0), b=closed_scan(1))
-    second = folder_of(tmp_path / "second", a=closed_scan(0), b=closed_scan(2))
-    gate = ("--fail-on", "mean_angular_error_deg > 1 or abs(volume_change) > 1%")
-    assert msal("compare", first / "a.ply", second / "a.ply", *gate).exit_code == 0
-    made = msal("compare", first / "b.ply", second / "b.ply", *gate, "--json")
-    assert made.exit_code == 4
-    (result,) = json.loads(made.stdout)["gates"]
-    assert result["broken"] and result["decided"]
-    assert f"{second / 'b.ply'}: broken: mean_angular_error_deg > 1" in made.stderr
-    made = msal("compare", first, second, *gate)
-    assert (made.exit_code, made.stderr.count("broken: ")) == (4, 1)
-    (second / "b.ply").write_bytes(BAD_SCAN)
-    assert msal("compare", first, second, *gate).exit_code == 3
-    assert msal("compare", first, second, "--fail-on", "seconds > 1").exit_code == 2
 
 
 # --reference
@@ -216,18 +198,6 @@ def test_self_intersections_are_counted_on_request(pushed, tmp_path):
     assert msal("report", tmp_path / "gated", *gate).exit_code == 4
 
 
-def test_info_counts_self_intersections(pushed):
-    def count(name, *words):
-        return record_of(msal("info", pushed / name, "--json", *words))["self_intersections"]
-
-    n_pushed = count("pushed.ply", *CHECK)
-    assert count("clean.ply", *CHECK) == 0 < n_pushed
-    assert count("pushed.ply") is None
-    assert "intersecting    0 pairs of faces" in msal("info", pushed / "clean.ply", *CHECK).stdout
-    piped = msal_on((pushed / "pushed.ply").read_bytes(), "info", "-", "--json", *CHECK)
-    assert record_of(piped)["self_intersections"] == n_pushed
-
-
 # Limits on movement
 
 
@@ -262,11 +232,3 @@ def test_lengths_have_units_where_that_of_the_files_is_given(scan, tmp_path):
         made = msal(*words, tmp_path / "none.ply", *more)
         assert (made.exit_code, "mesh files have no unit" in made.stderr) == (2, True)
     assert not (tmp_path / "none.ply").exists()
-
-
-def test_compare_and_report_take_units_too(scan, tmp_path):
-    assert msal("denoise", scan, "-q", "-n", "4", "-o", tmp_path / "out/").exit_code == 0
-    for words in (("compare", scan, tmp_path / "out" / scan.name), ("report", tmp_path / "out")):
-        gate = ("--fail-on", "displacement.max > 1mm")
-        assert [msal(*words, *gate, "--unit", unit).exit_code for unit in ("m", "um")] == [4, 0]
-        assert msal(*words, *gate).exit_code == 2

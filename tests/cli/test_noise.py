@@ -6,7 +6,7 @@ import pytest
 
 from msal_cli.analysis.added_noise import KINDS
 from msal_cli.cli.noise import _KINDS
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, msal_on, ply_text
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
 from tests.shapes import torus
 
 
@@ -80,12 +80,6 @@ def test_an_input_is_not_overwritten_and_the_format_is_kept(scan):
     assert (made.exit_code, scan.with_name("out.stl").exists()) == (1, False)
     assert "the format" in made.stderr
     assert scan.read_bytes() == before
-
-
-def test_what_comes_in_by_a_stream_goes_out_by_one(scan, tmp_path):
-    target = tmp_path / "noisy.ply"
-    msal("noise", scan, "-o", target, "--seed", 2)
-    assert msal_on(scan.read_bytes(), "noise", "-", "--seed", 2).stdout_bytes == target.read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -105,16 +105,6 @@ def test_a_log_of_many_files_has_a_line_every_few_seconds(monkeypatch):
     assert re.fullmatch(r"\[3/4\] 1 failed; about \S+ s left\n", stream.getvalue())
 
 
-def test_a_log_says_the_stage_of_a_file_that_takes_long(monkeypatch):
-    stream, log = logged(monkeypatch, ["a.ply"])
-    log.on_event(Progress(0, "choose", 3, 12))
-    assert stream.getvalue() == ""
-    monkeypatch.setattr(progress, "_SILENT_S", 0.0)
-    log.on_event(Progress(0, "choose", 3, 12))
-    log.on_event(Finished(0, written()))
-    assert stream.getvalue() == "a.ply: choose 3 of 12\n"
-
-
 def test_words_come_above_the_bar(monkeypatch):
     stream = on_a_terminal(monkeypatch)
     bar = progress.bar(tasks("a.ply", "b.ply"), quiet=False)
@@ -146,16 +136,6 @@ def test_a_bar_over_sweeps(monkeypatch):
     assert frames(stream)[-1] == "scan.ply: measure"
     bar.on_event(Finished(0, written()))
     bar.close()
-
-
-def test_a_large_file_shows_a_bar_at_once(monkeypatch, tmp_path):
-    stream = on_a_terminal(monkeypatch)
-    monkeypatch.setattr(progress, "_DELAY_S", 60.0)
-    monkeypatch.setattr(progress, "_LARGE_BYTES", 3)
-    (tmp_path / "a.ply").write_bytes(b"abc")
-    bar = progress.bar([Task(str(tmp_path / "a.ply"), "out", "a.ply")], quiet=False)
-    bar.on_progress("read", 0, 1)
-    assert frames(stream)[-1] == "a.ply: read"
 
 
 def seen_on_a_terminal(*arguments, **options):
@@ -203,5 +183,3 @@ def test_a_real_terminal(tmp_path):
     assert "failed: 1" in seen
     assert "\x1b[3" not in seen
     assert "\x1b[2" not in seen
-    _, seen, _ = seen_on_a_terminal(*made, "-q")
-    assert "%|" not in seen

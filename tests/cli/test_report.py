@@ -152,15 +152,6 @@ class TestSeveral:
         # The folder's own record of s1 is newer than the first report's, and no other is.
         assert set(by_name(told("first.json", "out")).values()) == {"written"}
 
-    def test_a_manifest_by_name(self, scans):
-        for k in (1, 2):
-            denoised("--shard", f"{k}/2")
-        manifests = sorted(str(one) for one in (scans.parent / "out").glob(".msal-manifest-*"))
-        assert len(manifests) == 2
-        assert told(*manifests)["totals"]["written"] == 3
-        shutil.copy(manifests[0], "kept.jsonl")
-        assert told("kept.jsonl")["records"] == told(manifests[0])["records"]
-
 
 class TestRefusals:
     @pytest.mark.parametrize(
@@ -240,14 +231,6 @@ def test_reports_are_written_with_their_folder(tmp_path):
     assert len((tmp_path / "new" / "r.JSONL").read_bytes().splitlines()) == 1
     assert (tmp_path / "new" / "r.csv").read_bytes().startswith(b"input,")
     assert len(list((tmp_path / "new").iterdir())) == 3
-
-
-def test_one_that_cannot_be_written_does_not_keep_back_the_others(tmp_path):
-    (tmp_path / "file").write_text("")
-    good = tmp_path / "good.json"
-    with pytest.raises(OutputError, match="cannot be made"):
-        reports.write([str(tmp_path / "file" / "a.json"), str(good)], RUN, [written()])
-    assert good.exists()
 
 
 def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):

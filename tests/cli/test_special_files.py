@@ -8,7 +8,7 @@ import pytest
 
 from msal_cli.cli import report_files
 from msal_cli.errors import UsageError
-from tests.cli.scans import closed_scan, folder_of, msal, open_scan, process
+from tests.cli.scans import closed_scan, folder_of, msal, open_scan
 from tests.time_limit import time_limit
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
@@ -172,21 +172,6 @@ def test_outputs_are_as_private_as_the_mesh(scan, tmp_path, name, words):
     assert mode_of(out) == 0o600
 
 
-def test_a_private_file_that_the_shell_redirects(scan, tmp_path):
-    out = tmp_path / "out.ply"
-    with scan.open("rb") as stream:
-        done = process("denoise", "-", "-o", out, "--method", "al", "-q", stdin=stream)
-    assert done.returncode == 0
-    assert mode_of(out) == 0o600
-
-
-def test_a_report_has_no_mesh_in_it(scan, tmp_path):
-    report = tmp_path / "run.json"
-    words = ("--method", "al", "--report", report)
-    assert msal("denoise", scan, "-o", tmp_path / "out.ply", *words).exit_code == 0
-    assert mode_of(report) == 0o644
-
-
 DENOISE = ("denoise", "in/a.ply", "-o", "out", "--method", "al", "-q")
 
 
@@ -288,13 +273,6 @@ def test_a_found_file_writes_nothing_outside_nor_over_others(project, text, word
     made = msal("denoise", *words)
     assert (made.exit_code, message in made.stderr) == (2, True), made.stderr
     assert contents(project) == before
-
-
-def test_a_found_file_may_name_a_report_in_the_output_folder(project):
-    (project / "msal.toml").write_text("[denoise]\nmethod = 'al'\nreport = 'out/r.html'\n")
-    for _ in range(2):
-        assert msal("denoise", "in/a.ply", "-o", "out/", "-q").exit_code == 0
-    assert (project / "out/r.html").exists()
 
 
 @pytest.mark.parametrize("words", [("view", "in/a.ply"), ("sweep", "in/a.ply")])

@@ -19,7 +19,6 @@ from msal_cli.cli.streams import Stream, choose_format, copy_stream, find_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError, UsageError
 from msal_cli.storage import regular
 from tests.cli.scans import (
-    BAD_SCAN,
     MSAL,
     closed_scan,
     folder_of,
@@ -134,7 +133,7 @@ def test_a_stream_that_cannot_be_read_or_kept(tmp_path, monkeypatch):
             copy_stream(str(tmp_path / "none" / "copy"), None, None)
 
 
-def test_within_the_limits_the_result_is_the_same(tmp_path, scratch, denoised):
+def test_within_the_limits_the_result_is_the_same(tmp_path, scratch, denoised, workers):
     made = msal_on(SCAN, "denoise", "-", "--timeout", "5m", "--memory-limit", "2G")
     assert made.exit_code == 0, made.stderr
     assert made.stdout_bytes == denoised
@@ -147,7 +146,7 @@ def test_within_the_limits_the_result_is_the_same(tmp_path, scratch, denoised):
     assert output.read_bytes()[:2] == b"\x1f\x8b"
 
 
-def test_a_worker_that_takes_too_long_is_ended(tmp_path, scratch):
+def test_a_worker_that_takes_too_long_is_ended(tmp_path, scratch, workers):
     scan = folder_of(tmp_path / "in", scan=SCAN) / "scan.ply"
     report = tmp_path / "r.json"
     made = msal("denoise", scan, "-o", "-", "--timeout", "0.001", "--report", report)
@@ -206,25 +205,6 @@ def test_a_file_is_compressed_if_its_name_says_so(tmp_path, denoised, is_packed,
     assert (gzip.decompress(written) if name.endswith(".gz") else written) == denoised
     assert (record["input"], record["output"]) == ("-", str(output))
     assert record["output_sha256"] == hashlib.sha256(written).hexdigest()
-
-
-def test_nothing_is_written_if_something_is_wrong(tmp_path):
-    made = msal_on(BAD_SCAN, "denoise", "-", "-o", tmp_path / "o.ply", "--json")
-    assert made.exit_code == 1
-    assert json.loads(made.stdout)["records"][0]["error"]["code"] == "E_INDEX"
-    assert list(tmp_path.iterdir()) == []
-    assert msal_on(BAD_SCAN, "denoise", "-").stdout == ""
-
-
-def test_an_output_that_cannot_be_written_is_reported(tmp_path):
-    (tmp_path / "file").write_text("")
-    made = msal_on(
-        SCAN, "denoise", "-", "-o", tmp_path / "file" / "o.ply", "--report", tmp_path / "r.json"
-    )
-    assert made.exit_code == 1
-    assert "(E_WRITE)" in made.stderr
-    (record,) = json.loads((tmp_path / "r.json").read_bytes())["records"]
-    assert (record["status"], record["error"]["code"]) == ("failed", "E_WRITE")
 
 
 @pytest.mark.parametrize(

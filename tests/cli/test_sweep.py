@@ -74,12 +74,6 @@ def test_what_msal_chooses_is_shown_and_the_nearest_is_named(scans):
     assert words.splitlines()[-1].endswith(data["nearest"])
 
 
-def test_the_reference_gives_angles(scans):
-    words, _ = swept(scans, "--reference", scans / "clean.ply", "--columns", "K=0.5,1", "--json")
-    errors = [cell["mean_angular_error_deg"] for cell in json.loads(words)["cells"]]
-    assert len(errors) == 2 and all(0.0 < error < 60.0 for error in errors)
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

@@ -49,14 +49,6 @@ def test_records_name_the_neighbours(tiles):
     ]
 
 
-def test_without_the_option_there_is_no_gap_to_speak_of(tiles):
-    folder, out = tiles
-    done = msal("denoise", folder, "-o", out, "--json", "--fail-on", "tile_gap > 0")
-    assert done.exit_code == 4
-    assert "--tile-set" in done.stderr or "--tile-set" in done.stdout
-    assert all(one["tile_gap"] is None for one in json.loads(done.stdout)["records"])
-
-
 def test_a_set_is_up_to_date_as_a_whole(tiles):
     folder, out = tiles
     assert states(tiles) == ["written"] * 4
@@ -120,14 +112,6 @@ def test_a_dry_run_lists_neighbours_and_memory(tiles):
     assert not tiles[1].exists()
 
 
-def test_fields_and_checks_go_with_a_set(tiles):
-    _, out = tiles
-    records = records_of(tiles, "--fields", "displacement,lambda", "--check", "self-intersections")
-    assert [one["status"] for one in records] == ["written"] * 4
-    assert (out / "0.fields.ply").exists()
-    assert all(one["self_intersections"]["created"] == 0 for one in records)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -139,8 +123,3 @@ def test_fields_and_checks_go_with_a_set(tiles):
 def test_what_does_not_go_with_a_set(tiles, options, words):
     done = denoise(tiles, *options)
     assert done.exit_code == 2 and words in done.stderr
-
-
-def test_a_set_needs_an_output(tiles):
-    done = msal("denoise", tiles[0], "--in-place", "--tile-set")
-    assert done.exit_code == 2 and "--in-place cannot be used with --tile-set" in done.stderr

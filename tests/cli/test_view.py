@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
 import sys
 import webbrowser
 
@@ -94,13 +93,9 @@ def test_without_a_name_the_page_is_in_the_current_folder(scans, tmp_path, monke
 
 
 def test_standard_output_takes_a_picture(scans):
-    made = subprocess.run(
-        [sys.executable, "-m", "msal_cli", "view", scans / "a.ply", "-o", "-", "--size", "64"],
-        capture_output=True,
-        check=True,
-    )
-    assert Image.open(io.BytesIO(made.stdout)).format == "PNG"
-    assert made.stderr == b""
+    made = msal("view", scans / "a.ply", "-o", "-", "--size", "64")
+    assert Image.open(io.BytesIO(made.stdout_bytes)).format == "PNG"
+    assert made.stderr == ""
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from msal_cli.errors import UsageError
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import (
+    bilateral_averages,
     difference_width,
 )
 from msal_cli.mesh import prepare_mesh
@@ -304,3 +305,35 @@ def test_the_normals_follow_as_the_definition_says(shape, share):
     actual = denoise("wiener", mesh, **chosen, normal_iterations=2, vertex_iterations=3)
     assert_twin(mesh, actual, expected)
     assert np.abs(actual - guide).max() > 1e-3
+
+
+def averaged(normals, areas, exponents, similarity):
+    """One pass over faces all of which neighbour the first; the exponents of their distances."""
+    others = len(normals) - 1
+    centroids = np.zeros((others + 1, 3))
+    centroids[1:, 0] = np.sqrt(2.0 * np.asarray(exponents))  # sigma_c = 1
+    return bilateral_averages(
+        np.array(normals, dtype=float),
+        np.array(areas, dtype=float),
+        centroids,
+        np.array([0, others] + [others] * others, dtype=np.int32),
+        np.arange(1, others + 1, dtype=np.int32),
+        1.0,
+        similarity,
+        1,
+        lambda: None,
+    )[0]
+
+
+def test_far_neighbours_do_not_underflow():
+    # exp(-5000) is zero; the nearer of the two must count all the same, e times as much.
+    out = averaged([[0, 0.6, 0.8], [0, 0.8, 0.6], [0.8, 0, 0.6]], [1, 1, 1], [5000, 5000.68], 9.0)
+    assert np.isfinite(out).all()
+    assert out[1] > out[0] > 0.1
+
+
+def test_faces_without_area_do_not_count():
+    out = averaged([[0, 0, 1], [0, 0, 0], [0, 0.6, 0.8]], [1, 0, 1e-9], [0, 50], 0.35)
+    assert out == pytest.approx([0, 0.6, 0.8], abs=1e-15)
+    assert (averaged([[0, 0, 1], [0, 0, 0]], [1, 0], [0], 0.35) == [0, 0, 1]).all()
+    assert (averaged([[0, 0, 0], [0, 0, 1]], [0, 1], [0], 0.35) == 0).all()
