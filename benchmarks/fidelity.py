@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli import methods
-from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
 from msal_cli.mesh import Mesh
 
@@ -64,7 +64,7 @@ ROWS: dict[str, list[Setting]] = {
 
 def errors(true: Mesh, mesh: Mesh) -> Floats:
     """Mean angle in degrees, and vertex error in %."""
-    angle = normal_statistics(true, mesh).mean_angular_error_deg
+    angle = measure_surface_change(true, mesh).mean_angular_error_deg
     return np.array([angle, vertex_error_percent(true, displacement_of_moved(true, mesh))])
 
 

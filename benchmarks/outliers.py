@@ -75,7 +75,7 @@ def errors(mesh: Mesh, true: Mesh, wishes: dict[str, Any] | None) -> str:
         run = made.method.denoise(mesh, made.parameters, lambda done, total: None)
         vertices = run.vertices
     result = true.with_vertices(vertices)
-    angle = measure_surface_change(true, result).normals.mean_angular_error_deg
+    angle = measure_surface_change(true, result).mean_angular_error_deg
     distance = 100.0 * surface_distances(true, result)[0].mean / true.mean_edge_length
     vertices_off = vertex_error_percent(true, displacement_of_moved(true, result))
     return f"{angle:.2f} / {vertices_off:.1f} / {distance:.1f}"

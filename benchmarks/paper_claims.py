@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from msal_cli import codecs, methods
-from msal_cli.analysis.measures import area_and_volume, normal_statistics
+from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
 from msal_cli.storage import gzip_streams
 
@@ -52,7 +52,7 @@ def errors(clean: Mesh, mesh: Mesh) -> str:
     """Mean angle between face normals / mean vertex distance in % of the mean edge length."""
     used = np.diff(clean.topology.ring_start) > 0
     distance = np.linalg.norm(mesh.vertices - clean.vertices, axis=1)[used].mean()
-    angle = normal_statistics(clean, mesh).mean_angular_error_deg
+    angle = measure_surface_change(clean, mesh).mean_angular_error_deg
     return f"{angle:.2f}° / {100 * distance / clean.mean_edge_length:.1f} %"
 
 

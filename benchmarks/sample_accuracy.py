@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from msal_cli import codecs, methods
-from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.mesh import PreparedMesh, prepare_mesh
 from msal_cli.storage import gzip_streams
 
@@ -50,7 +50,7 @@ def errors(name: str) -> list[tuple[float, float]]:
         if setting is not None:
             method = methods.find(setting[0])
             vertices = method.denoise(mesh, method.validate(setting[1])).vertices
-        angle = normal_statistics(mesh.with_vertices(vertices), truth).mean_angular_error_deg
+        angle = measure_surface_change(mesh.with_vertices(vertices), truth).mean_angular_error_deg
         along = ((vertices - truth.vertices) * normals).sum(axis=1)
         rows.append((angle, float(np.sqrt((along**2).mean()) / truth.mean_edge_length)))
     return rows

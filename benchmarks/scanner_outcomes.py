@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
 from msal_cli import codecs, methods
-from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.analysis.surface_distance import (
     displacement_of_moved,
     distances_to_surface,
@@ -85,7 +85,7 @@ def measure_errors(pair: Pair, result: Mesh) -> Errors:
     true = pair.true
     if pair.has_same_faces:
         edge = true.mean_edge_length
-        angle = normal_statistics(true, result).mean_angular_error_deg
+        angle = measure_surface_change(true, result).mean_angular_error_deg
         vertex = vertex_error_percent(true, displacement_of_moved(true, result))
     else:
         edge = pair.noisy.mean_edge_length

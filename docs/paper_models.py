@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.measures import measure_surface_change, normal_statistics
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
 from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
@@ -60,7 +60,7 @@ def volume(mesh: Mesh, origin: Floats) -> float:
 
 def angle(clean: Mesh, mesh: Mesh) -> float:
     """Mean angle between face normals in degrees."""
-    return normal_statistics(clean, mesh).mean_angular_error_deg
+    return measure_surface_change(clean, mesh).mean_angular_error_deg
 
 
 def face_angles(clean: Mesh, mesh: Mesh) -> Floats:

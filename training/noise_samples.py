@@ -10,7 +10,7 @@ from numpy.random import Generator
 
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence
-from msal_cli.analysis.noise_estimate.white import estimate_white
+from msal_cli.analysis.noise_estimate.fits import estimate_white
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, MsalError
 from msal_cli.kernels.geometry import ring_means

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from msal_cli.analysis.measures import share_over_rings
 from msal_cli.arrays import Floats
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.mesh import Mesh
@@ -212,25 +213,6 @@ def add_plain_noise(
 ) -> Floats:
     """Short for ``add_noise`` where a kind has no other settings."""
     return add_noise(mesh, AddedNoise(kind, level, seed, fraction))
-
-
-def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
-    """Heights (n,) averaged ``rings`` times over closed one-rings, with a root mean square of 1.
-
-    Neighbours then share noise: on a regular triangle grid the correlation with a neighbour is
-    0.57 after one average and 0.78 after two.  With no rings they are returned as they are.
-    """
-    from msal_cli.kernels.geometry import ring_means
-
-    if not rings:
-        return heights
-    ring_start, ring = mesh.topology.ring_start, mesh.topology.ring
-    counts = np.diff(ring_start).astype(np.float64)
-    for _ in range(rings):
-        means = ring_means(heights, ring_start, ring)
-        heights = (counts * means + heights) / (counts + 1.0)
-    used = heights[mesh.topology.has_ring]
-    return heights / math.sqrt(float((used * used).mean()))
 
 
 def grazing_growth(normals: Floats, axis: Floats) -> Floats:

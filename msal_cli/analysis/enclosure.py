@@ -7,7 +7,6 @@ but for cavities: a part within another one keeps its winding relative to that o
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,56 +99,29 @@ def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> En
 
 def _enclosure_by_part(mesh: Mesh) -> Enclosure:
     from msal_cli.kernels.connectivity import component_labels
-
-    labels = component_labels(len(mesh.vertices), mesh.faces)
-    numbers = np.unique(labels[mesh.faces[:, 0]])
-    # Vertices that no face uses are parts of their own; what they get here does not matter.
-    parts = np.searchsorted(numbers, labels).clip(max=len(numbers) - 1)
-    is_turned = turned_parts(
-        *_measure_parts(mesh, parts, len(numbers)), lambda: _boxes(mesh, parts, len(numbers))
-    )
-    n_turned = int(np.count_nonzero(is_turned))
-    inward = is_turned[parts[mesh.faces[:, 0]]] if n_turned else None
-    return Enclosure(inward, n_turned, len(numbers))
-
-
-def turned_parts(
-    volumes: Floats, areas: Floats, boxes: Callable[[], tuple[Floats, Floats]]
-) -> NDArray[np.bool_]:
-    """Which parts (k,) of a closed surface are inside out, by their signed volumes and areas.
-
-    ``boxes()`` gives the least and greatest coordinates (k, 3) of each.
-    """
-    is_turned = np.array([is_negative(*figures) for figures in zip(volumes, areas, strict=True)])
-    return is_turned[_outermost(*boxes())] if is_turned.any() else is_turned
-
-
-def _measure_parts(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[Floats, Floats]:
-    """Signed volumes and areas of parts (n_parts,); ``parts`` (n,) is that of each vertex."""
     from msal_cli.kernels.geometry import face_normals_and_areas
 
     first = mesh.faces[:, 0]
+    labels = component_labels(len(mesh.vertices), mesh.faces)
+    numbers, part_of_face = np.unique(labels[first], return_inverse=True)
+    n_parts = len(numbers)
     normals, face_areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     # A face and the origin span a third of area times height.
     heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
-    areas = np.bincount(parts[first], face_areas, n_parts).astype(np.float64, copy=False)
-    volumes = np.bincount(parts[first], face_areas * heights, n_parts) / 3.0
-    return volumes, areas
-
-
-def _boxes(mesh: Mesh, parts: NDArray[np.intp], n_parts: int) -> tuple[Floats, Floats]:
-    """Least and greatest coordinates (n_parts, 3) of the vertices that faces use, by part."""
+    areas = np.bincount(part_of_face, face_areas, n_parts)
+    volumes = np.bincount(part_of_face, face_areas * heights, n_parts) / 3.0
+    is_turned = np.array([is_negative(*figures) for figures in zip(volumes, areas, strict=True)])
+    if not is_turned.any():
+        return Enclosure(None, 0, n_parts)
     used = np.flatnonzero(mesh.topology.has_ring)
-    order = used[np.argsort(parts[used], kind="stable")]
-    starts = np.searchsorted(parts[order], np.arange(n_parts))
-    positions = mesh.vertices[order]
-    return np.minimum.reduceat(positions, starts), np.maximum.reduceat(positions, starts)
-
-
-def _outermost(low: Floats, high: Floats) -> NDArray[np.intp]:
-    """For each of several boxes (k, 3) the largest one that it lies in, itself if there is none."""
+    part_of_vertex = np.searchsorted(numbers, labels[used])
+    low, high = np.full((n_parts, 3), np.inf), np.full((n_parts, 3), -np.inf)
+    np.minimum.at(low, part_of_vertex, mesh.vertices[used])
+    np.maximum.at(high, part_of_vertex, mesh.vertices[used])
+    # Each part is as the largest one whose box it lies in: itself, if there is none.
     is_within = (low[:, None] > low[None]).all(axis=2) & (high[:, None] < high[None]).all(axis=2)
-    is_within |= np.eye(len(low), dtype=bool)
-    sizes = (high - low).prod(axis=1)
-    found: NDArray[np.intp] = np.where(is_within, sizes[None], -1.0).argmax(axis=1)
-    return found
+    is_within |= np.eye(n_parts, dtype=bool)
+    outermost = np.where(is_within, (high - low).prod(axis=1)[None], -1.0).argmax(axis=1)
+    is_turned = is_turned[outermost]
+    n_turned = int(np.count_nonzero(is_turned))
+    return Enclosure(is_turned[part_of_face] if n_turned else None, n_turned, n_parts)

@@ -15,13 +15,11 @@ that is less by 4 times the noise squared, and 95 % of the vertices within 2.8 t
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from msal_cli.analysis.measures import SurfaceChange, relative_volume_change
-from msal_cli.arrays import Ints
 from msal_cli.mesh import Mesh
 
 FLIPPED_SHARE = 0.02
@@ -73,13 +71,27 @@ def harmful_change(
 
     Parameters
     ----------
-    change : ``surface_change(before, after)``, best with the volumes that are enclosed
+    change : ``measure_surface_change(before, after)``, best with the volumes that are enclosed
         (``Enclosure.change``): those of parts that are inside out would count against the others.
     has_volume : whether the volume means anything (``Defects.volume_objection`` is empty).
     """
-    return judge_change(
-        change, len(before.faces), lambda: folded_faces(before), has_volume=has_volume
-    )
+    share = _volume_share(change, has_volume)
+    if share is not None and abs(share) > VOLUME_SHARE:
+        return Harm(VOLUME, f"the volume changed by {100.0 * share:+.1f} %")
+    n_flipped, n_faces = change.flipped_faces, len(before.faces)
+    allowed = FLIPPED_SHARE * n_faces
+    # Folds are counted only where that can matter.
+    if n_flipped > allowed and n_flipped > allowed + FLIPS_PER_FOLD * folded_faces(before):
+        percent = 100.0 * n_flipped / n_faces
+        return Harm(FLIPPED, f"{n_flipped:,} of {n_faces:,} faces flipped ({percent:.1f} %)")
+    return None
+
+
+def _volume_share(change: SurfaceChange, has_volume: bool) -> float | None:
+    """Relative change of the volume, None where it means nothing."""
+    if not has_volume:
+        return None
+    return relative_volume_change(change.volume_before, change.volume_after, change.area_before)
 
 
 def excessive_change(
@@ -101,11 +113,7 @@ def excessive_change(
     """
     noise = min(noise_edges, MAX_NOISE)
     words = f"noise of {noise:.2g} e explains"
-    share = None
-    if has_volume:
-        share = relative_volume_change(
-            change.volume_before, change.volume_after, change.area_before
-        )
+    share = _volume_share(change, has_volume)
     if share is not None:
         layer = noise * edge * change.area_before / abs(change.volume_before)
         bound = leeway * (MIN_VOLUME + VOLUME_PER_NOISE * layer)
@@ -122,48 +130,16 @@ def excessive_change(
     return None
 
 
-def judge_change(
-    change: SurfaceChange, n_faces: int, count_folded: Callable[[], int], *, has_volume: bool
-) -> Harm | None:
-    """The same from figures: ``count_folded()`` gives how many of the ``n_faces`` faces are folded
-    before, and is called only where that can matter."""
-    if has_volume:
-        share = relative_volume_change(
-            change.volume_before, change.volume_after, change.area_before
-        )
-        if share is not None and abs(share) > VOLUME_SHARE:
-            return Harm(VOLUME, f"the volume changed by {100.0 * share:+.1f} %")
-    n_flipped = change.normals.flipped_faces
-    if n_flipped > FLIPPED_SHARE * n_faces:
-        allowed = FLIPPED_SHARE * n_faces + FLIPS_PER_FOLD * count_folded()
-        if n_flipped > allowed:
-            share = n_flipped / n_faces
-            return Harm(
-                FLIPPED, f"{n_flipped:,} of {n_faces:,} faces flipped ({100.0 * share:.1f} %)"
-            )
-    return None
-
-
 def folded_faces(mesh: Mesh) -> int:
     """How many faces face away from the mollified normals at their corners.
 
     Of more than ``MAX_SAMPLED`` faces every k-th one is counted, and the count is scaled.
     """
-    step = sampling_step(len(mesh.faces))
-    return count_folds(mesh, np.ascontiguousarray(mesh.faces[::step])) * step
-
-
-def sampling_step(n_faces: int) -> int:
-    """k where of so many faces every k-th one is looked at for folds."""
-    return max(n_faces // MAX_SAMPLED, 1)
-
-
-def count_folds(mesh: Mesh, faces: Ints) -> int:
-    """How many of ``faces`` (k, 3) face away from the mollified normals at their corners."""
     from msal_cli.kernels.geometry import face_normals
 
+    step = max(len(mesh.faces) // MAX_SAMPLED, 1)
+    faces = np.ascontiguousarray(mesh.faces[::step])
     # Most methods have computed these normals.
-    at_vertices = mesh.vertex_normals("uniform", 1)
-    around = at_vertices[faces].sum(axis=1)
+    around = mesh.vertex_normals("uniform", 1)[faces].sum(axis=1)
     alike = np.einsum("ij,ij->i", face_normals(mesh.vertices, faces), around)
-    return int(np.count_nonzero(alike < 0.0))
+    return int(np.count_nonzero(alike < 0.0)) * step

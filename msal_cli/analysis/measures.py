@@ -64,57 +64,39 @@ def displacement_statistics(
 
 
 @dataclass(frozen=True)
-class NormalStatistics:
-    """Angles between corresponding face normals, over the faces that have one in both meshes.
+class SurfaceChange:
+    """Areas in squared and signed volumes in cubed file units, and the angles between corresponding
+    face normals, over the faces that have one in both meshes.
 
     ``mean_angular_error_deg`` is what much of the literature prints as MSAE;
     ``flipped_faces`` turned by more than a right angle.
     """
 
-    mean_angular_error_deg: float
-    max_angular_error_deg: float
-    flipped_faces: int
-
-
-@dataclass(frozen=True)
-class SurfaceChange:
-    """Areas in squared and signed volumes in cubed file units, and the angles between normals."""
-
     area_before: float
     area_after: float
     volume_before: float
     volume_after: float
-    normals: NormalStatistics
+    mean_angular_error_deg: float
+    max_angular_error_deg: float
+    flipped_faces: int
 
 
 def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
     from msal_cli.kernels import geometry as core
 
-    return surface_change_of(core.surface_figures(before.vertices, after.vertices, before.faces))
-
-
-def surface_change_of(figures: Floats) -> SurfaceChange:
-    """The change that ``kernels.geometry.surface_figures`` (N_FIGURES,) tell."""
-    from msal_cli.kernels import geometry as core
-
-    compared = figures[core.COMPARED]
+    figures = core.surface_figures(before.vertices, after.vertices, before.faces)
     return SurfaceChange(
         area_before=float(figures[core.DOUBLED_AREA_BEFORE] / 2.0),
         area_after=float(figures[core.DOUBLED_AREA_AFTER] / 2.0),
         volume_before=float(figures[core.SIXFOLD_VOLUME_BEFORE] / 6.0),
         volume_after=float(figures[core.SIXFOLD_VOLUME_AFTER] / 6.0),
-        normals=NormalStatistics(
-            mean_angular_error_deg=float(np.degrees(figures[core.ANGLES] / max(compared, 1.0))),
-            max_angular_error_deg=float(np.degrees(figures[core.LARGEST_ANGLE])),
-            flipped_faces=int(figures[core.FLIPPED]),
+        mean_angular_error_deg=float(
+            np.degrees(figures[core.ANGLES] / max(figures[core.COMPARED], 1.0))
         ),
+        max_angular_error_deg=float(np.degrees(figures[core.LARGEST_ANGLE])),
+        flipped_faces=int(figures[core.FLIPPED]),
     )
-
-
-def normal_statistics(before: Mesh, after: Mesh) -> NormalStatistics:
-    """Angles between the face normals of two meshes with the same faces."""
-    return measure_surface_change(before, after).normals
 
 
 def mean_curvature(mesh: Mesh) -> Floats:
@@ -204,13 +186,22 @@ def apply_umbrella(mesh: Mesh, values: Floats) -> Floats:
     return moves
 
 
-@dataclass(frozen=True)
-class IntersectionChange:
-    """Pairs of faces that intersect before and after, and those after that did not before."""
+def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
+    """Heights (n,) averaged ``rings`` times over closed one-rings, with a root mean square of 1.
 
-    before: int
-    after: int
-    created: int
+    Neighbours then share noise: on a regular triangle grid the correlation with a neighbour is
+    0.57 after one average and 0.78 after two.  With no rings they are returned as they are.
+    """
+    from msal_cli.kernels.geometry import ring_means
+
+    if not rings:
+        return heights
+    counts = np.diff(mesh.topology.ring_start).astype(np.float64)
+    for _ in range(rings):
+        means = ring_means(heights, *mesh.topology.one_ring)
+        heights = (counts * means + heights) / (counts + 1.0)
+    used = heights[mesh.topology.has_ring]
+    return heights / math.sqrt(float((used * used).mean()))
 
 
 def count_self_intersections(mesh: Mesh) -> int:
@@ -221,14 +212,14 @@ def count_self_intersections(mesh: Mesh) -> int:
     return len(_pairs(mesh))
 
 
-def self_intersection_change(before: Mesh, after: Mesh) -> IntersectionChange:
-    """The counts for a mesh and the same faces at other positions."""
+def self_intersection_change(before: Mesh, after: Mesh) -> tuple[int, int, int]:
+    """The counts for a mesh and the same faces at other positions, and how many pairs intersect
+    after that did not before."""
     pairs = _pairs(before)
     if np.array_equal(before.vertices, after.vertices):
-        return IntersectionChange(len(pairs), len(pairs), 0)
+        return len(pairs), len(pairs), 0
     later = _pairs(after)
-    created = np.setdiff1d(later, pairs, assume_unique=True)
-    return IntersectionChange(len(pairs), len(later), len(created))
+    return len(pairs), len(later), len(np.setdiff1d(later, pairs, assume_unique=True))
 
 
 def _pairs(mesh: Mesh) -> Longs:

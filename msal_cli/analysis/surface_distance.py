@@ -37,32 +37,20 @@ def find_obstacle() -> str:
 
 
 def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
-    """Distances (n,) from points (n, 3) to the nearest point of ``surface``, file units.
-
-    Raises
-    ------
-    UnsupportedError
-        with code ``E_NO_LIBRARY`` where FCPW is not installed.
-    """
+    """Distances (n,) from points (n, 3) to the nearest point of ``surface``, file units; errors
+    as of ``build_scene``."""
     return nearest_on_surface(points, surface)[1]
 
 
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
     """The triangle of ``surface`` nearest to each of the points (n, 3), and its distance in file
-    units, both (n,).
-
-    Raises
-    ------
-    UnsupportedError
-        with code ``E_NO_LIBRARY`` where FCPW is not installed.
-    """
-    require_library()
-    import fcpw
-
+    units, both (n,); errors as of ``build_scene``."""
     vertices, faces = surface.vertices, surface.faces
     # In single precision, coordinates of 1e25 would overflow when squared, and 1e-25 vanish.
     scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(vertices).max()))
     scene = build_scene(surface, scale)
+    import fcpw
+
     triangles = np.empty(len(points), dtype=np.int32)
     distances = np.empty(len(points))
     for start in range(0, len(points), AT_ONCE):
@@ -79,9 +67,16 @@ def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
     return triangles, distances
 
 
-def require_library() -> None:
-    """Raise UnsupportedError, ``E_NO_LIBRARY``, where FCPW is not installed, and ResourceError
-    where its tree would not fit into memory."""
+def build_scene(surface: Mesh, scale: float) -> Any:
+    """The library's search tree over a mesh, whose coordinates are divided by ``scale``.
+
+    Raises
+    ------
+    UnsupportedError
+        with code ``E_NO_LIBRARY`` where FCPW is not installed.
+    ResourceError
+        where the tree would not fit into memory.
+    """
     if array_files.are_used():
         raise ResourceError(
             "distances to a surface and rays need a search tree, which does not fit into memory",
@@ -89,20 +84,13 @@ def require_library() -> None:
             hint="use a machine with more memory",
         )
     try:
-        import fcpw  # noqa: F401
+        import fcpw
     except ImportError:
         raise UnsupportedError(
             "distances to a surface and rays need the package fcpw, which is not installed",
             code="E_NO_LIBRARY",
             hint="install it with pip install fcpw; where it has no wheel it must be built",
         ) from None
-
-
-def build_scene(surface: Mesh, scale: float) -> Any:
-    """The library's search tree over a mesh, whose coordinates are divided by ``scale``."""
-    require_library()
-    import fcpw
-
     scene = fcpw.scene_3D()
     scene.set_object_count(1)
     scene.set_object_vertices(single(surface.vertices, scale), 0)
@@ -144,13 +132,6 @@ def _dot_rows(first: Floats, second: Floats) -> Floats:
     return products
 
 
-def have_same_faces(
-    vertices: Floats, faces: Ints, other_vertices: Floats, other_faces: Ints
-) -> bool:
-    """Whether two files have as many vertices and the very same faces, in the same order."""
-    return len(vertices) == len(other_vertices) and np.array_equal(faces, other_faces)
-
-
 def at_other_positions(ready: PreparedMesh, vertices: Floats) -> Mesh:
     """The prepared mesh with its vertices where ``vertices`` (n_file, 3) of another file are.
 
@@ -175,13 +156,6 @@ def displacement_of_moved(before: Mesh, after: Mesh) -> DisplacementStatistics:
     return displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)
 
 
-def vertex_distances(before: Floats, after: Floats) -> Floats:
-    """Distances (n,) between corresponding positions (n, 3)."""
-    from msal_cli.kernels.geometry import distances
-
-    return distances(before, after)
-
-
 def used_vertices(mesh: Mesh) -> Floats:
     """Positions (k, 3) of the vertices that faces use."""
     has_ring = mesh.topology.has_ring
@@ -195,12 +169,7 @@ def surface_distances(
     Hausdorff distance, file units; both meshes are about one origin.
 
     The Hausdorff distance is taken over the vertices and the centres of the faces of both meshes:
-    what lies between them might be a little further away.
-
-    Raises
-    ------
-    UnsupportedError
-        with code ``E_NO_LIBRARY``; see ``surface_distance``.
+    what lies between them might be a little further away.  Errors as of ``build_scene``.
     """
     figures, largest = [], 0.0
     for points_of, surface in ((after, before), (before, after)):

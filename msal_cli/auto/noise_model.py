@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.added_noise import share_over_rings
+from msal_cli.analysis.measures import share_over_rings
 from msal_cli.analysis.noise_estimate import local_levels
 from msal_cli.arrays import Floats
 

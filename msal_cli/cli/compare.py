@@ -208,10 +208,10 @@ def _write_heatmap(request: Request) -> None:
     paths, target = (request.before, *request.others), request.heatmap
     with room_for_files(paths, request.format):
         before, after = (open_mesh_file(path, request.format) for path in paths)
-        made = build_heatmap(before, after, request.before)
+        data, low, high = build_heatmap(before, after, request.before)
         with interrupts.catch_signals(interrupts.raise_for):
-            atomic.write_whole(target, [made.data], sources=paths)
-    console.say(f"{file_name(target)}: deviation, pale to dark for {made.low:g} to {made.high:.4g}")
+            atomic.write_whole(target, [data], sources=paths)
+    console.say(f"{file_name(target)}: deviation, pale to dark for {low:g} to {high:.4g}")
 
 
 def _print_table(

@@ -169,7 +169,6 @@ def measure(
     before, after = ready.mesh, ready.mesh.with_vertices(moved)
     statistics = displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)
     surface = measure_surface_change(before, after)
-    normals = surface.normals
     objection = ready.defects.volume_objection
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
     surface = enclosed.change(before, after, surface)
@@ -197,9 +196,9 @@ def measure(
     fields = {
         "displacement": displacement_field(statistics, before.mean_edge_length),
         "normal_change": NormalChange(
-            normals.mean_angular_error_deg, normals.max_angular_error_deg
+            surface.mean_angular_error_deg, surface.max_angular_error_deg
         ),
-        "flipped_faces": normals.flipped_faces,
+        "flipped_faces": surface.flipped_faces,
         "noise_estimate": known,
         "inside_out": enclosed.is_inside_out,
         "volume": volume_changed(
@@ -215,8 +214,7 @@ def count_self_intersections(before: Mesh, after: Mesh) -> SelfIntersections:
     meshes have the same faces."""
     from msal_cli.analysis.measures import self_intersection_change
 
-    change = self_intersection_change(before, after)
-    return SelfIntersections(change.before, change.after, change.created)
+    return SelfIntersections(*self_intersection_change(before, after))
 
 
 def method_warnings(

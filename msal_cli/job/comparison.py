@@ -13,25 +13,23 @@ from msal_cli.job import changes
 from msal_cli.job.inspection import open_mesh, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
-    Area,
     ComparisonRecord,
     Failure,
     Reference,
     SelfIntersections,
-    Volume,
 )
 from msal_cli.job.room import room_for_files
+from msal_cli.mesh import PreparedMesh, prepare_mesh
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.analysis.enclosure import Enclosure
     from msal_cli.arrays import Floats, Ints
     from msal_cli.codecs.colours import SurfaceColours
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
-    from msal_cli.mesh import Mesh, PreparedMesh
+    from msal_cli.mesh import Mesh
     from msal_cli.storage.regular import Buffer
 
 HEATMAP_QUANTILE = 0.99
@@ -55,11 +53,12 @@ class Surface:
 
     def has_same_faces(self, other: Surface) -> bool:
         """Whether the vertices of both correspond one by one."""
-        from msal_cli.analysis.surface_distance import have_same_faces
+        import numpy as np
+
         from msal_cli.codecs.mesh_file import has_same_grid
 
-        return has_same_grid(self, other) or have_same_faces(
-            self.vertices, self.faces, other.vertices, other.faces
+        return has_same_grid(self, other) or (
+            len(self.vertices) == len(other.vertices) and np.array_equal(self.faces, other.faces)
         )
 
     @property
@@ -92,11 +91,7 @@ def open_surface(path: str, format: str | None = None) -> Surface:
 
 
 def compare_files(
-    before: str,
-    after: str,
-    format: str | None = None,
-    *,
-    with_intersections: bool = False,
+    before: str, after: str, format: str | None = None, *, with_intersections: bool = False
 ) -> ComparisonRecord:
     """As ``measure_files``; what cannot be read gives a record with an error."""
     try:
@@ -109,23 +104,15 @@ def compare_files(
 
 
 def measure_files(
-    before: str,
-    after: str,
-    format: str | None = None,
-    with_intersections: bool = False,
+    before: str, after: str, format: str | None = None, with_intersections: bool = False
 ) -> ComparisonRecord:
     """A file against the reference ``before``; MsalError where one of them cannot be read.
 
     ``with_intersections`` counts the faces of each that intersect each other.
     """
     with room_for_files((before, after), format):
-        return compare_meshes(
-            open_surface(before, format),
-            open_surface(after, format),
-            before,
-            after,
-            with_intersections=with_intersections,
-        )
+        surfaces = open_surface(before, format), open_surface(after, format)
+        return compare_meshes(*surfaces, before, after, with_intersections=with_intersections)
 
 
 def with_references(
@@ -167,48 +154,109 @@ def compare_meshes(
         if one of them is no mesh to compute with.
     """
     from msal_cli.analysis import surface_distance
+    from msal_cli.analysis.measures import count_self_intersections
 
     first = prepare_surface(before, before_name)
     second = prepare_surface(after, after_name)
-    is_same = before.has_same_faces(after)
-    record = ComparisonRecord(
+    reference, edge = first.mesh, first.mesh.mean_edge_length
+    figures: dict[str, Any] = {}
+    if before.has_same_faces(after):
+        moved = surface_distance.at_other_positions(first, after.vertices)
+        warnings = _add_changes(figures, first, moved)
+        gap = figures["seam_gap"] = first.seam_gap(after.vertices)
+        if gap > 0.0:
+            warnings.append(
+                f"vertices that coincide before are up to {gap:g} apart after; "
+                "the first of them counts"
+            )
+        if with_intersections:
+            counts = changes.count_self_intersections(reference, moved)
+            figures["self_intersections"] = counts
+    else:
+        moved = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
+        warnings = _add_changes(figures, first, second)
+        if with_intersections:
+            n_before, n_after = map(count_self_intersections, (reference, moved))
+            figures["self_intersections"] = SelfIntersections(n_before, n_after, None)
+    if to_surface and (obstacle := surface_distance.find_obstacle()):
+        warnings.append(f"no Hausdorff distance and no distances to the surfaces: {obstacle}")
+    elif to_surface:
+        to_before, to_after, hausdorff = surface_distance.surface_distances(reference, moved)
+        figures |= {
+            "distance_to_before": changes.distance_field(to_before, edge),
+            "distance_to_after": changes.distance_field(to_after, edge),
+            "hausdorff": hausdorff,
+            "hausdorff_edges": hausdorff / edge,
+        }
+        figures.setdefault("vertex_error_percent", 100.0 * to_before.mean / edge)
+    return ComparisonRecord(
         before=before_name,
         after=after_name,
         version=__version__,
-        correspondence="vertices" if is_same else "surface",
         vertices_before=len(before.vertices),
         vertices_after=len(after.vertices),
         corners_before=before.n_corners,
         corners_after=after.n_corners,
         faces_before=len(before.faces),
         faces_after=len(after.faces),
-        mean_edge_length=first.mesh.mean_edge_length,
+        mean_edge_length=edge,
+        warnings=tuple(warnings),
+        **figures,
     )
-    reference = first.mesh
-    if is_same:
-        moved = surface_distance.at_other_positions(first, after.vertices)
-        record = _by_vertex(record, first, moved)
-        gap = first.seam_gap(after.vertices)
-        record = replace(record, seam_gap=gap)
-        if gap > 0.0:
-            record = _add_warning(
-                record,
-                f"vertices that coincide before are up to {gap:g} apart after; "
-                "the first of them counts",
-            )
-    else:
-        moved = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
-        record = _by_surface(record, first, second)
-    if with_intersections:
-        from msal_cli.analysis.measures import count_self_intersections
 
-        if is_same:
-            counts = changes.count_self_intersections(reference, moved)
-        else:
-            own = count_self_intersections(reference)
-            counts = SelfIntersections(own, count_self_intersections(moved), None)
-        record = replace(record, self_intersections=counts)
-    return _with_distances(record, reference, moved) if to_surface else record
+
+def _add_changes(
+    figures: dict[str, Any], first: PreparedMesh, other: Mesh | PreparedMesh
+) -> list[str]:
+    """Add what changed to the ``figures`` of a record, and return warnings; ``other`` is a mesh
+    with the faces of ``first``, or a prepared one with its own."""
+    from msal_cli.analysis import surface_distance
+    from msal_cli.analysis.enclosure import enclosure_of
+    from msal_cli.analysis.measures import area_and_volume, measure_surface_change
+
+    before, defects = first.mesh, first.defects
+    objection = defects.volume_objection
+    if isinstance(other, PreparedMesh):
+        after, defects_after = other.mesh, other.defects
+        area_before, volume_before = area_and_volume(before)
+        area_after, volume_after = area_and_volume(after)
+        reasons = {"before": objection, "after": defects_after.volume_objection}
+        objection = "; ".join(f"{word}: {reason}" for word, reason in reasons.items() if reason)
+    else:
+        after, defects_after = other, defects
+        change = measure_surface_change(before, after)
+        area_before, volume_before = change.area_before, change.volume_before
+        area_after, volume_after = change.area_after, change.volume_after
+        distances = surface_distance.displacement_of_moved(before, after)
+        figures |= {
+            "mean_angular_error_deg": change.mean_angular_error_deg,
+            "max_angular_error_deg": change.max_angular_error_deg,
+            "flipped_faces": change.flipped_faces,
+            "vertex_error_percent": surface_distance.vertex_error_percent(before, distances),
+            "displacement": changes.displacement_field(distances, before.mean_edge_length),
+        }
+    enclosed = enclosure_of(before, defects, area_before, volume_before)
+    enclosed_after = enclosure_of(after, defects_after, area_after, volume_after)
+    # Meshes with other faces may have another side outside.
+    of_after = enclosed_after if isinstance(other, PreparedMesh) else enclosed
+    volume = changes.volume_changed(
+        enclosed.volume(before, volume_before),
+        of_after.volume(after, volume_after),
+        area_before,
+        objection,
+    )
+    area = changes.area_changed(area_before, area_after)
+    figures |= {
+        "correspondence": "surface" if isinstance(other, PreparedMesh) else "vertices",
+        "inside_out_before": enclosed.is_inside_out,
+        "inside_out_after": enclosed_after.is_inside_out,
+        "volume": volume,
+        "area": area,
+        "volume_change_percent": volume.change_percent,
+        "area_change_percent": area.change_percent,
+    }
+    both = {"before": enclosed, "after": enclosed_after}
+    return [f"{word}: {each.words}" for word, each in both.items() if each.is_inside_out]
 
 
 def deviations(before: Surface, after: Surface) -> Floats:
@@ -218,25 +266,19 @@ def deviations(before: Surface, after: Surface) -> Floats:
     A vertex that no face uses counts like any other.
     """
     from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.surface_distance import distances_to_surface
+    from msal_cli.kernels.geometry import distances
 
     if before.has_same_faces(after):
-        return surface_distance.vertex_distances(before.vertices, after.vertices)
+        return distances(before.vertices, after.vertices)
     reference = prepare_surface(before, "")
-    return distances_to_surface(after.vertices - reference.origin, reference.mesh)
+    return surface_distance.distances_to_surface(after.vertices - reference.origin, reference.mesh)
 
 
-@dataclass(frozen=True)
-class Heatmap:
-    """A PLY with the deviation of every vertex, and the range of its colours in file units."""
-
-    data: Buffer
-    low: float
-    high: float
-
-
-def build_heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatmap:
-    """``after`` as PLY with its deviations from ``before`` as property and colours.
+def build_heatmap(
+    before: MeshFile, after: MeshFile, before_name: str
+) -> tuple[Buffer, float, float]:
+    """``after`` as PLY with its deviations from ``before`` as property and colours, and the range
+    of these, file units.
 
     The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
     all the rest in one colour.
@@ -261,117 +303,14 @@ def build_heatmap(before: MeshFile, after: MeshFile, before_name: str) -> Heatma
         colours.map_colours(values, low, high, "sequential"),
         comments,
     )
-    return Heatmap(data, low, high)
+    return data, low, high
 
 
 def prepare_surface(surface: Surface, name: str) -> PreparedMesh:
     """The mesh of a surface and its vertex map; an error has the path ``name``."""
-    from msal_cli.mesh import prepare_mesh
-
     are_distinct = surface.merged_vertices > 0
     try:
         return prepare_mesh(surface.vertices, surface.faces, are_distinct=are_distinct)
     except MsalError as error:
         error.path = error.path or name
         raise
-
-
-def _by_vertex(record: ComparisonRecord, first: PreparedMesh, moved: Mesh) -> ComparisonRecord:
-    from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.measures import measure_surface_change
-
-    reference = first.mesh
-    change = measure_surface_change(reference, moved)
-    own = enclosure_of(reference, first.defects, change.area_before, change.volume_before)
-    other = enclosure_of(moved, first.defects, change.area_after, change.volume_after)
-    record = _with_orientation(record, own, other)
-    change = own.change(reference, moved, change)
-    distances = surface_distance.displacement_of_moved(reference, moved)
-    volume = changes.volume_changed(
-        change.volume_before,
-        change.volume_after,
-        change.area_before,
-        first.defects.volume_objection,
-    )
-    area = changes.area_changed(change.area_before, change.area_after)
-    return replace(
-        record,
-        mean_angular_error_deg=change.normals.mean_angular_error_deg,
-        max_angular_error_deg=change.normals.max_angular_error_deg,
-        flipped_faces=change.normals.flipped_faces,
-        vertex_error_percent=surface_distance.vertex_error_percent(reference, distances),
-        displacement=changes.displacement_field(distances, reference.mean_edge_length),
-        **_change_fields(volume, area),
-    )
-
-
-def _by_surface(
-    record: ComparisonRecord, first: PreparedMesh, second: PreparedMesh
-) -> ComparisonRecord:
-    from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.measures import area_and_volume
-
-    area_before, volume_before = area_and_volume(first.mesh)
-    area_after, volume_after = area_and_volume(second.mesh)
-    # Each has its own faces, and may have its own side outside.
-    own = enclosure_of(first.mesh, first.defects, area_before, volume_before)
-    other = enclosure_of(second.mesh, second.defects, area_after, volume_after)
-    objections = []
-    for word, ready in (("before", first), ("after", second)):
-        if ready.defects.volume_objection:
-            objections.append(f"{word}: {ready.defects.volume_objection}")
-    volume = changes.volume_changed(
-        own.volume(first.mesh, volume_before),
-        other.volume(second.mesh, volume_after),
-        area_before,
-        "; ".join(objections),
-    )
-    record = _with_orientation(record, own, other)
-    return replace(record, **_change_fields(volume, changes.area_changed(area_before, area_after)))
-
-
-def _with_orientation(
-    record: ComparisonRecord, before: Enclosure, after: Enclosure
-) -> ComparisonRecord:
-    """The record with which of the two surfaces is inside out."""
-    for word, enclosure in (("before", before), ("after", after)):
-        if enclosure.is_inside_out:
-            record = _add_warning(record, f"{word}: {enclosure.words}")
-    return replace(
-        record, inside_out_before=before.is_inside_out, inside_out_after=after.is_inside_out
-    )
-
-
-def _change_fields(volume: Volume, area: Area) -> dict[str, Any]:
-    return {
-        "volume": volume,
-        "area": area,
-        "volume_change_percent": volume.change_percent,
-        "area_change_percent": area.change_percent,
-    }
-
-
-def _with_distances(record: ComparisonRecord, reference: Mesh, moved: Mesh) -> ComparisonRecord:
-    """The record with what is between the surfaces, or with a warning that says why not."""
-    from msal_cli.analysis import surface_distance
-
-    if obstacle := surface_distance.find_obstacle():
-        words = "no Hausdorff distance and no distances to the surfaces"
-        return _add_warning(record, f"{words}: {obstacle}")
-    to_before, to_after, hausdorff = surface_distance.surface_distances(reference, moved)
-    edge = reference.mean_edge_length
-    record = replace(
-        record,
-        distance_to_before=changes.distance_field(to_before, edge),
-        distance_to_after=changes.distance_field(to_after, edge),
-        hausdorff=hausdorff,
-        hausdorff_edges=hausdorff / edge,
-    )
-    if record.correspondence == "surface":
-        record = replace(record, vertex_error_percent=100.0 * to_before.mean / edge)
-    return record
-
-
-def _add_warning(record: ComparisonRecord, warning: str) -> ComparisonRecord:
-    return replace(record, warnings=(*record.warnings, warning))

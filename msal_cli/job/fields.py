@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import PreparedMesh
+    from msal_cli.storage.atomic import Sources
     from msal_cli.storage.regular import Buffer
 
 SUFFIX = ".fields.ply"
@@ -84,6 +85,8 @@ def compute(
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
+    import numpy as np
+
     from msal_cli.analysis.enclosure import measure_enclosure
     from msal_cli.analysis.measures import local_scale, mean_curvature
     from msal_cli.analysis.noise_estimate import estimate_regions
@@ -108,17 +111,10 @@ def compute(
                 field = fidelity
             elif name == "lambda" and largest > 0.0:
                 field = field / largest
-        values[name] = _at_file_vertices(field, ready)
+        values[name] = np.where(mesh.topology.has_ring, field, 0.0)
+        if ready.vertex_map is not None:
+            values[name] = np.where(ready.vertex_map >= 0, values[name][ready.vertex_map], 0.0)
     return values
-
-
-def _at_file_vertices(field: Floats, ready: PreparedMesh) -> Floats:
-    import numpy as np
-
-    known = np.where(ready.mesh.topology.has_ring, field, 0.0)
-    if ready.vertex_map is None:
-        return known
-    return np.where(ready.vertex_map >= 0, known[ready.vertex_map], 0.0)
 
 
 def build_file(
@@ -154,20 +150,28 @@ def build_file(
     return data, FieldsFile(path, tuple(values), name, kind.map, low, high)
 
 
-def refuse_foreign(path: str) -> None:
-    """Refuse to replace a file that is not one of fields; OutputError."""
+def write_file(data: Buffer, described: FieldsFile, sources: Sources) -> None:
+    """Write a file of fields; OutputError if it would replace a file that is none."""
+    from msal_cli.storage import atomic
     from msal_cli.storage.regular import open_regular
+    from msal_cli.storage.urls import is_url
 
+    path = described.path
+    head = None
     try:
-        with open_regular(path) as existing:
-            head = existing.read(200)
+        if not is_url(path):
+            with open_regular(path) as existing:
+                head = existing.read(200)
     except FileNotFoundError:
-        return
+        pass
     except OSError as error:
         raise OutputError(f"the fields cannot be written: {error.strerror}", path=path) from None
-    if b"\ncomment msal " not in head or b": fields of a denoised mesh\n" not in head:
+    if head is not None and (
+        b"\ncomment msal " not in head or b": fields of a denoised mesh\n" not in head
+    ):
         raise OutputError(
             f"{path!r} exists, and no --fields wrote it",
             hint="move it away, or choose another output folder",
             path=path,
         )
+    atomic.write_whole(path, [data], sources=sources)

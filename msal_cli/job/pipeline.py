@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.job.constraints import Constraints
     from msal_cli.mesh import Mesh, PreparedMesh
-    from msal_cli.methods import Method
-    from msal_cli.storage.atomic import Sources
     from msal_cli.storage.regular import Buffer
 
 OnProgress = Callable[[str, int, int], None]
@@ -290,17 +288,24 @@ class FileRun:
             sources = list_sources(task.input, data)
             # Before the output: as soon as that exists, all that belongs to it does.
             if self._fields_file is not None:
-                self._write_fields(*self._fields_file, sources)
-            sidecars: tuple[str, ...] = ()
+                from msal_cli.job import fields
+
+                fields.write_file(*self._fields_file, sources)
+                self.know(fields=self._fields_file[1])
+            notes: tuple[str, ...] = ()
             if made.references and not task.in_place:
-                sidecars = self._carry_sidecars(made, task)
+                from msal_cli.storage import sidecars
+
+                notes = sidecars.carry(made.references, task.input, task.output)
+                marked = (note for note in notes if note.startswith("warning: "))
+                self.warn(*(note.removeprefix("warning: ") for note in marked))
             if made.companions:
                 from msal_cli.codecs.companions import write_companions
 
-                sidecars += write_companions(made.companions, task.output, sources)
+                notes += write_companions(made.companions, task.output, sources)
             mark = atomic.write_whole(task.output, [made.data], sources=sources)
             self.know(output_object=None if mark is None else ObjectMark(*mark))
-        return self.finish(task.output, sidecars=sidecars)
+        return self.finish(task.output, sidecars=notes)
 
     def prepare_mesh(self, mesh_file: Surface) -> PreparedMesh:
         """The mesh of a file, fit for computing, and its defects in the record."""
@@ -319,10 +324,15 @@ class FileRun:
             ready = self.prepare_mesh(mesh_file)
             constraints = None
             if settings.max_move or settings.lock or settings.weights or pinned is not None:
-                constraints = self._build_constraints(ready, mesh_file, pinned)
+                from msal_cli.job.constraints import build_constraints
+
+                given = (settings.max_move, settings.lock, settings.weights)
+                constraints = build_constraints(ready, mesh_file, *given, pinned)
+                if constraints.held is not None and settings.lock:
+                    self.know(locked_vertices=int(constraints.held.sum()))
             mesh_file.forget_vertices()
-        given = ready.mesh if constraints is None else constraints.mesh
-        chosen = self._prepare(given)
+        mesh = ready.mesh if constraints is None else constraints.mesh
+        chosen = self._prepare(mesh)
         moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
         measured = self._measure(chosen, ready, moved)
         choice = self._record.choice
@@ -330,7 +340,7 @@ class FileRun:
         for share in MILDER:
             if measured.harm is None or choice is None:
                 break
-            chosen = soften_choice(given, chosen, choice, measured.harm, share)
+            chosen = soften_choice(mesh, chosen, choice, measured.harm, share)
             softened = chosen.warnings
             self.know(**chosen.known)
             moved, fidelity, _ = self._run_method(chosen, ready, constraints)
@@ -338,8 +348,11 @@ class FileRun:
         self.warn(*softened)
         with self.stage("measure"):
             self.know_changes(measured)
-            if choice is None and chosen.method is not None:
-                self._warn_of_method(chosen.method, chosen.parameters, is_ruled)
+            noise, displacement = self._record.noise_estimate, self._record.displacement
+            if choice is None and chosen.method is not None and noise and displacement:
+                # The user named the method, which may harm the mesh.
+                used = (chosen.method, chosen.parameters)
+                self.warn(*changes.method_warnings(*used, noise, displacement, is_ruled))
             if settings.fields:
                 from msal_cli.job import fields
 
@@ -401,19 +414,6 @@ class FileRun:
             after = ready.mesh.with_vertices(moved)
             self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
 
-    def _build_constraints(
-        self, ready: PreparedMesh, mesh_file: Surface, pinned: Flags | None
-    ) -> Constraints:
-        """What keeps vertices of this file near their place."""
-        settings = self._settings
-        given = (settings.max_move, settings.lock, settings.weights)
-        from msal_cli.job.constraints import build_constraints
-
-        constraints = build_constraints(ready, mesh_file, *given, pinned)
-        if constraints.held is not None and settings.lock:
-            self.know(locked_vertices=int(constraints.held.sum()))
-        return constraints
-
     def _prepare(self, given: Mesh) -> Preparation:
         """What is to be run on a mesh; the record has how that came about."""
         on_step = self._report_steps("choose")
@@ -435,30 +435,3 @@ class FileRun:
         if not np.isfinite(vertices).all():
             bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
             raise InternalError(f"{name} made a position that is not finite", where=f"vertex {bad}")
-
-    def _warn_of_method(self, method: Method, parameters: Any, is_ruled: bool) -> None:
-        """Warn where a method that was given by name harms the mesh."""
-        noise, moved = self._record.noise_estimate, self._record.displacement
-        if noise is not None and moved is not None:
-            self.warn(*changes.method_warnings(method, parameters, noise, moved, is_ruled))
-
-    # Beside the output
-
-    def _write_fields(self, data: Buffer, described: FieldsFile, sources: Sources) -> None:
-        """Write the file of fields; only a file of fields is replaced."""
-        from msal_cli.job import fields
-        from msal_cli.storage import atomic, urls
-
-        if not urls.is_url(described.path):
-            fields.refuse_foreign(described.path)
-        atomic.write_whole(described.path, [data], sources=sources)
-        self.know(fields=described)
-
-    def _carry_sidecars(self, made: output.Output, task: Task) -> tuple[str, ...]:
-        """Notes on the files that an output names, copied beside it."""
-        from msal_cli.storage import sidecars
-
-        notes = sidecars.carry(made.references, task.input, task.output)
-        marked = (note for note in notes if note.startswith("warning: "))
-        self.warn(*(note.removeprefix("warning: ") for note in marked))
-        return notes

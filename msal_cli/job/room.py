@@ -82,7 +82,9 @@ class Scratch:
 
 def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractContextManager[None]:
     """Room for one file to be denoised; errors as of ``find_scratch``, and TooLargeError."""
-    if limits.memory_bytes is None and limits.max_faces is None and not _is_large(task):
+    has_limits = limits.memory_bytes is not None or limits.max_faces is not None
+    # Of a file that cannot be looked at the reader says why.
+    if not has_limits and (_input_bytes(task) or 0) < LARGE_BYTES:
         return nullcontext()
     expected = forecast(task, settings)
     refuse_faces(expected.faces, limits)
@@ -139,7 +141,17 @@ def find_scratch(
     kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, mapped))
     least = needed - n_bytes + kept if array_files.can_use_files() else needed
     if least > room:
-        raise _no_memory(work, needed, int(least), room, is_limit=limit is not None)
+        has = f"this machine has {megabytes(room, rounded_up=False)} left"
+        hint = "use a machine with more memory, or cut the mesh into parts"
+        if limit is not None:
+            has = f"the limit is {megabytes(room)}"
+            hint = f"raise --memory-limit to {megabytes(int(least))}, or cut the mesh into parts"
+        raise ResourceError(
+            f"{work} takes up to {megabytes(needed)}, and {has}",
+            code="E_MEMORY",
+            where=FORECAST,
+            hint=hint,
+        )
     folder = limits.scratch or _folder_of(output)
     if _is_in_memory(folder):
         raise ResourceError(
@@ -149,7 +161,13 @@ def find_scratch(
             where=FORECAST,
             hint="name a folder on a disk by --scratch",
         )
-    _require_space(folder, n_bytes)
+    free = _free_bytes(folder)
+    if free is not None and free < n_bytes:
+        raise OutputError(
+            f"arrays that exceed the memory take up to {megabytes(n_bytes)} in {folder!r}, where "
+            f"{megabytes(free, rounded_up=False)} are free",
+            hint="name a folder with more space by --scratch",
+        )
     return Scratch(folder, n_bytes, room, limit is not None)
 
 
@@ -238,33 +256,8 @@ def _is_random(faces: Ints) -> bool:
     return float(np.median(pages)) > _TOGETHER
 
 
-def _is_large(task: Task) -> bool:
-    try:
-        size = task.input_mark.size if task.input_mark else os.stat(task.input).st_size
-    except (OSError, ValueError):
-        return False  # the reader says why
-    return size >= LARGE_BYTES
-
-
-def _no_memory(work: str, needed: int, least: int, room: int, *, is_limit: bool) -> ResourceError:
-    if is_limit:
-        has = f"the limit is {megabytes(room)}"
-        hint = f"raise --memory-limit to {megabytes(least)}, or cut the mesh into parts"
-    else:
-        has = f"this machine has {megabytes(room, rounded_up=False)} left"
-        hint = "use a machine with more memory, or cut the mesh into parts"
-    return ResourceError(
-        f"{work} takes up to {megabytes(needed)}, and {has}",
-        code="E_MEMORY",
-        where=FORECAST,
-        hint=hint,
-    )
-
-
 def _folder_of(output: str | None) -> str:
     """The folder of an output, or the next above that is there; else that for temporary files."""
-    from msal_cli.storage.urls import is_url
-
     if output is None or is_url(output):
         return tempfile.gettempdir()
     folder = Path(output).absolute().parent
@@ -285,18 +278,12 @@ def _is_in_memory(folder: str) -> bool:
     return bool(kinds & {"tmpfs", "ramfs"})
 
 
-def _require_space(folder: str, needed: int) -> None:
+def _free_bytes(folder: str) -> int | None:
     try:
         status = os.statvfs(folder)
     except OSError:
-        return  # using it says why not
-    free = status.f_bavail * status.f_frsize
-    if free < needed:
-        raise OutputError(
-            f"arrays that exceed the memory take up to {megabytes(needed)} in {folder!r}, where "
-            f"{megabytes(free, rounded_up=False)} are free",
-            hint="name a folder with more space by --scratch",
-        )
+        return None  # using it says why not
+    return status.f_bavail * status.f_frsize
 
 
 # What a file will take, and whether it will fail, before it is denoised.  Seconds are those of one
@@ -355,24 +342,20 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
     except MsalError as error:
         failure = Failure(error.code, error.message, error.hint, error.where)
         return replace(record, status="failed", output=None, error=failure)
-    seconds = None if n is None else _expected_seconds(n, settings)
+    seconds = None
+    if n is not None:
+        seconds = _expected_seconds(n, settings)
+        seconds = round(seconds + (_IN_FILES_S_PER_MILLION * n / 1e6 if scratch else 0.0), 2)
     memory, in_files = expected.memory_bytes, None
     if scratch is not None:
         memory, in_files = scratch.room, scratch.n_bytes
-        seconds = (
-            None
-            if n is None
-            else _expected_seconds(n, settings) + _IN_FILES_S_PER_MILLION * n / 1e6
-        )
-    planned = Planned(size, n, None if seconds is None else round(seconds, 2), memory, in_files)
+    planned = Planned(size, n, seconds, memory, in_files)
     return replace(record, format=expected.format or None, planned=planned)
 
 
 def _input_bytes(task: Task) -> int | None:
-    if task.input_mark is not None:
-        return task.input_mark.size
     try:
-        return Path(task.input).stat().st_size
+        return task.input_mark.size if task.input_mark else os.stat(task.input).st_size
     except (OSError, ValueError):
         return None
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.enclosure import Enclosure, measure_enclosure
-from msal_cli.analysis.measures import measure_surface_change, normal_statistics
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.arrays import Floats
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed
@@ -206,7 +206,7 @@ def _measure(on: Subject, moved: Mesh, parameters: dict[str, Any], command: str)
     )
     error = None
     if on.reference is not None:
-        error = normal_statistics(on.reference, moved).mean_angular_error_deg
+        error = measure_surface_change(on.reference, moved).mean_angular_error_deg
     return Cell(
         parameters=parameters,
         command=command,
@@ -257,7 +257,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         panel = image, _title(cell, least, nearest), _lines(cell)
         (sides if cell.choice else cells).append(panel)
     if on.reference is not None:
-        error = normal_statistics(on.reference, on.ready.mesh).mean_angular_error_deg
+        error = measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
         sides.append((draw_grid(on, on.reference, view), "reference", [words]))
     style = pictures.style_of(view)

@@ -11,19 +11,17 @@ from benchmarks.noise_kinds import KINDS, outcomes
 from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
-from msal_cli.analysis.noise_estimate.classifier import (
+from msal_cli.analysis.noise_estimate.character import (
     KIND_NAMES,
-    LEVELS,
-    MISSING,
     Forest,
     classify,
     load_classifier,
     measured_level,
 )
-from msal_cli.analysis.noise_estimate.evidence import gather_evidence
+from msal_cli.analysis.noise_estimate.evidence import LEVELS, MISSING, gather_evidence
+from msal_cli.analysis.noise_estimate.fits import estimate_white
 from msal_cli.analysis.noise_estimate.level import DIRECTIONS
 from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
-from msal_cli.analysis.noise_estimate.white import estimate_white
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, box, cube, grid, torus
 

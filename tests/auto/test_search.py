@@ -13,7 +13,7 @@ from benchmarks import ground_truth
 from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.measures import area_and_volume, normal_statistics
+from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import NONE, Wishes, search
 from msal_cli.auto.candidates import CANDIDATES
@@ -81,7 +81,7 @@ def moved_edges(before, after):
 
 
 def angle(true, other):
-    return normal_statistics(true, other).mean_angular_error_deg
+    return measure_surface_change(true, other).mean_angular_error_deg
 
 
 def members_of(choice):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.measures import normal_statistics
+from msal_cli.analysis.measures import measure_surface_change
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
@@ -55,4 +55,4 @@ def free_vertices(mesh: Mesh, boundary: str) -> np.ndarray:
 
 def error_deg(true: Mesh, positions) -> float:
     """Mean angle between the face normals of positions (n, 3) and the true ones."""
-    return normal_statistics(true, true.with_vertices(positions)).mean_angular_error_deg
+    return measure_surface_change(true, true.with_vertices(positions)).mean_angular_error_deg

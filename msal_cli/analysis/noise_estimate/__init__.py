@@ -1,20 +1,18 @@
 """How much noise there is on a mesh, and of what kind, or whether it has any.
 
-``white`` measures the level of noise that each vertex has of its own, from fits over one- and
-two-rings.  ``survey`` looks at fewer places over up to six rings; ``spread``, ``direction`` and
-``steps`` measure what each kind of noise would leave there, and ``evidence`` makes numbers of it
-all.  ``classifier`` says from these how probable every kind is, and ``character`` puts the estimate
-together.
+``fits`` measures the level of noise that each vertex has of its own over one- and two-rings, and
+looks at fewer places over up to six rings; ``spread`` and ``axes`` measure what each kind of noise
+would leave there, and ``evidence`` makes numbers of it all.  ``character`` says from these how
+probable every kind is, and puts the estimate together.
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msal_cli.analysis.measures import apply_umbrella
 from msal_cli.analysis.noise_estimate.character import characterize
+from msal_cli.analysis.noise_estimate.fits import find_nearest
 from msal_cli.analysis.noise_estimate.level import (
     NOISE,
     SURE,
@@ -23,14 +21,9 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseLevel,
     Reading,
 )
-from msal_cli.analysis.noise_estimate.survey import find_nearest
-from msal_cli.analysis.noise_estimate.white import estimate_white
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import Mesh, cached_by_mesh
-
-if TYPE_CHECKING:
-    from msal_cli.mesh import Mesh
 
 __all__ = [
     "NOISE",
@@ -53,7 +46,7 @@ def estimate_noise(mesh: Mesh) -> NoiseLevel:
     ``is_unsure``.  The result does not depend on how the mesh is moved or scaled, nor on the number
     of threads.  Its cost hardly depends on the size of the mesh.
     """
-    return characterize(mesh, estimate_white(mesh)).level
+    return characterize(mesh).level
 
 
 def estimate_regions(mesh: Mesh) -> Floats:
@@ -61,7 +54,7 @@ def estimate_regions(mesh: Mesh) -> Floats:
 
     Vertices that no face uses have 0.
     """
-    result = characterize(mesh, estimate_white(mesh))
+    result = characterize(mesh)
     nearest = find_nearest(mesh.vertices, result.middles)
     return np.where(mesh.topology.has_ring, result.regions[nearest], 0.0)
 

@@ -1,23 +1,42 @@
-"""The estimate of one mesh, put together from measurements and what the classifier says of them."""
+"""The kind of the noise and its level, by the numbers of ``evidence``.
+
+Boosted trees, trained by ``python -m training.noise`` on scripted shapes with noise of every kind
+and without, give a sum for each kind; the probabilities are its softmax, calibrated on shapes that
+the trees had not seen.  Another forest tells over how many rings neighbours share it; the level is
+the one measured for the kind.  Numbers are compared in single precision, so that every
+processor takes the same branches.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+from collections.abc import Container
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.classifier import (
-    KIND_NAMES,
-    MANY_VERTICES,
+from msal_cli.analysis.noise_estimate.evidence import (
+    LEVELS,
+    MISSING,
     SIZE,
-    Verdict,
-    classify,
+    Evidence,
+    gather_evidence,
 )
-from msal_cli.analysis.noise_estimate.evidence import Evidence, gather_evidence
+from msal_cli.analysis.noise_estimate.fits import (
+    NEGLIGIBLE,
+    SIX,
+    TWO,
+    WhiteEstimate,
+    estimate_white,
+)
 from msal_cli.analysis.noise_estimate.level import (
+    KINDS,
+    MIN_PROBABILITY,
     NOISE,
     TEXTURE,
     NoiseCharacter,
@@ -26,12 +45,36 @@ from msal_cli.analysis.noise_estimate.level import (
     to_clean_edges,
 )
 from msal_cli.analysis.noise_estimate.spread import weigh_differences
-from msal_cli.analysis.noise_estimate.survey import SIX, TWO
-from msal_cli.analysis.noise_estimate.white import NEGLIGIBLE, WhiteEstimate
 from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
+
+WEIGHTS = Path(__file__).with_name("forests.npz")
+
+KIND_NAMES = KINDS[:-1]
+"""The outputs of the classifier: all kinds but ``unknown``."""
+
+LEVEL_OF_KIND = {
+    "white": "white",
+    "isotropic": "white",
+    "correlated": "colour",
+    "view": "axis",
+    "quantised": "steps",
+    "uneven": "regions",
+    "outliers": "white",
+    "impulsive": "rms",
+    "staircase": "steps",
+}
+"""Which of the ``LEVELS`` is that of a kind."""
+
+MANY_VERTICES, FEWER = 1_500, 1.6
+"""Vertices below which a mesh is a design rather than a scan, and the power of their number with
+which the odds of noise fall."""
+
+MAX_RINGS, MIN_SHARED = 4, 0.95
+"""Most rings, and the estimated number of them below which neighbours share nothing."""
+
 
 MIN_VERTICES = 64
 """Vertices below which nothing is said: two rings are most of the mesh."""
@@ -70,6 +113,135 @@ SHARED_KINDS = ("correlated", "view", "uneven")
 
 
 @dataclass(frozen=True, eq=False)
+class Forest:
+    """Binary trees whose leaves add up, one sum for each output; a leaf is its own child.
+
+    Attributes
+    ----------
+    features : (k,) which number a node compares.
+    thresholds : (k,) float32; numbers up to it go left.
+    left, right : (k,) children.
+    values : (k,) what a leaf adds; 0 at other nodes.
+    roots, outputs : (t,) first node and output of each tree.
+    start : (o,) each output without trees.
+    depth : levels below the roots.
+    """
+
+    features: NDArray[np.int16]
+    thresholds: NDArray[np.float32]
+    left: NDArray[np.int32]
+    right: NDArray[np.int32]
+    values: NDArray[np.float32]
+    roots: NDArray[np.int32]
+    outputs: NDArray[np.int16]
+    start: Floats
+    depth: int
+
+    def evaluate(self, numbers: Floats) -> Floats:
+        """The outputs (o,) for the numbers (f,) of one mesh."""
+        compared = numbers.astype(np.float32)
+        nodes = self.roots
+        for _ in range(self.depth):
+            goes_left = compared[self.features[nodes]] <= self.thresholds[nodes]
+            nodes = np.where(goes_left, self.left[nodes], self.right[nodes])
+        added = np.bincount(self.outputs, self.values[nodes], len(self.start))
+        return np.asarray(self.start + added)
+
+
+@dataclass(frozen=True, eq=False)
+class Classifier:
+    """The trained forests.
+
+    Attributes
+    ----------
+    kinds, rings : of the sums by kind, and of the number of rings.
+    sharpness : by what sums are multiplied so that probabilities hold.
+    spreads : (kinds, 3) true level over the measured one: what it exceeds in nine of ten cases, in
+        half of them, and in one.
+    """
+
+    kinds: Forest
+    rings: Forest
+    sharpness: float
+    spreads: Floats
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the classifier says of one mesh.
+
+    Attributes
+    ----------
+    noise : probability that there is noise, 0 to 1.
+    kind : the most probable kind of noise, as if there was some.
+    probability : of that kind.
+    level, low, high : its level and an interval for it, mean edge lengths, as if there was some.
+    rings : over how many rings neighbours share it, 0 to 4.
+    """
+
+    noise: float
+    kind: str
+    probability: float
+    level: float
+    low: float
+    high: float
+    rings: int
+
+
+FOREST_ARRAYS = [field.name for field in dataclasses.fields(Forest) if field.name != "depth"]
+
+
+@functools.cache
+def load_classifier() -> Classifier:
+    """The forests of the package."""
+    with np.load(WEIGHTS, allow_pickle=False) as arrays:
+        forests = {
+            name: Forest(
+                **{part: arrays[f"{name}_{part}"] for part in FOREST_ARRAYS},
+                depth=int(arrays[f"{name}_depth"]),
+            )
+            for name in ("kinds", "rings")
+        }
+        sharpness, spreads = float(arrays["sharpness"]), arrays["spreads"]
+    return Classifier(**forests, sharpness=sharpness, spreads=spreads)
+
+
+def measured_level(numbers: Floats, kind: str, rings: int) -> float:
+    """Logarithm of the level that was measured for a kind; mean edges."""
+    name = "axis_colour" if kind == "view" and rings else LEVEL_OF_KIND[kind]
+    value = float(numbers[LEVELS.index(name)])
+    return value if value > MISSING else float(numbers[LEVELS.index("white")])
+
+
+def classify(numbers: Floats, possible: Container[str]) -> Verdict:
+    """What the numbers (k,) of a mesh say, if its noise is of a ``possible`` kind."""
+    trained = load_classifier()
+    sums = trained.sharpness * trained.kinds.evaluate(numbers)
+    sums[0] -= FEWER * min(float(numbers[SIZE]) - math.log(MANY_VERTICES), 0.0)
+    chances = np.exp(sums - sums.max())
+    chances /= chances.sum()
+    by_kind = {
+        name: float(chance)
+        for name, chance in zip(KIND_NAMES, chances, strict=True)
+        if name != "none" and name in possible
+    }
+    kind = max(by_kind, key=lambda name: by_kind[name])
+    index = KIND_NAMES.index(kind)
+    shared = float(trained.rings.evaluate(numbers)[0])
+    rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
+    level = math.exp(measured_level(numbers, kind, rings))
+    return Verdict(
+        noise=1.0 - float(chances[0]),
+        kind=kind,
+        probability=by_kind[kind],
+        level=level,
+        low=level * min(float(trained.spreads[index, 0]), 1.0),
+        high=level * max(float(trained.spreads[index, 2]), 1.0),
+        rings=rings,
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """The noise of a mesh, by region too.
 
@@ -85,14 +257,17 @@ class Estimate:
     regions: Floats
 
 
-def characterize(mesh: Mesh, white: WhiteEstimate) -> Estimate:
+def characterize(mesh: Mesh) -> Estimate:
     """What the noise is like, and its level as it is for such."""
+    white = estimate_white(mesh)
     if np.count_nonzero(mesh.topology.has_ring) < MIN_VERTICES:
         return _without_noise(white, 1.0, "few vertices")
     evidence = gather_evidence(mesh, white)
     verdict = classify(evidence.numbers, _possible_kinds(evidence))
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
-    if _is_white_on_relief(white, verdict):
+    # What fits over one-rings see, beyond what noise that neighbours share leaves there.
+    max_seen = MAX_SEEN[min(verdict.rings, 2)] * verdict.level
+    if verdict.kind == "correlated" and white.level.mean_edges > max_seen:
         verdict = dataclasses.replace(_with_level(verdict, white.level.mean_edges), kind="white")
     elif not is_named and verdict.level > white.level.mean_edges:
         # In doubt what the finest fits see, which relief adds least to.
@@ -103,8 +278,12 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Estimate:
     is_weak = verdict.level < NEGLIGIBLE and verdict.kind != "outliers"
     if verdict.noise < _needed_probability(verdict, evidence) or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), verdict)
-    character = _characterize(evidence, verdict) if is_named else _leave_unknown(evidence, verdict)
-    rms = max(verdict.level, white.level.rms_edges)
+    character = NoiseCharacter(
+        "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
+    )
+    if is_named:
+        character = dataclasses.replace(character, **_describe_kind(evidence, verdict))
+    readings = _order_readings(verdict.level, verdict.noise)
     level, low = verdict.level, verdict.low
     if verdict.kind == "impulsive":
         level = min(level, white.level.mean_edges)
@@ -114,28 +293,29 @@ def characterize(mesh: Mesh, white: WhiteEstimate) -> Estimate:
     noise = dataclasses.replace(
         white.level,
         mean_edges=level,
-        low=0.0 if _is_unsure(verdict) else low,
+        low=0.0 if readings[0].probability < MIN_PROBABILITY else low,
         high=max(verdict.high, verdict.level),
         file_units=level * white.edge,
         clean_edges=to_clean_edges(level),
-        rms_edges=rms,
+        rms_edges=max(verdict.level, white.level.rms_edges),
         is_negligible=False,
         lowest=level,
         highest=level,
         character=character,
-        readings=_order_readings(verdict.level, verdict.noise),
+        readings=readings,
     )
     if character.kind == "uneven" and evidence.differences is not None:
         differences = evidence.differences
         scale = level * white.edge / np.sqrt(max(weigh_differences(differences), 1e-300))
         regions = scale * np.sqrt(differences.lows)
+        lowest, highest = float(regions.min()) / white.edge, float(regions.max()) / white.edge
         middles = mesh.vertices[evidence.survey.vertices[differences.middles]]
         noise = dataclasses.replace(
             noise,
-            low=min(noise.low, float(regions.min()) / white.edge),
-            lowest=float(regions.min()) / white.edge,
-            high=max(noise.high, float(regions.max()) / white.edge),
-            highest=max(float(regions.max()) / white.edge, level),
+            low=min(noise.low, lowest),
+            lowest=lowest,
+            high=max(noise.high, highest),
+            highest=max(highest, level),
             regions=len(regions),
         )
         return Estimate(noise, middles, regions)
@@ -148,13 +328,6 @@ def _with_level(verdict: Verdict, level: float) -> Verdict:
     return dataclasses.replace(
         verdict, level=level, low=scale * verdict.low, high=scale * verdict.high
     )
-
-
-def _is_white_on_relief(white: WhiteEstimate, verdict: Verdict) -> bool:
-    """Whether fits over one-rings see more than noise that neighbours share leaves there."""
-    if verdict.kind != "correlated":
-        return False
-    return white.level.mean_edges > MAX_SEEN[min(verdict.rings, 2)] * verdict.level
 
 
 def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
@@ -190,11 +363,6 @@ def _needed_probability(verdict: Verdict, evidence: Evidence) -> float:
     return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
 
 
-def _is_unsure(verdict: Verdict) -> bool:
-    readings = _order_readings(verdict.level, verdict.noise)
-    return readings[0].probability < 0.9
-
-
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
     """Both readings, the more probable first: noise of a level, or all of it surface."""
     readings = Reading(NOISE, level, noise), Reading(TEXTURE, 0.0, 1.0 - noise)
@@ -224,77 +392,48 @@ def _without_noise(
 
 def _possible_kinds(evidence: Evidence) -> set[str]:
     """Kinds of which everything is known that describes them."""
-    kinds = set(KIND_NAMES)
-    if evidence.axis is None:
-        kinds.discard("view")
-    if not _has_depth_steps(evidence):
-        kinds.discard("quantised")
-    if evidence.steps.n_axes < 3:
-        kinds.discard("staircase")
-    if evidence.differences is None:
-        kinds.discard("uneven")
-    return kinds
+    steps = evidence.steps
+    has_depths = steps.axis is not None and steps.along_gain > MIN_GAIN
+    if steps.axis is not None and not has_depths:
+        # Rows of a range scan are in steps within the surface, which the mesh does not face.
+        has_depths = float(((evidence.survey.normals @ steps.axis) ** 2).mean()) > FACING
+    is_possible = {
+        "view": evidence.axis is not None,
+        "quantised": has_depths,
+        "staircase": steps.n_axes == 3,
+        "uneven": evidence.differences is not None,
+    }
+    return {kind for kind in KIND_NAMES if is_possible.get(kind, True)}
 
 
-def _has_depth_steps(evidence: Evidence) -> bool:
-    """Whether there are steps along an axis that explains what fits leave, or that the mesh faces:
-    rows of a range scan are in steps within the surface."""
-    axis = evidence.steps.axis
-    if axis is None:
-        return False
-    faces = float(((evidence.survey.normals @ axis) ** 2).mean()) > FACING
-    return faces or evidence.steps.along_gain > MIN_GAIN
-
-
-def _leave_unknown(evidence: Evidence, verdict: Verdict) -> NoiseCharacter:
-    return NoiseCharacter("unknown", confidence=verdict.probability, basis=_describe_fits(evidence))
-
-
-def _characterize(evidence: Evidence, verdict: Verdict) -> NoiseCharacter:
-    kind = verdict.kind
-    character = NoiseCharacter(kind, confidence=verdict.probability, basis=_describe_fits(evidence))
-    rings = verdict.rings if kind in SHARED_KINDS else 0
-    if kind == "correlated":
-        rings = max(rings, 1)
-    axis = None
-    if kind == "quantised":
-        axis = evidence.steps.axis
-    if kind == "view":
-        assert evidence.axis is not None
+def _describe_kind(evidence: Evidence, verdict: Verdict) -> dict[str, Any]:
+    """What a ``NoiseCharacter`` of the kind of the verdict has, and on what that rests."""
+    kind, far_off = verdict.kind, max(evidence.outliers, evidence.tail)
+    values: dict[str, Any] = {"kind": kind}
+    if kind in SHARED_KINDS:
+        values["rings"] = max(verdict.rings, 1) if kind == "correlated" else verdict.rings
+    axis = evidence.steps.axis if kind == "quantised" else None
+    if kind == "view" and evidence.axis is not None:
         axis = evidence.axis.axis
     if axis is not None:
-        x, y, z = axis.tolist()
-        character = dataclasses.replace(
-            character,
-            direction="axis",
-            axis=(x, y, z),
-            basis="vertices slide along the axis, and what fits leave falls with the angle to it",
-        )
+        values |= {"direction": "axis", "axis": tuple(axis.tolist())}
     if kind == "isotropic":
-        character = dataclasses.replace(
-            character,
-            direction="isotropic",
-            basis="vertices are moved within the surface as much as along the normals",
-        )
+        values["direction"] = "isotropic"
     if kind in ("quantised", "staircase"):
-        character = dataclasses.replace(
-            character,
-            step=evidence.steps.step,
-            basis="neighbours differ by multiples of one step",
-        )
+        values["step"] = evidence.steps.step
     if kind == "outliers":
-        share = max(evidence.outliers, evidence.tail)
-        character = dataclasses.replace(
-            character, outliers=share, basis=f"{100.0 * share:.2g} % of the vertices lie far off"
-        )
-    if kind == "impulsive":
-        character = dataclasses.replace(
-            character,
-            basis=f"{100.0 * evidence.tail:.2g} % of the vertices stand out along the normals",
-        )
-    if kind == "uneven":
-        character = dataclasses.replace(character, basis="what fits leave differs by region")
-    return dataclasses.replace(character, rings=rings)
+        values["outliers"] = far_off
+    of_steps = "neighbours differ by multiples of one step"
+    bases = {
+        "view": "vertices slide along the axis, and what fits leave falls with the angle to it",
+        "isotropic": "vertices are moved within the surface as much as along the normals",
+        "quantised": of_steps,
+        "staircase": of_steps,
+        "outliers": f"{100.0 * far_off:.2g} % of the vertices lie far off",
+        "impulsive": f"{100.0 * evidence.tail:.2g} % of the vertices stand out along the normals",
+        "uneven": "what fits leave differs by region",
+    }
+    return values | ({"basis": bases[kind]} if kind in bases else {})
 
 
 def _describe_fits(evidence: Evidence) -> str:

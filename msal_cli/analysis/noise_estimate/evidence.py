@@ -15,14 +15,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.classifier import MISSING
-from msal_cli.analysis.noise_estimate.direction import (
+from msal_cli.analysis.noise_estimate.axes import (
     AxisEvidence,
-    Groups,
+    StepEvidence,
     find_axis,
     find_main_offset,
     group_places,
+    measure_steps,
     weigh_axis,
+)
+from msal_cli.analysis.noise_estimate.fits import (
+    FAR,
+    FOUR,
+    ONE,
+    SIX,
+    THREE,
+    TWO,
+    Survey,
+    WhiteEstimate,
+    quantiles,
+    ring_offsets,
+    ring_rows,
+    take_survey,
 )
 from msal_cli.analysis.noise_estimate.spread import (
     Colour,
@@ -32,22 +46,19 @@ from msal_cli.analysis.noise_estimate.spread import (
     outlying_share,
     weigh_differences,
 )
-from msal_cli.analysis.noise_estimate.steps import StepEvidence, measure_steps
-from msal_cli.analysis.noise_estimate.survey import (
-    FOUR,
-    ONE,
-    SIX,
-    THREE,
-    TWO,
-    Survey,
-    quantiles,
-    take_survey,
-)
-from msal_cli.analysis.noise_estimate.white import FAR, WhiteEstimate
-from msal_cli.arrays import Floats, Longs
+from msal_cli.arrays import Floats
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
+
+LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
+"""The measurements of the level that the numbers begin with, as logarithms."""
+
+SIZE = len(LEVELS)
+"""Which of the numbers is the logarithm of the number of vertices."""
+
+MISSING = -30.0
+"""In place of a number that is not known; all others are greater."""
 
 SHARES = (0.02, 0.1, 0.25, 0.5, 0.75, 0.95)
 OFFSET_SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -63,6 +74,9 @@ MAX_REPEATED_VERTICES = 40_000
 
 MAX_NEIGHBOUR_PLACES = 400
 """Places whose neighbours' heights are compared with their own."""
+
+MIN_COSINE = 0.1
+"""Squared cosine to an axis from which a place says something of the noise along it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +112,20 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
     """Measure all that the classifier knows of a mesh."""
     survey = take_survey(mesh, white.places)
     groups = group_places(survey)
-    base = _find_base(white)
+    variances = white.fits.variances[:, FAR][white.fits.freedoms[:, FAR] > 0]
+    # Deviation from degree 2 over two rings at half of the places, mean edges.
+    base = TINY
+    if len(variances):
+        base = max(math.sqrt(float(quantiles(variances, (0.5,))[0])) / white.edge, TINY)
     colour = find_colour(survey, fine=white.level.mean_edges)
-    linked, fitted = _find_axes(survey, groups)
-    axis = linked if linked is not None and linked.is_linked else fitted or linked
-    axis_colour = None if axis is None else _colour_along(survey, axis)
+    linked = fitted = axis = axis_colour = None
+    if groups is not None:
+        # The axis along which vertices slide, and the one that explains best what is left over.
+        linked = weigh_axis(survey, groups, find_main_offset(survey.offsets))
+        fitted = find_axis(survey, groups)
+        axis = linked if linked.is_linked or fitted is None else fitted
+        cosines = (survey.normals @ axis.axis) ** 2
+        axis_colour = find_colour(survey, np.where(cosines > MIN_COSINE, cosines, 0.0))
     steps = measure_steps(mesh, survey, groups)
     differences = find_differences(survey)
     outliers, within = outlying_share(mesh, white, survey)
@@ -144,16 +167,8 @@ def _log(value: float, base: float = 1.0) -> float:
     return math.log(max(value, TINY) / base) if math.isfinite(value) else MISSING
 
 
-def _logs(values: Floats, base: float) -> list[float]:
+def _logs(values: Floats, base: float = 1.0) -> list[float]:
     return [_log(float(value), base) for value in values]
-
-
-def _find_base(white: WhiteEstimate) -> float:
-    """Deviation from degree 2 over two rings at half of the places, mean edges."""
-    variances = white.fits.variances[:, FAR][white.fits.freedoms[:, FAR] > 0]
-    if not len(variances):
-        return TINY
-    return max(math.sqrt(float(quantiles(variances, (0.5,))[0])) / white.edge, TINY)
 
 
 def _level_numbers(
@@ -164,8 +179,7 @@ def _level_numbers(
     steps: StepEvidence,
     differences: Differences | None,
 ) -> list[float]:
-    """Logarithms of the level by each measurement, in the order of ``classifier.LEVELS``; mean
-    edges."""
+    """Logarithms of the level by each measurement, in the order of ``LEVELS``; mean edges."""
     return [
         _log(white.level.mean_edges),
         _log(white.level.rms_edges),
@@ -206,19 +220,13 @@ def _repeated_lengths(mesh: Mesh, edge: float) -> list[float]:
     lengths = np.sort(np.sqrt((vectors * vectors).sum(axis=1))) / edge
     if len(lengths) < 20:
         return [MISSING] * 6
-    low, few, some, most, high = quantiles(lengths, (0.05, 0.25, 0.5, 0.75, 0.95))
+    spread = quantiles(lengths, (0.05, 0.25, 0.5, 0.75, 0.95))
+    low, high = spread[0], spread[-1]
     inner = lengths[(lengths >= low) & (lengths <= high)]
     gap = (high - low) / max(len(inner), 1)
     gaps = np.diff(inner)
     repeated = float((gaps <= 0.01 * gap).mean()) if gap > TINY and len(gaps) else 1.0
-    return [
-        repeated,
-        _log(float(low)),
-        _log(float(few)),
-        _log(float(some)),
-        _log(float(most)),
-        _log(float(high)),
-    ]
+    return [repeated, *_logs(spread)]
 
 
 def _white_numbers(white: WhiteEstimate, base: float) -> list[float]:
@@ -281,25 +289,6 @@ def _colour_numbers(colour: Colour | None, base: float) -> list[float]:
     ]
 
 
-def _find_axes(
-    survey: Survey, groups: Groups | None
-) -> tuple[AxisEvidence | None, AxisEvidence | None]:
-    """What speaks for the axis along which vertices slide, and for the one that explains best what
-    is left over."""
-    if groups is None:
-        return None, None
-    return weigh_axis(survey, groups, find_main_offset(survey.offsets)), find_axis(survey, groups)
-
-
-def _colour_along(survey: Survey, axis: AxisEvidence) -> Colour | None:
-    cosines = (survey.normals @ axis.axis) ** 2
-    return find_colour(survey, np.where(cosines > MIN_COSINE, cosines, 0.0))
-
-
-MIN_COSINE = 0.1
-"""Squared cosine to an axis from which a place says something of the noise along it."""
-
-
 def _axis_numbers(axis: AxisEvidence | None, base: float) -> list[float]:
     if axis is None:
         return [MISSING] * 8
@@ -321,13 +310,12 @@ def _offset_numbers(survey: Survey, base: float) -> list[float]:
         return [MISSING] * (2 * len(OFFSET_SHARES) + 3)
     out = (survey.offsets * survey.normals).sum(axis=1)
     within = np.sqrt(np.maximum((survey.offsets**2).sum(axis=1) - out * out, 0.0))
-    high, low = float((out > 0.05).mean()), float((out < -0.05).mean())
     return [
         *_logs(quantiles(np.abs(out), OFFSET_SHARES), base),
         *_logs(quantiles(within, OFFSET_SHARES), base),
-        high,
-        low,
-        float(np.mean(out > 0.0)),
+        float((out > 0.05).mean()),
+        float((out < -0.05).mean()),
+        float((out > 0.0).mean()),
     ]
 
 
@@ -336,17 +324,16 @@ def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
 
     White noise has a correlation of -0.24 on regular triangles, and smooth shape one near 1.
     """
-    starts, ring = mesh.topology.ring_start, mesh.topology.ring
     step = max(-(-len(survey.vertices) // MAX_NEIGHBOUR_PLACES), 1)
     places, normals = survey.vertices[::step], survey.normals[::step]
     own = survey.offsets[::step]
-    counts = (starts[places + 1] - starts[places]).astype(np.int64)
-    if not counts.sum():
+    of, neighbours, counts = ring_rows(mesh, places)
+    if not len(of):
         return [MISSING] * 8
-    ends = np.cumsum(counts)
-    at = np.arange(int(ends[-1])) + np.repeat(starts[places] - (ends - counts), counts)
-    others = _ring_offsets(mesh, ring[at].astype(np.int64)) / mesh.mean_edge_length
-    of = np.repeat(np.arange(len(places)), counts)
+    others, valences = ring_offsets(mesh, neighbours)
+    # Scaled as those of the survey.
+    others *= np.sqrt(valences / (valences + 1.0))[:, None]
+    others /= mesh.mean_edge_length
     heights = (own * normals).sum(axis=1)
     their_heights = (others * normals[of]).sum(axis=1)
     tangents = own - heights[:, None] * normals
@@ -355,39 +342,19 @@ def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
     squares = 0.5 * (
         heights**2 + np.bincount(of, their_heights**2, len(places)) / np.maximum(counts, 1)
     )
-    order = np.argsort(squares, kind="stable")
-    thirds = np.array_split(order, 3)
-    numbers = [
-        float(products[some].sum() / max(squares[some].sum(), TINY * TINY)) for some in thirds
-    ]
-    numbers.append(float((np.sign(heights[of]) == np.sign(their_heights)).mean()))
-    numbers.append(float(np.median(products / np.maximum(squares, TINY * TINY))))
+    thirds = np.array_split(np.argsort(squares, kind="stable"), 3)
     along = (tangents[of] * their_tangents).sum(axis=1)
     their_squares = (their_tangents**2).sum(axis=1)
-    numbers.append(float(along.sum() / max(their_squares.sum(), TINY * TINY)))
-    numbers.append(float((along > 0.0).mean()))
-    known = squares > TINY * TINY
-    kurtosis = heights[known] ** 2 / squares[known]
-    numbers.append(float(kurtosis.std()) if known.any() else MISSING)
-    return numbers
-
-
-def _ring_offsets(mesh: Mesh, vertices: Longs) -> Floats:
-    """From the middles of the one-rings of vertices (c,), which may repeat, to these (c, 3), scaled
-    as those of the survey; file units."""
-    unique, where = np.unique(vertices, return_inverse=True)
-    starts, ring = mesh.topology.ring_start, mesh.topology.ring
-    counts = (starts[unique + 1] - starts[unique]).astype(np.int64)
-    ends = np.cumsum(counts)
-    at = np.arange(int(ends[-1])) + np.repeat(starts[unique] - (ends - counts), counts)
-    of = np.repeat(np.arange(len(unique)), counts)
-    around = mesh.vertices[ring[at]]
-    result = np.empty((len(unique), 3))
-    weights = np.sqrt(counts / (counts + 1.0))
-    for axis in range(3):
-        middle = np.bincount(of, around[:, axis], len(unique)) / np.maximum(counts, 1)
-        result[:, axis] = (mesh.vertices[unique, axis] - middle) * weights
-    return result[where]
+    is_known = squares > TINY * TINY
+    kurtosis = heights[is_known] ** 2 / squares[is_known]
+    return [
+        *(float(products[some].sum() / max(squares[some].sum(), TINY * TINY)) for some in thirds),
+        float((np.sign(heights[of]) == np.sign(their_heights)).mean()),
+        float(np.median(products / np.maximum(squares, TINY * TINY))),
+        float(along.sum() / max(their_squares.sum(), TINY * TINY)),
+        float((along > 0.0).mean()),
+        float(kurtosis.std()) if is_known.any() else MISSING,
+    ]
 
 
 def _step_numbers(steps: StepEvidence, base: float) -> list[float]:
@@ -406,20 +373,14 @@ def _region_numbers(
     white: WhiteEstimate, survey: Survey, differences: Differences | None, base: float
 ) -> list[float]:
     regions = np.sort(white.regions) / white.edge
-    numbers = [
-        _log(float(regions[0]), base),
-        _log(float(np.median(regions)), base),
-        _log(float(regions[-1]), base),
-    ]
+    numbers = _logs(np.array([regions[0], np.median(regions), regions[-1]]), base)
     if differences is None:
         return numbers + [MISSING] * 18
     lows = np.sqrt(np.maximum(np.sort(differences.lows), 0.0))
     colour = find_colour(survey, differences.scale)
     return [
         *numbers,
-        _log(float(lows[0]), base),
-        _log(float(np.median(lows)), base),
-        _log(float(lows[-1]), base),
+        *_logs(np.array([lows[0], np.median(lows), lows[-1]]), base),
         float((differences.scale > 0.0).mean()),
         float(differences.is_pure.mean()),
         _log(math.sqrt(weigh_differences(differences)), base),

@@ -15,18 +15,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.survey import (
+from msal_cli.analysis.noise_estimate.fits import (
     FOUR,
     ONE,
     SIX,
     THREE,
     TWO,
     Survey,
+    WhiteEstimate,
     chi_square_quantile,
     quantile,
+    ring_offsets,
     split_regions,
 )
-from msal_cli.analysis.noise_estimate.white import WhiteEstimate
 from msal_cli.arrays import Floats, Longs
 
 if TYPE_CHECKING:
@@ -122,9 +123,8 @@ class Colour:
     misfit : what is left unexplained, as a mean error of logarithms of standard deviations.
     margin : by how much other numbers of rings are worse.
     sharpness : (5,), by fit.
-    is_floor : whether what wide fits leave over is the same everywhere, as only noise is.
+    is_floor : whether what wide fits leave over is as even as only noise is, and no pattern.
     is_relief : whether a smooth relief that is the same everywhere would leave that, too.
-    by_scale : (5,) standard deviation that each fit leaves over, mean edges, taken for white.
     """
 
     rings: int
@@ -134,7 +134,6 @@ class Colour:
     sharpness: Floats
     is_floor: bool
     is_relief: bool
-    by_scale: Floats
 
 
 def find_colour(
@@ -179,15 +178,16 @@ def find_colour(
     likely = np.exp((chosen[rings] - chosen) / DOUBT)
     logarithm = 0.5 * float(likely @ tried[np.arange(len(best)), best] / likely.sum())
     level = math.exp(logarithm)
+    is_pattern = rings > 0 and bool((sharpness > PATTERN).any())
+    least_sharpness = SHARP_LOUD if level > LOUD_LEVEL else SHARP
     return Colour(
         rings=rings,
         level=level,
         misfit=float(misfits[rings]),
         margin=float(others.min() - chosen[rings]),
         sharpness=sharpness,
-        is_floor=_is_floor(sharpness, rings, level),
+        is_floor=bool((sharpness >= least_sharpness).all()) and not is_pattern,
         is_relief=rings > 0 and _is_relief(by_scale, sharpness, rings),
-        by_scale=by_scale,
     )
 
 
@@ -200,14 +200,6 @@ def _is_relief(by_scale: Floats, sharpness: Floats, rings: int) -> bool:
     growth = float(by_scale[SIX] / by_scale[FOUR]) / expected
     is_wide = sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH
     return bool(is_wide or by_scale[THREE] < SMOOTH_GROWTH * by_scale[TWO])
-
-
-def _is_floor(sharpness: Floats, rings: int, level: float) -> bool:
-    """Whether what wide fits leave over is as even as noise, and not as a pattern."""
-    is_pattern = rings > 0 and bool((sharpness > PATTERN).any())
-    return (
-        bool((sharpness >= (SHARP_LOUD if level > LOUD_LEVEL else SHARP)).all()) and not is_pattern
-    )
 
 
 # Levels by region, where the noise is not the same everywhere
@@ -311,7 +303,7 @@ def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[fl
         return 0.0, 0.0
     lengths = np.sqrt((survey.offsets * survey.offsets).sum(axis=1))
     least = max(OUTLYING, TIMES_USUAL * quantile(lengths, USUAL))
-    offsets = _ring_offsets(mesh, far) / white.edge
+    offsets = ring_offsets(mesh, far)[0] / white.edge
     squares = (offsets * offsets).sum(axis=1)
     is_out = squares > least * least
     if is_out.sum() <= fewest:
@@ -321,14 +313,3 @@ def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[fl
     # Among many outliers some are not detected, but they are as far off.
     share = max(float((lengths > least).mean()), float(is_out.sum()) / len(white.places))
     return share, float(np.median(within[is_out]))
-
-
-def _ring_offsets(mesh: Mesh, vertices: NDArray[np.int64]) -> Floats:
-    """From the middles of the one-rings of vertices (c,) to these, (c, 3), file units."""
-    starts, ring = mesh.topology.ring_start, mesh.topology.ring
-    return np.array(
-        [
-            mesh.vertices[vertex] - mesh.vertices[ring[starts[vertex] : starts[vertex + 1]]].mean(0)
-            for vertex in vertices
-        ]
-    ).reshape(-1, 3)

@@ -1,0 +1,560 @@
+"""Noise that is along an axis: as from one view, or depths in steps.
+
+Noise along an axis leaves less to fits where the surface is steep to the axis: by the square of
+the cosine.  And it moves vertices within the surface there, along the axis and not across it.
+Isotropic noise moves them within the surface as much as out of it, and by chance.
+
+Where depths are rounded along an axis, or the surface is made of voxels, differences between
+neighbours are multiples of one step, exactly, and what fits leave over is as large as the step
+makes it.  Both are needed: the coordinates of a regular grid come in steps too, and of a box on it
+no fit leaves anything.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from msal_cli.analysis.noise_estimate.fits import (
+    FOUR,
+    THREE,
+    Survey,
+    chi_square_quantile,
+    quantile,
+    ring_rows,
+)
+from msal_cli.arrays import Floats
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
+
+MAX_GROUPS = 24
+"""Groups of places with alike normals."""
+
+MIN_IN_GROUP = 8
+MIN_PLACES = 60
+"""Places that a direction can be seen from."""
+
+LOW_SHARE = 0.25
+"""Share of the places of a group whose surface is taken for flat."""
+
+CLOSE = 0.02
+"""Squared sine of the angle to all groups below which no other group is needed."""
+
+ROUNDS = 8
+"""Rounds of the fit in which groups with more texture count for less."""
+
+GRAIN, MAX_ERROR = 0.02, 3.0
+"""What is added to squared cosines, and the most that the logarithm of a variance counts."""
+
+FACING = 0.1
+"""Mean squared cosine to an axis from which a group tells the level along it."""
+
+HOPELESS = 0.4
+"""By how much an axis may be worse than none before it is turned."""
+
+TURNS = (0.3, 0.15, 0.08, 0.04)
+"""Tangents of the angles by which an axis is turned in search of a better one."""
+
+
+CLEAR_SLIDE, CLEAR_CONTRAST = 0.7, 2.5
+"""Movement along the axis within the surface, as a share of the level, and over that across it,
+that an axis shows at least where it leaves no doubt."""
+
+PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 0.35, 1.35
+"""Gain that texture and noise by region do not bring, and the least movement and contrast then."""
+
+MAX_EXCESS = 1.4
+"""Movement along the axis over the level that noise explains where the contrast is low."""
+
+MIN_OF_SLIDE = 0.85
+"""Share of that movement that the level has at least, where it is clear."""
+
+LINKED, LINKED_CONTRAST, LINKED_SLIDE = 0.33, 3.0, (0.5, 1.8)
+"""How much more often than not the ways of a vertex within the surface and out of it are along one
+axis, the contrast of those within it, and their least and most in levels along the axis, where
+noise is along it.  On eleven models noise along an axis has 0.33 to 0.79 and 2 to 14, and other
+noise at most 0.3, or a contrast of at most 1.7."""
+
+STEEP = 0.3
+"""Sine of the angle between normal and axis from which movement along it can be seen."""
+
+FLAT_COSINE = 0.25
+"""Squared cosine from which a place tells the level along an axis."""
+
+
+@dataclass(frozen=True)
+class AxisEvidence:
+    """How well noise along an axis explains what is left over.
+
+    Attributes
+    ----------
+    axis : (3,) unit vector.
+    misfit, without : mean error of the logarithms of variances along the axis, and along normals.
+    slide : standard deviation of vertices within the surface along the axis, mean edges.
+    contrast : that over the one across the axis.
+    level : standard deviation along the axis, mean edges, taken for white.
+    agreement : how much more often than not the ways of a vertex within the surface and out of it
+        are along the axis, -1 to 1.
+    """
+
+    axis: Floats
+    misfit: float
+    without: float
+    slide: float
+    contrast: float
+    level: float
+    agreement: float
+
+    @property
+    def is_linked(self) -> bool:
+        """Whether vertices that slide along the axis are out of the surface along it as well.
+
+        Neither relief nor uneven triangles link the two.
+        """
+        least, most = LINKED_SLIDE
+        slides = least * self.level < self.slide < most * self.level
+        return self.agreement > LINKED and self.contrast > LINKED_CONTRAST and slides
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether vertices slide along the axis as much as noise along it makes them."""
+        # Those that share noise slide less.
+        least = SHARED_SLIDE if self.gain > PLAIN_GAIN else CLEAR_SLIDE
+        if self.excess < least * self.level:
+            return False
+        is_plain = self.gain > PLAIN_GAIN and self.excess < MAX_EXCESS * self.level
+        return self.contrast > (PLAIN_CONTRAST if is_plain else CLEAR_CONTRAST)
+
+    @property
+    def excess(self) -> float:
+        """Standard deviation along the axis by how much more vertices slide along it."""
+        return self.slide * math.sqrt(max(1.0 - 1.0 / max(self.contrast, 1.0) ** 2, 0.0))
+
+    @property
+    def best_level(self) -> float:
+        """Standard deviation along the axis, if the noise is white: by what fits leave over, within
+        what the vertices slide, which shape does not add to."""
+        if not self.is_clear:
+            return self.level
+        return min(max(self.level, MIN_OF_SLIDE * self.excess), self.excess)
+
+    @property
+    def gain(self) -> float:
+        """How much better the axis explains the variances than the normals do."""
+        return self.without - self.misfit
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Places by their normals.
+
+    Attributes
+    ----------
+    variances, normals : (c,), scaled to the level of noise, and (c, 3), of the places.
+    levels : (g,) low variance of each group.
+    squares : (g, 3, 3) mean products of the coordinates of the normals.
+    counts : (g,) number of places.
+    """
+
+    variances: Floats
+    normals: Floats
+    levels: Floats
+    squares: Floats
+    counts: Floats
+
+    def misfit(self, axis: Floats | None) -> float:
+        """Mean error of the logarithms of the levels, for noise along an axis or the normals."""
+        if axis is None:
+            return self.misfit_of(np.ones(len(self.levels)))
+        return self.misfit_of(self.cosines(axis[None])[0])
+
+    def cosines(self, axes: Floats) -> Floats:
+        """Mean squared cosines (k, g) of the groups' normals to axes (k, 3)."""
+        products = (axes[:, :, None] * axes[:, None, :]).reshape(len(axes), 9)
+        cosines: Floats = products @ self.squares.reshape(-1, 9).T
+        return cosines
+
+    def misfit_of(self, cosines: Floats) -> float:
+        """Mean error of the logarithms of levels that go by squared ``cosines`` (g,)."""
+        faces = cosines > FACING
+        if not faces.any():
+            return math.inf
+        ratios = self.levels[faces] / cosines[faces]
+        order = np.argsort(ratios)
+        shares = np.cumsum(self.counts[faces][order])
+        variance = float(ratios[order[int(np.searchsorted(shares, 0.5 * shares[-1]))]])
+        if variance <= 0.0:
+            return math.inf
+        errors = np.abs(np.log((self.levels / variance + GRAIN) / (cosines + GRAIN)))
+        return float(self.counts @ np.minimum(errors, MAX_ERROR) / self.counts.sum())
+
+
+def group_places(survey: Survey) -> Groups | None:
+    """The places by their normals; None where too few are alike."""
+    fit = THREE
+    has = np.isfinite(survey.variances[:, fit]) & (survey.freedoms[:, fit] > 5.0)
+    if has.sum() < MIN_PLACES:
+        return None
+    normals = survey.normals[has]
+    scaled = survey.variances[has, fit] / chi_square_quantile(survey.freedoms[has, fit], LOW_SHARE)
+    # The first one is along what most are along.
+    current = int(np.abs(normals @ np.linalg.eigh(normals.T @ normals)[1][:, 2]).argmax())
+    distances = np.full(len(normals), np.inf)
+    labels = np.zeros(len(normals), dtype=np.int64)
+    for group in range(MAX_GROUPS):
+        apart = 1.0 - (normals @ normals[current]) ** 2
+        labels[apart < distances] = group
+        np.minimum(distances, apart, out=distances)
+        current = int(distances.argmax())
+        if distances[current] < CLOSE:
+            break
+    levels, squares, counts = [], [], []
+    for group in range(int(labels.max()) + 1):
+        among = labels == group
+        count = int(among.sum())
+        if count >= MIN_IN_GROUP:
+            levels.append(quantile(scaled[among], LOW_SHARE))
+            squares.append(normals[among].T @ normals[among] / count)
+            counts.append(float(count))
+    if len(levels) < 3 or max(levels) <= 0.0:
+        return None
+    return Groups(scaled, normals, np.array(levels), np.array(squares), np.array(counts))
+
+
+def find_axis(survey: Survey, groups: Groups) -> AxisEvidence | None:
+    """The axis that the noise is along, if it is along any; None where that cannot be seen."""
+    without = groups.misfit(None)
+    best, misfit = None, math.inf
+    for candidate in (_main_axis(groups), find_main_offset(survey.offsets)):
+        if groups.misfit(candidate) > without + HOPELESS:
+            continue
+        axis, error = _refine(candidate, groups)
+        if error < misfit:
+            best, misfit = axis, error
+    return None if best is None else weigh_axis(survey, groups, best)
+
+
+def weigh_axis(survey: Survey, groups: Groups, axis: Floats) -> AxisEvidence:
+    """What speaks for noise along an axis (3,)."""
+    slide, across, agreement = _measure_slides(survey, axis)
+    cosines = (groups.normals @ axis) ** 2
+    faces = cosines > FLAT_COSINE
+    level = 0.0
+    if faces.any():
+        level = math.sqrt(quantile(groups.variances[faces] / cosines[faces], LOW_SHARE))
+    return AxisEvidence(
+        # Its largest coordinate is positive.
+        axis=axis if axis[np.abs(axis).argmax()] > 0.0 else -axis,
+        misfit=groups.misfit(axis),
+        without=groups.misfit(None),
+        slide=slide,
+        contrast=slide / across if across > 0.0 else (math.inf if slide > 0.0 else 0.0),
+        level=level,
+        agreement=agreement,
+    )
+
+
+def _main_axis(groups: Groups) -> Floats:
+    """Main axis of the covariance C for which n' C n is nearest to the groups' variances."""
+    levels, squares, counts = groups.levels, groups.squares, groups.counts
+    rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+    design = np.ascontiguousarray(squares[:, rows, columns]) * np.array(
+        [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
+    )
+    mean = float(counts @ levels / counts.sum())
+    fitted = np.full(len(levels), mean)
+    floor = 1e-3 * float(levels.max())
+    axes = np.eye(3)
+    for _ in range(ROUNDS):
+        # Texture adds to groups, and nothing takes away from them.
+        too_much = np.minimum(1.6 * fitted / np.maximum(levels, 1e-300), 1.0)
+        weights = np.sqrt(counts) * too_much / (fitted + floor)
+        weighted = design * weights[:, None]
+        normal = weighted.T @ weighted
+        ridge = 1e-3 * float(np.trace(normal)) / 6.0
+        right = weighted.T @ (levels * weights) + ridge * mean * np.array([1, 1, 1, 0, 0, 0])
+        c = np.linalg.solve(normal + ridge * np.eye(6), right)
+        matrix = np.array([[c[0], c[3], c[4]], [c[3], c[1], c[5]], [c[4], c[5], c[2]]])
+        values, axes = np.linalg.eigh(matrix)
+        matrix = (axes * np.maximum(values, 0.0)) @ axes.T
+        fitted = np.maximum((squares * matrix).sum(axis=(1, 2)), 0.0)
+    main: Floats = axes[:, 2]
+    return main
+
+
+def find_main_offset(offsets: Floats) -> Floats:
+    """Direction in which vertices are furthest off the middles of their rings."""
+    lengths = np.sqrt((offsets * offsets).sum(axis=1))
+    most = 2.0 * float(np.median(lengths))
+    clipped = offsets * (np.minimum(lengths, most) / np.maximum(lengths, 1e-300))[:, None]
+    main: Floats = np.linalg.eigh(clipped.T @ clipped)[1][:, 2]
+    return main
+
+
+def _refine(axis: Floats, groups: Groups) -> tuple[Floats, float]:
+    """The axis near by with the least misfit, and that."""
+    least = groups.misfit(axis)
+    angles = np.arange(8) * (math.pi / 4.0)
+    for turn in TURNS:
+        across = np.linalg.svd(axis[None])[2][1:]
+        ways = np.cos(angles)[:, None] * across[0] + np.sin(angles)[:, None] * across[1]
+        others = axis + turn * ways
+        others /= math.sqrt(1.0 + turn * turn)
+        for other, cosines in zip(others, groups.cosines(others), strict=True):
+            error = groups.misfit_of(cosines)
+            if error < least:
+                axis, least = other, error
+    return axis, least
+
+
+def _measure_slides(survey: Survey, axis: Floats) -> tuple[float, float, float]:
+    """Standard deviation of vertices within the surface along an axis, as if all were along it, and
+    across it; and how much more often than not vertices are off the middles of their rings to one
+    side of the axis by their ways within the surface and out of it, where it is oblique."""
+    normals, offsets = survey.normals, survey.offsets
+    cosines = normals @ axis
+    along = axis - cosines[:, None] * normals
+    sines = np.sqrt((along * along).sum(axis=1))
+    slide = across = agreement = 0.0
+    steep = sines > STEEP
+    oblique = steep & (np.abs(cosines) > STEEP)
+    if oblique.sum() >= MIN_PLACES // 2:
+        out = (offsets * normals).sum(axis=1) * cosines
+        within = (offsets * along).sum(axis=1)
+        agreement = float((np.sign(out) * np.sign(within))[oblique].mean())
+    if steep.sum() >= MIN_PLACES // 2:
+        along = along[steep] / sines[steep][:, None]
+        ways = (offsets[steep] * along).sum(axis=1) / sines[steep]
+        other = (offsets[steep] * np.cross(normals[steep], along)).sum(axis=1)
+        slide = 1.4826 * float(np.median(np.abs(ways)))
+        across = 1.4826 * float(np.median(np.abs(other)))
+    return slide, across, agreement
+
+
+# Depths in steps
+
+MIN_STEP = 0.05
+"""Mean edge lengths: shorter steps are those of the file's digits, and no noise to speak of."""
+
+SAME = 2e-3
+"""Mean edge lengths below which two depths are the same."""
+
+FIRST_SHARE = 0.02
+"""Share of the differences that may be less than a step, for other reasons."""
+
+ON_STEP, MOSTLY = 0.02, 0.97
+"""Distance from a multiple, in steps, that counts as one, and the share that has to."""
+
+MIN_DIFFERENCES = 100
+
+OBLIQUE = (0.05, 0.95)
+"""Squared cosines to an axis between which a place is oblique to it: terraces lie there."""
+
+MIN_OBLIQUE = 0.08
+"""Share of the places that have to be, for others to be left out."""
+
+
+PARALLEL = 1e-6
+"""One less the cosine of the angle up to which edges have one direction."""
+
+AT_ONCE = 32
+"""Directions that are compared with all at a time: more would take memory."""
+
+MAX_CANDIDATES, MAX_DIRECTIONS, MIN_PARALLEL = 512, 13, 0.01
+"""Edges whose direction may be an axis of a turned grid; of how many directions pairs are tried,
+which marching cubes have along axes and diagonals; and the share of all edges with such a one."""
+
+ACROSS = 2e-3
+"""Cosine between axes of a grid at most."""
+
+
+MAX_PAIRS, MAX_COMPARED, MAX_STEP_AXES = 200, 400, 4
+"""Pairs of edges whose plane may be one of equal depth, edges that are compared with each, and
+planes whose steps are looked at."""
+
+MIN_SINE, PARALLEL_SINE, MIN_LEVEL_SHARE = 0.3, 1e-4, 0.05
+"""Sine between the edges of such a pair, sine to the plane up to which an edge lies in it, and the
+share of all edges that do."""
+
+OF_VOXELS, OF_SLICES, SAME_HEIGHT = 0.205, 0.145, 1.2
+"""Root mean square distance of terraces from the surface, in heights, where they have the same
+height in all directions and where not; median over ten closed shapes, the latter with slices of
+three voxels.  It depends on the shape by 10 and by 40 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepEvidence:
+    """Steps in the differences between neighbours, whatever they come from.
+
+    Attributes
+    ----------
+    n_axes : along how many axes of a grid there are steps, 0 to 3.
+    axis : (3,) unit vector across the steps; None where there are none, or along all axes.
+    step : the widest, mean edges; of terraces their height.  0 for none.
+    level : standard deviation that such steps make, mean edges.
+    voxel_share : share of the edges that marching cubes over voxels could have.
+    is_turned : whether the grid is not along the axes of the file.
+    along_gain : by how much the axis explains better what is left over than the normals do.
+    roughness : what is left over where the surface is oblique to the steps, in squared steps / 12.
+    """
+
+    n_axes: int
+    axis: Floats | None
+    step: float
+    level: float
+    voxel_share: float
+    is_turned: bool
+    along_gain: float
+    roughness: float
+
+
+NO_STEPS = StepEvidence(0, None, 0.0, 0.0, 0.0, False, 0.0, 0.0)
+
+
+def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvidence:
+    """The steps along the axes of the file, along those of a turned grid, or along one axis."""
+    rows, neighbours, _ = ring_rows(mesh, survey.vertices)
+    differences = mesh.vertices[neighbours] - mesh.vertices[survey.vertices[rows]]
+    differences /= mesh.mean_edge_length
+    frame, is_turned = np.eye(3), False
+    steps = _axis_steps(differences)
+    if not any(steps):
+        is_turned = True
+        for frame in _find_frames(differences):
+            steps = _axis_steps(differences @ frame.T)
+            if all(steps):
+                break
+        else:
+            axis = _find_step_axis(differences)
+            if axis is None:
+                return NO_STEPS
+            frame = np.stack([axis, axis, axis])
+            steps = [_step(np.abs(differences @ axis)), 0.0, 0.0]
+    if all(steps):
+        step = 2.0 * max(steps)
+        normals = survey.normals @ frame.T
+        is_even = max(steps) < SAME_HEIGHT * min(steps)
+        # Vertices of marching cubes over binary voxels are in the middles of the voxels' edges, so
+        # that coordinates of edges, in steps, have an even sum; those of other grids odd ones too.
+        sums = np.round(differences @ frame.T / np.array(steps)).sum(axis=1)
+        return StepEvidence(
+            n_axes=3,
+            axis=None,
+            step=step,
+            level=(OF_VOXELS if is_even else OF_SLICES) * step,
+            voxel_share=float((sums % 2.0 == 0.0).mean()),
+            is_turned=is_turned,
+            along_gain=0.0,
+            roughness=_roughness(survey, FOUR, (normals**2).max(axis=1), None, 0.5 * step),
+        )
+    best = int(np.argmax(steps))
+    step, axis = steps[best], frame[best]
+    squares = (survey.normals @ axis) ** 2
+    gain = 0.0 if groups is None else groups.misfit(None) - groups.misfit(axis)
+    return StepEvidence(
+        n_axes=sum(step > 0.0 for step in steps),
+        axis=axis,
+        step=step,
+        level=step / math.sqrt(12.0),
+        voxel_share=0.0,
+        is_turned=is_turned,
+        along_gain=gain,
+        roughness=_roughness(survey, THREE, squares, squares, step),
+    )
+
+
+def _find_step_axis(differences: Floats) -> Floats | None:
+    """The direction across which many edge vectors (d, 3) lie exactly, if their parts along it come
+    in steps; None where there is none."""
+    lengths = np.sqrt((differences * differences).sum(axis=1))
+    some = differences[lengths > SAME] / lengths[lengths > SAME, None]
+    if len(some) < MIN_DIFFERENCES:
+        return None
+    first = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64)]
+    # Next to one another in a ring.
+    second = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64) + 1]
+    across = np.cross(first, second)
+    sizes = np.sqrt((across * across).sum(axis=1))
+    across = across[sizes > MIN_SINE] / sizes[sizes > MIN_SINE, None]
+    compared = some[:: max(len(some) // MAX_COMPARED, 1)]
+    shares = (np.abs(across @ compared.T) < PARALLEL_SINE).mean(axis=1)
+    for candidate in np.argsort(-shares, kind="stable")[:MAX_STEP_AXES]:
+        if shares[candidate] < MIN_LEVEL_SHARE:
+            return None
+        if _step(np.abs(differences @ across[candidate])):
+            axis: Floats = across[candidate]
+            return axis
+    return None
+
+
+def _roughness(
+    survey: Survey, fit: int, squares: Floats, scale: Floats | None, step: float
+) -> float:
+    """What fits leave over in squared steps / 12, where the surface is oblique to the axis."""
+    variances = survey.variances[:, fit]
+    has = np.isfinite(variances) & (squares > OBLIQUE[0])
+    oblique = has & (squares < OBLIQUE[1])
+    if oblique.mean() > MIN_OBLIQUE:
+        has = oblique
+    if not has.any():
+        return 0.0
+    ratios = variances[has] if scale is None else variances[has] / scale[has]
+    return min(float(np.median(ratios)) / (step * step / 12.0), 100.0)
+
+
+def _axis_steps(differences: Floats) -> list[float]:
+    """The step of edge vectors (d, 3) along each axis; 0 for none."""
+    return [_step(np.abs(differences[:, axis])) for axis in range(3)]
+
+
+def _find_frames(differences: Floats) -> Iterator[Floats]:
+    """Axes (3, 3), one a row, of turned grids that edge vectors (d, 3) may lie on: two directions
+    across one another that many edges have, and the third one."""
+    lengths = np.sqrt((differences * differences).sum(axis=1))
+    directions = differences[lengths > SAME] / lengths[lengths > SAME, None]
+    main = _main_directions(directions)
+    for first, second in itertools.combinations(main, 2):
+        if abs(float(first @ second)) < ACROSS:
+            third = np.cross(first, second)
+            third /= math.sqrt(float(third @ third))
+            yield np.stack([first, np.cross(third, first), third])
+
+
+def _main_directions(directions: Floats) -> Floats:
+    """Those (m, 3) of the directions (d, 3) that many have, the most frequent first."""
+    some = directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)]
+    shares = np.empty(len(some))
+    for start in range(0, len(some), AT_ONCE):
+        block = slice(start, start + AT_ONCE)
+        cosines = np.abs(np.einsum("ij,kj->ik", some[block], directions))
+        shares[block] = (cosines > 1.0 - PARALLEL).mean(axis=1)
+    main: list[Floats] = []
+    for candidate in np.argsort(-shares, kind="stable"):
+        if shares[candidate] < MIN_PARALLEL or len(main) == MAX_DIRECTIONS:
+            break
+        if not main or (np.abs(np.array(main) @ some[candidate]) < 1.0 - SAME).all():
+            main.append(some[candidate])
+    return np.array(main).reshape(-1, 3)
+
+
+def _step(differences: Floats) -> float:
+    """The step of which differences without sign (d,) are multiples; 0 for none."""
+    some = differences[differences > SAME]
+    if len(some) < MIN_DIFFERENCES:
+        return 0.0
+    rank = int(FIRST_SHARE * len(some))
+    step = float(np.partition(some, rank)[rank])
+    for _ in range(3):
+        multiples = np.round(some / step)
+        near = (multiples > 0.0) & (np.abs(some / step - multiples) < 2.0 * ON_STEP)
+        if not near.any():
+            return 0.0
+        step = float((multiples * some)[near].sum() / (multiples * multiples)[near].sum())
+    is_on = np.abs(some / step - np.round(some / step)) < ON_STEP
+    return step if step > MIN_STEP and is_on.mean() > MOSTLY else 0.0

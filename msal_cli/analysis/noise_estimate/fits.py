@@ -1,0 +1,421 @@
+"""Fits of polynomials to the surface at places of a mesh, and the level of white noise by them.
+
+What fits leave over is noise, and what the surface itself has beyond the polynomial: texture,
+creases.  White noise leaves the same to every fit, by its degrees of freedom, and everywhere;
+texture leaves more to coarser fits, and little to the flattest places.  So the level of white noise
+is what the fit with the least leaves over at the flattest fifth of some thousands of places, set
+right for having looked there.  The survey looks at some hundred places over one to six rings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.analysis.noise_estimate.level import (
+    NoiseLevel,
+    are_spikes,
+    are_uneven,
+    to_clean_edges,
+)
+from msal_cli.arrays import Floats, Longs
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
+
+_NORMAL = {
+    0.05: -1.6448536,
+    0.2: -0.8416212,
+    0.25: -0.6744898,
+    0.3: -0.5244005,
+    0.35: -0.3853205,
+    0.4: -0.2533471,
+    0.5: 0.0,
+}
+"""Quantiles of the normal distribution."""
+
+
+def quantile(values: Floats, share: float) -> float:
+    """The value (of at least one) below which a share of them lies; one of them, no mean of two."""
+    rank = int(share * (len(values) - 1))
+    return float(np.partition(values, rank)[rank])
+
+
+def quantiles(values: Floats, shares: Sequence[float]) -> Floats:
+    """Values (s,) below which ``shares`` of them lie, as ``numpy.quantile`` gives them, which takes
+    ten times as long for a few hundred."""
+    ordered = np.sort(values)
+    places = np.asarray(shares) * (len(ordered) - 1)
+    low = places.astype(np.int64)
+    high = np.minimum(low + 1, len(ordered) - 1)
+    result: Floats = ordered[low] + (ordered[high] - ordered[low]) * (places - low)
+    return result
+
+
+def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
+    """What chi square over its degrees of freedom stays below with a probability of ``share``.
+
+    After Wilson and Hilferty 1931; right within 2 % from five degrees of freedom on.
+    """
+    scale = 2.0 / (9.0 * np.maximum(freedoms, 1.0))
+    ratios: Floats = np.maximum(1.0 - scale + _NORMAL[share] * np.sqrt(scale), 0.05) ** 3
+    return ratios
+
+
+# Neighbours of places
+
+
+def ring_rows(mesh: Mesh, vertices: Longs) -> tuple[Longs, Longs, Longs]:
+    """The one-rings of vertices (c,) behind one another: for each neighbour (k,) which of the
+    vertices it belongs to, and its own number; and the valences (c,)."""
+    starts, ring = mesh.topology.one_ring
+    counts = (starts[vertices + 1] - starts[vertices]).astype(np.int64)
+    rows = np.repeat(np.arange(len(vertices)), counts)
+    at = np.arange(len(rows)) + np.repeat(starts[vertices] - (np.cumsum(counts) - counts), counts)
+    return rows, ring[at].astype(np.int64), counts
+
+
+def ring_offsets(mesh: Mesh, vertices: Longs) -> tuple[Floats, Longs]:
+    """From the middles of the one-rings of vertices (c,), which may repeat, to these (c, 3), file
+    units; and the valences (c,)."""
+    unique, where = np.unique(vertices, return_inverse=True)
+    rows, neighbours, counts = ring_rows(mesh, unique)
+    offsets = np.empty((len(unique), 3))
+    for axis in range(3):
+        sums = np.bincount(rows, mesh.vertices[neighbours, axis], len(unique))
+        offsets[:, axis] = mesh.vertices[unique, axis] - sums / np.maximum(counts, 1)
+    return offsets[where], counts[where]
+
+
+# The survey
+
+MAX_PLACES = 640
+"""Places of the survey: more would add little, and take 15 microseconds each."""
+
+ONE, TWO, THREE, FOUR, SIX = range(5)
+"""The fits, by the rings that they are over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """The places, and what fits leave over there; lengths are in mean edge lengths.
+
+    Attributes
+    ----------
+    vertices : (c,) the vertices that they are at.
+    positions : (c, 3).
+    variances : (c, 5) left over by each fit, by the degrees of freedom; NaN where there is none.
+    freedoms : (c, 5).
+    normals : (c, 3) of the two-ring; unit vectors.
+    offsets : (c, 3) from the middle of the ring to the vertex; see ``kernels.patch_fits``.
+    """
+
+    vertices: Longs
+    positions: Floats
+    variances: Floats
+    freedoms: Floats
+    normals: Floats
+    offsets: Floats
+
+    def quantile(self, fit: int, share: float, scale: Floats | None = None) -> float:
+        """Variance that one fit leaves over at a share of the places, or of its ratio to ``scale``
+        (c,) where that is above 0; NaN where there is none."""
+        values = self.variances[:, fit]
+        if scale is not None:
+            has = scale > 0.0
+            values = values[has] / scale[has]
+        values = values[np.isfinite(values)]
+        return quantile(values, share) if len(values) else math.nan
+
+
+def take_survey(mesh: Mesh, places: Longs) -> Survey:
+    """Look at some of the places (c,), evenly."""
+    from msal_cli.kernels.patch_fits import fit_scales
+
+    at = np.arange(0, len(places), max(-(-len(places) // MAX_PLACES), 1))
+    chosen = np.ascontiguousarray(places[at])
+    normals = mesh.vertex_normals("uniform", 1)
+    rests, rows, ranks, frames, offsets = fit_scales(
+        chosen, mesh.vertices, normals, *mesh.topology.one_ring
+    )
+    edge = mesh.mean_edge_length
+    freedoms = np.maximum(rows - ranks, 0).astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variances = np.where(freedoms > 0.0, rests / freedoms, np.nan) / (edge * edge)
+    has_normal = (frames != 0.0).any(axis=1)
+    chosen = chosen[has_normal]
+    return Survey(
+        vertices=chosen,
+        positions=mesh.vertices[chosen] / edge,
+        variances=variances[has_normal],
+        freedoms=freedoms[has_normal],
+        normals=frames[has_normal],
+        offsets=offsets[has_normal] / edge,
+    )
+
+
+# Regions of a mesh, each as far from the others as can be
+
+BLOCK_VERTICES = 1 << 14
+"""Vertices whose distances to all regions are in memory at a time."""
+
+
+def split_regions(vertices: Floats, count: int) -> tuple[Longs, Longs]:
+    """Which of the vertices (c, 3) are middles of ``count`` regions, each as far from the others as
+    can be; and which middle is the nearest to each vertex (c,)."""
+    axes = np.ascontiguousarray(vertices.T)
+    # The first one is the furthest from where they are on average.
+    distances = _squared_distances(axes, axes.mean(axis=1))
+    middles = np.empty(count, dtype=np.int64)
+    labels = np.zeros(len(vertices), dtype=np.int64)
+    for number in range(count):
+        middles[number] = distances.argmax()
+        from_it = _squared_distances(axes, vertices[middles[number]])
+        if number == 0:
+            distances = from_it
+            continue
+        labels[from_it < distances] = number
+        np.minimum(distances, from_it, out=distances)
+    return middles, labels
+
+
+def find_nearest(vertices: Floats, middles: Floats) -> Longs:
+    """Which of the middles (r, 3) is the nearest to each of the vertices (n, 3)."""
+    nearest = np.empty(len(vertices), dtype=np.int64)
+    for first in range(0, len(vertices), BLOCK_VERTICES):
+        axes = np.ascontiguousarray(vertices[first : first + BLOCK_VERTICES].T)
+        distances = [_squared_distances(axes, middle) for middle in middles]
+        nearest[first : first + BLOCK_VERTICES] = np.argmin(distances, axis=0)
+    return nearest
+
+
+def _squared_distances(axes: Floats, point: Floats) -> Floats:
+    """Of positions, an axis a row (3, n), from a point (3,)."""
+    x, y, z = axes[0] - point[0], axes[1] - point[1], axes[2] - point[2]
+    distances: Floats = x * x + y * y + z * z
+    return distances
+
+
+# The level of white noise
+
+MIN_PATCHES, MAX_PATCHES = 1536, 4096
+VERTICES_PER_PATCH = 12
+"""Around one of so many vertices polynomials are fitted, within these bounds: patches of twenty
+then cover each vertex once or twice, and more of them would add little.  A fit takes
+microseconds."""
+
+FLATTEST = 0.2
+"""Share of the places whose surface is taken for flat enough: less, and patched holes would count
+for the whole; more, and texture would."""
+
+MARGIN = 1.03
+"""What fits over the one-ring leave over counts for so much: they have fewer degrees of freedom,
+and the least of several that differ by chance would be too little."""
+
+TEXTURE = 0.5
+"""Texture in what the best fit leaves over, as variance, for each unit that the next coarser fit
+leaves more; measured on clean scans, see docs/noise.md."""
+
+MAX_TEXTURE = 0.75
+"""Share of the variance that is taken for texture, at most."""
+
+TEXTURE_BOUND = 2.0
+"""The same as ``TEXTURE`` where texture counts for most of all; for the lower end."""
+
+TOO_MUCH = 0.1
+"""What the lower end allows for creases, which the flattest fifth of the places may still have."""
+
+TOO_LITTLE = 0.05
+"""What the upper end allows for normals that noise has turned."""
+
+FAR_OUT = 0.01
+"""Share of the vertices that Gaussian noise puts as far out as counts for the tail."""
+
+MIN_TAIL = 0.008
+"""Excess of the tail over that from which noise is impulsive."""
+
+FAR_OUT_EXCESS = 0.08
+"""What those vertices add of themselves, in variances of Gaussian noise."""
+
+NEGLIGIBLE = 0.005
+"""Mean edge lengths below which no noise can be seen."""
+
+DOUBTFUL = 0.05
+"""Mean edge lengths: noise whose interval goes from 0 to less is none to speak of, for all of it
+may be texture."""
+
+SPREAD = 0.1
+"""What the upper end allows for spikes that are not detected."""
+
+VERTICES_PER_REGION, MAX_REGIONS, MIN_PLACES = 800, 16, 48
+"""Vertices of a region, the most regions, and places that a region needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """What ``kernels.patch_fits.fit_patches`` gives for the places."""
+
+    variances: Floats
+    freedoms: NDArray[np.int32]
+    gaps: Floats
+    ratios: Floats
+
+    def level(self, fit: int, share: float, among: NDArray[np.bool_] | None = None) -> float:
+        """Standard deviation by one fit at the flattest ``share`` of the places, file units;
+        infinite where it has none."""
+        from msal_cli.kernels.quantiles import chi_square
+
+        has = self.freedoms[:, fit] > 0
+        if among is not None:
+            has &= among
+        if not has.any():
+            return math.inf
+        scaled = self.variances[has, fit] / chi_square(share)[self.freedoms[has, fit]]
+        rank = int(share * (len(scaled) - 1))
+        return math.sqrt(float(np.partition(scaled, rank)[rank]))
+
+
+PLANE, NEAR, FAR, CUBIC = range(4)
+"""The fits: a plane and degree 2 over the one-ring, degrees 2 and 3 over the two-ring."""
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteEstimate:
+    """The level by fits over one- and two-rings, which takes the noise for white.
+
+    Attributes
+    ----------
+    level : what ``NoiseLevel`` says of it.
+    places : (c,) vertices around which the fits are.
+    middles : (r, 3) positions of the regions' middles.
+    regions : (r,) levels of the regions, file units.
+    far : (c,) whether a vertex is far out among its neighbours.
+    fits : what the fits leave over at the places.
+    edge : mean edge length, file units.
+    """
+
+    level: NoiseLevel
+    places: Longs
+    middles: Floats
+    regions: Floats
+    far: NDArray[np.bool_]
+    fits: Fits
+    edge: float
+
+
+def estimate_white(mesh: Mesh) -> WhiteEstimate:
+    """The noise of a mesh as far as it is white."""
+    from msal_cli.kernels.patch_fits import fit_patches
+    from msal_cli.kernels.quantiles import student
+
+    places = _choose_places(mesh)
+    normals = mesh.vertex_normals("uniform", 1)
+    fits = Fits(*fit_patches(places, mesh.vertices, normals, *mesh.topology.one_ring))
+    edge = mesh.mean_edge_length
+    far = fits.ratios > student(np.maximum(fits.freedoms[:, FAR] - 1.0, 1.0))
+    n_judged = max(int((fits.ratios >= 0.0).sum()), 1)
+    tail = float(far.sum()) / n_judged
+    is_impulsive = tail > FAR_OUT + max(MIN_TAIL, 4.0 * math.sqrt(FAR_OUT / n_judged))
+
+    near = math.inf if is_impulsive else fits.level(PLANE, FLATTEST)
+    nearer = math.inf if is_impulsive else fits.level(NEAR, 0.5)
+    coarse = fits.level(FAR, FLATTEST)
+    best = _least(near, nearer, coarse, fits.level(CUBIC, FLATTEST))
+    level = _without_texture(best, coarse)
+    # A quantile tells less than a mean of as many, and patches overlap.
+    freedoms = max(min(9.0 * len(places), 0.5 * len(mesh.vertices)), 1.0)
+    error = 2.5 * 1.6 / math.sqrt(2.0 * freedoms)
+    low = math.sqrt(max(best * best - TEXTURE_BOUND * _excess_spread(coarse, best), 0.0))
+    low *= max(1.0 - TOO_MUCH - error, 0.0)
+    high = best * (1.0 + TOO_LITTLE + error)
+
+    n_regions = min(max(len(mesh.vertices) // VERTICES_PER_REGION, 1), MAX_REGIONS)
+    middles, labels = split_regions(mesh.vertices[places], n_regions)
+    regions = _measure_regions(fits, labels, len(middles), level, is_impulsive)
+    lowest, highest = float(regions.min()), float(regions.max())
+    if are_uneven(lowest / edge, highest / edge):
+        shares = np.bincount(labels, minlength=len(middles)) / len(labels)
+        level = max(level, math.sqrt(float((shares * regions * regions).sum())))
+        low, high = min(low, lowest), max(high, highest)
+
+    excess = float(np.maximum(fits.gaps[far] ** 2 - level * level, 0.0).sum()) / n_judged
+    rms = math.sqrt(max(level * level, (1.0 - FAR_OUT_EXCESS) * level * level + excess))
+    if is_impulsive:
+        high = max(high, rms * (1.0 + SPREAD + error))
+    edges = level / edge
+    is_small = edges < NEGLIGIBLE or (low == 0.0 and high < DOUBTFUL * edge)
+    noise = NoiseLevel(
+        mean_edges=edges,
+        low=min(low, level) / edge,
+        high=high / edge,
+        file_units=level,
+        clean_edges=to_clean_edges(edges),
+        rms_edges=rms / edge,
+        tail=tail,
+        is_negligible=is_small and not are_spikes(rms / edge, tail),
+        lowest=lowest / edge,
+        highest=highest / edge,
+        regions=len(regions),
+    )
+    return WhiteEstimate(noise, places, mesh.vertices[places[middles]], regions, far, fits, edge)
+
+
+def _choose_places(mesh: Mesh) -> Longs:
+    """Vertices around which to look, evenly over their numbers, but in no step with any pattern
+    of them."""
+    has_ring = mesh.topology.has_ring
+    # Nearly always all have, and no array of their numbers is needed.
+    used = None if has_ring.all() else np.flatnonzero(has_ring)
+    n_used = len(has_ring) if used is None else len(used)
+    wanted = min(max(n_used // VERTICES_PER_PATCH, MIN_PATCHES), MAX_PATCHES)
+    if n_used <= wanted:
+        return np.arange(n_used) if used is None else used
+    count = np.arange(wanted)
+    golden = (math.sqrt(5.0) - 1.0) / 2.0
+    at = ((count + count * golden % 1.0) * (n_used / wanted)).astype(np.int64)
+    return at if used is None else used[at]
+
+
+def _least(plane: float, near: float, far: float, cubic: float) -> float:
+    """The least level of the fits; 0 where there is none."""
+    least = min(far, cubic, plane * MARGIN, near * MARGIN)
+    return least if least < math.inf else 0.0
+
+
+def _excess_spread(coarse: float, best: float) -> float:
+    """Variance that the coarse fit leaves over beyond the best one; only texture explains it."""
+    return max(coarse * coarse - best * best, 0.0) if coarse < math.inf else 0.0
+
+
+def _without_texture(best: float, coarse: float) -> float:
+    """A level less the texture that is in it."""
+    texture = min(TEXTURE * _excess_spread(coarse, best), MAX_TEXTURE * best * best)
+    return math.sqrt(best * best - texture)
+
+
+def _measure_regions(
+    fits: Fits, labels: Longs, n_regions: int, level: float, is_impulsive: bool
+) -> Floats:
+    """Level of each region (r,), file units, where that of all is ``level``; a region with too few
+    places has that."""
+    # Few places of a region have no spike.
+    share = 0.5 if is_impulsive else FLATTEST
+
+    def compared(among: NDArray[np.bool_] | None) -> float:
+        coarse = fits.level(FAR, share, among)
+        best = _least(math.inf, math.inf, coarse, fits.level(CUBIC, share, among))
+        return _without_texture(best, coarse)
+
+    everywhere = compared(None)
+    levels = np.full(n_regions, level)
+    if everywhere > 0.0:
+        for region in range(n_regions):
+            among = labels == region
+            if among.sum() >= MIN_PLACES:
+                levels[region] = level * compared(among) / everywhere
+    return levels
