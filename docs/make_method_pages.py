@@ -24,7 +24,7 @@ MADE = "<!-- made by docs/make_method_pages.py: change the method and run it aga
 INDEX = """# Methods
 
 `msal denoise scan.ply -o smooth.ply --method NAME` runs the method of that name, `--set NAME=VALUE`
-sets any of its parameters, and `msal methods NAME` prints what its page says.
+sets any of its parameters, and `msal methods NAME` prints what its page says, and all ranges.
 [algorithm.md](../algorithm.md#which-setting) says which setting suits which surface.
 
 """
@@ -90,18 +90,8 @@ def shared_items(all_methods: list[Method]) -> Iterator[str]:
         yield item(specs[key], of=of)
 
 
-def allowed(spec: ParameterSpec) -> str:
-    """The words or the range of values that a parameter may have."""
-    if spec.choices:
-        return ", ".join(f"`{word}`" for word in spec.choices)
-    closed = re.fullmatch(r"(\S+) <= \w+ <= (\S+)( \(whole number\))?", spec.range_text)
-    if not closed:
-        return f"`{spec.range_text}`"
-    return f"{closed[1]} to {closed[2]}{', whole' if closed[3] else ''}"
-
-
 def item(spec: ParameterSpec, default: str = "", of: str = "") -> str:
-    """A parameter in a list: names, default, allowed values, meaning and direction."""
+    """A parameter in a list: names, default, allowed words, meaning and direction."""
     names = [
         spec.name,
         SHORTCUTS.get(spec.name, ""),
@@ -113,7 +103,9 @@ def item(spec: ParameterSpec, default: str = "", of: str = "") -> str:
     unit = f" ({spec.unit})" if spec.unit else ""
     more = f" More is {inline(spec.more)}." if spec.more else ""
     text = inline(spec.help) + unit
-    return f"- {head}{of} ({allowed(spec)}): {text}{'' if text.endswith('.') else '.'}{more}\n"
+    words = ", ".join(f"`{word}`" for word in spec.choices or ())
+    allowed = f" ({words})" if words else ""
+    return f"- {head}{of}{allowed}: {text}{'' if text.endswith('.') else '.'}{more}\n"
 
 
 def parameters(method: Method, shared: Container[Meaning]) -> Iterator[str]:
@@ -124,10 +116,7 @@ def parameters(method: Method, shared: Container[Meaning]) -> Iterator[str]:
         yield "".join(item(spec, f"{spec.default}") for spec in own)
     if others:
         pairs = ", ".join(f"`{spec.name}` (`{spec.default}`)" for spec in others)
-        yield (
-            f"{'Others' if own else 'Those'} ([shared](README.md#shared-parameters)), "
-            f"with their defaults: {pairs}.\n"
-        )
+        yield f"[Shared](README.md#shared-parameters): {pairs}.\n"
 
 
 def page(method: Method, shared: Container[Meaning]) -> str:

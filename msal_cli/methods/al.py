@@ -8,34 +8,29 @@ above its tangent plane:
     g_k = exp(-h_k^2 / (2 sigma_i^2))
     d_i = sum(g h) / sum(g),  x_i <- x_i + tau d_i n_i  eq. (5), eq. (2) with lambda = 0
 
-All vertices move at once from the same positions.  The normals are those of the input, mollified,
-and are kept through all sweeps, so that no vertex drifts sideways.  A neighbour far from the
-tangent plane has almost no weight: that keeps edges.  Three or four sweeps are usual; each further
-one smooths more and shrinks the surface a little more.  Where texture matters use ``msal``.
+All vertices move at once.  The normals are those of the input, mollified and kept, so that no
+vertex drifts sideways.  A neighbour far from the tangent plane has almost no weight: that keeps
+edges.  Three or four sweeps are usual; more smooth more and shrink a little more.  Where texture
+matters use ``msal``.
 
-Choices in addition to the paper's defaults: ``weights`` is the function by which the weight falls
-with the height; each kind is scaled so that its influence h g(h) is greatest at sigma.  Gauss,
-Tukey and Lorentz keep edges about alike, Huber less; with ``none`` the filter is the umbrella along
-the normals.  ``deviation=median`` takes sigma = 1.4826 median|h - median h|: sharper edges under
-weak noise, but strong noise is taken for features.
+Not in the paper: ``weights``, each kind scaled so that its influence h g(h) is greatest at sigma.
+Gauss, Tukey and Lorentz keep edges about alike, Huber less; ``none`` is the umbrella along the
+normals.  ``deviation=median`` takes sigma = 1.4826 median|h - median h|: sharper edges under weak
+noise, but strong noise is taken for features.
 
-On a mesh of mixed triangle sizes vertices beside large triangles move faster than others.  Section
-4.3 scales for this, by the lumped mass A/3 with A the area of the faces around the vertex, or by
-edge lengths l:
+On mixed triangle sizes vertices beside large triangles move faster.  Section 4.3 scales by the
+lumped mass A/3, A the area of the faces around the vertex, or by edge lengths l:
 
     scaling=mass    dx = d n / (A / 3)
     scaling=edge    dx = sum(g h / l) / sum(g l) n
 
-Both have the unit 1 / length, so their step tau is an area: ``scaled_step`` times the square of the
-mean edge length.  A vertex whose limit of stability, A/3 or sum(g l) / sum(g / l), is smaller takes
-that instead, so that no step diverges.  The steps are smaller: take about 8 sweeps in place of 3
-or 4.  ``msal`` does without, at less cost, unless triangle sizes differ a lot.
+Both have the unit 1 / length, so tau is an area: ``scaled_step`` times the square of the mean edge
+length, or the vertex's limit of stability, A/3 or sum(g l) / sum(g / l), if that is smaller.
+Take about 8 sweeps.  ``msal`` does without, at less cost, unless sizes differ a lot.
 
-Where sigma is zero all heights are equal and d is their mean; by the median most of them are, and
-the flattest count.  Where every neighbour is beyond Tukey's reach all count alike.  A vertex
-without neighbours, or whose normal cannot be determined, stays.  Vertices at open edges are
-filtered with the neighbours that they have (``boundary=free``).  The cost of a sweep is
-proportional to the number of edges.
+Where sigma is zero d is the mean of the heights; by the median the flattest count.  Where every
+neighbour is beyond Tukey's reach all count alike.  A vertex without neighbours or normal stays.
+The cost of a sweep is proportional to the number of edges.
 
 Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
 Problems 24 (2008), sections 2.3 and 4.3; weights after M. Black, G. Sapiro, D. Marimont and D.

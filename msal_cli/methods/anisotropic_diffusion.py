@@ -1,8 +1,8 @@
 """Anisotropic mean curvature diffusion: flattens and straightens, and keeps edges and corners.
 
 The mean curvature of a triangle mesh sits in its edges: an edge e between faces with unit normals m
-and n has the curvature vector H(e) = e x (n - m), whose length 2 |e| sin(phi / 2) grows with the
-angle phi between them.  Half their sum around a vertex is the gradient of the area, along which
+and n has the curvature vector H(e) = e x (n - m) of length 2 |e| sin(phi / 2), with phi the angle
+between them.  Half their sum around a vertex is the gradient of the area, along which
 ``mean_curvature_flow`` moves.  Here an edge that is bent more than a threshold lambda counts less:
 
     H_A(x_i) = 1/2 sum(w(H(e)) H(e)),  w = 1 where |H| <= lambda
@@ -11,29 +11,24 @@ angle phi between them.  Half their sum around a vertex is the gradient of the a
     variant=pmc:  x_i <- x_i - tau / M_i (H_A(x_i) - f_i V_A(x_i))
 
 with M_i a third of the area around the vertex.  ``amc`` is anisotropic mean curvature flow: it
-spares edges but shrinks all that is round, so that some ten steps are its best.  ``pmc`` flows
-towards a curvature f that is prescribed and smooth, and so keeps the volume nearly as it is and
-stays good for far more.  V_A is the gradient of the volume; at a feature, a vertex with an
-edge beyond lambda, it has that length, and the direction of H_A averaged with the mean of its
-neighbours' H_A.  The curvatures H_A . V_A / |V_A|^2 are averaged over the neighbours, a feature's
-over those that are features as well.
+spares edges but shrinks all that is round; some ten steps are its best.  ``pmc`` flows towards a
+smooth curvature f, and so nearly keeps the volume and stays good for far more.  V_A is the gradient
+of the volume; at a feature, a vertex with an edge beyond lambda, it has that length, and the
+direction of H_A averaged with the mean of its neighbours' H_A.  f are the curvatures
+H_A . V_A / |V_A|^2 averaged over the neighbours, a feature's over features.
 
-lambda decides what an edge is.  By itself it is the median of |H| in the input, which is right for
-objects with sharp edges, or with ``shape=organic`` that plus 1.4826 times the median absolute
-deviation from it.  ``threshold`` sets it by hand.  A mesh without noise whose edges are flat for
-the greater part has lambda = 0 and is left alone.
+lambda is the median of |H| in the input, right for objects with sharp edges; ``shape=organic``
+adds 1.4826 times the median absolute deviation, and ``threshold`` sets it by hand.  A mesh without
+noise that is mostly flat has lambda = 0 and is left alone.
 
-This differs from the paper in what the paper leaves to the user or to a scale: lambda follows the
-noise, tau is an area in units of the squared mean edge length, and where triangles are small or
-flat a vertex takes the step that is stable for it.  Averages over neighbours are weighted by |V_A|,
-not by angles, so that a fold, where V_A vanishes, cannot throw its neighbours out.  f is measured
-anew at every step; that of the noisy input gave 8.2 degrees on one model in place of 4.5.
+Own choices where the paper leaves them open: lambda follows the noise, tau is an area in squared
+mean edge lengths, and a vertex with a smaller limit of stability takes that.  Averages are weighted
+by |V_A|, not by angles, so that a fold cannot throw its neighbours out.  f is measured anew at
+every step; that of the noisy input gave 8.2 degrees on one model in place of 4.5.
 
-``schedule`` works with both variants; the multiscale one pulls each vertex back to where it was
-scanned, see ``msal``.  Boundary vertices are fixed; with ``boundary=free`` they move by the edges
-that have two faces.  Open edges, edges with more than two faces, and those of a face without area
-have no curvature here.  A vertex without others stays.  The cost of a step is proportional to the
-number of edges, about that of four sweeps of ``al``.
+``schedule`` works with both variants.  Boundary vertices are fixed; with ``boundary=free`` they
+move by the edges that have two faces.  Open and non-manifold edges, and those of a face without
+area, have no curvature.  A vertex without others stays.  A step costs about four sweeps of ``al``.
 
 Source: K. Hildebrandt and K. Polthier, Anisotropic filtering of non-linear surface features,
 Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.

@@ -1,36 +1,32 @@
 """Bilateral filter: heights along the normal, averaged by closeness and by similarity.
 
 A vertex moves along its normal n by a weighted mean of the heights h of its neighbours over its
-tangent plane.  Its weight falls with the distance of the neighbour and with its height:
+tangent plane.  The weight falls with the distance of the neighbour and with its height:
 
     h_k = (x_k - x_i) . n_i,  t_k = |x_k - x_i|
     w_k = exp(-t_k^2 / (2 sigma_c^2)) exp(-h_k^2 / (2 sigma_s^2))
     d_i = sum(w h) / sum(w),  x_i <- x_i + tau d_i n_i
 
-all vertices at once from the same positions.  The second Gaussian is what spares edges, as in
-``al``, whose weights are this Gaussian alone with another width.
+all vertices at once.  The second Gaussian spares edges, as in ``al``.
 
 ``variant=one_ring`` is what Huang and Ascher call "our BF": the neighbours are the one-ring,
 sigma_s is the standard deviation of their heights, and the normals are those of the input,
-mollified and kept, so that no vertex drifts sideways.  They leave sigma_c open; here it is the mean
-edge length.
-It differs little from ``al``: somewhat less smoothing in a sweep, a little more cost.
+mollified and kept.  They leave sigma_c open; here it is the mean edge length.  It differs little
+from ``al``: somewhat less smoothing in a sweep, a little more cost.
 
 ``variant=fleishman`` is the filter of Fleishman, Drori and Cohen-Or: the neighbours are the vertex
-itself and the vertices within the radius rho, reached from it along edges within that radius, the
-normals are measured anew before every sweep, without mollification, and sigma_s is the standard
-deviation of |h| over the neighbours.  They have the user point at a smooth patch of radius rho and
-take sigma_c = rho / 2, so give ``radius`` or ``closeness`` and the other follows.  With neither,
-sigma_c is the length of each vertex's shortest edge and rho twice that, the rule of the public
-implementation that later papers compare with.  It hardly smooths a vertex that has one very short
-edge: on a mesh of uneven triangles give ``closeness=1``, which smooths more and shrinks more.  At
-most 2,048 neighbours beyond the one-ring count.
+itself and those within the radius rho, reached along edges within it, the normals are measured anew
+before every sweep, without mollification, and sigma_s is the standard deviation of |h|.  They take
+sigma_c = rho / 2 from a smooth patch that the user points at, so give ``radius`` or ``closeness``
+and the other follows.  With neither, sigma_c is the length of each vertex's shortest edge and rho
+twice that, the rule of the public implementation that later papers compare with.  It hardly smooths
+a vertex that has one very short edge: on uneven triangles give ``closeness=1``, which smooths more
+and shrinks more.  At most 2,048 neighbours beyond the one-ring count.
 
-Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
-without neighbours, or whose normal cannot be determined, stays.  Where sigma_s is zero the closest
-in height count.  The cost of a sweep is proportional to the number of edges, for ``fleishman`` to
-the vertices within the radius, seven times as much and up.  Neither keeps fine texture under heavy
-smoothing; ``schedule=multiscale`` brings it back as in ``msal``.
+A vertex without neighbours or normal stays.  Where sigma_s is zero the closest in height count.
+The cost is proportional to the number of edges, for ``fleishman`` to the vertices within the
+radius, seven times as much and up.  Neither keeps fine texture under heavy smoothing;
+``schedule=multiscale`` brings it back as in ``msal``.
 
 Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM Transactions on
 Graphics 22 (SIGGRAPH 2003), 950-953; one-ring variant: H. Huang and U. Ascher, Fast denoising of

@@ -1,29 +1,25 @@
 """Non-iterative bilateral filter: every vertex goes to an average of its projections on planes.
 
-Jones, Durand and Desbrun ask each face around a vertex where the vertex would lie if the surface
-went on flat from there, and average the answers robustly, in a single pass:
+Each face around a vertex says where the vertex would lie if the surface went on flat from there;
+the answers are averaged robustly, in a single pass:
 
     p'  = sum(w P_f(p)) / sum(w),   w = A_f exp(-|c_f - p|^2 / 2 sigma_f^2)
                                             exp(-|P_f(p) - p|^2 / 2 sigma_g^2)
 
 P_f(p) is the projection of p on the plane through the centroid c_f of face f, A_f the area of the
 face.  The planes have mollified normals: those of the mesh whose vertices went to the mean of the
-centroids around, with weights A_f and a Gaussian of width sigma_f / 2; the mollified positions are
-used for nothing else.  A plane that passes far from the vertex belongs to another side of an edge
-and hardly counts.
+centroids around, with weights A_f and a Gaussian of width sigma_f / 2.  A plane that passes far
+from the vertex belongs to another side of an edge and hardly counts.
 
-The faces asked are those with a centroid within 2 sigma_f of the vertex, reached from it over faces
-that share a vertex and lie within that distance themselves: so the far side of a thin wall does not
-count.  The first paper searches in space instead, which also serves triangles that do not meet.  At
-most 2,048 faces beyond the vertex's own are asked.
+The faces are those with a centroid within 2 sigma_f, reached over faces that share a vertex and lie
+within that distance: so the far side of a thin wall does not count (the paper searches in space).
+At most 2,048 beyond the vertex's own count.
 
-One pass, no stop to choose, moderate smoothing that keeps positions well.  The projections lie off
-the vertex's normal, so that it may slide a little; sigma_f much above 2 eats small features, and
-the cost grows with its square.  Where vertices are far denser than elsewhere the mean edge length
-is a wide reach there.  More ``iterations`` repeat the whole filter from the result; any schedule of
-equation (2) composes with it, the displacement p' - p standing for dx.
+One pass, no stop to choose, moderate smoothing that keeps positions well; a vertex may slide a
+little.  sigma_f much above 2 eats small features, and the cost grows with its square.  More
+``iterations`` repeat the whole filter from the result; any schedule of equation (2) composes with
+it, p' - p standing for dx.
 
-Where the surface ends nothing is special (``boundary=free``): the faces that are there are asked.
 Faces without area count nothing.  A vertex that has no face's centroid in reach stays.
 
 Source: T. Jones, F. Durand and M. Desbrun, Non-iterative, feature-preserving mesh smoothing, ACM

@@ -1,39 +1,35 @@
 """Bilateral filter of face normals: keeps edges, and weighs areas and distances as well.
 
-A normal is compared with those of the neighbours of its face, the faces that share a vertex with
-it.  One counts by its face's area A, less the farther off its centroid c is, and less the more it
-differs:
+The normal of a face is compared with those of its neighbours, the faces that share a vertex with
+it.  A neighbour counts by its area A, less the farther off its centroid c is, and less the more its
+normal differs:
 
     w_ij = A_j exp(-|c_i - c_j|^2 / (2 sigma_c^2)) exp(-|n_i - n_j|^2 / (2 sigma_s^2))
 
 ``variant=local`` replaces each normal by the normalised sum of w_ij n_j over its neighbours, its
-own left out, in ``iterations`` passes; areas, distances and sigma_c are those of the input, the
-second Gaussian follows the normals.  ``variant=global`` finds the normals that differ least from
-the weighted means around them and from the scanned ones n, all at once and with the weights of the
-scan:
+own left out, in ``iterations`` passes; areas, distances and sigma_c are those of the input.
+``variant=global`` finds all normals at once, with the weights of the scan and its normals n:
 
     (1 - lambda) sum|n'_i - sum(w_ij n'_j) / sum(w_ij)|^2 + lambda sum|n'_i - n_i|^2 -> min
 
 and normalises them: one linear system, solved by conjugate gradients, to 2e-5 on the mean;
-``iterations`` does not matter to it, unless it is 0.  Then the vertices are moved until the faces
-have these normals, in passes that each add the mean of a vertex's ways to the planes of its faces
-through their centroids:
+``iterations`` does not matter, unless it is 0.  Then the vertices are fitted to these normals, in
+passes that each add the mean of a vertex's ways to the planes of its faces through their centroids:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
 ``local`` suits objects with edges, up to noise of 0.4 mean edge lengths; on organic shapes take
-``similarity=0.45`` and 5 passes.  ``global`` has no passes to count, but at the usual width it
-takes strong noise for edges: for noise of 0.2 to 0.3 mean edge lengths ``similarity=0.6`` nearly
-halves the angles on objects with edges, and does better than ``local`` on organic shapes.  Heavier
-noise folds faces; ``guided_normal`` is made for that.  Fine texture goes; ``msal`` keeps it.
+``similarity=0.45`` and 5 passes.  ``global`` at the usual width takes strong noise for edges: for
+noise of 0.2 to 0.3 ``similarity=0.6`` nearly halves the angles on objects with edges, and does
+better than ``local`` on organic shapes.  Heavier noise folds faces; ``guided_normal`` is made for
+that.  Fine texture goes; ``msal`` keeps it.
 
 sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``;
-where none do, the mean edge length is used.  Vertices at open edges are fixed, as in the public
-implementation that later papers compare with.  Faces around a non-manifold edge are all neighbours.
-Sharing a vertex, or an edge, that has more than 64 faces does not make neighbours, so that hubs
-cost no more than other parts.  A face without neighbours keeps its normal; one without area has no
-normal and no weight, and a vertex that has no other faces stays.  The cost of a pass is
-proportional to the number of faces; ``global`` costs about as much as 100 to 200 passes.
+where none do, the mean edge length.  Boundary vertices are fixed, as in the public implementation
+that later papers compare with.  A vertex or an edge with more than 64 faces does not make its faces
+neighbours.  A face without neighbours keeps its normal; one without area has neither normal nor
+weight, and a vertex that has no other faces stays.  The cost of a pass is proportional to the
+number of faces; ``global`` costs 100 to 200 passes.
 
 Source: Y. Zheng, H. Fu, O. K.-C. Au and C.-L. Tai, Bilateral normal filtering for mesh denoising,
 IEEE Transactions on Visualization and Computer Graphics 17 (2011), 1521-1530; vertices: X. Sun,

@@ -2,25 +2,23 @@
 
     x_i <- v_i + sum over the members k of w_k (f_k(v)_i - v_i),   w_k >= 0, sum of w_k <= 1
 
-What the weights leave over to 1 belongs to the input.  Filters err in different ways: one keeps
-edges and drifts, another keeps places and rounds, and where their errors point in different
-directions the mean has less of them than the best of them, in angles and in places at once.  Good
-weights depend on the mesh and its noise; ``--auto`` finds them by an estimate of the error.
+What the weights leave over to 1 belongs to the input.  Where the errors of filters point in
+different directions, the mean has less of them than the best of them.  Good weights depend on the
+mesh and its noise; ``--auto`` finds them by an estimate of the error.
 
 ``members`` is a sum such as
 
     0.6*guided_normal(similarity=0.45,iterations=5)+0.4*al(iterations=3)
 
-A member is the name of a method with those of its parameters that are not at their defaults;
-spaces do not matter.  Every member runs on the same input: the time is that of all together, the
-memory that of the one that needs most.  One member of weight 1 is that method, to the last bit.
+of methods with those of their parameters that are not at their defaults.  Every member runs on the
+same input: the time is that of all together, the memory that of the one that needs most.  One
+member of weight 1 is that method, to the last bit.
 
 Where the noise is not the same everywhere, weights may follow it: with ``levels=0.02:0.25`` a
 member 0.1:0.6*al weighs 0.1 where the local noise is at most 0.02 mean edge lengths, 0.6 from 0.25
 on, and in between in proportion.
 
 ``share`` is how much of the way from the input to all that is gone: x_i <- v_i + share (x_i - v_i).
-
 ``relax`` evens triangles out within the surface before the members run.  Noise in all directions
 makes them jagged, and two passes take most of that away.
 

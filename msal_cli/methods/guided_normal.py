@@ -1,8 +1,8 @@
 """Guided normal filtering: weights from the most consistent patches, for edges under heavy noise.
 
-A bilateral mean of face normals asks the noisy normals themselves which of them belong together.
-This one asks a guide.  The patch of a face is the face and all that share a vertex with it, and
-its score H is the greater the less its normals n agree:
+A bilateral mean of face normals whose weights come from a guide in place of the noisy normals.  The
+patch of a face is the face and all that share a vertex with it; its score H is the greater the less
+its normals n agree:
 
     H = max |n_a - n_b|  max |dn| / (epsilon + sum |dn|),   dn across the inner edges of the patch
 
@@ -13,29 +13,26 @@ j near i, and i itself,
 
     sum A_j exp(-|c_i - c_j|^2 / (2 sigma_s^2)) exp(-|g_i - g_j|^2 / (2 sigma_r^2)) n_j
 
-after which ``vertex_iterations`` passes move the vertices to fit,
+after which ``vertex_iterations`` passes fit the vertices,
 
     x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
 
-and all but the neighbourhoods is measured anew: normals, areas, centroids, guides, and the mean
-distance of the centroids of faces that share an edge, the unit of sigma_s.
+and all but the neighbourhoods is measured anew, also the mean distance of the centroids of faces
+that share an edge, the unit of sigma_s.
 
-Faces are near within ``radius``, in that unit too, as the input has them, and joined to the face
-through others that are; at most 64, the first ones met along the surface.  Take sigma_r 0.2 to 0.3
-and up to 60 iterations for machined parts, 0.45 and 5 for organic shapes.  Fine texture goes: for
-scans whose noise is weak take ``msal``.
+Faces are near within ``radius``, in that unit too, joined to the face through others that are; at
+most 64.  Take sigma_r 0.2 to 0.3 and up to 60 iterations for machined parts, 0.45 and 5 for organic
+shapes.  Fine texture goes: for scans whose noise is weak take ``msal``.
 
-The fit moves vertices within the surface, too.  ``sliding=undone`` takes each back sideways, to the
-line through its scanned position along the outcome's normal, and fits it in three more passes: over
-ten machined models under noise of 0.3 to 0.7 along the normals the vertex error falls from 14.3 to
+The fit moves vertices within the surface, too.  ``sliding=undone`` takes each back to the line
+through its scanned position along the outcome's normal, and fits it in three more passes: over ten
+machined models under noise of 0.3 to 0.7 along the normals the vertex error falls from 14.3 to
 9.5 % of an edge, and the angle from 5.6 to 5.4 degrees.  Where noise is as strong within the
-surface it must not be undone: there the angle grows by a third.  ``sliding=auto`` measures which of
-the two it is.
+surface the angle grows by a third.  ``sliding=auto`` measures which of the two it is.
 
 A vertex or an edge with more than 64 faces does not make its faces neighbours.  Faces without area
-do not count in patches or sums; they take on the mean of those around.  Where a sum vanishes the
-normal is kept.  Boundary vertices move with the faces that they have, unless ``boundary=fixed``.
-A vertex without faces stays.  The cost of an iteration is proportional to the number of faces.
+take on the mean of those around.  A vertex without faces stays.  The cost of an iteration is
+proportional to the number of faces.
 
 Source: W. Zhang, B. Deng, J. Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer
 Graphics Forum 34 (7), 2015, 23-34; vertex update after X. Sun, P. Rosin, R. Martin and F.

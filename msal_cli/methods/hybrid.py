@@ -1,12 +1,10 @@
 """Hybrid filter for machined parts: vertices in clusters, edges kept, flat parts evened out.
 
-After the hybrid algorithm of Huang and Ascher, which is for the large sharp edges of machined
-parts: ``al`` rounds them off, ``msal`` leaves noise on the flats beside them.  Vertices are
-clustered, and each cluster has its own operator.  This is a reconstruction, not a reproduction.  Of
-that paper only the outline could be read: K-means and geometric clustering, creases found where the
-tangent plane jumps, the umbrella operator to regularise flat parts, MSAL elsewhere.  Which quantity
-it clusters, into how many clusters, with which thresholds, how it prunes and extends creases, and
-what it does to a crease vertex could not be recovered; all of this is this project's own.
+After the hybrid algorithm of Huang and Ascher for the large sharp edges of machined parts: ``al``
+rounds them off, ``msal`` leaves noise on the flats beside them.  A reconstruction, not a
+reproduction: of that paper only the outline could be read (K-means and geometric clustering,
+creases where the tangent plane jumps, the umbrella operator on flat parts, MSAL elsewhere).  The
+quantity that is clustered, the thresholds and the steps are this project's own.
 
 1. ``presmooth`` sweeps of AL over a copy of the mesh, and as many of MSAL over another.
 2. On the first copy each vertex has a spread s = mean(1 - n_f . n) of the normals n_f of its faces
@@ -22,21 +20,17 @@ what it does to a crease vertex could not be recovered; all of this is this proj
    over the neighbours k, where u = U . n and t = U - u n are the parts of the umbrella
    U = mean(x_k - x_i) along the normal and along the surface, and r is ``regularize``.
 
-The step of a feature leads towards the tangent planes of its neighbours: between two flat sides to
-their edge, between three to their corner.  Taking off half of the neighbours' mean height keeps
-curved parts from shrinking much.  By r flat vertices slide until triangles are even, at the price
-of their distance from where they were scanned; ``regularize=0`` does without.
+The step of a feature leads to the edge between two flat sides, or to the corner of three.  Taking
+off half of the neighbours' mean height keeps curved parts from shrinking much.  By r triangles
+become even, at the price of the distance from where vertices were scanned.
 
 It is made for parts with flat or gently curved sides and sharp edges under strong noise: with noise
 of 0.3 mean edge lengths it leaves two thirds of the angles that ``al`` leaves, and half of those of
-``msal``, which is the best of the three under noise of 0.1.  Texture it takes for noise and
-flattens; a scan without sharp edges is served better by ``al`` or ``msal``.  Far more sweeps wear
-everything down.
+``msal``, which is the best of the three under noise of 0.1.  Texture is flattened; a scan without
+sharp edges is served better by ``al`` or ``msal``.  Far more sweeps wear everything down.
 
-At open edges vertices move along their normals only, never along the surface, so that the rim is
-not drawn inwards (``boundary=free``).  A vertex without neighbours, or whose normal cannot be
-determined, stays.  The whole costs about seven times as much as three sweeps of ``al``, in
-proportion to the number of edges.
+At open edges vertices move along their normals only.  A vertex without neighbours or normal stays.
+The whole costs about seven times as much as three sweeps of ``al``.
 
 Source: after H. Huang and U. Ascher, Surface mesh smoothing, regularization and feature detection,
 SIAM Journal on Scientific Computing 31 (2008), 74-93.

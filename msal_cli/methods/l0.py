@@ -7,27 +7,24 @@ positions p near the scanned ones p* with few D that are not zero,
 
     min  |p - p*|^2 + alpha |R|^2 + lambda (number of edges with D not 0),  R = p1 - p2 + p3 - p4
 
-by way of auxiliary delta, one for each edge, in steps between which beta grows from 0.001 to 1000:
+by an auxiliary delta for each edge, in steps between which beta grows from 0.001 to 1000:
 
     delta = D(p) where |D|^2 >= lambda / beta, else 0
     p = argmin |p - p*|^2 + alpha |R|^2 + beta |D - delta|^2
     alpha <- alpha / (growth of beta)^2
 
-The last line is a sparse linear system, solved by conjugate gradients from the positions of the
-step before, to 1e-5 mean edge lengths.  The coefficients of D are taken anew before each step.
-lambda = ``sparsity`` gamma e^2 and alpha = ``regularity`` gamma, with the mean edge length e and
-the mean dihedral angle gamma of the input in radians, so that both follow the noise.  The angles
-count without their sign: signed ones nearly cancel, and with them the method does nothing.
+The positions come from a sparse linear system, solved by conjugate gradients to 1e-5 mean edge
+lengths.  D is made anew before each step.  lambda = ``sparsity`` gamma e^2 and
+alpha = ``regularity`` gamma, with the mean edge length e and the mean dihedral angle gamma of the
+input in radians, so that both follow the noise; angles count without their sign.
 
 It gives the sharpest edges and corners of all where the object is a polyhedron, and turns every
 curved part into facets; for these and for texture use another method.  Under heavy noise the
 places of edges are a matter of luck, and thin parts fold.
 
-Open edges, and edges with more than two faces, are not measured, and boundary vertices move as
-the others do, unless ``boundary=fixed``.  A flap without area does not count; one on a needle
-whose coefficients are beyond 100 is scaled down to that.  A vertex without such edges stays.  The
-cost is that of 40 linear systems, about 1000 passes over the edges; the memory about 1 kB for
-each vertex.
+Open edges, and edges with more than two faces, are not measured.  A flap without area does not
+count; a needle's coefficients are scaled down to 100.  A vertex without such edges stays.  The cost
+is that of 40 linear systems, about 1000 passes over the edges; the memory about 1 kB a vertex.
 
 Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM Transactions on Graphics 32
 (4), 2013, 64:1-64:8.

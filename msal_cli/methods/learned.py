@@ -15,32 +15,24 @@ stages looks at every face and the faces near it, and makes
   times, and how that compares with white noise of the level in the surroundings, which part of what
   the sweeps took is shape; the same over the whole mesh, the ``noise``, and whether it is white.
 
-A network of two hidden layers gives every vector a coefficient.  The combination, normalised, is
-the new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted to
-the new normals as in ``guided_normal``, and the next stage looks at the outcome.  At the end the
-scanned vertices are fitted to the normals of the last stage.  Vertices with a face that is still
-turned from its normal by more than 20 degrees, thin or folded by noise within the surface, are
-evened out along the surface and fitted again.
+A network of two hidden layers gives every vector a coefficient; the combination, normalised, is the
+new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted as in
+``guided_normal``, and the next stage looks at the outcome.  At the end the scanned vertices are
+fitted to the normals of the last stage.  Vertices with a face that is still turned from its normal
+by more than 20 degrees are evened out along the surface and fitted again.
 
-The vectors are seen along axes of their own, those of the tensor of the normals near: turning,
-moving or scaling a mesh changes nothing.  Lengths are local: mean distances of centroids, as edges.
+Vectors are seen along the axes of the tensor of the normals near, and lengths are local: turning,
+moving or scaling a mesh changes nothing.
 
-The level of the noise decides what is texture and what is noise: a given ``noise`` helps most
-where the texture is as fine as the mesh, and a greater one smooths more.  Where the noise is white,
-and noise that is given is taken for white, what the stages took beyond it comes back as in
-``wiener``; ``texture`` decides it.
+The level of the noise decides what is texture: a given ``noise`` helps most where the texture is as
+fine as the mesh, and a greater one smooths more.  Where the noise is white, and noise that is given
+is taken for white, what the stages took beyond it comes back as in ``wiener`` (``texture``).  Where
+it is along the normals, which is measured, the way that vertices came sideways is undone
+(``sliding``; see ``guided_normal``).
 
-Where the noise is along the normals, which is measured, the way that vertices came sideways is
-undone; see ``guided_normal``.  ``sliding=undone`` and ``sliding=kept`` decide it.
-
-Faces without area take on the mean normal of those around.  Boundary vertices move with the faces
-that they have, unless ``boundary=fixed``.  A vertex without faces stays.  The cost is proportional
-to the number of faces, 7 to 10 s per million on one core.
-
-The weights are two files of the package: ``weights/learned.json``, which has the sizes of the
-layers and the SHA-256 of the other, and ``weights/learned.f32``, little-endian 32-bit numbers: for
-each layer of each stage the biases, then the matrix row by row.  ``python -m training`` in a
-checkout makes them, with clean meshes of your own too (docs/training.md).
+Faces without area take on the mean normal of those around.  A vertex without faces stays.  The cost
+is 7 to 10 s per million faces on one core.  docs/training.md describes the files of the weights,
+and how to train them, with clean meshes of your own too.
 
 Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM
 Transactions on Graphics 35 (6), 2016, 232; combinations whose weights are predicted after S. Bako

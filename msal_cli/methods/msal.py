@@ -1,39 +1,35 @@
 """Multiscale anisotropic Laplacian (MSAL): removes noise and keeps intrinsic texture.
 
-Algorithm 1 of the paper: sweeps of the anisotropic Laplacian (see ``al``) whose time step shrinks
-while each vertex is pulled back to where it was scanned, the more so the rougher its surroundings:
+Algorithm 1 of the paper: sweeps of ``al`` whose time step shrinks while each vertex is pulled back
+to where it was scanned, the more so the rougher its surroundings:
 
     x_i <- x_i + tau d_i n_i + lambda_i (v_i - x_i)     eq. (2)
     tau = K^j at sweep j = 0, 1, ...                    eq. (6)
     lambda_i = sigma_i / max sigma                      eq. (7)
 
-sigma (eq. 4) and lambda are computed anew from the current mesh at every sweep, and all vertices
-move at once from the same positions.  Flat regions are smoothed, texture is recaptured, and the
-volume shrinks far less than under AL.  It is at its best for fine texture with noise up to about a
-tenth of the mean edge length; for strong noise choose a larger K, or ``al``.  Many sweeps lead
-back to the input: four are a stable default.  A sweep costs about as much as one of AL.
+sigma (eq. 4) and lambda are computed anew at every sweep.  Flat regions are smoothed, texture is
+recaptured, and the volume shrinks far less than under AL.  It is at its best for fine texture with
+noise up to about a tenth of the mean edge length; for strong noise choose a larger K, or ``al``.
+Many sweeps lead back to the input: four are a stable default.  A sweep costs about as much as one
+of AL.
 
-``schedule`` is a choice in addition to the paper's.  One spike or one torn triangle has a sigma so
-large that every other lambda is almost zero; ``robust`` takes in place of max sigma a ``quantile``
-of the sigma above zero, and never pulls by more than all: lambda_i = min(1, sigma_i / quantile).
-It stays closer to the scan, and suits noise up to 0.1.  ``wiener`` sweeps with tau = 1 and no pull,
-as ``al`` does.  Then it splits the removed part, t along the normals, into five bands from fine to
-coarse, and gives back of each band, vertex by vertex, what is more than noise:
+``schedule`` is not in the paper.  One spike or torn triangle has a sigma so large that every other
+lambda is almost zero; ``robust`` takes in place of max sigma a ``quantile`` of the sigma above
+zero: lambda_i = min(1, sigma_i / quantile).  It stays closer to the scan, and suits noise up to
+0.1.  ``wiener`` sweeps with tau = 1 and no pull, as ``al``, and then gives back of what it removed,
+in five bands from fine to coarse, what is more than noise:
 
     lambda_i = Q_i / (Q_i + 0.4 caution c sigma_n^2)
 
-Here sigma_n is the ``noise`` (estimated, unless it is given), c the share of white noise in the
-band, and Q_i the mean square around the vertex of what a first such look took for shape.  Over
-scans of organic and of textured objects this comes closer to the truth than the paper's does at its
-best K and number of sweeps, and the number of sweeps hardly matters.  It needs to know the noise to
-a fifth or so.  Texture as fine as the mesh is easily taken for noise: there a given ``noise`` helps
-most.
+with the ``noise`` sigma_n (estimated, unless it is given), c the share of white noise in the band,
+and Q_i the mean square around the vertex of what a first such look took for shape.  On organic and
+textured objects it comes closer to the truth than the paper's schedule at its best, and the number
+of sweeps hardly matters.  It needs to know the noise to a fifth or so: a given ``noise`` helps
+most where texture is as fine as the mesh.  docs/algorithm.md has all of it.
 
-``weights`` and ``deviation`` are choices of the weights and of sigma, as in ``al``, and with them
-of lambda.  The multiscale schedule over the operators that are scaled for mixed triangle sizes is
-``al`` with ``schedule=multiscale`` and a ``scaling``; section 4.3 finds that it is rarely needed.
-
-On a mesh that is planar everywhere (max sigma = 0) lambda is zero.
+``weights`` and ``deviation`` are those of ``al``, where ``schedule=multiscale`` with a ``scaling``
+is the form for mixed triangle sizes; section 4.3 finds that it is rarely needed.  On a mesh that is
+planar everywhere (max sigma = 0) lambda is zero.
 
 Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
 Problems 24 (2008), section 3 and Algorithm 1.

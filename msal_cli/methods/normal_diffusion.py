@@ -1,10 +1,8 @@
 """Anisotropic diffusion of normals: sharp edges kept, and flat and round parts alike made smooth.
 
-The surface is smoothed in two steps that take turns: first the normals are diffused as colours are
-in an image, less so across edges, with the surface fixed; then the surface is fitted to them.
-On a triangle mesh, after the level sets of the paper, a face is a cell with one normal n, and what
-passes between faces grows with the length l of their edge and falls with the way d between their
-centroids:
+First the normals are diffused as colours are in an image, less so across edges, then the surface is
+fitted to them.  A face is a cell with one normal n, and what passes between faces grows with the
+length l of their edge and falls with the distance d of their centroids:
 
     n_i <- n_i + tau / A_i sum(l_ij / d_ij g(|n_j - n_i|) (n_j - n_i)), normalised
     g(s) = exp(-s^2 / (2 mu^2))
@@ -16,21 +14,20 @@ the centroids c, with the diffused normals n' kept.  Each of ``iterations`` roun
 starts with the normals of the surface that the round before left: one long diffusion would end at
 normals that no surface has.
 
-mu decides what an edge is: across a difference of normals of more than about 2 mu hardly anything
-passes.  By itself it is 1.4826 times the median absolute deviation of the differences between
-neighbours in the input, so that it follows the noise; it is measured once, since noise that is
-left would become an edge otherwise.  On rounded shapes take ``similarity=0.5`` and
-``normal_iterations=5``, which are better by half a degree and more.  A mesh without noise and with
-flat parts has mu = 0 and stays as it is.
+Across a difference of normals of more than about 2 mu hardly anything passes.  By itself mu is
+1.4826 times the median absolute deviation of the differences between neighbours in the input, so
+that it follows the noise.  On rounded shapes take ``similarity=0.5`` and ``normal_iterations=5``,
+which are better by half a degree and more.  A mesh without noise and with flat parts has mu = 0 and
+stays as it is.
 
 Unlike ``normal_threshold``, ``bilateral_normal`` and ``guided_normal`` it looks at no faces but
-those across an edge, and reaches far by many steps.  Like them it wears fine texture away; use
-``msal`` there.  This is the paper's scheme, not its discretisation, which is one for level sets.
+those across an edge, and reaches far by many steps.  Fine texture goes; use ``msal`` there.  This
+is the paper's scheme, not its discretisation, which is one for level sets.
 
-Vertices at open edges are fixed.  Faces around a non-manifold edge are all neighbours, unless they
-are more than 64.  A face without area has no normal and no weight; a vertex that has no other faces
-stays.  Where triangles are small a face takes the step that is stable for it.  The cost of a step
-or pass is proportional to the number of faces.
+Boundary vertices are fixed.  Faces around an edge with more than 64 are no neighbours.  A face
+without area has no normal and no weight; a vertex that has no other faces stays.  Where triangles
+are small a face takes the step that is stable for it.  The cost of a step or pass is proportional
+to the number of faces.
 
 Source: T. Tasdizen, R. Whitaker, P. Burchard and S. Osher, Geometric surface smoothing via
 anisotropic diffusion of normals, IEEE Visualization 2002, 125-132; the fit of the vertices: X.

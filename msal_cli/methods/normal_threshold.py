@@ -5,24 +5,22 @@ its own and those of its neighbours, the faces that share a vertex with it,
 
     n'_i = sum(w_ij n_j) / |sum(w_ij n_j)|,  w_ij = max(0, n_i . n_j - T)^2
 
-so that a neighbour beyond the threshold angle, arccos T = 60 degrees by default, does not count at
-all: that is what keeps edges.  Then the vertices are moved until the faces have these normals, in
-passes that each add the mean of a vertex's ways to the planes of its faces through their
-centroids c, with the normals kept:
+so that a neighbour beyond the threshold angle, arccos T = 60 degrees by default, does not count:
+that keeps edges.  Then the vertices are fitted to these normals, in passes that each add the mean
+of a vertex's ways to the planes of its faces through their centroids c:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
 Areas and distances do not count, so on a mesh of mixed triangle sizes small faces count too much;
 ``bilateral_normal`` weights by both.  The default of 20 passes suits objects with edges and flat or
-gently curved parts.  On organic shapes it rounds off detail: take 3 to 5 passes and T near 0.1, or
-``msal`` where there is fine texture.  The second stage sees normals only, so that vertices slide,
-and under heavy noise faces fold: 10 ``vertex_iterations`` in place of the usual 50 gave smaller
-angles on four noisy models, and vertex errors smaller by 30 to 40 percent.
+gently curved parts.  On organic shapes take 3 to 5 passes and T near 0.1, or ``msal`` where there
+is fine texture.  Vertices slide, and under heavy noise faces fold: 10 ``vertex_iterations`` in
+place of the usual 50 gave smaller angles on four noisy models, and vertex errors smaller by 30 to
+40 percent.
 
-Vertices at open edges are fixed, as in the public implementation that later papers compare with.
-Faces around a non-manifold edge are all neighbours.  Sharing a vertex, or an edge, that has more
-than 64 faces does not make neighbours, so that hubs cost no more than other parts.  A face without
-area has no normal and no weight; a vertex that has no other faces stays.  The cost of a pass is
+Boundary vertices are fixed, as in the public implementation that later papers compare with.  A
+vertex or an edge with more than 64 faces does not make its faces neighbours.  A face without area
+has no normal and no weight; a vertex that has no other faces stays.  The cost of a pass is
 proportional to the number of faces.
 
 Source: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, Fast and effective feature-preserving

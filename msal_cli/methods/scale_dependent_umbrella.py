@@ -1,24 +1,20 @@
 """Scale-dependent umbrella: Laplacian smoothing that allows for unequal edge lengths.
 
-The umbrella operator takes all edges for equally long, and distorts a mesh of mixed triangle sizes:
-long edges pull as if they were short ones.  Fujiwara's operator divides each edge e by its length
-l:
+The umbrella operator takes all edges for equally long, and distorts a mesh of mixed triangle sizes.
+Fujiwara's operator divides each edge e by its length l:
 
     L_i = (2 / E_i) sum(e_ik / l_ik),  E_i = sum(l_ik)
     dx_i = min(tau, t_i) L_i,  t_i = E_i / (2 sum(1 / l_ik))
 
 L has the unit 1 / length, so the step tau is an area: ``time_step`` times the square of the mean
-edge length.  A short edge allows only short steps.  Instead of slowing the whole mesh down to its
-shortest edge, each vertex takes tau or its own limit t_i, whichever is less; at the limit it goes
-to the mean of its neighbours with weights 1 / l, and no step can overshoot.  On a regular mesh a
-time step of 0.25 does the same as ``umbrella`` with 0.5.  Where triangles are larger than the
-average it smooths less, where they are smaller the limit applies: such meshes take more
-sweeps.
+edge length.  A short edge allows only short steps: each vertex takes tau or its own limit t_i,
+whichever is less; at the limit it goes to the mean of its neighbours with weights 1 / l, and no
+step can overshoot.  On a regular mesh a time step of 0.25 does the same as ``umbrella`` with 0.5.
+Where triangles are large it smooths less, and meshes of mixed sizes take more sweeps.
 
-As with ``umbrella`` edges are smeared, the surface shrinks, and vertices slide, though less along
-the surface where edge lengths differ.  ``schedule`` and the rule at open edges are the same too.
-Edges of length zero are left out; a vertex without any other stays.  The cost of a sweep is
-proportional to the number of edges.
+As with ``umbrella`` edges are smeared, the surface shrinks, and vertices slide, though less where
+edge lengths differ.  Edges of length zero are left out; a vertex without any other stays.  The cost
+of a sweep is proportional to the number of edges.
 
 Source: K. Fujiwara, Eigenvalues of Laplacians on a closed Riemannian manifold and its nets,
 Proceedings of the AMS 123 (1995), 2585-2594; as a smoother: M. Desbrun, M. Meyer, P. Schroeder and

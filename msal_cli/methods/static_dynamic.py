@@ -12,30 +12,24 @@ is brought near a minimum by steps that replace all normals by the normalised su
     2 nu^2 / lambda' A_i n0_i + sum_j w_ij exp(-|n_i - n_j|^2 / (2 nu^2)) n_j
 
 until their change, the root of its area-weighted mean square, is at most ``tolerance_deg``, or 100
-steps are done.  The second sum runs over faces within 3 eta, joined through others that are, and
-lambda' = lambda sum(A) / sum(w without its last factor).  The guide is that of ``guided_normal``:
-the mean normal of the most consistent patch around.  Then ``vertex_iterations`` passes fit the
-vertices,
+steps are done.  The second sum runs over faces within 3 eta, joined through others that are, at
+most 256, and lambda' = lambda sum(A) / sum(w without its last factor).  The guide is that of
+``guided_normal``.  Then ``vertex_iterations`` passes fit the vertices,
 
     x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
 
-and the whole starts anew from the mesh as it is now, ``iterations`` times.
-
-That vertex update is the one that all filters of normals here share.  The authors' own, which
-solves for the vertices whose faces are nearest to planes of the wanted normals, leaves slivers and
-flipped faces at noise of 0.2 to 0.3 mean edge lengths: at the same parameters its mean angles are
-greater by a third to three quarters.
+and the whole starts anew from the mesh as it is now, ``iterations`` times.  The authors' own update
+of the vertices leaves slivers and flipped faces at noise of 0.2 to 0.3 mean edge lengths: its mean
+angles are greater by a third to three quarters.
 
 Against ``guided_normal`` the faces that count reach twice as far, and the result stays tied to the
 normals of the mesh.  The default suits machined parts with large flats.  Organic and finely meshed
 shapes want less: lambda 0.5, eta 1 and 3 iterations, or lambda 0.2 and 5 under weaker noise.  Fine
 texture goes: for scans whose noise is weak take ``msal``.
 
-At most 256 faces are near one, the first ones met along the surface.  A vertex or an edge with more
-than 64 faces does not make its faces neighbours.  Faces without area have no normal to keep, and
-take on the mean of those around.  Where a sum vanishes the normal is kept.  Boundary vertices move
-with the faces that they have, unless ``boundary=fixed``.  A vertex without faces stays.  The cost
-is proportional to the number of faces, and its memory too: about 1 KB a face.
+A vertex or an edge with more than 64 faces does not make its faces neighbours.  Faces without area
+take on the mean of those around.  A vertex without faces stays.  Cost and memory are proportional
+to the number of faces, the latter about 1 KB a face.
 
 Source: J. Zhang, B. Deng, Y. Hong, Y. Peng, W. Qin and L. Liu, Static/dynamic filtering for mesh
 geometry, IEEE Transactions on Visualization and Computer Graphics 25 (2019), 1774-1787; vertex

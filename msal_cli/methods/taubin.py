@@ -1,7 +1,7 @@
 """Taubin's lambda | mu filter: Laplacian smoothing without shrinkage, by steps in and out.
 
-Each iteration is a pair of umbrella steps (see ``umbrella``) over all vertices: one inwards that
-smooths and shrinks, then a slightly larger one outwards that inflates:
+Each iteration is a pair of steps of the ``umbrella``: one inwards that smooths and shrinks, then a
+slightly larger one outwards that inflates:
 
     x_i <- x_i + lambda dx_i,   lambda > 0
     x_i <- x_i + mu dx_i,       mu < -lambda
@@ -9,16 +9,14 @@ smooths and shrinks, then a slightly larger one outwards that inflates:
 A wave of frequency k, 0 <= k <= 2, is multiplied by (1 - lambda k)(1 - mu k) at each pair.  That is
 1 at k = 0 and again at the pass band k_PB = 1 / lambda + 1 / mu, a little more in between, and
 falls off beyond: the shape below the pass band stays, the noise above it goes.  lambda = 0.5 and
-k_PB = 0.1132 give mu = -0.53, a pair of values that several programs share.  Some of them count
-passes rather than pairs: their 20 is 10 here.
+k_PB = 0.1132 give mu = -0.53, a pair of values that several programs share; some count passes
+rather than pairs: their 20 is 10 here.
 
-The volume is kept, or grows a little, but edges are smeared and vertices slide along the surface,
-so that they end farther from where they were scanned than the small angles between normals suggest.
+The volume is kept, or grows a little, but edges are smeared and vertices slide along the surface.
 Very many iterations let the waves below the pass band grow.  mu = -lambda has no pass band and
 shrinks slowly.  Steps that would amplify most of the noise are refused.
 
-At open edges a vertex is averaged along the rim only (``boundary=curve``).  A vertex without
-neighbours stays.  An iteration costs two passes over the edges.
+A vertex without neighbours stays.  An iteration costs two passes over the edges.
 
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358.
 """

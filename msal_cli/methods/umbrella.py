@@ -1,22 +1,21 @@
 """Umbrella operator: plain Laplacian smoothing, each vertex towards the mean of its one-ring.
 
-Noise is the part of a surface that changes from vertex to vertex; averaging takes it away first:
+Averaging takes first what changes from vertex to vertex:
 
     dx_i = (1 / m_i) sum(x_k - x_i)                     eq. (3)
     x_i <- x_i + tau dx_i + lambda_i (v_i - x_i)        eq. (2)
 
-over the m_i neighbours of vertex i, all vertices at once from the same positions.  The paper's text
-takes tau = 1, a jump to the mean itself; the default here is half of that, as is usual, because a
-full step makes the finest wave on a regular mesh swing to and fro instead of removing it.
+over the m_i neighbours of vertex i, all vertices at once.  The paper's text takes tau = 1; the
+default here is half of that, as is usual, because a full step makes the finest wave on a regular
+mesh swing to and fro instead of removing it.
 
 It is the yardstick, not the tool of choice: it smears edges, shrinks the surface with every sweep,
-and slides vertices sideways, so that triangles and textures even out.  ``al`` does none of this
-sliding, ``taubin`` and ``hc`` shrink less.  Under ``schedule=multiscale`` lambda is measured from
-the heights of eq. (4), as in ``msal``, and brings much of the volume back.
+and slides vertices sideways.  ``al`` does not slide, ``taubin`` and ``hc`` shrink less.  Under
+``schedule=multiscale`` lambda is measured from the heights of eq. (4), as in ``msal``, and brings
+much of the volume back.
 
-At open edges a vertex is averaged along the rim only (``boundary=curve``).  A vertex without
-neighbours stays.  Degenerate faces count with their edges.  The cost of a sweep is proportional to
-the number of edges.
+A vertex without neighbours stays.  Degenerate faces count with their edges.  The cost of a sweep is
+proportional to the number of edges.
 
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358; eq.
 (3) of H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse

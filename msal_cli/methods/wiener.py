@@ -2,20 +2,18 @@
 
 For organic and textured scans with noise up to about 0.4 mean edge lengths.  Three steps:
 
-1. ``iterations`` plain sweeps of the anisotropic Laplacian (see ``al``).  How far they moved each
-   vertex along its normal is the residual t: the noise, turned round, and shape that was lost.
+1. ``iterations`` plain sweeps of ``al``.  How far they moved each vertex along its normal is the
+   residual: the noise, turned round, and shape that was lost.
 2. The residual is split into five bands from fine to coarse.  Of each, every vertex gets back what
    is more than noise, by the power Q of the lost shape around it, c the share of white noise in the
    band, and the ``noise`` s (estimated, unless it is given):
 
        lambda = Q / (Q + 0.4 caution c s^2)
 
-   Q comes from a first such look at the residual.  This is ``schedule=wiener`` of ``msal``, where
-   docs/algorithm.md has all of it.
-3. The result has good positions, and shows which faces have the same direction.  So the noisy
-   normals of the scan are averaged over neighbouring faces, the more a neighbour counts the more
-   alike the two are *in the result*: a joint bilateral filter, with A areas, c centroids, g the
-   normals of the result,
+   This is ``schedule=wiener`` of ``msal``; docs/algorithm.md has all of it.
+3. The noisy normals of the scan are averaged over neighbouring faces, the more a neighbour counts
+   the more alike the two are *in the result*: a joint bilateral filter, with A areas, c centroids,
+   g the normals of the result,
 
        w_ij = A_j exp(-|c_i - c_j|^2 / (2 sigma_c^2)) exp(-|g_i - g_j|^2 / (2 sigma_s^2))
        n'_i = normalised sum of w_ij n_j over i itself and the faces that share a vertex with it
@@ -24,15 +22,12 @@ For organic and textured scans with noise up to about 0.4 mean edge lengths.  Th
    ``scan_share`` mixes normals of the result in beforehand.  ``vertex_iterations`` passes then fit
    the vertices to these normals (see ``bilateral_normal``).
 
-More sweeps hardly matter: what they take from the shape comes back.  What matters is the noise; it
-should be right to a fifth or so.  Texture as fine as the mesh is easily taken for noise by the
-estimate; there a given ``noise`` helps most.  Without noise everything comes back.  On
-machined parts with strong noise filters of normals do better: ``bilateral_normal``,
-``guided_normal``, ``l0``.
+More sweeps hardly matter: what they take from the shape comes back.  The noise should be right to a
+fifth or so; where texture is as fine as the mesh a given ``noise`` helps most.  On machined parts
+with strong noise filters of normals do better: ``bilateral_normal``, ``guided_normal``, ``l0``.
 
-Vertices at open edges are filtered with the neighbours that they have (``boundary=free``).  One
-without neighbours, or whose normal cannot be determined, stays in steps 1 and 2; one whose faces
-have no area stays altogether.  The cost is that of about 30 sweeps of ``al``.
+A vertex without neighbours or normal stays in steps 1 and 2; one whose faces have no area stays
+altogether.  The cost is that of about 30 sweeps of ``al``.
 
 Source: own; local Wiener filters as in M. K. Mihcak, I. Kozintsev, K. Ramchandran and P. Moulin,
 Low-complexity image denoising based on statistical modeling of wavelet coefficients, IEEE Signal

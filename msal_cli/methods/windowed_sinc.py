@@ -1,21 +1,19 @@
 """Windowed sinc: a sharp low-pass filter that keeps waves up to a pass band and drops the rest.
 
-A wave of frequency k, 0 <= k <= 2, of the umbrella operator (see ``umbrella``) is multiplied by a
-polynomial f(k) of degree ``iterations``: the Fourier series of the ideal low-pass filter under a
-window.  f is 1 up to ``pass_band`` and falls off beyond, the faster the more iterations:
+A wave of frequency k, 0 <= k <= 2, of the ``umbrella`` operator is multiplied by a polynomial f(k)
+of degree ``iterations``: the Fourier series of the ideal low-pass filter under a window.  f is 1 up
+to ``pass_band`` and falls off beyond, the faster the more iterations:
 
     x <- sum over j of c_j T_j(x),   T_j Chebyshev polynomials of the umbrella operator
 
-A wave of length L edges has k = (2 pi / L)^2 / 4 or so, so that a pass band of 0.1 keeps waves of
-ten edges and more, 0.01 those of thirty.  Noise that neighbours share goes with a small pass band,
-which ``taubin`` would need hundreds of steps for.  The surface does not shrink.  Edges are rounded
-to the length of the waves that are kept, and may ring a little; vertices slide along the surface,
-so that triangles even out.
+A wave of length L edges has k = (2 pi / L)^2 / 4 or so: a pass band of 0.1 keeps waves of ten edges
+and more, 0.01 those of thirty.  Noise that neighbours share goes with a small pass band, which
+``taubin`` would need hundreds of steps for.  The surface does not shrink.  Edges are rounded to the
+length of the waves that are kept, and may ring a little; vertices slide along the surface.
 
 Pass band and iterations mean what they mean in the filter of the same name of VTK, and the result
-agrees with its default window within a thousandth of the moves.  At open edges a vertex is averaged
-along the rim only (``boundary=curve``).  A vertex without neighbours stays.  An iteration costs one
-pass over the edges.
+agrees with its default window within a thousandth of the moves.  A vertex without neighbours stays.
+An iteration costs one pass over the edges.
 
 Source: G. Taubin, T. Zhang and G. Golub, Optimal surface smoothing as filter design, European
 Conference on Computer Vision 1996, 283-292; the window is A. Nuttall, Some windows with very good
