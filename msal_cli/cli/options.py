@@ -6,7 +6,7 @@ import importlib.util
 import math
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import click
@@ -204,7 +204,7 @@ _TYPES: dict[str, Any] = {
 """The types of values, by what help calls these."""
 
 _HEAD = r"(-[^\s,]+(?:, -\S+)*)(?: (?!\.\.\.|=|->)(\S+))?( \.\.\.)?(?: = (\S+))?(?: -> (\w+))?"
-
+"""Flags, what they take, whether the option may be repeated, its default, its parameter."""
 
 MESSAGES = "Messages and help"
 """The group that ``-h`` and ``--help-all`` belong to."""
@@ -227,12 +227,12 @@ def group(title: str, text: str, **settings: Any) -> OptionGroup:
     )
 
 
-def parse_options(text: str, settings: dict[str, Any]) -> Iterator[click.Option]:
+def parse_options(text: str, settings: Mapping[str, Any]) -> Iterator[click.Option]:
     """Options as help describes them: a line each, and below it, indented, the help.
 
     ``-o, --output OUT = DEFAULT -> name`` is an option whose parameter has another name; without
     ``OUT`` it is a flag.  ``[a|b]`` is one of these words, and with ``...`` the option may be
-    repeated.  One without help is that of ``_SHARED``.  ``settings`` are by parameter: a type, or a
+    repeated.  One without help is that of ``SHARED``.  ``settings`` are by parameter: a type, or a
     mapping of what ``click.Option`` takes.
     """
     for entry in re.findall(r"^-.*\n(?: .*\n)*", text, re.MULTILINE):
@@ -243,25 +243,23 @@ def parse_options(text: str, settings: dict[str, Any]) -> Iterator[click.Option]
         match = re.fullmatch(_HEAD, head)
         assert match is not None, head
         flags, metavar, repeats, default, name = match.groups()
-        words = " ".join(line.strip() for line in lines)
-        more: dict[str, Any] = {"help": re.sub(r" +\[default", "  [default", words)}
-        if metavar is None:
-            more["count" if repeats else "is_flag"] = True
-        elif metavar.startswith("["):
-            more["type"] = click.Choice(metavar[1:-1].split("|"))
-        else:
-            more |= {"metavar": metavar, "type": _TYPES.get(metavar)}
-        if metavar and repeats:
-            more["multiple"] = True
-        if default is not None:
-            more["default"] = int(default) if default.isdigit() else default
-            more["show_default"] = True
         names = flags.split(", ")
         name = name or names[-1].partition("/")[0].lstrip("-").replace("-", "_")
-        given = settings.get(name, {})
-        yield click.Option(
-            [*names, name], **more | (given if isinstance(given, dict) else {"type": given})
-        )
+        text = " ".join(line.strip() for line in lines)
+        attributes: dict[str, Any] = {"help": re.sub(r" +\[default", "  [default", text)}
+        if metavar is None:
+            attributes["count" if repeats else "is_flag"] = True
+        else:
+            words = metavar[1:-1].split("|") if metavar.startswith("[") else []
+            attributes["multiple"] = bool(repeats)
+            attributes["metavar"] = None if words else metavar
+            attributes["type"] = click.Choice(words) if words else _TYPES.get(metavar)
+        if default is not None:
+            attributes["default"] = int(default) if default.isdigit() else default
+            attributes["show_default"] = True
+        own = settings.get(name, {})
+        attributes |= own if isinstance(own, dict) else {"type": own}
+        yield click.Option([*names, name], **attributes)
 
 
 _SHARED = f"""

@@ -10,9 +10,9 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
@@ -27,7 +27,7 @@ from msal_cli.errors import (
 )
 from msal_cli.job.output import write_output
 from msal_cli.job.records import Failure
-from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format
+from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format, suffix
 from msal_cli.storage import gzip_streams
 from msal_cli.storage.regular import largest_bytes
 from msal_cli.storage.urls import is_url
@@ -48,8 +48,7 @@ _MAX_WAITING = 4
 _LARGE_BYTES = 4 << 20
 
 
-@dataclass(frozen=True)
-class Stream:
+class Stream(NamedTuple):
     """Where one mesh comes from and goes to; ``-`` is a standard stream."""
 
     source: str
@@ -92,13 +91,11 @@ def choose_format(stream: Stream, to: str | None) -> str | None:
     """The format to convert to: that of ``--to``, else that of the output's suffix, if any."""
     if stream.target == STREAM or not is_mesh_name(stream.target):
         return to
-    stem = stream.target[:-3] if stream.target.lower().endswith(".gz") else stream.target
-    suffix = os.path.splitext(stem)[1].lstrip(".").lower()
     if to is not None and output_name(stream.target, to).lower() != stream.target.lower():
         raise UsageError(
             f"--to {to} and the output {stream.target!r} say two formats", hint="give one of them"
         )
-    return suffix
+    return suffix(stream.target).lstrip(".")
 
 
 def read_stream() -> Buffer:
@@ -107,13 +104,10 @@ def read_stream() -> Buffer:
     InputError (``E_READ``) if it cannot be read; as soon as it has more than half of the machine's
     memory TooLargeError, more than is left of it ResourceError (``E_MEMORY``).
     """
-    limit, error = _find_limit()
     # Joining a list of pieces would need twice the memory.
     data = bytearray()
     for piece in _pieces():
         data += piece
-        if len(data) > limit:
-            raise error
     # A library would copy what is no ``bytes``; a large file is not copied.
     return bytes(data) if len(data) < _LARGE_BYTES else memoryview(data).toreadonly()
 
@@ -125,14 +119,9 @@ def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) ->
     more than ``memory_bytes``; OutputError if the file cannot be written; else as ``read_stream``.
     """
     begun = time.monotonic()
-    limit, too_large = _find_limit(memory_bytes)
-    size = 0
     try:
         with open(path, "xb", buffering=0) as file:
-            for piece in _pieces(timeout_s):
-                size += len(piece)
-                if size > limit:
-                    raise too_large
+            for piece in _pieces(timeout_s, memory_bytes):
                 rest = memoryview(piece)
                 while rest:
                     rest = rest[file.write(rest) or 0 :]
@@ -145,7 +134,7 @@ def copy_stream(path: str, timeout_s: float | None, memory_bytes: int | None) ->
     return None if timeout_s is None else timeout_s - (time.monotonic() - begun)
 
 
-def _find_limit(memory_limit: int | None = None) -> tuple[int, MsalError]:
+def _find_limit(memory_limit: int | None) -> tuple[int, MsalError]:
     """The most bytes that standard input may have, and the error if it has more."""
     from msal_cli.machine import available_bytes
 
@@ -166,8 +155,10 @@ def _find_limit(memory_limit: int | None = None) -> tuple[int, MsalError]:
     return size, ResourceError(message, code="E_MEMORY", hint=hint)
 
 
-def _pieces(timeout_s: float | None = None) -> Iterator[bytes]:
-    """What comes through standard input; ResourceError if it does not end within ``timeout_s``."""
+def _pieces(timeout_s: float | None = None, memory_limit: int | None = None) -> Iterator[bytes]:
+    """What comes through standard input, up to ``_find_limit``; ResourceError if it does not end
+    within ``timeout_s``."""
+    limit, too_large = _find_limit(memory_limit)
     if sys.stdin is None:
         raise InputError("standard input is closed", code="E_READ")
     read: Callable[[int], bytes] = sys.stdin.buffer.read
@@ -175,8 +166,13 @@ def _pieces(timeout_s: float | None = None) -> Iterator[bytes]:
         # A buffered stream cannot be left while another thread reads it.
         read = partial(os.read, sys.stdin.buffer.fileno())
     pieces = iter(partial(read, _PIECE), b"")
+    size = 0
     try:
-        yield from pieces if timeout_s is None else _timely_pieces(pieces, timeout_s)
+        for piece in pieces if timeout_s is None else _timely_pieces(pieces, timeout_s):
+            size += len(piece)
+            if size > limit:
+                raise too_large
+            yield piece
     except OSError as error:
         raise InputError(f"the stream cannot be read: {error.strerror}", code="E_READ") from None
 
