@@ -100,6 +100,9 @@ LEARNED = Candidate("learned", dict(_SLIDING), 100.0, takes_noise=True)
 ROBUST_LEARNED = dataclasses.replace(LEARNED, given={**_SLIDING, "texture": "lost"})
 """The same for noise that is not white, which looks like texture in part."""
 
+BLIND = Candidate("learned", {**_SLIDING, "texture": "lost"}, LEARNED.cost)
+"""The same without a level, which terraces do not have."""
+
 FARTHER = dataclasses.replace(ROBUST_LEARNED, times=2.0)
 """The same for noise that reaches farther than the estimate sees: neighbours share it, or a scanner
 has smoothed it."""

@@ -36,6 +36,7 @@ from msal_cli.auto.blend_weights import (
     spread_levels,
 )
 from msal_cli.auto.candidates import (
+    BLIND,
     CANDIDATES,
     FARTHER,
     LEARNED,
@@ -122,6 +123,10 @@ UNEVEN_WIDTH = 0.18
 MOST = 0.5
 """Sum of weights from which those of a machined part are raised to 1: where it is flat, what would
 be left of the noise is no shape."""
+
+MIN_LEARNED = 0.5
+"""Sum of weights of the learned filter below which, where neighbours share the noise, half of the
+blend is that filter: mirrored, such noise looks like shape."""
 
 WEAK = 0.1
 """White noise in mean edge lengths below which a range scan may have more that neighbours share."""
@@ -213,11 +218,16 @@ class _Search:
         study, surface = self._trials(PART), ORGANIC
         pilot = usable[0]
         if pilot is LEARNED:
+            kind = self.noise.character.kind
             is_drawn = self.is_unsure or self._is_drawn
-            surface = surface_kind(study.result(LEARNED if is_drawn else ROBUST_LEARNED))
-            if not is_drawn:
+            is_blind = kind == "staircase"
+            pilot = BLIND if is_blind else LEARNED if is_drawn else ROBUST_LEARNED
+            surface = surface_kind(study.result(pilot))
+            if is_blind:
+                usable = [BLIND]
+            elif not is_drawn:
                 return self._choose_by_mirror(surface)
-            if surface == MACHINED and self.wishes.prefer == "balanced":
+            elif surface == MACHINED and self.wishes.prefer == "balanced":
                 # Of what is not known to be white nothing is given back.
                 is_white = self.noise.character.kind != "unknown"
                 usable = [LEARNED if is_white else ROBUST_LEARNED]
@@ -407,6 +417,19 @@ class _Search:
         result[kept] = weights
         return result
 
+    def _settle(self, members: Sequence[Candidate], weights: Floats, surface: str) -> Floats:
+        """The weights (k,) of members where more is known than the judges say."""
+        if members[0] is BLIND:
+            return np.ones(1)
+        total = float(weights.sum())
+        if surface == MACHINED and self.wishes.prefer == "balanced" and total >= MOST:
+            return round_weights(weights / total)
+        if members[0] is ROBUST_LEARNED and self.noise.character.kind == "correlated":
+            is_learned = np.array([member.method == LEARNED.method for member in members])
+            if weights[is_learned].sum() < MIN_LEARNED:
+                return round_weights(0.5 * (weights + np.eye(len(members))[0]))
+        return weights
+
     def _choice(
         self,
         study: CandidateRuns,
@@ -417,10 +440,7 @@ class _Search:
     ) -> Choice:
         """The best blend of ``members`` by the judges, of ``tried`` candidates."""
         risks = _risks(judges)
-        weights = self._prune(members, risks)
-        is_plain = surface == MACHINED and self.wishes.prefer == "balanced"
-        if is_plain and weights.sum() >= MOST:
-            weights = round_weights(weights / weights.sum())
+        weights = self._settle(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
         share = wished_share(self.wishes) * (self._hedge(risks, weights) if self.is_unsure else 1.0)
         # Only the smooth shape is wanted: farther, whatever the filters make of more noise.

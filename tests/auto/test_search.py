@@ -370,10 +370,7 @@ def box_scan():
 
 def test_of_a_machined_part_nothing_is_given_back_unless_noise_is_white(box_scan, monkeypatch):
     assert chosen(box_scan).parameters["texture"] == "auto"
-    estimate = estimate_noise(box_scan)
-    kind = dataclasses.replace(estimate.character, kind="unknown")
-    unknown = dataclasses.replace(estimate, character=kind)
-    monkeypatch.setattr(search, "estimate_noise", lambda mesh: unknown)
+    with_kind(box_scan, monkeypatch, kind="unknown")
     choice = chosen(box_scan)
     assert (choice.method, choice.parameters["texture"]) == ("learned", "lost")
 
@@ -396,6 +393,32 @@ def test_the_larger_part_of_the_way_becomes_all_of_it_on_a_machined_part(
 
     monkeypatch.setattr(search, "best_weights", of_the_first)
     assert end in chosen(box_scan, **wishes).reason
+
+
+def with_kind(mesh, monkeypatch, **changes):
+    """Make the estimate of a mesh one of another character."""
+    estimate = estimate_noise(mesh)
+    character = dataclasses.replace(estimate.character, **changes)
+    changed = dataclasses.replace(estimate, character=character)
+    monkeypatch.setattr(search, "estimate_noise", lambda mesh: changed)
+
+
+def test_terraces_get_the_learned_filter_without_a_level(box_scan, monkeypatch):
+    with_kind(box_scan, monkeypatch, kind="staircase", step=1.0)
+    choice = chosen(box_scan)
+    assert choice.method == "learned" and choice.reason.endswith("; learned")
+    assert (choice.parameters["noise"], choice.parameters["texture"]) == (0.0, "lost")
+
+
+@pytest.mark.parametrize(
+    ("kind", "end"), [("correlated", "50% learned"), ("view", "left as it is")]
+)
+def test_where_neighbours_share_the_noise_half_is_learned(box_scan, monkeypatch, kind, end):
+    with_kind(box_scan, monkeypatch, kind=kind, rings=1)
+    monkeypatch.setattr(
+        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+    )
+    assert f"; {end}" in chosen(box_scan).reason
 
 
 def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
