@@ -58,10 +58,14 @@ def test_there_are_many():
     assert len(meshes_in(SAMPLES)) >= 16
 
 
-REAL = meshes_in(Path(os.environ["MSAL_DATA"])) if os.environ.get("MSAL_DATA") else []
+def real_scans():
+    paths = meshes_in(Path(os.environ["MSAL_DATA"])) if os.environ.get("MSAL_DATA") else [Path()]
+    for path in paths:
+        is_large = path.stat().st_size > 1_500_000
+        yield pytest.param(path, id=path.name, marks=[pytest.mark.ci] if is_large else [])
 
 
-@pytest.mark.parametrize("path", REAL or [None], ids=lambda path: path.name if path else "none")
+@pytest.mark.parametrize("path", list(real_scans()))
 def test_real_scans(path, real_data):
     require_same(path.name, path.read_bytes())
 

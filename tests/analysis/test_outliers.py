@@ -80,6 +80,7 @@ def test_clean_samples_have_no_outliers():
     }
 
 
+@pytest.mark.ci
 def test_clean_files_of_others_have_no_clear_outliers(real_data):
     paths = [
         path
@@ -91,14 +92,8 @@ def test_clean_files_of_others_have_no_clear_outliers(real_data):
     assert [p.name for p in paths if find_outliers(ground_truth.opened(p)).are_clear] == []
 
 
-@pytest.mark.parametrize("name", ["Fandisk0.3", "SharpSphere0.3", "Bunny0.2", "Julius0.2"])
-def test_clean_published_models_have_no_outliers(real_data, name):
-    mesh = ground_truth.opened(real_data / "pairs" / name / "Original.obj")
-    assert find_outliers(mesh).count == 0
-
-
-@pytest.mark.parametrize("share", [0.005, 0.05, 0.1])
-@pytest.mark.parametrize("level", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("share", [0.005, 0.1])
+@pytest.mark.parametrize("level", [0.0, 0.2])
 @pytest.mark.parametrize("shape", [torus_mesh, lambda: prepare_mesh(*box(20, 20, 20)).mesh])
 def test_outliers_are_found_and_brought_back(shape, level, share):
     true = shape()
@@ -161,7 +156,7 @@ def test_neighbours_that_are_outliers_together_are_found(size):
 
 
 def test_place_size_direction_and_threads_make_no_difference(monkeypatch):
-    mesh, _ = with_outliers(prepare_mesh(*torus(400, 200)).mesh, 0.1, 0.01)
+    mesh, _ = with_outliers(prepare_mesh(*torus(260, 130)).mesh, 0.1, 0.01)
     monkeypatch.setenv("MSAL_THREADS", "1")
     found = find_outliers(mesh)
     monkeypatch.setenv("MSAL_THREADS", "2")

@@ -15,7 +15,7 @@ from msal_cli.analysis.shared_borders import (
 )
 from msal_cli.codecs import open_mesh
 from msal_cli.job.inspection import prepare_mesh
-from tests.batch.tile_files import in_tiles, noisy_ball, ply
+from tests.batch.tile_files import ply
 from tests.shapes import grid
 
 
@@ -59,10 +59,6 @@ def test_vertices_of_one_file_that_coincide_are_one_point():
     assert np.array_equal(border.positions[border.points], soup[border.vertices])
 
 
-def test_a_closed_mesh_has_no_border():
-    assert len(border_of(*noisy_ball()).positions) == 0
-
-
 def test_points_at_one_place_are_one():
     shared = share(points((0, 0, 0), (1, 0, 0)), points((1, 0, 0)), points((-0.0, 0, 0), (3, 0, 0)))
     assert shared.group.tolist() == [0, 1, 1, 0, 4]
@@ -90,14 +86,6 @@ def test_near_pairs_are_all_pairs_within_reach(seed, reach):
     distances = np.linalg.norm(a[:, None] - b[None], axis=2)
     wanted = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances <= reach), strict=True)}
     assert set(zip(*(x.tolist() for x in near_pairs(a, b, reach)), strict=True)) == wanted
-
-
-def test_borders_that_match_have_no_unmatched_points():
-    vertices, faces = grid(9, 9)
-    several = [border_of(*part) for part in in_tiles(vertices, faces, 3)]
-    shared = share(*several)
-    assert count_unmatched(several, shared, 1.2) == [0] * 9
-    assert [len(row) for row in shared.neighbours()] == [3, 5, 3, 5, 8, 5, 3, 5, 3]
 
 
 def test_points_amid_the_edges_of_another_file_are_unmatched():

@@ -14,7 +14,6 @@ from msal_cli.analysis.surface_distance import (
     distances_to_surface,
     distances_to_triangles,
     surface_distances,
-    used_vertices,
 )
 from msal_cli.errors import UnsupportedError
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -68,14 +67,6 @@ def test_as_a_search_through_all_triangles(scale):
 
 
 @needs_library
-def test_pieces_are_put_together_in_order(monkeypatch):
-    surface = Mesh(*grid())
-    points = np.random.default_rng(1).uniform(0.0, 4.0, (50, 3))
-    monkeypatch.setattr(surface_distance, "AT_ONCE", 7)
-    assert distances_to_surface(points, surface) == pytest.approx(points[:, 2], rel=1e-12)
-
-
-@needs_library
 def test_both_ways_and_hausdorff_of_two_cubes():
     small = prepare_mesh(*cube()).mesh
     large = small.with_vertices(3.0 * small.vertices)
@@ -112,16 +103,6 @@ def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
     for found in (None, "a module"):
         monkeypatch.setattr("importlib.util.find_spec", lambda name, found=found: found)
         assert (not surface_distance.find_obstacle()) is (found is not None)
-
-
-@needs_library
-def test_vertices_without_faces_do_not_count():
-    vertices, faces = cube()
-    with_loose = Mesh(np.concatenate([vertices, [[9.0, 9.0, 9.0]]]), faces)
-    assert len(used_vertices(with_loose)) == 8
-    figures = surface_distances(Mesh(vertices, faces), with_loose)
-    assert [figure.max for figure in figures[:2]] == [0.0, 0.0]
-    assert figures[2] == 0.0
 
 
 def test_of_vertices_that_are_one_the_first_counts():

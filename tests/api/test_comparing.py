@@ -49,14 +49,6 @@ def test_files_arrays_and_objects_give_the_same_figures(files):
     assert (record.before, record.after) == ("arrays", "arrays")
 
 
-def test_other_faces_compare_surfaces():
-    coarse, faces = torus()
-    record = msal.compare((CLEAN, FACES), (coarse, faces))
-    assert record.correspondence == "surface" and record.displacement is None
-    if record.hausdorff is not None:
-        assert 0.0 < record.hausdorff < 1.0
-
-
 def test_what_cannot_be_read_is_raised_with_its_file(files, tmp_path):
     (tmp_path / "bad.ply").write_bytes(files[0].read_bytes()[:-9])
     for other in (files[1], (NOISY, FACES)):

@@ -81,26 +81,6 @@ def check_against_command(tmp_path, given, faces, arguments, options):
     assert result.reason == (record["left_alone"] or reason)
 
 
-def test_the_result_says_what_was_done():
-    result = msal.denoise(VERTICES, FACES)
-    assert result.method == "blend" and "members" in result.parameters
-    assert "noise" in result.reason
-    assert result.noise.kind == "isotropic"
-    moved = np.linalg.norm(result.vertices - VERTICES, axis=1)
-    assert result.displacement.max == pytest.approx(moved.max())
-    assert result.displacement.moved_vertices == len(VERTICES)
-    assert result.record.status == "written" and result.record.input == "arrays"
-    assert result.record.vertices == len(VERTICES) and result.record.triangles == len(FACES)
-
-
-def test_a_clean_mesh_comes_back_as_it_is_in_a_new_array():
-    vertices, faces = grid(20, 20)
-    result = msal.denoise(vertices, faces)
-    assert result.record.status == "unchanged" and result.method == "none"
-    assert result.vertices.tobytes() == vertices.tobytes()
-    assert not np.shares_memory(result.vertices, vertices)
-
-
 @pytest.mark.parametrize(
     "given",
     [
@@ -230,13 +210,6 @@ def test_masked_values_of_an_object_are_refused_where_they_are_used():
         msal.denoise(mesh, method="msal", weights="trust")
 
 
-def test_a_defect_is_an_internal_error(monkeypatch):
-    monkeypatch.setattr("msal_cli.job.pipeline.FileRun.move_vertices", lambda *a: 1 / 0)
-    with pytest.raises(msal.InternalError) as caught:
-        msal.denoise(VERTICES, FACES)
-    assert isinstance(caught.value.__cause__, ZeroDivisionError)
-
-
 def test_nothing_is_printed_and_no_warning_reaches_standard_error(capfd):
     msal.denoise(VERTICES, FACES, "umbrella", iterations=30)
     logging.getLogger("msal.test").warning("nobody listens")
@@ -272,11 +245,3 @@ def test_the_hint_says_what_to_give(name):
         msal.denoise(*positional, **keywords)
     assert words in caught.value.hint
     assert "damaged" not in caught.value.hint
-
-
-def test_results_fit_one_screen():
-    result = msal.denoise(VERTICES, FACES, "msal", K=0.5)
-    others = [result.record, msal.compare((VERTICES, FACES), (result.vertices, FACES))]
-    assert "method=msal" in repr(result) and "displacement=mean" in repr(result)
-    for lines in (repr(one).splitlines() for one in (result, *others)):
-        assert len(lines) < 24 and max(map(len, lines)) <= 100

@@ -52,16 +52,6 @@ def test_a_file_has_the_bytes_of_the_command(scans, tmp_path):
     assert all("more than msal is made for" in warning for warning in record.warnings)
 
 
-def test_another_format_and_gates(scans, tmp_path):
-    gates = ["max_displacement > 0e", "self_intersections.created > 100"]
-    record = msal.denoise_file(
-        scans / "a.ply", tmp_path / "new" / "a.obj", encoding="ascii", fail_on=gates, **OPTIONS
-    )
-    assert (tmp_path / "new" / "a.obj").read_text().startswith(("#", "v ", "o "))
-    assert [gate.broken for gate in record.gates] == [True, False]
-    assert record.self_intersections is not None
-
-
 def test_a_file_that_fails_raises_and_writes_nothing(scans, tmp_path):
     (scans / "bad.ply").write_bytes(BAD_SCAN)
     with pytest.raises(msal.ContentError) as caught:
@@ -144,18 +134,6 @@ def test_arguments_are_checked_before_the_first_record(scans, tmp_path):
             msal.denoise_folder(scans, tmp_path / "out", **wrong)
 
 
-def test_several_inputs_patterns_and_in_place(scans, tmp_path):
-    names = [scans / "a.ply", str(scans / "below")]
-    records = list(msal.denoise_folder(names, tmp_path / "out", **ONE))
-    assert len(records) == 2
-    records = list(
-        msal.denoise_folder(scans, in_place=True, backup=".kept", exclude="c.ply", **ONE)
-    )
-    assert len(records) == 3
-    assert (scans / "a.ply.kept").read_bytes() == closed_scan()
-    assert (scans / "a.ply").read_bytes() == (tmp_path / "out" / "a.ply").read_bytes()
-
-
 def test_the_loop_may_be_left_and_gone_on_with(scans, tmp_path):
     for record in msal.denoise_folder(scans, tmp_path / "out", **ONE):
         assert record.status == "written"
@@ -181,13 +159,6 @@ def test_it_works_in_a_thread_and_leaves_signals_alone(scans, tmp_path):
     thread.start()
     thread.join()
     assert during == [before] * 4
-
-
-def test_nothing_is_printed(scans, tmp_path, capfd):
-    (scans / "bad.ply").write_bytes(BAD_SCAN)
-    list(msal.denoise_folder(scans, tmp_path / "out", **ONE))
-    msal.denoise_file(scans / "a.ply", tmp_path / "a.ply", **OPTIONS)
-    assert capfd.readouterr() == ("", "")
 
 
 SLOW = """

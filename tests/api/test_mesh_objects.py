@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 import msal_cli as msal
-from tests.shapes import grid, noisy, torus
+from tests.shapes import noisy, torus
 
 VERTICES, FACES = torus(40, 20)
 VERTICES = noisy(VERTICES, 3, 0.15)
@@ -122,16 +122,6 @@ def test_meshio_keeps_cells_and_data():
     assert np.array_equal(mesh.point_data["Normals"], before.point_data["Normals"])
 
 
-def test_meshio_normals_by_component_follow():
-    vertices, faces = grid(20, 20)
-    vertices[:, 2] = np.random.default_rng(1).normal(0.0, 0.2, len(vertices))
-    normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
-    data = {"nx": normals[:, 0], "ny": normals[:, 1], "nz": normals[:, 2].astype(np.float32)}
-    mesh = meshio.Mesh(vertices, [("triangle", faces)], point_data=data)
-    result = msal.denoise(mesh, method="umbrella", iterations=20)
-    assert result.point_data["nz"].mean() > normals[:, 2].mean()
-
-
 def test_meshio_polygons_float32_and_other_cells():
     pentagon = np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0], [1, 2, 0.3], [0, 1, 0]], np.float32)
     mesh = meshio.Mesh(pentagon, [("polygon", np.array([[0, 1, 2, 3, 4]]))])
@@ -197,20 +187,6 @@ def test_pyvista_polygons_stay_and_are_triangles_for_the_mathematics_only(pyvist
     result = msal.denoise(poly_data(pyvista, mixed), method="msal")
     assert np.array_equal(result.points, denoised(faces=fans))
     assert result.n_cells == len(mixed)
-
-
-def test_pyvista_float32_and_other_data_sets(pyvista):
-    mesh = poly_data(pyvista, FACES, VERTICES.astype(np.float32))
-    result = msal.denoise(mesh, method="msal")
-    assert result.points.dtype == np.float32
-    assert np.array_equal(result.points, denoised(VERTICES.astype(np.float32)))
-    with pytest.raises(msal.UnsupportedError, match="UnstructuredGrid") as caught:
-        msal.denoise(mesh.cast_to_unstructured_grid())
-    assert "extract_surface()" in caught.value.hint
-    with pytest.raises(msal.UnsupportedError, match="1 lines"):
-        msal.denoise(pyvista.Line())
-    with pytest.raises(msal.UnsupportedError, match="strips"):
-        msal.denoise(mesh.strip())
 
 
 # open3d

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import get_args
 
@@ -58,12 +57,6 @@ def test_every_public_name_is_there_for_programs_and_for_type_checkers():
     assert (PACKAGE / "py.typed").is_file()
 
 
-def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="denosie"):
-        _ = msal.denosie
-    assert not hasattr(msal, "numpy")
-
-
 def test_every_class_of_error_is_public():
     known = {
         name
@@ -100,29 +93,6 @@ def test_docstrings_explain_every_parameter_and_the_errors(name):
         names = list(inspect.signature(function).parameters)
         missing -= set(names[names.index("method") : names.index("fail_on") + 1])
     assert not missing
-
-
-def test_two_threads_denoise_at_once():
-    import threading
-
-    from tests.shapes import noisy, torus
-
-    vertices, faces = torus(40, 20)
-    inputs = [noisy(vertices, seed, 0.1) for seed in range(4)]
-    expected = [msal.denoise(one, faces, "msal").vertices for one in inputs]
-    found = [None] * len(inputs)
-
-    def work(at):
-        found[at] = msal.denoise(inputs[at], faces, "msal").vertices
-
-    threads = [threading.Thread(target=work, args=(at,)) for at in range(len(inputs))]
-    begun = time.monotonic()
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert time.monotonic() - begun < 60
-    assert all((a == b).all() for a, b in zip(expected, found, strict=True))
 
 
 def test_the_words_of_the_types_are_those_of_the_program():

@@ -177,3 +177,12 @@ def test_where_every_setting_adds_error_nothing_is_done(monkeypatch):
     choice = adaptive.choose_adaptive(mesh)
     assert choice.method == NONE
     assert "add more error" in choice.reason
+
+
+def test_impulsive_noise_is_filtered_for_its_root_mean_square():
+    mesh, _ = torus_with(0.4, "impulsive")
+    noise = estimate_noise(mesh)
+    assert noise.is_impulsive
+    assert adaptive.choose_adaptive(mesh).reason.startswith("impulsive noise")
+    case = adaptive._build_case(mesh, noise)
+    assert case.edges == pytest.approx(noise.rms_edges)

@@ -13,7 +13,7 @@ from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
 from msal_cli.auto import FAMILY, Wishes, adaptive
-from msal_cli.auto.noise_model import NoiseModel
+from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import count_relaxing
 from msal_cli.auto.search import _Search
 from msal_cli.mesh import prepare_mesh
@@ -176,3 +176,13 @@ def test_local_levels_follow_the_noise():
     assert local_levels(mesh) is levels
     larger = mesh.with_vertices(3.0 * mesh.vertices)
     assert local_levels(larger) == pytest.approx(levels, rel=1e-6, abs=1e-9)
+
+
+def test_the_model_is_what_was_estimated():
+    meshes = [pair(kind)[0] for kind in ("half", "shared", "isotropic")]
+    half, shared, isotropic = (build_model(mesh, estimate_noise(mesh)) for mesh in meshes)
+    assert half.shares is not None
+    assert np.mean(half.shares**2) == pytest.approx(1.0)
+    assert (shared.rings, shared.direction, shared.shares) == (2, "normals", None)
+    assert (isotropic.rings, isotropic.direction) == (0, "isotropic")
+    assert shared.level == pytest.approx(0.2 * pair("shared")[1].mean_edge_length, rel=0.15)

@@ -38,16 +38,6 @@ def test_a_mesh_that_was_shifted_far_from_the_origin():
     assert made.volume_change_percent == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_mesh_of_twice_the_size_and_which_one_is_the_reference():
-    vertices, faces = cube()
-    made = between((vertices, faces), (2 * vertices, faces))
-    assert made.volume_change_percent == pytest.approx(700.0)
-    assert made.area_change_percent == pytest.approx(300.0)
-    back = between((2 * vertices, faces), (vertices, faces))
-    assert back.volume_change_percent == pytest.approx(-87.5)
-    assert back.mean_edge_length == pytest.approx(2 * made.mean_edge_length)
-
-
 def test_a_mesh_turned_inside_out_has_flipped_faces_and_lost_more_than_it_had():
     vertices, faces = torus()
     made = between((vertices, faces), (vertices * [1, 1, -1], faces))
@@ -55,20 +45,6 @@ def test_a_mesh_turned_inside_out_has_flipped_faces_and_lost_more_than_it_had():
     assert made.max_angular_error_deg > 90.0
     assert made.volume_change_percent == pytest.approx(-200.0)
     assert (made.inside_out_before, made.inside_out_after) == (False, True)
-
-
-def test_the_angle_is_that_of_the_literature():
-    vertices, faces = grid(2, 2)
-    tilted = vertices * [1.0, np.cos(0.2), 0.0] + vertices[:, 1:2] * [0.0, 0.0, np.sin(0.2)]
-    made = between((vertices, faces), (tilted, faces))
-    assert made.mean_angular_error_deg == pytest.approx(np.degrees(0.2))
-
-
-def test_vertices_that_no_face_uses_do_not_count():
-    vertices, faces = cube()
-    more = np.concatenate([vertices, [[9.0, 9, 9]]])
-    away = np.concatenate([vertices, [[0.0, 0, 0]]])
-    assert between((more, faces), (away, faces)).displacement.max == 0.0
 
 
 def test_a_seam_that_opened_is_told():

@@ -271,23 +271,3 @@ def test_trust_is_the_property_over_its_largest_value():
         denoised(ply(vertices, faces, {"q": negative}), weights="q")[0],
         denoised(ply(vertices, faces, {"q": zero}), weights="q")[0],
     )
-
-
-def test_a_property_that_is_not_there_is_an_error_that_lists_the_others():
-    data = ply(*grid(), {"confidence": np.ones(len(grid()[0]))})
-    for asked in ({"weights": "trust"}, {"lock": ("trust < 1",)}):
-        output, record = denoise_bytes(data, "a.ply", settings(**asked))
-        assert output is None
-        assert record.error.code == "E_PROPERTY"
-        assert "'trust'" in record.error.message
-        assert record.error.hint == "they have: x, y, z, confidence"
-
-
-@pytest.mark.parametrize(
-    ("values", "code"), [(np.nan, "E_NONFINITE"), (0.0, "E_CONTENT"), (-1.0, "E_CONTENT")]
-)
-def test_trust_that_means_nothing_is_an_error(values, code):
-    vertices, faces = grid()
-    data = ply(vertices, faces, {"q": np.full(len(vertices), values)})
-    _, record = denoise_bytes(data, "a.ply", settings(weights="q"))
-    assert record.error.code == code

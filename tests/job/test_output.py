@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import os
 
-import numpy as np
 import pytest
 
 from msal_cli import codecs as files
@@ -86,23 +85,6 @@ def test_what_has_not_changed_is_the_input_itself():
     assert built().references == ("none.mtl",)
 
 
-def test_compression_is_that_of_the_name_or_else_of_the_input():
-    data = obj(VERTICES)
-    packed = gzip.compress(data)
-    assert bytes(built(data=packed, is_compressed=True).data) == data
-    assert gzip.decompress(built(data=data, path="out.OBJ.GZ").data) == data
-    moved = VERTICES + 1.0
-    for path, is_compressed, expected in (
-        ("out.obj", True, False),
-        ("out.obj.gz", False, True),
-        (None, True, True),
-        (None, False, False),
-    ):
-        result = built(moved, path, packed if is_compressed else data, is_compressed)
-        assert (bytes(result.data[:2]) == b"\x1f\x8b") is expected
-        assert result.references == ("none.mtl",)
-
-
 @pytest.mark.parametrize("path", ["out.stl", "out.stl.gz"])
 def test_a_conversion_is_read_back_and_says_what_is_lost(path):
     result = built(path=path)
@@ -144,15 +126,6 @@ def test_a_wrong_writer_is_noticed(monkeypatch):
         built(path="out.ply")
 
 
-def test_equal_positions_are_found_in_every_block():
-    first = np.zeros((40_000, 3))
-    assert output._are_equal(first, first.copy())
-    for place in (0, 16_383, 16_384, 39_999):
-        other = first.copy()
-        other[place, 2] = 1.0
-        assert not output._are_equal(first, other)
-
-
 def test_a_backup_is_kept_once_and_is_no_link_to_the_original(tmp_path):
     path = tmp_path / "scan.obj"
     path.write_bytes(b"old")
@@ -168,14 +141,3 @@ def test_a_backup_is_kept_once_and_is_no_link_to_the_original(tmp_path):
         (tmp_path / "scan.obj.orig").symlink_to(path)
         with pytest.raises(OutputError, match="exists and is not this file"):
             output.keep_backup(task, b"old")
-
-
-def test_a_folder_is_made_if_need_be(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for path in ("out.obj", "a/b/out.obj", "a/b/out.obj", "memory://x/out.obj"):
-        output.make_folder_of(path)
-    assert (tmp_path / "a/b").is_dir()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
-    with pytest.raises(OutputError, match="cannot be made"):
-        (tmp_path / "file").touch()
-        output.make_folder_of("file/out.obj")

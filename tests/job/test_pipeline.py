@@ -22,7 +22,7 @@ from msal_cli.job.pipeline import denoise_bytes, denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
-from tests.shapes import cube, grid, noisy, torus
+from tests.shapes import noisy, torus
 
 
 def settings(method="msal", **given):
@@ -247,18 +247,6 @@ def test_a_defect_is_a_record_too(scan, tmp_path, monkeypatch, is_nan):
     assert not (tmp_path / scan.name).exists()
 
 
-def test_interruption_passes(scan, tmp_path):
-    def stop(stage, done, total):
-        if stage == "sweeps" and done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        pipeline.denoise_file(
-            Task(str(scan), str(tmp_path / scan.name), scan.name), settings(), stop
-        )
-    assert not (tmp_path / scan.name).exists()
-
-
 def test_inspection(scan):
     info = inspection.inspect_file(str(scan))
     assert info.error is None
@@ -402,24 +390,3 @@ def test_a_mesh_that_is_inside_out_has_the_figures_of_the_other_side(tmp_path):
     assert info.inside_out is True
     assert info.warnings == ("the surface is inside out: its normals point inwards",)
     assert info.volume == pytest.approx(2.0 * np.pi**2 * 3.0, rel=0.1)
-
-
-def test_an_open_mesh_has_no_figures_of_volume(tmp_path):
-    record = measured(tmp_path, *grid(12, 12), "al")
-    assert record.inside_out is False
-    assert dataclasses.astuple(record.volume) == (
-        None, None, None, None, False, "open (44 boundary edges)"
-    )  # fmt: skip
-    info = inspection.inspect_file(str(tmp_path / "a.ply"))
-    assert (info.volume, info.volume_valid, info.inside_out) == (None, False, False)
-    assert info.volume_reason == "open (44 boundary edges)"
-
-
-def test_a_mesh_that_collapses_has_a_warning_with_a_code(tmp_path):
-    vertices, faces = cube()
-    record = measured(tmp_path, vertices, faces, "umbrella", iterations=4)
-    assert record.status == "written"
-    assert record.volume.change_percent < -50.0
-    assert record.warning_codes == ("W_VOLUME_CHANGE",)
-    assert record.warnings[0].startswith("this looks like damage: the volume changed by -")
-    assert record.warnings[0].endswith("(W_VOLUME_CHANGE)")

@@ -6,7 +6,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import Settings, parse, parse_format, resolve_parameters
+from msal_cli.job.settings import Settings, parse, resolve_parameters
 
 MSAL, HC, TAUBIN = map(methods.find, ("msal", "hc", "taubin"))
 
@@ -87,16 +87,6 @@ def test_messages_name_the_argument_or_the_option(given, argument, option):
 def test_a_choice_goes_with_neither_method_nor_parameters(given, words):
     with pytest.raises(UsageError, match=words):
         parsed(**given)
-
-
-def test_formats_in_any_spelling():
-    formats = (".ply", "obj")
-    assert parse_format("PLY", "--to", formats) == "ply"
-    assert parse_format(".Obj", "--to", formats) == "obj"
-    for word, hint in (("plx", "did you mean ply?"), ("zzz", "known are: ply, obj")):
-        with pytest.raises(UsageError, match=f"--to {word}: there is no such format") as caught:
-            parse_format(word, "--to", formats)
-        assert caught.value.hint == hint
 
 
 def given(*texts):

@@ -26,7 +26,6 @@ from msal_cli.report.facts import (
     auto_text,
     facts,
     list_figures,
-    percent_text,
     problem_tables,
     seconds_text,
     total_facts,
@@ -90,20 +89,6 @@ def test_fact(changes, level, fact):
     assert found.get(fact) == level, list(found)
 
 
-def test_defaults_of_parameters_are_left_out():
-    def method(defaults):
-        return next(fact.text for fact in facts(written(), defaults) if fact.word == "method")
-
-    assert method({"K": 0.5, "iterations": 6}) == "msal (iterations 4)"
-    assert method({"K": 0.5, "iterations": 4}) == "msal"
-
-
-def test_a_place_is_named_once():
-    message = "vertex 5 has a coordinate that is not a finite number"
-    record = failed(error=Failure("E_NONFINITE", message, "", "vertex 5"))
-    assert facts(record)[0].text == f"{message} (E_NONFINITE)"
-
-
 def advised(choice=CHOICE, **noise):
     estimate = NoiseEstimate(0.3, 0.1, **noise)
     return MeshRecord("a.ply", "written", noise_estimate=estimate, choice=choice)
@@ -163,12 +148,6 @@ def test_a_column_of_zeros_takes_no_room():
     assert more == {"Flipped", "Outliers", "Warnings"}
 
 
-def test_the_speed_of_an_earlier_run_is_no_figure():
-    (time,) = (figure for figure in list_figures([], SHORT) if figure.title == "Time")
-    assert time.text(written()) == "0.95"
-    assert time.text(written(status="up-to-date")) == ""
-
-
 def test_totals_of_what_calls_for_attention():
     records = [written("a", flipped_faces=1_000), written("b", flipped_faces=2, despiked=3)]
     records.append(moved("far", 0.6))
@@ -188,8 +167,3 @@ def test_totals_of_what_calls_for_attention():
 )
 def test_seconds(seconds, said):
     assert seconds_text(seconds) == said
-
-
-def test_percent():
-    said = [percent_text(value) for value in (-0.2664, 123.456, None)]
-    assert said == ["-0.266 %", "+123.5 %", ""]

@@ -10,12 +10,10 @@ from dataclasses import replace
 import pytest
 from PIL import Image
 
-from msal_cli.job.records import MeshRecord
 from msal_cli.report import gallery
 from msal_cli.report.data import read_json
 from msal_cli.report.gallery import Bounds, PictureCache
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
-from tests.report.made import written
 
 
 def denoised(folder, *options):
@@ -74,24 +72,6 @@ def test_in_place_the_backup_is_the_input(tmp_path):
     records = denoised(tmp_path, "--in-place", "--backup", ".raw")
     assert shown(records, gallery.build_gallery(records, backup=".raw")) == ["a.ply", "b.ply"]
     assert gallery.build_gallery(records, backup=".orig").pictures == {}
-
-
-def test_what_is_gone_or_has_changed_is_left_out(tmp_path):
-    records = denoised(tmp_path)
-    (tmp_path / "in" / "a.ply").write_bytes(closed_scan(seed=5))
-    (tmp_path / "out" / "b.ply").unlink()
-    found = gallery.build_gallery(records)
-    assert found.pictures == found.scenes == {}
-    assert found.script == "" and found.remarks == ()
-
-
-def test_streams_stores_and_what_was_not_written_are_left_out():
-    records = [
-        written("-"),
-        written("s3://bucket/a.ply", output="s3://bucket/b.ply"),
-        MeshRecord("a.ply", "planned", "b.ply"),
-    ]
-    assert gallery.build_gallery(records).pictures == {}
 
 
 def test_the_bounds_are_kept_and_said(records):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import random
 from html.parser import HTMLParser
 from xml.etree import ElementTree as Xml
 
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import html as as_html
-from msal_cli.report.facts import worst_first
 from msal_cli.report.html import Gallery, Pictures, Scale
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
 
@@ -100,17 +98,6 @@ def test_any_records_make_a_page(records):
     assert len(json.loads(reader.ids["rows"])) == len(records)
 
 
-def test_rows_are_worst_first():
-    records = [written("a"), failed("b"), gated("c")]
-    _, reader = page(records)
-    rows = json.loads(reader.ids["rows"])
-    assert [one["values"][0] for one in rows] == [one.input for one in worst_first(records)]
-    assert [one["kind"] for one in rows] == ["failed", "gate", "good"]
-    assert ["Reason", "vertex 17: position is not finite (E_NONFINITE)"] in rows[0]["details"]
-    gate = "broken: abs(volume_change) > 1% (volume_change is -2.1%)"
-    assert ["Gate", gate] in rows[1]["details"]
-
-
 def jpeg(size=1000):
     return b"\xff\xd8" + bytes(size)
 
@@ -137,9 +124,9 @@ def test_pictures_that_do_not_fit_are_left_out_from_the_best_files():
     assert f"Pictures of {101 - len(kept)} files" in data.decode()
 
 
-def test_ten_thousand_files_are_a_small_page():
-    records = [written(f"scans/{at}.ply") for at in range(10_000)]
-    assert len(as_html.render(RUN, records)) < 6_000_000
+def test_two_thousand_files_are_a_small_page():
+    records = [written(f"scans/{at}.ply") for at in range(2_000)]
+    assert len(as_html.render(RUN, records)) < 1_200_000
 
 
 # Histograms
@@ -151,29 +138,3 @@ def test_a_histogram_counts_every_value(values):
     assert bins.below + sum(bins.counts) + bins.beyond == len(values)
     assert len(bins.edges) == len(bins.counts) + 1
     Xml.fromstring(as_html.draw_histogram("title", values, ".3g"))
-
-
-def test_equal_steps_from_the_lowest_to_the_highest():
-    bins = as_html.bin_values([at / 100 for at in range(2401)])
-    assert bins.edges[0] == 0.0 and bins.edges[-1] == pytest.approx(24.0)
-    assert bins.below == bins.beyond == 0
-    assert bins.counts[:-1] == (100,) * 23
-
-
-def test_a_few_outliers_stand_beside_the_axis():
-    chance = random.Random(1)
-    bins = as_html.bin_values([*(chance.random() for _ in range(1000)), 1e6, -1e6])
-    assert (bins.below, bins.beyond) == (1, 1)
-    assert -3.0 < bins.edges[0] < bins.edges[-1] < 4.0
-
-
-def test_a_histogram_of_one_value_and_of_none():
-    assert sum(as_html.bin_values([5.0]).counts) == 1
-    assert as_html.draw_histogram("t", [float("nan"), float("inf")], ".3g") == ""
-
-
-def test_a_histogram_is_described_in_words():
-    drawn = Xml.fromstring(as_html.draw_histogram('a "b" <c>', [1.0, 2.0, 3.0], ".3g"))
-    assert drawn.get("aria-label") == 'a "b" <c>: 3 files from 1 to 3, median 2'
-    titles = [title.text for title in drawn.iter("title")]
-    assert len(titles) == 3 and titles[0].startswith("1 file, 1 to ")

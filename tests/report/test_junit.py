@@ -79,20 +79,6 @@ def test_folders_are_suites_in_the_order_of_the_inputs():
     assert [suite.get("id") for suite in root] == ["0", "1", "2"]
 
 
-@pytest.mark.parametrize(
-    ("name", "folder", "case"),
-    [
-        ("/a.ply", "/", "a.ply"),
-        ("/x/a.ply", "/x", "a.ply"),
-        ("s3://bucket/k/a.ply", "s3://bucket/k", "a.ply"),
-        ("-", "standard input", "standard input"),
-    ],
-)
-def test_where_a_file_belongs(name, folder, case):
-    (suite,) = parsed([written(name)])
-    assert (suite.get("name"), suite.find("testcase").get("name")) == (folder, case)
-
-
 def test_properties_have_no_values_of_python():
     settings = {"strict": True, "fields": ("noise", "sigma"), "lock": (), "to": None, "K": 0.5}
     root = Xml.fromstring(as_junit.render(dataclasses.replace(RUN, settings=settings), [written()]))

@@ -8,7 +8,7 @@ import unicodedata
 import pytest
 
 from msal_cli.job.display_names import columns
-from msal_cli.job.records import Failure, GateResult, InfoRecord, MeshRecord, Planned, Volume
+from msal_cli.job.records import Failure, GateResult, InfoRecord, MeshRecord, Planned
 from msal_cli.report import text as as_text
 from msal_cli.report.info import describe_info
 from tests.report.made import HOSTILE_NAMES, RUN, failed, written
@@ -57,14 +57,6 @@ def test_what_is_left_out_is_red_if_it_is_a_warning():
     assert as_text.summary(RUN, [written(sidecars=tuple("abcdefgh"))])[-1].tone == "faint"
 
 
-def test_no_volume_change_that_cannot_be_trusted():
-    volume = Volume(1.0, 0.9, -0.1, -10.0, False, "open (812 boundary edges)")
-    record = written(volume=volume)
-    for records in ([record], [record, written("b")]):
-        said = "\n".join(lines(*records))
-        assert "open (812 boundary edges)" in said and "-10" not in said
-
-
 @pytest.mark.parametrize("width", [60, 80, 100, 140])
 def test_the_table_keeps_to_the_width(width):
     records = [written("folder/" * 20 + f"{at}.ply") for at in range(3)]
@@ -74,13 +66,6 @@ def test_the_table_keeps_to_the_width(width):
     assert "2.ply " in rows[3]
 
 
-def test_long_tables_are_left_to_reports_unless_asked_for():
-    records = [written(f"{at:03}.ply") for at in range(as_text.MAX_ROWS + 1)]
-    assert "(41 files: -v lists them all, and so does --report)" in lines(*records)
-    for shown in (lines(*records, verbose=True), lines(*records[:-1])):
-        assert any(line.startswith("017.ply") for line in shown)
-
-
 def test_many_warnings_and_failures_are_counted():
     records = [written(f"{at}", warnings=("w",)) for at in range(as_text.MAX_WARNINGS + 5)]
     assert {"warnings: 25", "  ... and 5 more (-v or --report)"} <= set(lines(*records))
@@ -88,13 +73,6 @@ def test_many_warnings_and_failures_are_counted():
     records = [failed(f"{at}") for at in range(as_text.MAX_FAILURES + 2)]
     assert "  ... and 2 more (-v or --report)" in lines(*records)
     assert not any("more (-v" in line for line in lines(*records, verbose=True))
-
-
-def test_what_earlier_runs_did_is_listed_only_on_demand():
-    records = [written("old.ply", status="up-to-date", warnings=("w",)), written("new.ply")]
-    assert not any(line.startswith("old.ply") for line in lines(*records))
-    (row,) = (line for line in lines(*records, verbose=True) if line.startswith("old.ply"))
-    assert row.split()[-6:] == ["0.440", "1", "-", "up", "to", "date"]
 
 
 def test_a_run_that_was_cut_short_says_what_is_not_done():

@@ -193,22 +193,6 @@ def test_a_failing_system_leaves_the_old_file_and_no_temporary(tmp_path, monkeyp
     assert names(tmp_path) == ["a.ply"]
 
 
-def test_a_folder_that_cannot_be_synced_is_a_warning(tmp_path, monkeypatch, caplog):
-    real = os.fsync
-
-    def fsync(handle):
-        if stat.S_ISDIR(os.fstat(handle).st_mode):
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        real(handle)
-
-    monkeypatch.setattr(writing.os, "fsync", fsync)
-    write_whole(tmp_path / "a.ply", b"new")
-    assert (tmp_path / "a.ply").read_bytes() == b"new"
-    assert [one.message for one in caplog.records] == [
-        f"the folder {str(tmp_path)!r} cannot be synced: {os.strerror(errno.EIO)}"
-    ]
-
-
 def test_short_writes_are_continued_and_lost_bytes_noticed(tmp_path, monkeypatch):
     real = os.write
     monkeypatch.setattr(writing.os, "write", lambda handle, view: real(handle, view[:7]))
@@ -218,16 +202,6 @@ def test_short_writes_are_continued_and_lost_bytes_noticed(tmp_path, monkeypatch
     with pytest.raises(OutputError, match="0 of 3 bytes"):
         write_whole(tmp_path / "b", b"abc")
     assert names(tmp_path) == ["a"]
-
-
-def test_an_interrupt_leaves_nothing(tmp_path):
-    def pieces():
-        yield b"first"
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_whole(tmp_path / "a", pieces())
-    assert names(tmp_path) == []
 
 
 @pytest.mark.parametrize("has_links", [True, False])

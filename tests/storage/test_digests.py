@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import threading
 
 import pytest
 
@@ -17,12 +16,3 @@ def test_they_are_those_of_the_bytes(size, kind):
     data = data[:size]
     wait = sha256_meanwhile(kind(data))
     assert wait() == wait() == hashlib.sha256(data).hexdigest()
-
-
-def test_without_another_thread_it_is_done_at_once(monkeypatch):
-    def refuse(self):
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(threading.Thread, "start", refuse)
-    data = bytes(THREAD_BYTES)
-    assert sha256_meanwhile(data)() == hashlib.sha256(data).hexdigest()

@@ -20,9 +20,7 @@ from msal_cli.storage.objects import (
     Mark,
     list_objects,
     mark,
-    read_many,
     read_whole,
-    remove_objects,
     write_whole,
 )
 
@@ -78,16 +76,6 @@ def test_names_are_taken_as_they_are(name):
     write_whole(f"memory://b/{name}", name.encode())
     assert read_whole(f"memory://b/{name}") == name.encode()
     assert list(list_objects("memory://b")) == [name]
-
-
-def test_many_are_read_and_removed():
-    some = [f"memory://b/{n}" for n in range(40)]
-    marks = {url: write_whole(url, url.encode()) for url in some}
-    assert read_many(marks) == [url.encode() for url in some]
-    remove_objects([*some[1:], "memory://b/none"])
-    remove_objects([])
-    assert list(list_objects("memory://b")) == ["0"]
-    assert read_many({}) == []
 
 
 def test_a_beginning_is_told_with_the_size():
@@ -176,13 +164,6 @@ def test_without_the_package_the_error_says_what_to_install(monkeypatch):
         assert "msal-cli[cloud]" in caught.value.hint
         # That would look for msal itself on an index.
         assert "pip install 'msal-cli" not in caught.value.hint
-
-
-def test_a_version_in_a_name_is_refused_and_not_cut_off():
-    pytest.importorskip("s3fs", reason="needs the extra: pip install '.[cloud]'")
-    for call in (read_whole, lambda url: write_whole(url, b"")):
-        with pytest.raises((InputError, OutputError), match="versionId"):
-            call("s3://b/a?versionId=1.ply")
 
 
 def test_a_password_in_the_url_of_a_store_is_refused_without_telling_it(monkeypatch):

@@ -56,15 +56,6 @@ def test_the_library_and_its_textures_come_along(scene):
     )
 
 
-def test_a_second_mesh_finds_them_in_place(scene):
-    source, target = scene
-    carry(["./mesh.mtl"], source, target)
-    before = {path: path.stat().st_mtime_ns for path in target.parent.rglob("*")}
-    notes = carry(["mesh.mtl"], source, target.with_name("other.obj"))
-    assert "mesh.mtl is in place already" in notes
-    assert {path: path.stat().st_mtime_ns for path in target.parent.rglob("*")} == before
-
-
 @pytest.mark.parametrize("name", ["mesh.mtl", "tex/bump.png"])
 def test_a_different_file_is_never_overwritten(scene, name):
     source, target = scene
@@ -129,13 +120,6 @@ def test_links_that_lead_round_or_out(scene, tmp_path):
     (target.parent / "mesh.mtl").symlink_to("nowhere")
     with pytest.raises(OutputError):
         carry(["mesh.mtl"], source, target)
-
-
-def test_endless_lists_are_cut(tmp_path, monkeypatch):
-    monkeypatch.setattr(sidecars, "MAX_REFERENCES", 10)
-    notes = carry([f"{k}.png" for k in range(50)], tmp_path / "m.obj", tmp_path / "o/m.obj")
-    assert len(notes) == 11
-    assert "first 10" in notes[-1]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.view.camera import VIEWS, choose_camera, rotate
+from msal_cli.view.camera import VIEWS, choose_camera
 from tests.shapes import ball, cube, grid
 
 X, Y, Z = np.eye(3)
@@ -48,13 +48,6 @@ def test_named_views_look_at_one_another():
     assert np.allclose(axes["right"][2], axes["front"][0])
 
 
-def test_turn_and_tilt_go_right_and_up():
-    level = rotate(-Y, Z, 0.0, 0.0)
-    assert np.allclose(level, [X, Z, -Y])
-    assert rotate(-Y, Z, 10.0, 0.0)[2] @ X > 0
-    assert rotate(-Y, Z, 0.0, 10.0)[2] @ Z > 0
-
-
 def test_a_flat_relief_is_seen_from_its_front():
     vertices, faces = grid(30, 30)
     vertices = vertices - vertices.mean(axis=0)
@@ -66,17 +59,6 @@ def test_a_flat_relief_is_seen_from_its_front():
     axes = choose_camera(standing, faces).axes
     assert np.allclose(axes[2], -Y)
     assert np.allclose(axes[1], Z)
-
-
-def test_a_closed_plaque_is_seen_from_the_side_with_more_to_show():
-    vertices, faces = grid(20, 20)
-    n = len(vertices)
-    bottom = vertices - (0.0, 0.0, 0.2)
-    vertices[:, 2] += 0.1 * np.sin(2.0 * vertices[:, 0])
-    both = np.concatenate([vertices, bottom])
-    closed = np.concatenate([faces, faces[:, ::-1] + n]).astype(np.int32)
-    assert np.allclose(choose_camera(both, closed).axes[2], Z)
-    assert np.allclose(choose_camera(both * (1, 1, -1), closed[:, ::-1]).axes[2], -Z)
 
 
 def test_what_has_a_base_stands_on_it():
@@ -97,23 +79,7 @@ def test_a_scan_in_the_frame_of_a_depth_camera_is_not_upside_down():
     assert np.allclose(choose_camera(seen_by_camera, faces, up="y").axes[1], Y)
 
 
-@pytest.mark.parametrize("axis", [1, 2])
-def test_a_tall_solid_without_a_base_stands(axis):
-    vertices, faces = ball()
-    tall = vertices.copy()
-    tall[:, axis] *= 3.0
-    camera = choose_camera(tall, faces)
-    assert camera.axes[1] @ np.eye(3)[axis] > 0.9
-    assert camera.aspect < 0.5
-
-
 def test_terrain_is_a_map_with_north_on_top():
     vertices, faces = grid(30, 30)
     vertices[:, 2] = 0.05 * np.sin(3.0 * vertices[:, 0]) * np.cos(2.0 * vertices[:, 1])
     assert np.allclose(choose_camera(vertices, faces).axes, np.eye(3))
-
-
-def test_no_area_at_all_still_gives_a_camera():
-    vertices = np.zeros((3, 3))
-    camera = choose_camera(vertices, np.array([(0, 1, 2)], dtype=np.int32))
-    assert np.isfinite(camera.pixels_per_unit(10, 10))

@@ -113,16 +113,6 @@ def test_what_cannot_be_read_is_a_note(tmp_path):
     assert found.vertices is None and "cannot be read" in found.notes[0]
 
 
-def test_a_glb_without_vertex_colours_has_none(tmp_path):
-    assert _colours(tmp_path, "a.glb", _glb()).vertices is None
-
-
-def test_black_everywhere_is_not_shown(tmp_path):
-    text = f"COFF\n3 1 0\n{_rows([[0, 0, 0]] * 3)}3 0 1 2\n"
-    found = _colours(tmp_path, "a.off", text)
-    assert found.vertices is None and "black" in found.notes[0]
-
-
 # Numbers
 
 
@@ -146,11 +136,6 @@ def test_one_stray_vertex_does_not_pale_the_rest():
 )
 def test_ends_are_rounded_up_to_two_digits(size, end):
     assert scale_of(np.full(5, size), is_signed=False).high == pytest.approx(end, rel=1e-12)
-
-
-def test_distances_start_at_nothing():
-    scale = scale_of(np.array([0.5, 2.0]), is_signed=False)
-    assert (scale.low, scale.map_name) == (0.0, "sequential")
 
 
 @pytest.mark.parametrize("values", [[0.0, 0.0], [], [np.nan]])
@@ -177,9 +162,3 @@ def test_a_scale_fits_the_smallest_and_the_largest_deviations(size):
     assert [above for _, above, _ in legend.ticks][2] == "0"
     if size >= 1e-290:
         assert (painted[0] != painted[2]).any()
-
-
-def test_the_scale_of_equal_meshes_is_about_zero():
-    scale = scale_of(np.zeros(5), is_signed=True, if_none=0.25)
-    assert (scale.low, scale.high) == (-0.25, 0.25)
-    assert [above for _, above, _ in scale.legend(("",), 0.25).ticks][2] == "0"

@@ -232,31 +232,3 @@ def test_without_webgl_there_is_the_picture(browsers, folder):
     assert "WebGL" in browser.run("document.querySelector('.msal-why').textContent")
     assert browser.run("document.querySelectorAll('canvas').length") == 0
     assert browser.complaints() == []
-
-
-def test_a_narrow_window(pair):
-    pair.driver.execute_cdp_cmd(
-        "Emulation.setDeviceMetricsOverride",
-        {"width": 390, "height": 780, "deviceScaleFactor": 2, "mobile": True},
-    )
-    pair.settle()
-    assert pair.run("document.documentElement.scrollWidth") <= 390
-    stage, aside = (
-        pair.run(f"document.querySelector('{one}').getBoundingClientRect().toJSON()")
-        for one in (".msal-stage", "aside")
-    )
-    assert aside["top"] > stage["bottom"] and stage["width"] > 340
-    pair.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-
-
-@pytest.mark.slow
-def test_a_million_faces_open_in_under_five_seconds(browser, tmp_path):
-    vertices, faces = torus(1100, 500)
-    before = Mesh(noisy(vertices, level=0.002), faces)
-    assert len(faces) == 1_100_000
-    two = pictures.Scene(("large", "after"), before, Mesh(vertices, faces), vertices[:, 2])
-    page = pages.page_of(two, pictures.View(), "msal view")
-    assert len(page) < 3.2e6 and b"of 1,100,000 faces" in page
-    (tmp_path / "large.html").write_bytes(page)
-    assert browser.open(tmp_path / "large.html") < 5.0
-    assert middle(browser.pixels()).std() > 20

@@ -97,12 +97,6 @@ def test_the_page_has_the_picture_the_view_and_the_scale(grown):
     assert "data-theme" not in parts.attributes("html")[0]
 
 
-def test_options_of_the_picture_are_those_of_the_page(grown):
-    parts, box, _ = page(grown, pictures.View(size=64, style="dark", shading="flat"))
-    assert parts.attributes("html")[0]["data-theme"] == "dark"
-    assert box["data-shading"] == "flat"
-
-
 def test_one_mesh(grown):
     alone = pictures.scene_of(Surface(*cube()), None, ("cube.ply",))
     parts, _, (header, meshes, deviation) = page(alone)
@@ -166,10 +160,3 @@ def test_a_fragment_for_other_pages():
     assert parts.texts["script"] == [drawn.text]
     with pytest.raises(InternalError):
         viewer.embed_scene('x"><script>', drawn, picture=b"PNG")
-
-
-def test_what_the_page_holds_is_said():
-    few = "".join(parts_of(pair()).texts["p"])
-    assert "Decimated" not in few and "to within" in few
-    many = "".join(parts_of(pair(), max_faces=6).texts["p"])
-    assert "of 12 faces, the same of both meshes" in many

@@ -5,7 +5,6 @@ import pytest
 
 from msal_cli.analysis import surface_distance
 from msal_cli.codecs.colours import SurfaceColours
-from msal_cli.errors import ContentError
 from msal_cli.job.comparison import Surface
 from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View
@@ -47,15 +46,6 @@ def test_a_mesh_that_did_not_move_has_the_scale_of_its_edges(by):
     assert not pictures.has_moved(scene)
 
 
-def test_a_mesh_that_moved_a_little_has_the_scale_of_its_way():
-    vertices, faces = ball()
-    scene = pictures.scene_of(
-        Surface(vertices, faces), Surface((1.0 + 1e-9) * vertices, faces), NAMES
-    )
-    assert pictures.has_moved(scene)
-    assert pictures.scale_of_scene(scene).high == pytest.approx(1e-9, rel=0.1)
-
-
 def test_a_mesh_that_slid_within_its_surface_has_moved():
     vertices, faces = grid()
     flat = vertices * (1.0, 1.0, 0.0)
@@ -93,20 +83,6 @@ def test_distances_to_the_surface():
     assert scene.deviation == pytest.approx(np.where(there[:, 2] > 1, 0.25, 0.0), abs=1e-6)
 
 
-def test_an_error_names_its_file():
-    vertices, faces = cube()
-    broken = vertices.copy()
-    broken[3, 1] = np.inf
-    with pytest.raises(ContentError) as caught:
-        pictures.scene_of(Surface(vertices, faces), Surface(broken, faces), NAMES)
-    assert caught.value.path == "after.ply"
-
-
-def test_files_of_one_name_are_told_apart_by_their_folders():
-    assert pictures.titles_of(("in/a.ply", "out/a.ply")) == ("in/a.ply", "out/a.ply")
-    assert pictures.titles_of(("in/a.ply", "out/b.ply")) == ("a.ply", "b.ply")
-
-
 # With colours
 
 
@@ -131,18 +107,6 @@ def test_a_sheet_shows_its_colours_where_they_are():
     left, right = image[middle, 20], image[middle, -20]
     assert left[0] > 100 and left[1:].max() < 20
     assert right[2] > 100 and right[:2].max() < 20
-
-
-def test_shading_stays_visible_on_one_colour():
-    vertices, faces = ball()
-    grey = np.full(vertices.shape, 200)
-    scene = pictures.scene_of(_painted(vertices, faces, grey), None, NAMES[:1])
-    view = View(size=120)
-    camera = pictures.camera_of(scene, view)
-    image = pictures.panel(scene.before, camera, view, scene.painted(0), colours_are="paint")
-    on_mesh = image[(image != 255).any(axis=2)].astype(int)
-    assert np.quantile(on_mesh, 0.95) - np.quantile(on_mesh, 0.05) > 70
-    assert (on_mesh >= 255).mean() < 0.02
 
 
 def test_split_vertices_have_the_mean_of_their_colours():
@@ -173,13 +137,7 @@ def test_what_colours_show(colours, n_panels, is_red):
     assert ("Colours of the file" in page) == is_red
 
 
-def test_notes_of_files_are_on_the_page():
-    vertices, faces = ball()
-    surface = Surface(vertices, faces, 0, SurfaceColours(None, ("its <b> cannot be read",)))
-    page = pages.page_of(pictures.scene_of(surface, None, ("a.ply",)), View(size=60), "msal view")
-    assert b"a.ply: its &lt;b&gt; cannot be read." in page
-
-
+@pytest.mark.ci
 @pytest.mark.xdist_group("chromium")
 def test_a_page_shows_colours_on_both_sides_and_clay_by_a_button(browser, tmp_path):
     vertices, faces = ball()

@@ -97,15 +97,6 @@ def test_the_scale_of_colours():
         assert scale(flat, ends=(0.0, 0.0))["high"] > 0.0 and scale(flat)["span"] > 0
 
 
-@pytest.mark.slow
-def test_200_000_faces_take_less_than_3_megabytes():
-    vertices, faces = torus(500, 200)
-    after = Mesh(vertices, faces)
-    drawn = scene.encode_scene(Mesh(noisy(vertices, level=0.01), faces), after, vertices[:, 0])
-    assert drawn.drawn_faces == 200_000
-    assert len(drawn.text) < 3e6
-
-
 # Decimation: as many faces as asked for, between vertices of the file, on the same surface
 
 
@@ -113,18 +104,6 @@ def areas(vertices, faces):
     corner = vertices[faces]
     doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     return np.linalg.norm(doubled, axis=1) / 2
-
-
-def test_few_faces_stay_as_they_are():
-    vertices, faces = torus()
-    coarse = scene.coarsen(vertices, faces, len(faces))
-    assert np.array_equal(coarse.kept[coarse.faces], faces)
-
-
-def test_vertices_without_a_face_are_left_out():
-    vertices, faces = cube()
-    coarse = scene.coarsen(np.concatenate([[[9.0, 9, 9]], vertices]), faces + 1, 100)
-    assert np.array_equal(coarse.kept, np.arange(1, 9))
 
 
 @pytest.mark.parametrize("level", [0.0, 0.1, 3.0])
@@ -157,8 +136,3 @@ def test_the_boundary_does_not_move_inwards():
     assert len(coarse.faces) <= 800
     full = areas(vertices, faces).sum()
     assert areas(vertices[coarse.kept], coarse.faces).sum() == pytest.approx(full, rel=0.03)
-
-
-def test_a_number_that_cannot_be_reached_ends():
-    vertices, faces = cube()
-    assert len(scene.coarsen(vertices, faces, 1).faces) < len(faces)
