@@ -2,12 +2,13 @@
 
     MSAL_DATA=FOLDER python -m benchmarks.fidelity [--all] [--models]
 
-Prints the tables of docs/algorithm.md: over the noisy meshes of ``benchmarks.ground_truth`` (those
-of 50,000 vertices at most, or ``--all``), the mean over each class of the mean angle between
-corresponding face normals in degrees / of the mean distance between corresponding vertices in % of
-the true mesh's mean edge length.  For filters with settings to choose the best single one of the
-class is shown, by either measure, and which it is.  ``--models`` adds every model.  At last it
-prints what one spike does to lambda, and lambda on a scan with ragged triangles.
+Prints the tables of benchmarks/results/fidelity.txt: over the noisy meshes of
+``benchmarks.ground_truth`` (those of 50,000 vertices at most, or ``--all``), the mean over each
+class of the mean angle between corresponding face normals in degrees / of the mean distance between
+corresponding vertices in % of the true mesh's mean edge length.  For filters with settings to
+choose the best single one of the class is shown, by either measure, and which it is.  ``--models``
+adds every model.  At last it prints what one spike does to lambda, and lambda on a scan with ragged
+triangles.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,6 @@ import make_pictures
 from scanner_examples import EXAMPLES, Example, true_mesh
 
 from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
-from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_outcomes import NOISY, Outcomes
 from msal_cli.view.camera import frame_vertices, rotate
 from msal_cli.view.panels import png_bytes
@@ -44,33 +42,16 @@ CLEAN = (0, 1, 2, -1)
 LARGEST_PICTURE = 150_000  # bytes
 
 
-@dataclass(frozen=True)
-class Shown:
-    """What a picture shows: its panels, the angles before and after, and the words of msal."""
-
-    picture: Image
-    before_deg: float
-    after_deg: float
-    reason: str
-
-
-def draw(example: Example) -> Shown:
+def draw(example: Example) -> Image:
     """The noisy mesh, what ``--auto`` makes of it, and the truth, side by side."""
     true = true_mesh(example.model)
-    pair = Pair(example.make(true), true)
-    vertices, reason = scanner_outcomes.denoise(pair.noisy, COMMAND)
-    result = pair.noisy.with_vertices(vertices)
+    noisy = example.make(true)
+    result = noisy.with_vertices(scanner_outcomes.denoise(noisy, COMMAND)[0])
     turn = make_pictures.VIEWS[example.model]
     axes = rotate(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]), *turn)
     camera = frame_vertices(axes, true.vertices)
-    panels = [
-        shade(mesh.vertices, mesh.faces, camera, *SIZE) for mesh in (pair.noisy, result, true)
-    ]
-    return Shown(
-        make_pictures.row(panels),
-        scanner_outcomes.measure_errors(pair, pair.noisy).angle_deg,
-        scanner_outcomes.measure_errors(pair, result).angle_deg,
-        reason,
+    return make_pictures.row(
+        [shade(mesh.vertices, mesh.faces, camera, *SIZE) for mesh in (noisy, result, true)]
     )
 
 
@@ -103,18 +84,6 @@ def _change(rows: scanner_tables.Rows) -> str:
         for name in (NOISY, scanner_tables.JUDGED)
     )
     return f"{before:.1f}° to {after:.1f}°"
-
-
-def picture_lines(shown: dict[str, Shown]) -> list[str]:
-    """The angles of each picture, and what msal says of its noise."""
-    lines = ["| picture | angle before | after | what msal says of it |", "|---|--:|--:|---|"]
-    for one in EXAMPLES:
-        seen = shown[one.name]
-        lines.append(
-            f"| {one.name.replace('_', ' ')} ({one.model}) | {seen.before_deg:.1f}° | "
-            f"{seen.after_deg:.1f}° | {seen.reason.partition(';')[0]} |"
-        )
-    return lines
 
 
 def summary(lines: list[str]) -> list[str]:
@@ -154,11 +123,8 @@ def main() -> None:
     put(DOCS / "noise.md", "your scanner", scanner_table(found))
     if given.no_pictures:
         return
-    shown = {}
     for one in EXAMPLES:
-        shown[one.name] = draw(one)
-        write_picture(one.name, shown[one.name].picture)
-    put(DOCS / "noise.md", "pictures of scanners", picture_lines(shown))
+        write_picture(one.name, draw(one))
 
 
 if __name__ == "__main__":
