@@ -101,15 +101,21 @@ def command(request: Request) -> int:
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import compare_files
     from msal_cli.job.records import ComparisonRecord, Failure
-    from msal_cli.report.gates import names_field
+    from msal_cli.report.comparison import read_comparisons
+    from msal_cli.report.gates import names_field, parse_gates
 
     refuse_conflicts(find_given(request.context))
-    checks = _build_checks(request)
+    gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
+    baseline, tolerance = request.baseline, request.tolerance
+    earlier = None
+    if baseline is not None:
+        earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
+    checks = _Checks(gates, earlier, 0.01 if tolerance is None else tolerance)
     request.format = resolve_format(request.format)
     before, others, heatmap = request.before, request.others, request.heatmap
     patterns = request.include, request.exclude
     sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
-    is_checked = bool(request.checks) or names_field(checks.gates, "self_intersections")
+    is_checked = bool(request.checks) or names_field(gates, "self_intersections")
 
     def compare(before: str, after: str) -> ComparisonRecord:
         return compare_files(before, after, request.format, with_intersections=is_checked)
@@ -172,7 +178,7 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
 
 
 def _compare_two(
-    request: Request, checks: Checks, compare: Callable[[str, str], ComparisonRecord]
+    request: Request, checks: _Checks, compare: Callable[[str, str], ComparisonRecord]
 ) -> int:
     from msal_cli.report import comparison, data
     from msal_cli.report.gates import is_any_broken
@@ -215,7 +221,7 @@ def _write_heatmap(request: Request) -> None:
 
 
 def _print_table(
-    pairs: Mapping[str, ComparisonRecord], checks: Checks, as_json: bool, *, is_all: bool
+    pairs: Mapping[str, ComparisonRecord], checks: _Checks, as_json: bool, *, is_all: bool
 ) -> int:
     """Print the records by relative path, or by the name of B; the exit status.
 
@@ -264,7 +270,7 @@ def _say_failure(record: ComparisonRecord) -> None:
 
 
 @dataclass(frozen=True)
-class Checks:
+class _Checks:
     """Gates, and the figures of an earlier run by path; None if there are none."""
 
     gates: tuple[Gate, ...]
@@ -295,17 +301,3 @@ class Checks:
                 record = replace(record, gates=record.gates + broken)
             judged.append(record)
         return judged
-
-
-def _build_checks(request: Request) -> Checks:
-    """The checks: gates, with lengths in ``--unit``, and the report that ``--baseline`` names."""
-    from msal_cli.job.records import ComparisonRecord
-    from msal_cli.report.comparison import read_comparisons
-    from msal_cli.report.gates import parse_gates
-
-    gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
-    baseline = request.baseline
-    if baseline is None:
-        return Checks(gates, None, 0.0)
-    earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
-    return Checks(gates, earlier, 0.01 if request.tolerance is None else request.tolerance)

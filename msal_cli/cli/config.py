@@ -7,7 +7,7 @@ dashes.  The command line wins.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -101,8 +101,15 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> Config:
         if isinstance(option.type, click.Path):
             below = os.path.dirname(path)
             several = words if isinstance(words, list) else [words]
-            if not is_named:
-                _refuse_outside(below, several, place)
+            top = os.path.realpath(below or os.curdir)
+            for word in () if is_named else several:
+                inside = os.path.realpath(os.path.join(top, word))
+                if "://" in word or os.path.commonpath([top, inside]) != top:
+                    raise UsageError(
+                        f"{place}: {word!r} leads out of the folder of the file, which may stand "
+                        "only in a file that --config names",
+                        hint="give the file with --config if you trust it, or --no-config",
+                    )
             # From the current folder; URLs and - stay.
             several = [
                 word if "://" in word or word == "-" else os.path.join(below, word)
@@ -167,19 +174,6 @@ def _to_word(value: Any, place: str) -> str:
         # TOML allows it; the system ends every word there.
         raise UsageError(f"{place} is {value!r}", hint="leave the character \\u0000 out")
     return str(value)
-
-
-def _refuse_outside(folder: str, paths: Iterable[str], place: str) -> None:
-    """Refuse paths that lead out of ``folder``, and URLs; UsageError."""
-    top = os.path.realpath(folder or os.curdir)
-    for path in paths:
-        inside = os.path.realpath(os.path.join(top, path))
-        if "://" in path or os.path.commonpath([top, inside]) != top:
-            raise UsageError(
-                f"{place}: {path!r} leads out of the folder of the file, which may stand only in a "
-                "file that --config names",
-                hint="give the file with --config if you trust it, or --no-config",
-            )
 
 
 def _describe(ctx: click.Context, given: dict[str, Any], config: Config | None) -> str:

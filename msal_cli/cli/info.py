@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
@@ -47,12 +47,22 @@ def command(request: Request) -> int:
 
     Lengths are in file units.
     """
+    from msal_cli.cli.streams import read_stream
+    from msal_cli.job.inspection import inspect_file
     from msal_cli.job.records import InfoRecord
     from msal_cli.report.info import InfoTable, describe_info
 
-    request.format = resolve_format(request.format)
+    format, is_checked = resolve_format(request.format), bool(request.checks)
     paths = _find_paths(request)
-    records: Iterable[InfoRecord] = _inspect(paths, request)
+    records: Iterable[InfoRecord] = (
+        inspect_file(
+            path,
+            format,
+            data=read_stream() if path == STREAM else None,
+            with_intersections=is_checked,
+        )
+        for path in paths
+    )
     table = None
     if request.as_json:
         records = list(records)
@@ -92,13 +102,3 @@ def _find_paths(request: Request) -> tuple[str, ...]:
             "- must be the only input: standard input is one mesh", hint="give - and no other"
         )
     return inputs
-
-
-def _inspect(paths: tuple[str, ...], request: Request) -> Iterator[InfoRecord]:
-    from msal_cli.cli.streams import read_stream
-    from msal_cli.job.inspection import inspect_file
-
-    is_checked = bool(request.checks)
-    for path in paths:
-        data = read_stream() if path == STREAM else None
-        yield inspect_file(path, request.format, data=data, with_intersections=is_checked)

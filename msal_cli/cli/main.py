@@ -151,7 +151,11 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
     except Exit as finish:
         return finish.exit_code
     except click.UsageError as error:
-        _say_usage(error)
+        # Click lists choices one below the other.
+        message = escape_for_display(error.format_message().replace("\n\t", " "))
+        command = error.ctx.command_path if error.ctx is not None else "msal"
+        console.say(f"msal: error: {message}", "bad")
+        console.say(f"hint: {command} --help shows how it is used")
         return console.USAGE
     except click.ClickException as error:
         console.say(f"msal: error: {error.format_message()}", "bad")
@@ -176,14 +180,6 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
             words = f"msal: internal error: {what}; please report it (-v shows where)"
         console.say(words, "bad")
         return console.FATAL
-
-
-def _say_usage(error: click.UsageError) -> None:
-    command = error.ctx.command_path if error.ctx is not None else "msal"
-    # Click lists choices one below the other.
-    message = error.format_message().replace("\n\t", " ")
-    console.say(f"msal: error: {escape_for_display(message)}", "bad")
-    console.say(f"hint: {command} --help shows how it is used")
 
 
 def _flush(status: int) -> int:

@@ -180,7 +180,7 @@ class _Watch:
 
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
         """One plan of all files, or a plan of each that can be done if some cannot."""
-        from msal_cli.job.records import Failure
+        from msal_cli.job.records import Failure, MeshRecord
 
         try:
             plan = plan_files(self._request, self._settings, files)
@@ -199,8 +199,8 @@ class _Watch:
                     yield from self._plan([file])
                 return
             failure = Failure(error.code, error.message, error.hint or "")
-            console.say_failure(files[0].relative, failure)
-            self._note(files[0].path, is_failed=True)
+            record = MeshRecord(files[0].path, "failed", None, error=failure)
+            self._count(files[0].relative, record)
         else:
             yield plan
 
@@ -214,12 +214,9 @@ class _Watch:
         def on_event(event: Event) -> None:
             nonlocal n_current
             if isinstance(event, Finished):
-                record = event.record
-                n_current += record.status == "up-to-date"
-                log_record(record)
-                self._say(plan.tasks[event.index].relative, record)
-                is_failed = record.status == "failed"
-                self._note(record.input, is_failed=is_failed, is_new=not record.remembered)
+                n_current += event.record.status == "up-to-date"
+                log_record(event.record)
+                self._count(plan.tasks[event.index].relative, event.record)
 
         left = None if self._max_failures is None else self._max_failures - self._n_new_failures
         run(
@@ -236,22 +233,19 @@ class _Watch:
         if n_current and not request.quiet:
             console.say(f"{n_current:,} up to date")
 
-    def _say(self, name: str, record: MeshRecord) -> None:
-        """One line for one file, and a second one on what to do about a failure."""
+    def _count(self, name: str, record: MeshRecord) -> None:
+        """Count a file, and say a line about it; of a failure also what to do about it."""
+        self._n_files += 1
+        self._failed.discard(record.input)
         if record.error is not None:
+            self._failed.add(record.input)
+            self._n_new_failures += not record.remembered
             console.say_failure(name, record.error)
         elif record.status != "up-to-date" and not self._request.quiet:
             seconds = record.seconds.total if record.seconds is not None else 0.0
             shown = escape_for_display(f"{name} -> {record.output}")
             left = f", left as it is: {record.left_alone}" if record.left_alone else ""
             console.say(f"{shown} ({seconds:.2f} s{left})")
-
-    def _note(self, path: str, *, is_failed: bool, is_new: bool = True) -> None:
-        self._n_files += 1
-        self._failed.discard(path)
-        if is_failed:
-            self._failed.add(path)
-            self._n_new_failures += is_new
 
     def _is_given_up(self) -> bool:
         return self._max_failures is not None and self._n_new_failures >= self._max_failures
