@@ -31,7 +31,6 @@ MAY_IMPORT = {layer: set(allowed) for layers, allowed in LAYERS for layer in lay
 MAY_IMPORT |= {layer: set() for layer in EVERYWHERE} | {"__main__": {"cli"}, "__init__": {"api"}}
 
 ONLY_IN = {
-    "kernel_build": {"kernels.library"},
     "llvmlite": set(),
     "numba": set(),
     "trimesh": {"codecs"},

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from kernel_build import compile_now
+from kernel_build.numba_kernels import to_dispatcher
 from msal_cli.errors import InternalError
 from msal_cli.kernels import library
 from msal_cli.kernels.compiled import Kernel
@@ -28,7 +28,8 @@ def _load_and_record(kernel: Kernel, arg_types: tuple[library.ArgType, ...]) -> 
     try:
         return _load(kernel, arg_types)
     except InternalError:
-        return compile_now(kernel)
+        compiled: Callable[..., Any] = to_dispatcher(kernel)
+        return compiled
 
 
 library.load = _load_and_record  # type: ignore[assignment]

@@ -7,7 +7,7 @@
 It gives, separated by tabs, the signature (numpy's codes of types; ``f8[:, ::1]`` is an array in
 C order, ``[::1, :]`` in Fortran order), the symbol, the types of the results, the positions of the
 arguments that the kernel writes to, and a hash of its source.  Only in a checkout is there a hash:
-kernels that were edited since are compiled by numba meanwhile.
+a kernel that was edited since is an error.
 
 On x86-64 the library has code for two levels of processor; ``MSAL_CPU=v2`` chooses the lower.
 """
@@ -16,12 +16,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import logging
 import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 from msal_cli.errors import InternalError
@@ -49,14 +47,14 @@ _C_TYPES: dict[str, Any] = {
     "f8": ctypes.c_double,
 }
 
-_log = logging.getLogger("msal.core")
-
 
 class Compiled(Protocol):
     """What this module needs to know of a kernel."""
 
     @property
     def name(self) -> str: ...
+
+    def __hash__(self) -> int: ...
 
 
 class Entry(NamedTuple):
@@ -74,20 +72,20 @@ def load(kernel: Compiled, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]
     Raises
     ------
     InternalError
-        where the library does not have it.
+        where the library does not have it, or not as its source is now.
     """
     text = signature(kernel.name, arg_types)
     entry = _entries().get(text)
-    if entry is None or entry.source_hash:
-        build = _checkout()
-        if build is not None and (entry is None or build.source_hash(kernel) != entry.source_hash):
-            if not build.is_listed(text):
-                raise _not_listed(text)
-            _log.warning("the kernel library is outdated, compiling %s: %s", kernel.name, _REBUILD)
-            compiled: Callable[..., Any] = build.compile_now(kernel)
-            return compiled
     if entry is None:
         raise _not_listed(text) if TABLE.exists() else _missing("is not installed")
+    if entry.source_hash:
+        from msal_cli.kernels.source_hash import source_hash
+
+        if source_hash(kernel) != entry.source_hash:
+            raise InternalError(
+                f"the kernel library does not have {kernel.name} as its source is now",
+                hint=f"build it: {_REBUILD} (numba is needed: pip install -e '.[dev]')",
+            )
     return bind(open_library(), entry, arg_types)
 
 
@@ -157,17 +155,6 @@ def level_suffix(library: ctypes.CDLL) -> str:
             hint=f"build all levels of processor: {_REBUILD} --all-levels",
         )
     return suffix
-
-
-def _checkout() -> ModuleType | None:
-    """What builds the library, in a checkout; None where msal is installed from a wheel."""
-    try:
-        import kernel_build
-    except ImportError:
-        return None
-    # Another project may have a package of that name.
-    is_ours = Path(kernel_build.__file__ or "").parent.parent == LIBRARY.parents[2]
-    return kernel_build if is_ours else None
 
 
 def _not_listed(text: str) -> InternalError:

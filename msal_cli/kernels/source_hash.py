@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.kernels.compiled import Kernel
-
 
 @functools.cache
-def source_hash(kernel: Kernel) -> str:
-    """A hash of the byte code and constants of a kernel and of all kernels that it calls."""
-    parts = []
+def source_hash(kernel: Any) -> str:
+    """A hash of the byte code and constants of a ``Kernel`` and of all kernels that it calls."""
+    parts: list[Any] = []
     waiting, seen = [kernel], {id(kernel)}
     while waiting:
         one = waiting.pop()
@@ -24,7 +22,7 @@ def source_hash(kernel: Kernel) -> str:
         values = {name: known[name] for name in _names(code) if name in known}
         parts.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
         for value in values.values():
-            if isinstance(value, Kernel) and id(value) not in seen:
+            if isinstance(value, type(kernel)) and id(value) not in seen:
                 seen.add(id(value))
                 waiting.append(value)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
