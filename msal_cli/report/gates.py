@@ -18,7 +18,7 @@ import types
 import typing
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from msal_cli.errors import UsageError
 from msal_cli.job.constraints import COMPARISONS, UNIT_PATTERN, in_file_units
@@ -28,7 +28,6 @@ from msal_cli.job.records import GateResult
 if typing.TYPE_CHECKING:
     from msal_cli.job.records import ComparisonRecord, MeshRecord
 
-Kind = Literal["truth", "constant", "number", "quotient", "percent", "relative", "edges", "length"]
 Value = float | bool | None
 Record = TypeVar("Record", "MeshRecord", "ComparisonRecord")
 
@@ -50,7 +49,7 @@ class Unit:
     the second.  ``edges`` is in mean edge lengths, ``length`` in file units to a ``power``.
     """
 
-    kind: Kind
+    kind: str
     power: int = 0
 
     def __str__(self) -> str:
@@ -206,12 +205,11 @@ _PERCENTS = (PERCENT, RELATIVE)
 # An e that no digits follow is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
     rf"(?a)\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{UNIT_PATTERN})\b)?"
-    r"|(?P<name>[A-Za-z_][\w.]*)|(?P<sign><=|>=|==|!=|[<>()+\-*/,]))"
+    r"|(?P<name>[A-Za-z_][\w.]*)|(?P<sign><=|>=|==|!=|[<>()+\-*/,])|(?P<other>\S))"
 )
 
 
-@dataclass(frozen=True)
-class _Meaning:
+class _Meaning(NamedTuple):
     """A part of an expression: its unit, its value in a record, the column of its operator, and its
     name if it is nothing but that."""
 
@@ -221,8 +219,7 @@ class _Meaning:
     name: str = ""
 
 
-@dataclass(frozen=True)
-class _Token:
+class _Token(NamedTuple):
     """A ``number``, ``name``, ``sign`` (also and, or, not) or the ``end``; ``at`` is from 1."""
 
     kind: str
@@ -244,36 +241,29 @@ class _Parser:
         if len(text) > MAX_LENGTH:
             self._text = text[:40] + "..."
             raise self._error(MAX_LENGTH, f"it is longer than {MAX_LENGTH} characters")
-        self._tokens = self._read_tokens()
+        self._tokens = list(self._read_tokens())[::-1]
 
     def parse(self) -> _Meaning:
         """The meaning of the whole."""
-        found = self._read(0)
+        whole = self._read(0)
         self._require("end")
-        if found.unit != TRUTH:
+        if whole.unit != TRUTH:
             why = "it is a number, and a gate is broken or not"
-            raise self._error(found.at, why, "compare it, as in 'max_displacement > 0.5e'")
-        return found
+            raise self._error(whole.at, why, "compare it, as in 'max_displacement > 0.5e'")
+        return whole
 
     def _error(self, at: int, why: str, hint: str = _HINT) -> UsageError:
         return UsageError(f"the gate {self._text!r}, column {at}: {why}", hint=hint)
 
-    def _read_tokens(self) -> list[_Token]:
-        """The tokens, the last first."""
-        found: list[_Token] = []
-        at, text = 0, self._text
-        while text[at:].strip():
-            match = _TOKEN.match(text, at)
-            if match is None:
-                at = len(text) - len(text[at:].lstrip())
-                why = f"{text[at]!r} means nothing here"
-                raise self._error(at + 1, why, _HINTS.get(text[at], _HINT))
-            at = match.end()
-            group = next(name for name in ("number", "name", "sign") if match[name])
-            word = match[group]
-            kind = "sign" if word in ("and", "or", "not") else group
-            found.append(_Token(kind, word, match.start(group) + 1, match["unit"] or ""))
-        return [*found, _Token("end", "", len(text) + 1)][::-1]
+    def _read_tokens(self) -> Iterator[_Token]:
+        for match in _TOKEN.finditer(self._text.rstrip()):
+            kind = next(name for name in ("number", "name", "sign", "other") if match[name])
+            word, at = match[kind], match.start(kind) + 1
+            if kind == "other":
+                raise self._error(at, f"{word!r} means nothing here", _HINTS.get(word, _HINT))
+            kind = "sign" if word in ("and", "or", "not") else kind
+            yield _Token(kind, word, at, match["unit"] or "")
+        yield _Token("end", "", len(self._text) + 1)
 
     def _misplaced(self, token: _Token, before: str = "") -> UsageError:
         what = "it ends too early" if token.kind == "end" else f"{token.text!r} is out of place"
@@ -293,10 +283,16 @@ class _Parser:
         elif token.kind == "sign" and token.text in "+-":
             left = self._read(_UNARY)
             if token.text == "-":
-                left = replace(self._quantity(left), at=token.at, name="")
-                left = replace(left, value=_apply(operator.neg, left.value))
+                self._check_numbers(left)
+                left = _Meaning(left.unit, _apply(operator.neg, left.value), token.at)
+        elif token.kind == "number":
+            left = self._number(token)
+        elif token.kind == "name":
+            left = self._call(token) if self._tokens[-1].text == "(" else self._name(token)
+        elif token.text == "(":
+            (left,) = self._read_parts(token, several=False)
         else:
-            left = self._read_operand(token)
+            raise self._misplaced(token)
         is_compared = False
         while _PRECEDENCE.get(self._tokens[-1].text, 0) > precedence:
             token = self._tokens.pop()
@@ -309,30 +305,18 @@ class _Parser:
             left = self._combine(token, left, self._read(_PRECEDENCE[token.text]))
         return left
 
-    def _read_operand(self, token: _Token) -> _Meaning:
-        if token.kind == "number":
-            return self._number(token)
-        if token.kind == "name":
-            if self._tokens[-1].text == "(":
-                return self._call(token)
-            return self._name(token)
-        if token.text != "(":
-            raise self._misplaced(token)
-        (found,) = self._read_parts(token, several=False)
-        return found
-
     def _read_parts(self, opening: _Token, *, several: bool) -> list[_Meaning]:
         """What is between parentheses, of which the first has been read."""
         self._depth += 1
         if self._depth > _MAX_DEPTH:
             raise self._error(opening.at + 1, f"parentheses go deeper than {_MAX_DEPTH} levels")
-        found = [self._read(0)]
+        parts = [self._read(0)]
         while several and self._tokens[-1].text == ",":
             self._tokens.pop()
-            found.append(self._read(0))
+            parts.append(self._read(0))
         self._require(")")
         self._depth -= 1
-        return found
+        return parts
 
     def _call(self, token: _Token) -> _Meaning:
         if token.text not in _MAX_PARTS:
@@ -349,24 +333,25 @@ class _Parser:
                 raise self._error(first.at, "known takes a name", "as in known(volume_change)")
             self.tested.add(first.name)
             return _Meaning(TRUTH, lambda record: first.value(record) is not None, token.at)
-        total = replace(self._quantity(first), at=token.at, name="")
+        self._check_numbers(*parts)
         if token.text == "abs":
-            return replace(total, value=_apply(abs, total.value))
+            return _Meaning(first.unit, _apply(abs, first.value), token.at)
+        total = first._replace(at=token.at, name="")
         for part in parts[1:]:
-            total = self._join_alike(token, total, self._quantity(part))
+            total = self._join_alike(token, total, part)
         return total
 
     def _number(self, token: _Token) -> _Meaning:
         number = float(token.text)
         if not math.isfinite(number):
             raise self._error(token.at, "the number is too large")
-        if token.unit in _LITERALS:
-            return _Meaning(_LITERALS[token.unit], lambda record: number, token.at)
-        try:
-            length = in_file_units(token.text, token.unit, self._file_unit)
-        except UsageError as error:
-            raise self._error(token.at, error.message, error.hint) from None
-        return _Meaning(LENGTH, lambda record: length, token.at)
+        unit = _LITERALS.get(token.unit, LENGTH)
+        if token.unit not in _LITERALS:
+            try:
+                number = in_file_units(token.text, token.unit, self._file_unit)
+            except UsageError as error:
+                raise self._error(token.at, error.message, error.hint) from None
+        return _Meaning(unit, lambda record: number, token.at)
 
     def _name(self, token: _Token) -> _Meaning:
         name = token.text
@@ -385,11 +370,11 @@ class _Parser:
             hint = f"did you mean {' or '.join(inner[:3] or close)}?"
         raise self._error(token.at, f"no record has a number {name!r}", hint)
 
-    def _quantity(self, part: _Meaning) -> _Meaning:
-        if part.unit == TRUTH:
-            why = "this is true or false, and a number is needed here"
-            raise self._error(part.at, why, "join comparisons with and, or, not")
-        return part
+    def _check_numbers(self, *parts: _Meaning) -> None:
+        for part in parts:
+            if part.unit == TRUTH:
+                why = "this is true or false, and a number is needed here"
+                raise self._error(part.at, why, "join comparisons with and, or, not")
 
     def _truth(self, part: _Meaning, sign: str) -> _Meaning:
         if part.unit != TRUTH:
@@ -402,11 +387,8 @@ class _Parser:
         if sign in ("and", "or"):
             values = [self._truth(part, sign).value for part in (left, right)]
             return _Meaning(TRUTH, _decide(values, deciding=sign == "or"), token.at)
-        self._quantity(left), self._quantity(right)
-        if sign in COMPARISONS:
-            _, *values = self._in_common_unit(token, left, right)
-            return _Meaning(TRUTH, _apply(COMPARISONS[sign], *values), token.at)
-        if sign in "+-":
+        self._check_numbers(left, right)
+        if sign in COMPARISONS or sign in "+-":
             return self._join_alike(token, left, right)
         # Twice a percentage is a percentage, and a percentage of anything else is a part of it.
         is_multiple = left.unit in _BARE and sign == "*"
@@ -417,22 +399,19 @@ class _Parser:
         return _Meaning(unit, _apply(effect, first.value, second.value), token.at)
 
     def _join_alike(self, token: _Token, left: _Meaning, right: _Meaning) -> _Meaning:
-        unit, *values = self._in_common_unit(token, left, right)
-        return _Meaning(unit, _apply(_JOINED[token.text], *values), token.at)
-
-    def _in_common_unit(
-        self, token: _Token, left: _Meaning, right: _Meaning
-    ) -> tuple[Unit, Callable[[Any], Value], Callable[[Any], Value]]:
-        """One unit for two values, and both in it."""
-        if (converted := self._convert(token, left, right.unit)) is not None:
-            return right.unit, converted, right.value
-        if (converted := self._convert(token, right, left.unit)) is not None:
-            return left.unit, left.value, converted
-        raise self._error(
-            token.at,
-            f"{left.unit} and {right.unit} do not go together",
-            "% is for relative changes, e (mean edge lengths) for lengths",
-        )
+        """The effect of a comparison, sum, ``min`` or ``max`` on two values in one unit."""
+        unit, first, second = right.unit, self._convert(token, left, right.unit), right.value
+        if first is None and (converted := self._convert(token, right, left.unit)) is not None:
+            unit, first, second = left.unit, left.value, converted
+        if first is None:
+            raise self._error(
+                token.at,
+                f"{left.unit} and {right.unit} do not go together",
+                "% is for relative changes, e (mean edge lengths) for lengths",
+            )
+        is_compared = token.text in COMPARISONS
+        effect = COMPARISONS[token.text] if is_compared else _JOINED[token.text]
+        return _Meaning(TRUTH if is_compared else unit, _apply(effect, first, second), token.at)
 
     def _convert(self, token: _Token, part: _Meaning, unit: Unit) -> Callable[[Any], Value] | None:
         """A value in another unit; None if it cannot be converted."""
