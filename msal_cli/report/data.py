@@ -328,7 +328,7 @@ def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False
     import csv
     import io
 
-    rows = [dict(_flatten(plain_record(record), "")) for record in records]
+    rows = [dict(flatten(plain_record(record))) for record in records]
     names = tuple(_all_columns(rows)) if has_all else COMMON_COLUMNS
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")
@@ -356,10 +356,11 @@ def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
             yield prefix + item.name
 
 
-def _flatten(data: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+def flatten(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The values in nested data by their dotted names."""
     for key, value in data.items():
         if isinstance(value, dict):
-            yield from _flatten(value, f"{prefix}{key}.")
+            yield from flatten(value, f"{prefix}{key}.")
         else:
             yield prefix + key, value
 

@@ -7,6 +7,7 @@ texts are not: every writer escapes them for its format.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     TileSetPart,
 )
-from msal_cli.report.data import Run, Totals, known_values
+from msal_cli.report.data import Run, Totals, flatten, known_values, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]
 
@@ -372,6 +373,15 @@ def command_text(command: Sequence[str], max_length: int) -> str:
 
     text = shlex.join(command)
     return text if len(text) <= max_length else f"{text[:max_length]} ..."
+
+
+def setting_texts(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Settings by their dotted names; truths as ``true`` and ``false``, unknown ones left out."""
+    for name, value in flatten(plain(data)):
+        if value is not None and value not in ("", []):
+            items = value if isinstance(value, list) else [value]
+            texts = (item if isinstance(item, str) else json.dumps(item) for item in items)
+            yield name, ", ".join(texts)
 
 
 def file_name(name: str) -> str:

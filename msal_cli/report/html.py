@@ -12,9 +12,10 @@ here, and load nothing.  What comes from outside, names of files mostly, is esca
 from __future__ import annotations
 
 import html
+import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Template
 from typing import Any
@@ -25,6 +26,8 @@ from msal_cli.report.data import Run, Totals, known_values, plain, totals
 from msal_cli.report.facts import (
     DETAIL,
     ORDER_TEXT,
+    Fact,
+    Tone,
     command_text,
     count_states,
     facts,
@@ -35,6 +38,7 @@ from msal_cli.report.facts import (
     percent_text,
     problem_tables,
     seconds_text,
+    setting_texts,
     total_facts,
     worst_first,
 )
@@ -107,7 +111,8 @@ def render(
     static = "".join(_static_row(columns, row) for row in data[:STATIC_ROWS])
     # What surrounds it takes some 50 kB.
     room = max_bytes - len(rows) - len(static) - 200_000 - len(gallery.script)
-    scenes, room = _fit_scenes(order, gallery.scenes, room)
+    scenes = _fit_scenes(order, gallery.scenes, room // 2)
+    room -= sum(map(len, scenes.values()))
     pictures, n_dropped = _fit_pictures(order, gallery.pictures, room)
     remarks = list(gallery.remarks)
     if n_dropped:
@@ -157,14 +162,11 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]
     ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the order of the columns
     (None: not known) and ``details``, pairs of a word and a text."""
     figures = list_figures(records, DETAIL)
-    words = ["File", "Status"]
     has_choice = any(record.choice is not None for record in records)
-    words += ["Chosen"] if has_choice else []
-    columns = [
-        {"title": word, "unit": "", "kind": "word" if at else "name"}
-        for at, word in enumerate(words)
-    ]
-    columns += [{"title": item.title, "unit": item.unit, "kind": "figure"} for item in figures]
+    heads = [("File", "", "name"), ("Status", "", "word")]
+    heads += [("Chosen", "", "word")] if has_choice else []
+    heads += [(item.title, item.unit, "figure") for item in figures]
+    columns = [dict(zip(("title", "unit", "kind"), head, strict=True)) for head in heads]
     rows = []
     for record in records:
         kind = "gate" if any(gate.broken for gate in record.gates) else "good"
@@ -219,18 +221,14 @@ def _static_row(columns: Sequence[Column], row: Row) -> str:
 # What fits
 
 
-def _fit_scenes(
-    order: Sequence[int], scenes: Mapping[int, str], room: int
-) -> tuple[dict[int, str], int]:
-    """The scenes of the worst files that take no more than half of the page, and what is left."""
-    kept: dict[int, str] = {}
-    most = room // 2
+def _fit_scenes(order: Sequence[int], scenes: Mapping[int, str], room: int) -> dict[int, str]:
+    """The scenes of the worst files that take no more than ``room``."""
+    kept = {}
     for at in order:
-        if at in scenes and len(scenes[at]) <= most:
+        if at in scenes and len(scenes[at]) <= room:
             kept[at] = scenes[at]
-            most -= len(scenes[at])
             room -= len(scenes[at])
-    return kept, room
+    return kept
 
 
 def _fit_pictures(
@@ -240,16 +238,13 @@ def _fit_pictures(
     kept: list[list[str | None] | None] = []
     n_dropped = 0
     for at in order:
-        found = pictures.get(at)
-        several = (found.before, found.after, found.deviation) if found else ()
+        shown = pictures.get(at)
+        several = (shown.before, shown.after, shown.deviation) if shown else ()
         texts = [None if data is None else to_base64(data) for data in several]
-        size = sum(len(text or "") + 4 for text in texts)
-        if texts and (n_dropped or size > room):
-            n_dropped += 1
-            kept.append(None)
-        else:
-            room -= size
-            kept.append(texts or None)
+        room -= sum(len(text or "") + 4 for text in texts)
+        # After one that does not fit none does.
+        n_dropped += bool(texts) and (n_dropped > 0 or room < 0)
+        kept.append(None if n_dropped else texts or None)
     while kept and kept[-1] is None:
         kept.pop()
     return kept, n_dropped
@@ -258,12 +253,14 @@ def _fit_pictures(
 # Parts of the page
 
 
+_KINDS: Mapping[Tone, str] = {"bad": "bad", "faint": "warn"}
+
+
 def _verdict(run: Run, sums: Totals) -> str:
-    kinds = {"bad": "bad", "faint": "warn"}
     chips = [
-        (kinds[fact.tone], f"{fact.text} {fact.word}")
+        (_KINDS[fact.tone], f"{fact.text} {fact.word}")
         for fact in count_states(sums)
-        if fact.tone in kinds
+        if fact.tone in _KINDS
     ]
     if run.interrupted and not sums.planned:
         chips.append(("warn", "interrupted"))
@@ -272,19 +269,18 @@ def _verdict(run: Run, sums: Totals) -> str:
 
 
 def _totals(run: Run, sums: Totals) -> str:
-    tiles = [(f"{sums.files:,}", "file" if sums.files == 1 else "files", "")]
-    kinds = {"bad": "bad", "faint": "warn"}
-    tiles += [(fact.text, fact.word, kinds.get(fact.tone, "")) for fact in count_states(sums)]
+    tiles = [Fact("file" if sums.files == 1 else "files", f"{sums.files:,}"), *count_states(sums)]
     if sums.vertices:
-        tiles.append((_short(sums.vertices), "vertices denoised", ""))
+        tiles.append(Fact("vertices denoised", _short(sums.vertices)))
     if run.seconds > 0.0:
-        tiles.append((seconds_text(run.seconds), "wall time", ""))
+        tiles.append(Fact("wall time", seconds_text(run.seconds)))
         if sums.vertices:
             rate = float(f"{sums.vertices / run.seconds:.3g}")
-            tiles.append((_short(rate), "vertices a second", ""))
+            tiles.append(Fact("vertices a second", _short(rate)))
     return "".join(
-        f'<div class="tile {kind}"><b>{escape(text)}</b><span>{escape(word)}</span></div>'
-        for text, word, kind in tiles
+        f'<div class="tile {_KINDS.get(tile.tone, "")}"><b>{escape(tile.text)}</b>'
+        f"<span>{escape(tile.word)}</span></div>"
+        for tile in tiles
     )
 
 
@@ -349,29 +345,17 @@ def _settings(run: Run) -> str:
     command = command_text(run.command, _MAX_COMMAND)
     head = f"<h3>Command</h3><pre><code>{escape(command)}</code></pre>" if command else ""
     parts = []
-    for title, data in (
+    for title, values in (
         ("Settings", run.settings),
         ("Program and machine", {"msal": run.version, **run.machine}),
         ("Time", {"started": run.started, "finished": run.finished}),
     ):
         lines = "".join(
             f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
-            for name, value in _flatten("", data)
+            for name, value in setting_texts(values)
         )
         parts.append(f'<div class="facts"><h3>{title}</h3><table>{lines}</table></div>')
     return f'{head}<div class="grid">{"".join(parts)}</div>'
-
-
-def _flatten(prefix: str, data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    for key, value in data.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            yield from _flatten(f"{name}.", value)
-        elif isinstance(value, list | tuple):
-            if value:
-                yield name, ", ".join(map(str, value))
-        elif value is not None and value != "":
-            yield name, "yes" if value is True else "no" if value is False else str(value)
 
 
 def _name(record: MeshRecord) -> str:
@@ -469,11 +453,41 @@ def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "
         return html.escape(figure(value, form, unit))
 
     bins = bin_values(ranked)
+    edges = bins.edges
     low, median, high = (text(ranked[at]) for at in (0, len(ranked) // 2, -1))
     label = f"{html.escape(title)}: {len(ranked):,} files from {low} to {high}, median {median}"
+    highest = max(*bins.counts, bins.below, bins.beyond, 1)
+    left, right, floor = _LEFT, _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    slot = (right - left) / (len(bins.counts) + 2)
+    places = [f"{text(a)} to {text(b)}" for a, b in itertools.pairwise(edges)]
+    places = [f"below {text(edges[0])}", *places, f"above {text(edges[-1])}"]
+    parts = []
+    for at, count in enumerate((bins.below, *bins.counts, bins.beyond)):
+        if count:
+            # A single file among thousands must still be seen.
+            height = max(2.0, (floor - _TOP) * count / highest)
+            kind = "bar" if 0 < at <= len(bins.counts) else "out"
+            parts.append(
+                f'<rect class="{kind}" x="{left + slot * at + 0.75:.2f}" '
+                f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
+                f'height="{height:.2f}" rx="1">'
+                f"<title>{format_count(count, 'file')}, {places[at]}</title></rect>"
+            )
+    for kind, y, down, number in (("rule", _TOP, 4, highest), ("axis", floor, 1, 0)):
+        parts.append(
+            f'<line class="{kind}" x1="{left}" x2="{right}" y1="{y}" y2="{y}"/>'
+            f'<text x="{left - 5}" y="{y + down}" text-anchor="end">{number:,}</text>'
+        )
+    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
+        x = left + slot + share * (right - left - 2 * slot)
+        parts.append(
+            f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{floor}" y2="{floor + 4}"/>'
+            f'<text x="{x:.2f}" y="{floor + 17}" text-anchor="{anchor}">'
+            f"{text(edges[0] + share * (edges[-1] - edges[0]))}</text>"
+        )
     return (
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">'
-        f"{_bars(bins, text)}{_axes(bins, text)}</svg>"
+        f"{''.join(parts)}</svg>"
     )
 
 
@@ -492,49 +506,3 @@ def _limits(ranked: Sequence[float]) -> tuple[float, float]:
     if reach_below > 0.0 and middle - low > _FAR_OUT * reach_below:
         low = middle - _FAR_OUT * 0.5 * reach_below
     return low, high
-
-
-def _bars(bins: Bins, text: Callable[[float], str]) -> str:
-    highest = max(*bins.counts, bins.below, bins.beyond, 1)
-    slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
-    floor, room = _HEIGHT - _BOTTOM, _HEIGHT - _BOTTOM - _TOP
-    steps = zip(bins.counts, bins.edges, bins.edges[1:], strict=False)
-    rows = [
-        (bins.below, f"below {text(bins.edges[0])}", "out"),
-        *((count, f"{text(low)} to {text(high)}", "bar") for count, low, high in steps),
-        (bins.beyond, f"above {text(bins.edges[-1])}", "out"),
-    ]
-    parts = []
-    for at, (count, where, kind) in enumerate(rows):
-        if count:
-            # A single file among thousands must still be seen.
-            height = max(2.0, room * count / highest)
-            parts.append(
-                f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
-                f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
-                f'height="{height:.2f}" rx="1">'
-                f"<title>{format_count(count, 'file')}, {where}</title></rect>"
-            )
-    return (
-        f'{"".join(parts)}<line class="rule" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{_TOP}" '
-        f'y2="{_TOP}"/><text x="{_LEFT - 5}" y="{_TOP + 4}" text-anchor="end">{highest:,}</text>'
-    )
-
-
-def _axes(bins: Bins, text: Callable[[float], str]) -> str:
-    floor = _HEIGHT - _BOTTOM
-    slot = (_WIDTH - _LEFT - _RIGHT) / (len(bins.counts) + 2)
-    left, right = _LEFT + slot, _WIDTH - _RIGHT - slot
-    low, high = bins.edges[0], bins.edges[-1]
-    parts = [
-        f'<line class="axis" x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{floor}" y2="{floor}"/>'
-        f'<text x="{_LEFT - 5}" y="{floor + 1}" text-anchor="end">0</text>'
-    ]
-    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
-        x = left + share * (right - left)
-        parts.append(
-            f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{floor}" y2="{floor + 4}"/>'
-            f'<text x="{x:.2f}" y="{floor + 17}" text-anchor="{anchor}">'
-            f"{text(low + share * (high - low))}</text>"
-        )
-    return "".join(parts)

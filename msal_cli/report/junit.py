@@ -10,17 +10,22 @@ XML 1.0 has no way to write most control characters.  In names and reasons they 
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
 from xml.etree import ElementTree as Xml
 
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import DONE, MeshRecord
-from msal_cli.report.data import Run, plain
-from msal_cli.report.facts import SHORT, facts, failure_text, gate_values, problem_texts
+from msal_cli.report.data import Run
+from msal_cli.report.facts import (
+    SHORT,
+    facts,
+    failure_text,
+    gate_values,
+    problem_texts,
+    setting_texts,
+)
 
 # Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
 _NO_CHARACTERS = re.compile("[\ud800-\udfff\ufffe\uffff]")
@@ -60,7 +65,12 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
         time=_seconds(sum(_duration(record) for record in records)),
     )
     properties = Xml.SubElement(suite, "properties")
-    for name, value in _properties(run):
+    properties_of_run = (
+        ("msal.version", run.version),
+        ("msal.command", " ".join(run.command)),
+        *((f"msal.settings.{name}", text) for name, text in setting_texts(run.settings)),
+    )
+    for name, value in properties_of_run:
         properties.append(_element("property", name=name, value=value))
     suite.extend(cases)
     texts, warnings = [], []
@@ -94,21 +104,6 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
         result.text = _characters(why)
         case.append(result)
     return case
-
-
-def _properties(run: Run) -> Iterator[tuple[str, str]]:
-    yield "msal.version", run.version
-    yield "msal.command", " ".join(run.command)
-    yield from _flat("msal.settings", run.settings)
-
-
-def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _flat(f"{name}.{key}", inner)
-    elif value is not None and value != ():
-        # Words that a build service knows: true, and not True.
-        yield name, value if isinstance(value, str) else json.dumps(plain(value))
 
 
 def _folder(name: str) -> str:
