@@ -6,7 +6,7 @@ import logging
 import os
 import re
 import time
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -372,9 +372,8 @@ def _refuse_found_targets(request: Request, output_file: str | None) -> None:
 
 
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
-    """For each input, known by its relative path, the path of its reference; () if none is given
-    for.
-    """
+    """For each input, known by its relative path, the path of its reference; () without
+    ``--reference``."""
     truth = request.reference
     if truth is None:
         return ()
@@ -492,8 +491,6 @@ def describe_machine() -> dict[str, str]:
         "python": platform.python_version(),
     }
     for name in ("numpy", "trimesh", "meshio"):
-        try:
+        with suppress(metadata.PackageNotFoundError):
             facts[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return {name: value for name, value in facts.items() if value}

@@ -23,7 +23,7 @@ _MAX_JOBS = 4096
 _MAX_DIGITS = 15
 
 _NUMBER_AND_UNIT = r"(?ai)(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)"
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_AXES = ("x", "y", "z")
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _BYTES = {
     **{f"{letter}{end}": 1000**n for n, letter in enumerate("kmgt", 1) for end in ("", "b")},
@@ -120,11 +120,11 @@ def parse_percentage(text: str) -> float:
 
 def parse_direction(text: str) -> tuple[float, float, float]:
     """Three numbers between commas, or an axis such as ``z`` or ``-z``."""
-    axis = _AXES.get(text.lower().removeprefix("-").removeprefix("+"))
-    if axis is not None:
+    axis = text.lower().removeprefix("-").removeprefix("+")
+    if axis in _AXES:
         sign = -1.0 if text.startswith("-") else 1.0
         # Not -0.0, which would be shown.
-        x, y, z = (sign * component + 0.0 for component in axis)
+        x, y, z = (sign * (axis == name) + 0.0 for name in _AXES)
         return x, y, z
     try:
         x, y, z = map(float, text.split(","))

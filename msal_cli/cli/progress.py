@@ -46,7 +46,11 @@ class Silent:
     _bar: Any = None
 
     def on_event(self, event: Event) -> None:
-        """Show what happened to a file of a run."""
+        """Show what happened to a file of a run; of a single file, its progress."""
+        from msal_cli.batch.schedule import Progress
+
+        if isinstance(event, Progress):
+            self.on_progress(event.stage, event.done, event.total)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
         """Show ``done`` of ``total`` steps of ``stage`` of a single file."""
@@ -69,13 +73,6 @@ class SweepBar(Silent):
     def _make_empty(self) -> Any:
         delay = max(0.0, self._wakes - time.monotonic())
         return _make_bar(total=1, bar_format="{desc}", delay=delay)
-
-    def on_event(self, event: Event) -> None:
-        """Follow the one file of a run."""
-        from msal_cli.batch.schedule import Progress
-
-        if isinstance(event, Progress):
-            self.on_progress(event.stage, event.done, event.total)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
         """Show the stage; the steps of choosing and sweeps are counted."""
@@ -134,12 +131,11 @@ class Log(Silent):
 
     def on_event(self, event: Event) -> None:
         """Say what became of a file, or after a while what is being done."""
-        from msal_cli.batch.schedule import Finished, Progress
+        from msal_cli.batch.schedule import Finished
 
-        if isinstance(event, Progress):
-            self._name = self._tasks[event.index].relative
-            self.on_progress(event.stage, event.done, event.total)
-        elif isinstance(event, Finished):
+        self._name = self._tasks[event.index].relative
+        super().on_event(event)
+        if isinstance(event, Finished):
             self._n_done += 1
             self._n_failed += event.record.status == "failed"
             is_current = event.record.status == "up-to-date"

@@ -51,17 +51,17 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             )
         if not is_step_summary(name):
             report.writer(name)
-        is_remote = urls.is_url(name)
+        is_remote = is_url(name)
         path = urls.identity(name) if is_remote else os.path.normcase(os.path.realpath(name))
         if path in seen:
             raise UsageError(f"the report {name!r} is given twice")
         seen.add(path)
         refuse_target(name, "the report", taken)
+        if is_remote:
+            continue
         # The folder itself may still have to be made, as that of the outputs often has.
-        parents = [] if is_remote else Path(name).absolute().parents
-        folder = next((parent for parent in parents if parent.exists()), None)
-        can_write = folder and folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
-        if not is_remote and not can_write:
+        folder = next(parent for parent in Path(name).absolute().parents if parent.exists())
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
             raise UsageError(
                 f"the report {name!r} cannot be written to the folder {str(folder)!r}",
                 hint="choose another place",
@@ -93,12 +93,13 @@ def write(
         return
     first: OutputError | None = None
     # Pages take longest: after Ctrl-C the other reports are there.
-    for name in sorted(names, key=_is_page):
+    pages = {name for name in names if name.lower().endswith(".html")}
+    for name in sorted(names, key=pages.__contains__):
         try:
             if is_step_summary(name):
                 _append_to_summary(name, run, records)
                 continue
-            if _is_page(name):
+            if name in pages:
                 from msal_cli.report import html
 
                 pictures = html.EMPTY_GALLERY
@@ -114,10 +115,6 @@ def write(
             first = first or error
     if first is not None:
         raise first
-
-
-def _is_page(name: str) -> bool:
-    return name.lower().endswith(".html") and not is_step_summary(name)
 
 
 def _draw_pictures(
@@ -209,7 +206,7 @@ def refuse_target(
 
 def _refuse_name(name: str, what: str, *, may_be_mesh: bool = False) -> None:
     """Refuse names of msal's own files and of meshes, also behind links; UsageError."""
-    is_remote = urls.is_url(name)
+    is_remote = is_url(name)
     for path in (name,) if is_remote else (name, os.path.realpath(name)):
         # Where case does not count, another case is the same file.
         if is_own((urls.name(path) if is_remote else Path(path).name).lower()):
