@@ -37,22 +37,29 @@ class Command(click.Command):
 
     def __init__(
         self,
+        function: Callable[[Request], int],
         name: str,
         groups: Sequence[OptionGroup],
-        arguments: Sequence[click.Argument],
         *,
-        configurable: bool,
-        **settings: Any,
+        arguments: Sequence[click.Argument] = (),
+        configurable: bool = True,
+        examples: str = "",
+        epilog: str = "Exit status: see msal --help.",
     ) -> None:
         self.configurable = configurable
-        options = [option for group in groups for option in group.common + group.more]
-        of_messages = [group for group in groups if group.title == MESSAGES]
-        self.groups = [group for group in groups if group.title != MESSAGES]
+        self.groups = list(groups)
+        if not groups or groups[-1].title != MESSAGES:
+            self.groups.append(OptionGroup(MESSAGES, (), ()))
         if configurable:
-            self.groups.append(config.OPTIONS)
-            options += config.OPTIONS.more
-        self.groups += of_messages or [OptionGroup(MESSAGES, (), ())]
-        super().__init__(name, params=[*arguments, *options], **settings)
+            self.groups.insert(-1, config.OPTIONS)
+        options = [option for group in self.groups for option in group.common + group.more]
+        super().__init__(
+            name,
+            callback=function,
+            params=[*arguments, *options],
+            help=function.__doc__,
+            epilog=f"\b\nExamples:{examples}\b\n{epilog}" if examples else epilog,
+        )
         self._help_all = click.Option(
             ["--help-all"],
             is_flag=True,
@@ -161,26 +168,10 @@ def first_clause(text: str) -> str:
 
 
 def grouped_command(
-    name: str,
-    *groups: OptionGroup,
-    arguments: Sequence[click.Argument] = (),
-    configurable: bool = True,
-    epilog: str = "Exit status: see msal --help.",
+    name: str, *groups: OptionGroup, **settings: Any
 ) -> Callable[[Callable[[Request], int]], Command]:
-    """Make a command of a function, whose docstring is the help."""
-
-    def decorate(function: Callable[[Request], int]) -> Command:
-        return Command(
-            name,
-            groups,
-            arguments,
-            configurable=configurable,
-            callback=function,
-            help=function.__doc__,
-            epilog=epilog,
-        )
-
-    return decorate
+    """Make a command of a function, whose docstring is the help; ``settings`` as of ``Command``."""
+    return lambda function: Command(function, name, groups, **settings)
 
 
 @grouped_command(

@@ -74,14 +74,12 @@ more:
         click.Argument(["before"], metavar="A", type=PATH),
         click.Argument(["others"], metavar="B...", nargs=-1, required=True, type=PATH),
     ],
-    epilog="""\b
-Examples:
+    examples="""
   msal compare truth.ply denoised.ply --heatmap deviation.ply
   msal compare truth.ply plain.ply auto.ply msal.ply
   msal compare scans denoised --json > known.json
   msal compare scans denoised --baseline known.json --tolerance 2%
-\b
-Exit status: see msal --help.""",
+""",
 )
 @with_log
 def command(request: Request) -> int:

@@ -92,13 +92,11 @@ more:
     group("Many files", "--include\n--exclude\n"),
     QUIET_AND_VERBOSE,
     arguments=[INPUTS],
-    epilog="""\b
-Examples:
+    examples="""
   msal noise clean.ply -o noisy.ply --kind gaussian-normal --level 0.2 --seed 7
   msal noise clean -o noisy --kind impulsive --fraction 0.05
   msal noise clean.ply -o scan.ply --kind view --direction -z --rings 1
-\b
-Exit status: see msal --help.""",
+""",
 )
 @with_log
 def command(request: Request) -> int:

@@ -59,13 +59,11 @@ SCHEMA = "msal.sweep/1"
     group("Reports", "--json -> as_json\n    Print the numbers as one JSON document.\n"),
     QUIET_AND_VERBOSE,
     arguments=[click.Argument(["source"], metavar="FILE", type=PATH)],
-    epilog="""\b
-Examples:
+    examples="""
   msal sweep scan.ply -o grid.png
   msal sweep noisy.ply -o grid.png --rows mollify=0,1,2 --columns K=0.3,0.6 --reference clean.ply
   msal sweep scan.ply -o grid.png --method al --columns iterations=1,2,4,8
-\b
-Exit status: see msal --help.""",
+""",
 )
 @with_log
 def command(request: Request) -> int:

@@ -89,14 +89,12 @@ def read_view(request: Request) -> View:
         click.Argument(["before"], metavar="A", type=PATH),
         click.Argument(["after"], metavar="[B]", required=False, type=PATH),
     ],
-    epilog="""\b
-Examples:
+    examples="""
   msal view scan.ply denoised.ply
   msal view scan.ply -o scan.png
   msal view scan.ply denoised.ply -o both.png --turn 30
   msal view scan.ply denoised.ply -o both.html
-\b
-Exit status: see msal --help.""",
+""",
 )
 @with_log
 def command(request: Request) -> int:
