@@ -27,6 +27,11 @@ INDEX = """# Methods
 sets any of its parameters, and `msal methods NAME` prints what its page says, and all ranges.
 [algorithm.md](../algorithm.md#which-setting) says which setting suits which surface.
 
+In all of them a vertex without neighbours, faces or a normal stays, and faces without area do not
+count. To filters of normals a vertex or an edge with more than 64 faces does not make its faces
+neighbours. The time grows in proportion to the size of the mesh. TVCG, TOG and TIP are
+Transactions: on Visualization and Computer Graphics, on Graphics, on Image Processing.
+
 """
 
 
@@ -60,7 +65,7 @@ def prose(description: str, name: str) -> Iterator[str]:
             yield f"{inline(block, name)}\n"
 
 
-SHARED = 3
+SHARED = 2
 """From how many methods with the same parameter on the index explains it for all of them."""
 
 Meaning = tuple[str, str, str, str]

@@ -29,12 +29,11 @@ length, or the vertex's limit of stability, A/3 or sum(g l) / sum(g / l), if tha
 Take about 8 sweeps.  ``msal`` does without, at less cost, unless sizes differ a lot.
 
 Where sigma is zero d is the mean of the heights; by the median the flattest count.  Where every
-neighbour is beyond Tukey's reach all count alike.  A vertex without neighbours or normal stays.
-The cost of a sweep is proportional to the number of edges.
+neighbour is beyond Tukey's reach all count alike.
 
-Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
-Problems 24 (2008), sections 2.3 and 4.3; weights after M. Black, G. Sapiro, D. Marimont and D.
-Heeger, Robust anisotropic diffusion, IEEE Transactions on Image Processing 7 (1998), 421-432.
+Source: H. Huang and U. Ascher, Inverse Problems 24 (2008), sections 2.3 and 4.3; weights after M.
+Black, G. Sapiro, D. Marimont and D. Heeger, Robust anisotropic diffusion, IEEE TIP 7 (1998),
+421-432.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ by |V_A|, not by angles, so that a fold cannot throw its neighbours out.  f is m
 every step; that of the noisy input gave 8.2 degrees on one model in place of 4.5.
 
 ``schedule`` works with both variants.  Boundary vertices are fixed; with ``boundary=free`` they
-move by the edges that have two faces.  Open and non-manifold edges, and those of a face without
-area, have no curvature.  A vertex without others stays.  A step costs about four sweeps of ``al``.
+move by the edges that have two faces.  Open and non-manifold edges have no curvature.  A step costs
+about four sweeps of ``al``.
 
 Source: K. Hildebrandt and K. Polthier, Anisotropic filtering of non-linear surface features,
 Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.

@@ -23,14 +23,12 @@ twice that, the rule of the public implementation that later papers compare with
 a vertex that has one very short edge: on uneven triangles give ``closeness=1``, which smooths more
 and shrinks more.  At most 2,048 neighbours beyond the one-ring count.
 
-A vertex without neighbours or normal stays.  Where sigma_s is zero the closest in height count.
-The cost is proportional to the number of edges, for ``fleishman`` to the vertices within the
-radius, seven times as much and up.  Neither keeps fine texture under heavy smoothing;
-``schedule=multiscale`` brings it back as in ``msal``.
+Where sigma_s is zero the closest in height count.  The cost of ``fleishman`` grows with the
+vertices within the radius; it is seven times that of ``one_ring`` and up.  Neither keeps fine
+texture under heavy smoothing; ``schedule=multiscale`` brings it back as in ``msal``.
 
-Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM Transactions on
-Graphics 22 (SIGGRAPH 2003), 950-953; one-ring variant: H. Huang and U. Ascher, Fast denoising of
-surface meshes with intrinsic texture, Inverse Problems 24 (2008), section 2.3.
+Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM TOG 22 (SIGGRAPH
+2003), 950-953; one-ring variant: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 2.3.
 """
 
 from __future__ import annotations

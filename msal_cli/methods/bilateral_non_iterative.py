@@ -20,10 +20,10 @@ little.  sigma_f much above 2 eats small features, and the cost grows with its s
 ``iterations`` repeat the whole filter from the result; any schedule of equation (2) composes with
 it, p' - p standing for dx.
 
-Faces without area count nothing.  A vertex that has no face's centroid in reach stays.
+A vertex that has no face's centroid in reach stays.
 
 Source: T. Jones, F. Durand and M. Desbrun, Non-iterative, feature-preserving mesh smoothing, ACM
-Transactions on Graphics 22 (SIGGRAPH 2003), 943-949.
+TOG 22 (SIGGRAPH 2003), 943-949.
 """
 
 from __future__ import annotations

@@ -26,14 +26,11 @@ that.  Fine texture goes; ``msal`` keeps it.
 
 sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``;
 where none do, the mean edge length.  Boundary vertices are fixed, as in the public implementation
-that later papers compare with.  A vertex or an edge with more than 64 faces does not make its faces
-neighbours.  A face without neighbours keeps its normal; one without area has neither normal nor
-weight, and a vertex that has no other faces stays.  The cost of a pass is proportional to the
-number of faces; ``global`` costs 100 to 200 passes.
+that later papers compare with.  ``global`` costs 100 to 200 passes.
 
 Source: Y. Zheng, H. Fu, O. K.-C. Au and C.-L. Tai, Bilateral normal filtering for mesh denoising,
-IEEE Transactions on Visualization and Computer Graphics 17 (2011), 1521-1530; vertices: X. Sun,
-P. L. Rosin, R. R. Martin and F. C. Langbein, the same journal 13 (2007), 925-938.
+IEEE TVCG 17 (2011), 1521-1530; vertices: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, the
+same journal 13 (2007), 925-938.
 """
 
 from __future__ import annotations

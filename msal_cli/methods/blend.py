@@ -23,8 +23,8 @@ on, and in between in proportion.
 makes them jagged, and two passes take most of that away.
 
 Source: F. Luisier, T. Blu and M. Unser, A new SURE approach to image denoising: interscale
-orthonormal wavelet thresholding, IEEE Transactions on Image Processing 16 (2007), 593-606, for
-denoisers weighted so that an estimate of the error is least; the members have their own.
+orthonormal wavelet thresholding, IEEE TIP 16 (2007), 593-606, for denoisers weighted so that an
+estimate of the error is least; the members have their own.
 """
 
 from __future__ import annotations

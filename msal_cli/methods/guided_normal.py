@@ -30,14 +30,9 @@ machined models under noise of 0.3 to 0.7 along the normals the vertex error fal
 9.5 % of an edge, and the angle from 5.6 to 5.4 degrees.  Where noise is as strong within the
 surface the angle grows by a third.  ``sliding=auto`` measures which of the two it is.
 
-A vertex or an edge with more than 64 faces does not make its faces neighbours.  Faces without area
-take on the mean of those around.  A vertex without faces stays.  The cost of an iteration is
-proportional to the number of faces.
-
 Source: W. Zhang, B. Deng, J. Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer
-Graphics Forum 34 (7), 2015, 23-34; vertex update after X. Sun, P. Rosin, R. Martin and F.
-Langbein, Fast and effective feature-preserving mesh denoising, IEEE Transactions on Visualization
-and Computer Graphics 13 (2007), 925-938.
+Graphics Forum 34 (7), 2015, 23-34; vertex update after X. Sun, P. Rosin, R. Martin and F. Langbein,
+IEEE TVCG 13 (2007), 925-938.
 """
 
 from __future__ import annotations

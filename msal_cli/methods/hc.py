@@ -13,7 +13,7 @@ makes the iteration converge; alpha above zero keeps texture.  It does well on o
 fine texture where the angles between normals matter.  It knows no edges, and vertices slide along
 the surface, farther from where they were scanned than after ``al`` or ``msal``.
 
-A vertex without neighbours stays.  An iteration costs two passes over the edges.
+An iteration costs two passes over the edges.
 
 Source: J. Vollmer, R. Mencl and H. Mueller, Improved Laplacian smoothing of noisy surface meshes,
 Computer Graphics Forum 18 (1999), 131-138.

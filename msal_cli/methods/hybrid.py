@@ -29,8 +29,8 @@ of 0.3 mean edge lengths it leaves two thirds of the angles that ``al`` leaves, 
 ``msal``, which is the best of the three under noise of 0.1.  Texture is flattened; a scan without
 sharp edges is served better by ``al`` or ``msal``.  Far more sweeps wear everything down.
 
-At open edges vertices move along their normals only.  A vertex without neighbours or normal stays.
-The whole costs about seven times as much as three sweeps of ``al``.
+At open edges vertices move along their normals only.  The whole costs about seven times as much as
+three sweeps of ``al``.
 
 Source: after H. Huang and U. Ascher, Surface mesh smoothing, regularization and feature detection,
 SIAM Journal on Scientific Computing 31 (2008), 74-93.

@@ -22,12 +22,11 @@ It gives the sharpest edges and corners of all where the object is a polyhedron,
 curved part into facets; for these and for texture use another method.  Under heavy noise the
 places of edges are a matter of luck, and thin parts fold.
 
-Open edges, and edges with more than two faces, are not measured.  A flap without area does not
-count; a needle's coefficients are scaled down to 100.  A vertex without such edges stays.  The cost
-is that of 40 linear systems, about 1000 passes over the edges; the memory about 1 kB a vertex.
+Open edges, and edges with more than two faces, are not measured.  A needle's coefficients are
+scaled down to 100.  The cost is that of 40 linear systems, about 1000 passes over the edges; the
+memory about 1 kB a vertex.
 
-Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM Transactions on Graphics 32
-(4), 2013, 64:1-64:8.
+Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM TOG 32 (4), 2013, 64:1-64:8.
 """
 
 from __future__ import annotations

@@ -30,14 +30,13 @@ is taken for white, what the stages took beyond it comes back as in ``wiener`` (
 it is along the normals, which is measured, the way that vertices came sideways is undone
 (``sliding``; see ``guided_normal``).
 
-Faces without area take on the mean normal of those around.  A vertex without faces stays.  The cost
-is 7 to 10 s per million faces on one core.  docs/training.md describes the files of the weights,
-and how to train them, with clean meshes of your own too.
+The cost is 7 to 10 s per million faces on one core. docs/training.md describes the files of the
+weights, and how to train them, with clean meshes of your own too.
 
-Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM
-Transactions on Graphics 35 (6), 2016, 232; combinations whose weights are predicted after S. Bako
-et al., Kernel-predicting convolutional networks for denoising Monte Carlo renderings, ACM
-Transactions on Graphics 36 (4), 2017, 97; descriptors, networks and training are own.
+Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM TOG 35
+(6), 2016, 232; combinations whose weights are predicted after S. Bako et al., Kernel-predicting
+convolutional networks for denoising Monte Carlo renderings, ACM TOG 36 (4), 2017, 97; descriptors,
+networks and training are own.
 """
 
 from __future__ import annotations

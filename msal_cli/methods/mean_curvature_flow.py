@@ -23,10 +23,8 @@ scales a closed surface back about its centre of mass, once at the end.  ``sched
 both variants.
 
 Boundary vertices are fixed; with ``boundary=free`` the rim is drawn inwards.  A face whose height
-is less than 1/20 of its longest edge takes part with smaller cotangents.  A non-manifold edge has
-the cotangents of all its faces, and a vertex without faces stays.  The cost of a sweep is
-proportional to the number of faces; an implicit step costs 3 to 100 times as much, growing with the
-root of ``time_step``.
+is less than 1/20 of its longest edge takes part with smaller cotangents.  An implicit step costs 3
+to 100 sweeps, growing with the root of ``time_step``.
 
 Source: M. Desbrun, M. Meyer, P. Schroeder and A. Barr, Implicit fairing of irregular meshes using
 diffusion and curvature flow, SIGGRAPH 1999, 317-324; areas: M. Meyer, M. Desbrun, P. Schroeder and

@@ -31,8 +31,7 @@ most where texture is as fine as the mesh.  docs/algorithm.md has all of it.
 is the form for mixed triangle sizes; section 4.3 finds that it is rarely needed.  On a mesh that is
 planar everywhere (max sigma = 0) lambda is zero.
 
-Source: H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
-Problems 24 (2008), section 3 and Algorithm 1.
+Source: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 3 and Algorithm 1.
 """
 
 from __future__ import annotations

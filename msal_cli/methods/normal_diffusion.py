@@ -24,15 +24,11 @@ Unlike ``normal_threshold``, ``bilateral_normal`` and ``guided_normal`` it looks
 those across an edge, and reaches far by many steps.  Fine texture goes; use ``msal`` there.  This
 is the paper's scheme, not its discretisation, which is one for level sets.
 
-Boundary vertices are fixed.  Faces around an edge with more than 64 are no neighbours.  A face
-without area has no normal and no weight; a vertex that has no other faces stays.  Where triangles
-are small a face takes the step that is stable for it.  The cost of a step or pass is proportional
-to the number of faces.
+Boundary vertices are fixed.
 
 Source: T. Tasdizen, R. Whitaker, P. Burchard and S. Osher, Geometric surface smoothing via
-anisotropic diffusion of normals, IEEE Visualization 2002, 125-132; the fit of the vertices: X.
-Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, Fast and effective feature-preserving mesh
-denoising, IEEE Transactions on Visualization and Computer Graphics 13 (2007), 925-938.
+anisotropic diffusion of normals, IEEE Visualization 2002, 125-132; the fit of the vertices: X. Sun,
+P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 """
 
 from __future__ import annotations

@@ -18,13 +18,9 @@ is fine texture.  Vertices slide, and under heavy noise faces fold: 10 ``vertex_
 place of the usual 50 gave smaller angles on four noisy models, and vertex errors smaller by 30 to
 40 percent.
 
-Boundary vertices are fixed, as in the public implementation that later papers compare with.  A
-vertex or an edge with more than 64 faces does not make its faces neighbours.  A face without area
-has no normal and no weight; a vertex that has no other faces stays.  The cost of a pass is
-proportional to the number of faces.
+Boundary vertices are fixed, as in the public implementation that later papers compare with.
 
-Source: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, Fast and effective feature-preserving
-mesh denoising, IEEE Transactions on Visualization and Computer Graphics 13 (2007), 925-938.
+Source: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 """
 
 from __future__ import annotations

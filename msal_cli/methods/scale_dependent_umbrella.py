@@ -13,8 +13,7 @@ step can overshoot.  On a regular mesh a time step of 0.25 does the same as ``um
 Where triangles are large it smooths less, and meshes of mixed sizes take more sweeps.
 
 As with ``umbrella`` edges are smeared, the surface shrinks, and vertices slide, though less where
-edge lengths differ.  Edges of length zero are left out; a vertex without any other stays.  The cost
-of a sweep is proportional to the number of edges.
+edge lengths differ.  Edges of length zero are left out.
 
 Source: K. Fujiwara, Eigenvalues of Laplacians on a closed Riemannian manifold and its nets,
 Proceedings of the AMS 123 (1995), 2585-2594; as a smoother: M. Desbrun, M. Meyer, P. Schroeder and

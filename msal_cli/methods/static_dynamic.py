@@ -27,13 +27,11 @@ normals of the mesh.  The default suits machined parts with large flats.  Organi
 shapes want less: lambda 0.5, eta 1 and 3 iterations, or lambda 0.2 and 5 under weaker noise.  Fine
 texture goes: for scans whose noise is weak take ``msal``.
 
-A vertex or an edge with more than 64 faces does not make its faces neighbours.  Faces without area
-take on the mean of those around.  A vertex without faces stays.  Cost and memory are proportional
-to the number of faces, the latter about 1 KB a face.
+The memory is about 1 KB a face.
 
 Source: J. Zhang, B. Deng, Y. Hong, Y. Peng, W. Qin and L. Liu, Static/dynamic filtering for mesh
-geometry, IEEE Transactions on Visualization and Computer Graphics 25 (2019), 1774-1787; vertex
-update after X. Sun, P. Rosin, R. Martin and F. Langbein, the same journal 13 (2007), 925-938.
+geometry, IEEE TVCG 25 (2019), 1774-1787; vertex update after X. Sun, P. Rosin, R. Martin and F.
+Langbein, the same journal 13 (2007), 925-938.
 """
 
 from __future__ import annotations

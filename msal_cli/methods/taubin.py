@@ -16,7 +16,7 @@ The volume is kept, or grows a little, but edges are smeared and vertices slide 
 Very many iterations let the waves below the pass band grow.  mu = -lambda has no pass band and
 shrinks slowly.  Steps that would amplify most of the noise are refused.
 
-A vertex without neighbours stays.  An iteration costs two passes over the edges.
+An iteration costs two passes over the edges.
 
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358.
 """

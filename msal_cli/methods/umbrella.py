@@ -14,12 +14,10 @@ and slides vertices sideways.  ``al`` does not slide, ``taubin`` and ``hc`` shri
 ``schedule=multiscale`` lambda is measured from the heights of eq. (4), as in ``msal``, and brings
 much of the volume back.
 
-A vertex without neighbours stays.  Degenerate faces count with their edges.  The cost of a sweep is
-proportional to the number of edges.
+Degenerate faces count with their edges.
 
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358; eq.
-(3) of H. Huang and U. Ascher, Fast denoising of surface meshes with intrinsic texture, Inverse
-Problems 24 (2008).
+(3) of H. Huang and U. Ascher, Inverse Problems 24 (2008).
 """
 
 from __future__ import annotations

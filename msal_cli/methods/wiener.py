@@ -26,13 +26,12 @@ More sweeps hardly matter: what they take from the shape comes back.  The noise 
 fifth or so; where texture is as fine as the mesh a given ``noise`` helps most.  On machined parts
 with strong noise filters of normals do better: ``bilateral_normal``, ``guided_normal``, ``l0``.
 
-A vertex without neighbours or normal stays in steps 1 and 2; one whose faces have no area stays
-altogether.  The cost is that of about 30 sweeps of ``al``.
+The cost is that of about 30 sweeps of ``al``.
 
 Source: own; local Wiener filters as in M. K. Mihcak, I. Kozintsev, K. Ramchandran and P. Moulin,
 Low-complexity image denoising based on statistical modeling of wavelet coefficients, IEEE Signal
-Processing Letters 6 (1999), 300-303; normals guided by another surface as in W. Zhang, B. Deng,
-J. Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics Forum 34 (2015).
+Processing Letters 6 (1999), 300-303; normals guided by another surface as in W. Zhang, B. Deng, J.
+Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics Forum 34 (2015).
 """
 
 from __future__ import annotations

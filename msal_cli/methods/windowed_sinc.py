@@ -12,8 +12,8 @@ and more, 0.01 those of thirty.  Noise that neighbours share goes with a small p
 length of the waves that are kept, and may ring a little; vertices slide along the surface.
 
 Pass band and iterations mean what they mean in the filter of the same name of VTK, and the result
-agrees with its default window within a thousandth of the moves.  A vertex without neighbours stays.
-An iteration costs one pass over the edges.
+agrees with its default window within a thousandth of the moves.  An iteration costs one pass over
+the edges.
 
 Source: G. Taubin, T. Zhang and G. Golub, Optimal surface smoothing as filter design, European
 Conference on Computer Vision 1996, 283-292; the window is A. Nuttall, Some windows with very good
