@@ -15,6 +15,7 @@ from typing import Any, get_args, get_type_hints
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from make_command_page import shorten
 from make_method_pages import inline, prose
 
 import msal_cli as msal
@@ -26,7 +27,7 @@ HEAD = """<!-- made by docs/make_api_page.py: change the docstrings and run it a
 # All functions, records and errors
 
 Everything is in `msal_cli`, as in `import msal_cli as msal`. [python.md](python.md) explains it
-with examples. `help(msal.denoise)` shows all there is to a name, with errors and examples.
+with examples. `help(msal.denoise)` says more of each name, with errors and examples.
 What an argument means is said once: under the first function that has it.
 
 """
@@ -87,7 +88,9 @@ def describe(function: Any, seen: set[tuple[str, str]]) -> str:
             found = re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body.strip("\n"), re.M)
             new = [entry for entry in found if entry not in seen]
             seen.update(new)
-            parts.append("".join(f"- {names(words)}: {inline(text)}\n" for words, text in new))
+            parts.append(
+                "".join(f"- {names(words)}: {inline(shorten(text))}\n" for words, text in new)
+            )
         elif title == "Returns":
             parts.append(f"Returns: {inline(body)}\n")
     return "\n".join(parts) + "\n"

@@ -47,8 +47,9 @@ KEPT = ("More ", "Greater ", "Less ", "Repeatable", "It selects ", "A number sel
 
 def shorten(text: str) -> str:
     """The first sentence of a help text, and those on directions."""
-    first, *others = re.split(r"(?<=[\w)%'])\. +(?=[A-Z-])", text.removesuffix("."))
-    return ". ".join([first, *(sentence for sentence in others if sentence.startswith(KEPT))]) + "."
+    text = " ".join(text.split())
+    first, *others = re.split(r"(?<=[\w)%'`]\.) +(?=[A-Z`-])", text)
+    return " ".join([first, *(sentence for sentence in others if sentence.startswith(KEPT))])
 
 
 def line(option: click.Option, context: click.Context) -> str:

@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import make_pictures
 from scanner_examples import EXAMPLES, Example, true_mesh
 
-from benchmarks import scanner_cases, scanner_outcomes, scanner_tables, scanners
-from benchmarks.scanner_outcomes import NOISY, Outcomes
+from benchmarks import scanner_cases, scanner_outcomes, scanners
+from benchmarks.scanner_outcomes import Outcomes
 from msal_cli.view.camera import frame_vertices, rotate
 from msal_cli.view.panels import png_bytes
 from msal_cli.view.shading import shade
@@ -66,24 +66,13 @@ def write_picture(name: str, picture: Image) -> None:
     print(f"{name}: {len(data):,} bytes, {most} colours")
 
 
-def scanner_table(found: dict[str, scanner_tables.Rows]) -> list[str]:
-    """The table "Your scanner", with angles of the benchmark before and after ``--auto``."""
+def scanner_table() -> list[str]:
+    """The table "Your scanner"."""
     lines = ["| your scanner | what its noise is like | what msal does | |", "|---|---|---|---|"]
-    for one in EXAMPLES:
-        angles = "".join(
-            f"<br>{kind}: {_change(found[kind])}" for kind in one.kinds if kind in found
-        )
-        picture = f"![Noisy, denoised, and the truth](images/scanners/{one.name}.png)"
-        lines.append(f"| {one.scanner} | {one.noise} | {one.does}{angles} | {picture} |")
+    for example in EXAMPLES:
+        picture = f"![Noisy, denoised, and the truth](images/scanners/{example.name}.png)"
+        lines.append(f"| {example.scanner} | {example.noise} | {example.does} | {picture} |")
     return lines
-
-
-def _change(rows: scanner_tables.Rows) -> str:
-    before, after = (
-        scanner_tables.errors_of(rows, name).mean(axis=0)[0]
-        for name in (NOISY, scanner_tables.JUDGED)
-    )
-    return f"{before:.1f}° to {after:.1f}°"
 
 
 def summary(lines: list[str]) -> list[str]:
@@ -120,7 +109,7 @@ def main() -> None:
     RESULTS.write_text(
         f"python -m benchmarks.scanners\n\n{tables}\n", encoding="utf-8", newline="\n"
     )
-    put(DOCS / "noise.md", "your scanner", scanner_table(found))
+    put(DOCS / "noise.md", "your scanner", scanner_table())
     if given.no_pictures:
         return
     for one in EXAMPLES:

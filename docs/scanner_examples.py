@@ -23,7 +23,6 @@ class Example:
     scanner : what the user has.
     noise : what its noise is like.
     does : what msal does about it.
-    kinds : kinds of ``benchmarks.scanners`` that stand for it.
     model : sample mesh in the picture.
     make : gives the noisy mesh for the true one.
     """
@@ -32,7 +31,6 @@ class Example:
     scanner: str
     noise: str
     does: str
-    kinds: tuple[str, ...]
     model: str
     make: Callable[[Mesh], Mesh]
 
@@ -71,7 +69,6 @@ EXAMPLES = (
         "each vertex has its own error, along the normal; triangulated scans have some noise that "
         "neighbours share, and open borders",
         "the case that the filters of the literature are made for",
-        ("normals 0.2", "laser range scan"),
         "bracket",
         _added(AddedNoise("gaussian-normal", 0.2, seed=1)),
     ),
@@ -80,7 +77,6 @@ EXAMPLES = (
         "structured light, scanners that smooth inside",
         "neighbours share their error: bumps as wide as several edges",
         "measures the noise scale by scale, and filters with a reach of several rings",
-        ("shared over 1 ring 0.2", "shared over 2 rings 0.2", "shared over 3 rings 0.2"),
         "vase",
         _added(AddedNoise("correlated", 0.2, seed=2, rings=2)),
     ),
@@ -90,14 +86,6 @@ EXAMPLES = (
         "along the view, in steps, more where the surface is seen at a grazing angle; one side "
         "only, with open borders",
         "estimates the direction of the noise and its level by region",
-        (
-            "one direction 0.2",
-            "quantised depth 0.5",
-            "grazing 0.1",
-            "depth camera, in steps",
-            "depth camera, grazing",
-            "Kinect",
-        ),
         "bear",
         _scanned(
             ScannerSettings(
@@ -110,7 +98,6 @@ EXAMPLES = (
         "photogrammetry, multi-view stereo",
         "in all directions alike, with vertices that are far off",
         "brings single vertices back first, then filters positions as well as normals",
-        ("isotropic 0.2", "outliers 5 %", "impulsive 0.4 at 30 %"),
         "rock",
         _added(
             AddedNoise("gaussian", 0.15, seed=4),
@@ -122,7 +109,6 @@ EXAMPLES = (
         "several views fused in a volume: hand-held scanners, KinectFusion",
         "neighbours share their error over the width of a voxel and more; seams between views",
         "measures the noise scale by scale, as for structured light",
-        ("fusion of 14 views",),
         "bear",
         _scanned(ScannerSettings("fusion", seed=4, cells=72)),
     ),
@@ -131,7 +117,6 @@ EXAMPLES = (
         "segmented CT or MRI: labels, voxels, slices",
         "no noise but a staircase: terraces as high as a voxel or a slice",
         "finds the terraces by their flat steps, and takes off as much as a step is high",
-        ("binary voxels", "slices 3 apart"),
         "knot",
         _scanned(ScannerSettings("voxels", seed=5, cells=72, direction=(0.3, 0.2, 1.0))),
     ),
@@ -141,7 +126,6 @@ EXAMPLES = (
         "smooth within a voxel; noise in the volume makes bumps, in reconstructed CT shared by "
         "neighbours",
         "measures level and scale of the noise, with no staircase to take off",
-        ("CT, white", "CT, correlated"),
         "bracket",
         _scanned(ScannerSettings("ct", seed=6, cells=80, direction=(0.3, 0.2, 1.0))),
     ),
@@ -150,7 +134,6 @@ EXAMPLES = (
         "several scans in one mesh, parts far from the scanner",
         "one part is noisy, another is not",
         "estimates the level by region, and filters each by its own",
-        ("half 0.25", "ramp 0 to 0.4"),
         "toadstool",
         _added(AddedNoise("half", 0.25, seed=7, direction=(1.0, 0.0, 0.0))),
     ),

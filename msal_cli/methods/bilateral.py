@@ -10,18 +10,17 @@ tangent plane.  The weight falls with the distance of the neighbour and with its
 all vertices at once.  The second Gaussian spares edges, as in ``al``.
 
 ``variant=one_ring`` is what Huang and Ascher call "our BF": the neighbours are the one-ring,
-sigma_s is the standard deviation of their heights, and the normals are those of the input,
-mollified and kept.  They leave sigma_c open; here it is the mean edge length.  It differs little
-from ``al``: somewhat less smoothing in a sweep, a little more cost.
+sigma_s is the standard deviation of their heights, sigma_c (left open there) the mean edge length,
+and the normals are those of the input, mollified and kept.  It smooths somewhat less in a sweep
+than ``al``, at a little more cost.
 
 ``variant=fleishman`` is the filter of Fleishman, Drori and Cohen-Or: the neighbours are the vertex
-itself and those within the radius rho, reached along edges within it, the normals are measured anew
-before every sweep, without mollification, and sigma_s is the standard deviation of |h|.  They take
-sigma_c = rho / 2 from a smooth patch that the user points at, so give ``radius`` or ``closeness``
-and the other follows.  With neither, sigma_c is the length of each vertex's shortest edge and rho
-twice that, the rule of the public implementation that later papers compare with.  It hardly smooths
-a vertex that has one very short edge: on uneven triangles give ``closeness=1``, which smooths more
-and shrinks more.  At most 2,048 neighbours beyond the one-ring count.
+itself and those within the radius rho, reached along edges within it, at most 2,048 beyond the
+one-ring; the normals are measured anew before every sweep, without mollification, and sigma_s is
+the standard deviation of |h|. sigma_c = rho / 2, so give ``radius`` or ``closeness`` and the other
+follows.  With neither, sigma_c is the length of each vertex's shortest edge, the rule of the public
+implementation that later papers compare with.  It hardly smooths a vertex that has one very short
+edge: on uneven triangles give ``closeness=1``, which smooths more and shrinks more.
 
 Where sigma_s is zero the closest in height count.  The cost of ``fleishman`` grows with the
 vertices within the radius; it is seven times that of ``one_ring`` and up.  Neither keeps fine

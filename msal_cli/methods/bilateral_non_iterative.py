@@ -12,13 +12,12 @@ centroids around, with weights A_f and a Gaussian of width sigma_f / 2.  A plane
 from the vertex belongs to another side of an edge and hardly counts.
 
 The faces are those with a centroid within 2 sigma_f, reached over faces that share a vertex and lie
-within that distance: so the far side of a thin wall does not count (the paper searches in space).
-At most 2,048 beyond the vertex's own count.
+within that distance: so the far side of a thin wall does not count.  At most 2,048 beyond the
+vertex's own count.
 
-One pass, no stop to choose, moderate smoothing that keeps positions well; a vertex may slide a
-little.  sigma_f much above 2 eats small features, and the cost grows with its square.  More
-``iterations`` repeat the whole filter from the result; any schedule of equation (2) composes with
-it, p' - p standing for dx.
+One pass, no stop to choose, moderate smoothing that keeps positions well. sigma_f much above 2 eats
+small features, and the cost grows with its square.  More ``iterations`` repeat the whole filter;
+any schedule of equation (2) composes with it, p' - p standing for dx.
 
 A vertex that has no face's centroid in reach stays.
 

@@ -19,10 +19,10 @@ passes that each add the mean of a vertex's ways to the planes of its faces thro
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
 ``local`` suits objects with edges, up to noise of 0.4 mean edge lengths; on organic shapes take
-``similarity=0.45`` and 5 passes.  ``global`` at the usual width takes strong noise for edges: for
-noise of 0.2 to 0.3 ``similarity=0.6`` nearly halves the angles on objects with edges, and does
-better than ``local`` on organic shapes.  Heavier noise folds faces; ``guided_normal`` is made for
-that.  Fine texture goes; ``msal`` keeps it.
+``similarity=0.45`` and 5 passes.  ``global`` takes strong noise for edges: for noise of 0.2 to 0.3
+``similarity=0.6`` nearly halves the angles on objects with edges, and does better than ``local`` on
+organic shapes.  Heavier noise folds faces; ``guided_normal`` is made for that.  Fine texture goes;
+``msal`` keeps it.
 
 sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``;
 where none do, the mean edge length.  Boundary vertices are fixed, as in the public implementation

@@ -1,10 +1,10 @@
 """Hybrid filter for machined parts: vertices in clusters, edges kept, flat parts evened out.
 
-After the hybrid algorithm of Huang and Ascher for the large sharp edges of machined parts: ``al``
-rounds them off, ``msal`` leaves noise on the flats beside them.  A reconstruction, not a
-reproduction: of that paper only the outline could be read (K-means and geometric clustering,
-creases where the tangent plane jumps, the umbrella operator on flat parts, MSAL elsewhere).  The
-quantity that is clustered, the thresholds and the steps are this project's own.
+After the hybrid algorithm of Huang and Ascher for the large sharp edges of machined parts, which
+``al`` rounds off, while ``msal`` leaves noise on the flats beside them.  A reconstruction from the
+outline of that paper (K-means and geometric clustering, creases where the tangent plane jumps, the
+umbrella on flat parts, MSAL elsewhere), not a reproduction: the quantity that is clustered, the
+thresholds and the steps are own.
 
 1. ``presmooth`` sweeps of AL over a copy of the mesh, and as many of MSAL over another.
 2. On the first copy each vertex has a spread s = mean(1 - n_f . n) of the normals n_f of its faces
@@ -21,13 +21,12 @@ quantity that is clustered, the thresholds and the steps are this project's own.
    U = mean(x_k - x_i) along the normal and along the surface, and r is ``regularize``.
 
 The step of a feature leads to the edge between two flat sides, or to the corner of three.  Taking
-off half of the neighbours' mean height keeps curved parts from shrinking much.  By r triangles
-become even, at the price of the distance from where vertices were scanned.
+off half of the neighbours' mean height keeps curved parts from shrinking much.
 
 It is made for parts with flat or gently curved sides and sharp edges under strong noise: with noise
-of 0.3 mean edge lengths it leaves two thirds of the angles that ``al`` leaves, and half of those of
-``msal``, which is the best of the three under noise of 0.1.  Texture is flattened; a scan without
-sharp edges is served better by ``al`` or ``msal``.  Far more sweeps wear everything down.
+of 0.3 mean edge lengths it leaves two thirds of the angles of ``al``, and half of those of
+``msal``, which is the best of the three under noise of 0.1.  Texture is flattened.  Far more sweeps
+wear everything down.
 
 At open edges vertices move along their normals only.  The whole costs about seven times as much as
 three sweeps of ``al``.

@@ -19,8 +19,8 @@ alpha = ``regularity`` gamma, with the mean edge length e and the mean dihedral 
 input in radians, so that both follow the noise; angles count without their sign.
 
 It gives the sharpest edges and corners of all where the object is a polyhedron, and turns every
-curved part into facets; for these and for texture use another method.  Under heavy noise the
-places of edges are a matter of luck, and thin parts fold.
+curved part into facets; for these and for texture use another method.  Under heavy noise thin parts
+fold.
 
 Open edges, and edges with more than two faces, are not measured.  A needle's coefficients are
 scaled down to 100.  The cost is that of 40 linear systems, about 1000 passes over the edges; the

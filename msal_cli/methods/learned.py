@@ -1,9 +1,8 @@
 """Learned filter of face normals: small networks weigh filtered normals of many widths.
 
-For scans of machined parts and of organic shapes under noise of any kind: along the normals, shared
-by neighbours, along the view, in steps of depth, uneven, staircases of voxels and slices.  The
-networks were trained on meshes made by script, with all of these.  Each of the ``iterations``
-stages looks at every face and the faces near it, and makes
+For scans of machined parts and of organic shapes under noise of any kind.  The networks were
+trained on meshes made by script.  Each of the ``iterations`` stages looks at every face and the
+faces near it, and makes
 
 - vectors: the normal, its means over two reaches and three ranges of difference (biweights
   (1 - |n_i - n_j|^2 / s^2)^2), means guided by other means, planes fitted to the centroids; the
@@ -25,10 +24,10 @@ Vectors are seen along the axes of the tensor of the normals near, and lengths a
 moving or scaling a mesh changes nothing.
 
 The level of the noise decides what is texture: a given ``noise`` helps most where the texture is as
-fine as the mesh, and a greater one smooths more.  Where the noise is white, and noise that is given
-is taken for white, what the stages took beyond it comes back as in ``wiener`` (``texture``).  Where
-it is along the normals, which is measured, the way that vertices came sideways is undone
-(``sliding``; see ``guided_normal``).
+fine as the mesh; a greater one smooths more.  Where the noise is white, as noise that is given is
+taken to be, what the stages took beyond it comes back as in ``wiener`` (``texture``).  Where it is
+along the normals, which is measured, the way that vertices came sideways is undone (``sliding``;
+see ``guided_normal``).
 
 The cost is 7 to 10 s per million faces on one core. docs/training.md describes the files of the
 weights, and how to train them, with clean meshes of your own too.

@@ -1,8 +1,8 @@
 """Anisotropic diffusion of normals: sharp edges kept, and flat and round parts alike made smooth.
 
-First the normals are diffused as colours are in an image, less so across edges, then the surface is
-fitted to them.  A face is a cell with one normal n, and what passes between faces grows with the
-length l of their edge and falls with the distance d of their centroids:
+The normals are diffused as colours are in an image, less so across edges; then the surface is
+fitted to them.  What passes between faces with normals n grows with the length l of their edge and
+falls with the distance d of their centroids:
 
     n_i <- n_i + tau / A_i sum(l_ij / d_ij g(|n_j - n_i|) (n_j - n_i)), normalised
     g(s) = exp(-s^2 / (2 mu^2))
@@ -20,9 +20,9 @@ that it follows the noise.  On rounded shapes take ``similarity=0.5`` and ``norm
 which are better by half a degree and more.  A mesh without noise and with flat parts has mu = 0 and
 stays as it is.
 
-Unlike ``normal_threshold``, ``bilateral_normal`` and ``guided_normal`` it looks at no faces but
-those across an edge, and reaches far by many steps.  Fine texture goes; use ``msal`` there.  This
-is the paper's scheme, not its discretisation, which is one for level sets.
+It looks at no faces but those across an edge, and reaches far by many steps.  Fine texture goes;
+use ``msal`` there.  This is the paper's scheme, not its discretisation, which is one for level
+sets.
 
 Boundary vertices are fixed.
 

@@ -11,12 +11,11 @@ of a vertex's ways to the planes of its faces through their centroids c:
 
     x_i <- x_i + mean((n'_f . (c_f - x_i)) n'_f)
 
-Areas and distances do not count, so on a mesh of mixed triangle sizes small faces count too much;
-``bilateral_normal`` weights by both.  The default of 20 passes suits objects with edges and flat or
-gently curved parts.  On organic shapes take 3 to 5 passes and T near 0.1, or ``msal`` where there
-is fine texture.  Vertices slide, and under heavy noise faces fold: 10 ``vertex_iterations`` in
-place of the usual 50 gave smaller angles on four noisy models, and vertex errors smaller by 30 to
-40 percent.
+Areas and distances do not count, so on mixed triangle sizes small faces count too much;
+``bilateral_normal`` weights by both. 20 passes suit objects with edges and flat or gently curved
+parts; on organic shapes take 3 to 5 passes and T near 0.1, or ``msal`` where there is fine texture.
+Vertices slide, and under heavy noise faces fold: 10 ``vertex_iterations`` in place of 50 gave
+smaller angles on four noisy models, and vertex errors smaller by 30 to 40 percent.
 
 Boundary vertices are fixed, as in the public implementation that later papers compare with.
 

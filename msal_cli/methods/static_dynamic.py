@@ -19,13 +19,12 @@ most 256, and lambda' = lambda sum(A) / sum(w without its last factor).  The gui
     x_i <- x_i + mean over the faces f around i of (n_f . (c_f - x_i)) n_f
 
 and the whole starts anew from the mesh as it is now, ``iterations`` times.  The authors' own update
-of the vertices leaves slivers and flipped faces at noise of 0.2 to 0.3 mean edge lengths: its mean
-angles are greater by a third to three quarters.
+of the vertices leaves slivers and flipped faces under noise of 0.2 and more.
 
-Against ``guided_normal`` the faces that count reach twice as far, and the result stays tied to the
-normals of the mesh.  The default suits machined parts with large flats.  Organic and finely meshed
-shapes want less: lambda 0.5, eta 1 and 3 iterations, or lambda 0.2 and 5 under weaker noise.  Fine
-texture goes: for scans whose noise is weak take ``msal``.
+The faces that count reach twice as far as those of ``guided_normal``, and the result stays tied to
+the normals of the mesh.  The default suits machined parts with large flats.  Organic and finely
+meshed shapes want less: lambda 0.5, eta 1 and 3 iterations, or lambda 0.2 and 5 under weaker noise.
+Fine texture goes: for scans whose noise is weak take ``msal``.
 
 The memory is about 1 KB a face.
 

@@ -13,8 +13,8 @@ k_PB = 0.1132 give mu = -0.53, a pair of values that several programs share; som
 rather than pairs: their 20 is 10 here.
 
 The volume is kept, or grows a little, but edges are smeared and vertices slide along the surface.
-Very many iterations let the waves below the pass band grow.  mu = -lambda has no pass band and
-shrinks slowly.  Steps that would amplify most of the noise are refused.
+Very many iterations let the waves below the pass band grow.  Steps that would amplify most of the
+noise are refused.
 
 An iteration costs two passes over the edges.
 

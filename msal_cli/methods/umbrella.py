@@ -10,9 +10,8 @@ default here is half of that, as is usual, because a full step makes the finest 
 mesh swing to and fro instead of removing it.
 
 It is the yardstick, not the tool of choice: it smears edges, shrinks the surface with every sweep,
-and slides vertices sideways.  ``al`` does not slide, ``taubin`` and ``hc`` shrink less.  Under
-``schedule=multiscale`` lambda is measured from the heights of eq. (4), as in ``msal``, and brings
-much of the volume back.
+and slides vertices sideways.  Under ``schedule=multiscale`` lambda is measured from the heights of
+eq. (4), as in ``msal``.
 
 Degenerate faces count with their edges.
 

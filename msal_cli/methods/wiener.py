@@ -24,7 +24,7 @@ For organic and textured scans with noise up to about 0.4 mean edge lengths.  Th
 
 More sweeps hardly matter: what they take from the shape comes back.  The noise should be right to a
 fifth or so; where texture is as fine as the mesh a given ``noise`` helps most.  On machined parts
-with strong noise filters of normals do better: ``bilateral_normal``, ``guided_normal``, ``l0``.
+with strong noise filters of normals do better.
 
 The cost is that of about 30 sweeps of ``al``.
 
