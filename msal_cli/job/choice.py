@@ -167,7 +167,18 @@ def soften_choice(
 
     despiked = chosen.known.get("despiked")
     if share == 0.0 or chosen.noise is None:
-        known = reject_choice(choice, despiked, harm)
+        made = replace(
+            choice,
+            reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
+            risk_edges=None,
+            repeat=options_of(None, {}),
+            auto_seconds=None,
+        )
+        known = {
+            "method": MethodUsed(NONE, {}),
+            "despiked": None if despiked is None else 0,
+            "choice": made,
+        }
         # Where outliers were brought back, the noise was estimated without them.
         noise = None if despiked else chosen.noise
         why = f"every choice would damage the mesh ({harm.reason}): left as it is"
@@ -187,22 +198,6 @@ def soften_choice(
     known = chosen.known | {"method": MethodUsed(candidate.method, parameters), "choice": made}
     why = f"the first choice would damage the mesh ({harm.reason}): {what}"
     return replace(chosen, method=method, parameters=parameters, known=known, warnings=(why,))
-
-
-def reject_choice(choice: ChoiceMade, despiked: int | None, harm: Harm) -> dict[str, Any]:
-    """Fields of the record where a mesh stays as it is because the chosen method would damage
-    it."""
-    return {
-        "method": MethodUsed(NONE, {}),
-        "despiked": None if despiked is None else 0,
-        "choice": replace(
-            choice,
-            reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
-            risk_edges=None,
-            repeat=options_of(None, {}),
-            auto_seconds=None,
-        ),
-    }
 
 
 def options_of(method: Method | None, values: Mapping[str, Any]) -> tuple[str, ...]:

@@ -92,7 +92,6 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{UNIT_PATTERN})?\s*")
 _LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
 
-
 # Of a sum of coordinates, and of the distance between two points, relative to the largest of them.
 _ROUNDING = 2.0**-50
 
@@ -219,14 +218,23 @@ def build_constraints(
     """
     import numpy as np
 
+    from msal_cli import codecs
+
     mesh = ready.mesh
-    held = _find_held(ready, mesh_file, [parse_lock(text) for text in locks]) if locks else None
-    if pinned is not None:
-        also = _spread_largest(ready, pinned.astype(np.float64)) > 0.0
-        held = also if held is None else held | also
+    flags = [] if pinned is None else [pinned]
+    held: Flags = np.zeros(len(mesh.vertices), dtype=np.bool_)
+    for lock in map(parse_lock, locks):
+        if lock is None:
+            held |= mesh.topology.boundary
+        else:
+            flags.append(lock.select(codecs.vertex_property(mesh_file, lock.name)))
+    for file_pins in flags:
+        # With a vertex all that coincide with it.
+        held |= _spread_largest(ready, file_pins.astype(np.float64)) > 0.0
     trust = None if weights is None else _build_trust(ready, mesh_file, weights)
     limit = None if max_move is None else parse_length(max_move).in_units(mesh.mean_edge_length)
-    return Constraints(mesh.with_constraints(held, trust), held, limit)
+    pins = held if locks or pinned is not None else None
+    return Constraints(mesh.with_constraints(pins, trust), pins, limit)
 
 
 def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, int]:
@@ -248,22 +256,6 @@ def clamp_moves(before: Floats, after: Floats, limit: float) -> tuple[Floats, in
         reached = max(0.0, limit - _ROUNDING * float(np.abs(start).max() + limit))
         after[beyond] = start + ways * (reached / lengths[beyond])[:, None]
     return after, len(beyond)
-
-
-def _find_held(ready: PreparedMesh, mesh_file: Surface, locks: Sequence[Lock | None]) -> Flags:
-    """Which mesh vertices (n,) any lock pins: with one all that coincide with it."""
-    import numpy as np
-
-    from msal_cli import codecs
-
-    held: Flags = np.zeros(len(ready.mesh.vertices), dtype=np.bool_)
-    for lock in locks:
-        if lock is None:
-            held |= ready.mesh.topology.boundary
-        else:
-            flags = lock.select(codecs.vertex_property(mesh_file, lock.name))
-            held |= _spread_largest(ready, flags.astype(np.float64)) > 0.0
-    return held
 
 
 def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:

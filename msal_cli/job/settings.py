@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 from msal_cli.errors import UsageError
 from msal_cli.storage.urls import is_url, split
@@ -150,21 +150,14 @@ Assignment = tuple[str, str, Any]
 """The label of a method's parameter for messages, its name or symbol, and its value."""
 
 
-class _Setting(NamedTuple):
-    """The spelling on the command line, and what a value must be, if it is not any."""
-
-    option: str
-    check: Check | None = None
+def _refuse(label: str, value: object, allowed: str) -> NoReturn:
+    raise UsageError(f"{label} = {value!r} is not allowed", hint=f"allowed: {allowed}")
 
 
-def _refusal(label: str, value: object, allowed: str) -> UsageError:
-    return UsageError(f"{label} = {value!r} is not allowed", hint=f"allowed: {allowed}")
-
-
-def _word_of(words: tuple[str, ...]) -> Check:
+def _word_of(words: Any) -> Check:
     def check(value: Any, label: str, unit: str | None) -> str:
-        if value not in words:
-            raise _refusal(label, value, " | ".join(words))
+        if value not in get_args(words):
+            _refuse(label, value, " | ".join(get_args(words)))
         return str(value)
 
     return check
@@ -174,7 +167,7 @@ def _number_from(low: float, high: float, span: str) -> Check:
     def check(value: Any, label: str, unit: str | None) -> float:
         number = to_number(value, label)
         if not low <= number <= high:
-            raise _refusal(label, value, span)
+            _refuse(label, value, span)
         return number
 
     return check
@@ -186,10 +179,6 @@ def _length(value: Any, label: str, unit: str | None) -> str:
 
     text = value if isinstance(value, str) else repr(to_number(value, label))
     return str(parse_length(text, label, unit))
-
-
-def _least_noise(value: Any, label: str, unit: str | None) -> str:
-    return NEGLIGIBLE if value == NEGLIGIBLE else _length(value, label, unit)
 
 
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
@@ -210,30 +199,27 @@ def _input_format(value: str, label: str, unit: str | None) -> str:
     return parse_format(value, label, readable_suffixes())
 
 
-def _output_format(value: str, label: str, unit: str | None) -> str:
-    return parse_format(value, label, writable_formats())
-
-
-_SETTINGS = {
-    "prefer": _Setting("--prefer", _word_of(get_args(Preference))),
-    "keep": _Setting("--keep", _word_of(get_args(Keep))),
-    "strength": _Setting("--strength", _number_from(-2.0, 2.0, "-2 to 2")),
-    "budget": _Setting("--auto-budget", _number_from(1.0, float("inf"), "1 or more")),
-    "assume": _Setting("--assume", _word_of(get_args(Assumption))),
-    "max_move": _Setting("--max-move", _length),
-    "lock": _Setting("--lock", _locks),
-    "weights": _Setting("--weights"),
-    "despike": _Setting("--despike"),
-    "min_noise": _Setting("--min-noise", _least_noise),
-    "to": _Setting("--to", _output_format),
-    "encoding": _Setting("--encoding", _word_of(get_args(Encoding))),
-    "precision": _Setting("--precision", _word_of(get_args(Precision))),
-    "strict": _Setting("--strict"),
-    "format": _Setting("--format", _input_format),
-    "fields": _Setting("--fields", _field_names),
-    "tile_set": _Setting("--tile-set"),
+_CHECKS: dict[str, Check | None] = {
+    "prefer": _word_of(Preference),
+    "keep": _word_of(Keep),
+    "strength": _number_from(-2.0, 2.0, "-2 to 2"),
+    "budget": _number_from(1.0, float("inf"), "1 or more"),
+    "assume": _word_of(Assumption),
+    "max_move": _length,
+    "lock": _locks,
+    "weights": None,
+    "despike": None,
+    "min_noise": lambda value, *more: NEGLIGIBLE if value == NEGLIGIBLE else _length(value, *more),
+    "to": lambda value, label, unit: parse_format(value, label, writable_formats()),
+    "encoding": _word_of(Encoding),
+    "precision": _word_of(Precision),
+    "strict": None,
+    "format": _input_format,
+    "fields": _field_names,
+    "tile_set": None,
 }
-"""What a user may give beside a method and its parameters, by the names of the Python API."""
+"""What a user may give beside a method and its parameters, by the names of the Python API, and what
+a value must be, if it is not any."""
 
 _WISHES = ("prefer", "keep", "strength", "budget", "assume")
 
@@ -243,7 +229,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
 
     Parameters
     ----------
-    given : values by the names of ``_SETTINGS``, with None for what is not given; and ``method``,
+    given : values by the names of ``_CHECKS``, with None for what is not given; and ``method``,
         its ``parameters`` (assignments), ``intersections`` and ``unit``.  Other names are ignored.
     as_options : messages name options; by default arguments.
 
@@ -254,12 +240,13 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
     """
 
     def label(name: str) -> str:
-        return _SETTINGS[name].option if as_options else name
+        option = "auto-budget" if name == "budget" else name.replace("_", "-")
+        return f"--{option}" if as_options else name
 
     unit = given.get("unit")
     values = {
-        name: setting.check(given[name], label(name), unit) if setting.check else given[name]
-        for name, setting in _SETTINGS.items()
+        name: check(given[name], label(name), unit) if check else given[name]
+        for name, check in _CHECKS.items()
         if given.get(name) not in (None, ())
     }
     wishes = {name: values.pop(name) for name in _WISHES if name in values}
@@ -464,15 +451,15 @@ def forecast(task: Task, settings: Settings) -> Forecast:
     )
     if settings.method not in CHOOSING or expected.memory_bytes is None:
         return expected
-    from msal_cli import auto as selection
+    from msal_cli import auto
 
-    choosing = selection.BYTES if settings.method == AUTO else selection.FAMILY_BYTES
+    choosing = auto.BYTES if settings.method == AUTO else auto.FAMILY_BYTES
     return dataclasses.replace(expected, memory_bytes=expected.memory_bytes + choosing)
 
 
 def method_bytes_per_face(settings: Settings) -> int:
     """Memory per triangle that the method needs beyond what all do; 0 if there is no such."""
-    from msal_cli import methods
+    from msal_cli import auto, methods
 
     extra = _FIELDS_BYTES_PER_FACE if settings.fields else 0
     if settings.looks_for_outliers:
@@ -480,17 +467,13 @@ def method_bytes_per_face(settings: Settings) -> int:
     if SELF_INTERSECTIONS in settings.checks:
         extra += _INTERSECTIONS_BYTES_PER_FACE
     if settings.method == AUTO:
-        from msal_cli import auto as selection
-
-        most = max(methods.find(name).bytes_per_face for name in selection.METHODS)
-        return most + extra
-    if settings.method == ADAPTIVE:
-        from msal_cli import auto as selection
-
-        return methods.find("al").bytes_per_face_of(selection.LARGEST_OF_FAMILY) + extra
-    if settings.method not in methods.names():
+        return extra + max(methods.find(name).bytes_per_face for name in auto.METHODS)
+    name, parameters = settings.method, settings.parameters
+    if name == ADAPTIVE:
+        name, parameters = "al", auto.LARGEST_OF_FAMILY
+    if name not in methods.names():
         return 0
-    return methods.find(settings.method).bytes_per_face_of(settings.parameters) + extra
+    return methods.find(name).bytes_per_face_of(parameters) + extra
 
 
 def least_memory_bytes() -> int:
