@@ -18,11 +18,10 @@ from msal_cli.job.records import (
 )
 
 if TYPE_CHECKING:
-    from msal_cli.analysis.harm import Harm
-    from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics
+    from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics, Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.arrays import Floats
-    from msal_cli.mesh import Defects, Mesh, PreparedMesh
+    from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
 
 INSIDE_OUT = "W_INSIDE_OUT"
@@ -67,16 +66,6 @@ def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
         "welded_vertices": ready.defects.welded_vertices + n_merged,
         "mean_edge_length": ready.mesh.mean_edge_length,
     }
-
-
-def defect_warnings(defects: Defects) -> tuple[str, ...]:
-    """Warnings about the defects."""
-    if not defects.inconsistent_edges:
-        return ()
-    return (
-        f"inconsistent winding at {defects.inconsistent_edges} edges; "
-        f"{defects.turned_faces} faces were turned for the computation only",
-    )
 
 
 def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
@@ -162,9 +151,14 @@ def measure(
     the outliers that were brought back, whose ways the noise does not explain.
     ``is_named`` is whether the user named the method, or none ran, rather than a choice.
     """
-    from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.harm import NAMED_LEEWAY, excessive_change, harmful_change
-    from msal_cli.analysis.measures import displacement_statistics, measure_surface_change
+    from msal_cli.analysis.measures import (
+        NAMED_LEEWAY,
+        displacement_statistics,
+        enclosure_of,
+        excessive_change,
+        harmful_change,
+        measure_surface_change,
+    )
 
     before, after = ready.mesh, ready.mesh.with_vertices(moved)
     statistics = displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)

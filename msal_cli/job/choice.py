@@ -14,7 +14,7 @@ from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
 
 if TYPE_CHECKING:
-    from msal_cli.analysis.harm import Harm
+    from msal_cli.analysis.measures import Harm
     from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method

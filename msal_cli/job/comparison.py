@@ -211,8 +211,7 @@ def _add_changes(
     """Add what changed to the ``figures`` of a record, and return warnings; ``other`` is a mesh
     with the faces of ``first``, or a prepared one with its own."""
     from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.measures import area_and_volume, measure_surface_change
+    from msal_cli.analysis.measures import area_and_volume, enclosure_of, measure_surface_change
 
     before, defects = first.mesh, first.defects
     objection = defects.volume_objection

@@ -87,8 +87,7 @@ def compute(
     """
     import numpy as np
 
-    from msal_cli.analysis.enclosure import measure_enclosure
-    from msal_cli.analysis.measures import local_scale, mean_curvature
+    from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
     from msal_cli.analysis.noise_estimate import estimate_regions
 
     mesh = ready.mesh

@@ -86,8 +86,7 @@ def inspect_file(
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    from msal_cli.analysis.enclosure import enclosure_of
-    from msal_cli.analysis.measures import area_and_volume
+    from msal_cli.analysis.measures import area_and_volume, enclosure_of
     from msal_cli.codecs.mesh_file import corner_count
 
     mesh_file, is_compressed = open_mesh(data, name, format)

@@ -6,9 +6,10 @@ whatever goes wrong becomes a failed record, and the output appears whole or not
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -170,35 +171,25 @@ class FileRun:
         """Add warnings to the record."""
         self.know(warnings=self._record.warnings + warnings)
 
-    def _report_steps(self, stage: str) -> Callable[[int, int], None]:
-        return lambda done, total: self._on_progress(stage, done, total)
-
-    def _close_record(self) -> Seconds:
-        """All seconds until now; the peak of memory goes into the record."""
+    def _close_record(self, **values: Any) -> MeshRecord:
+        """The record with these fields, all seconds until now, and the peak of memory."""
         self._count()
         seconds = Seconds(**self._seconds, total=self._counted - self._started)
-        self.know(seconds=seconds, peak_memory_bytes=machine.peak_bytes())
-        return seconds
+        self.know(seconds=seconds, peak_memory_bytes=machine.peak_bytes(), **values)
+        return self._record
 
     def finish(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:
         """The record of a file that was written."""
         if self._output_digest is not None:
             self.know(output_sha256=self._output_digest())
-        self._close_record()
-        self.know(
-            status="written" if self._is_changed else "unchanged",
-            output=output_path,
-            sidecars=sidecars,
-        )
-        return self._record
+        status = "written" if self._is_changed else "unchanged"
+        return self._close_record(status=status, output=output_path, sidecars=sidecars)
 
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
         known = to_known_error(error, self._record.input)
-        self._close_record()
         failure = Failure(known.code, known.message, known.hint, known.where)
-        self.know(status="failed", error=failure)
-        return self._record
+        return self._close_record(status="failed", error=failure)
 
     # The way of a file
 
@@ -220,13 +211,11 @@ class FileRun:
     def denoise(self, data: Buffer, output_path: str | None) -> output.Output:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
         mesh_file, is_compressed = self.open(data)
-        vertices = self.move_vertices(mesh_file)
         source = output.Source(data, self._record.input, is_compressed)
-        return self.build(mesh_file, vertices, output_path, source)
+        return self.build(mesh_file, self.move_vertices(mesh_file), output_path, source)
 
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
-        from msal_cli import machine
         from msal_cli.codecs.mesh_file import corner_count
         from msal_cli.storage import gzip_streams
 
@@ -234,9 +223,8 @@ class FileRun:
             machine.give_back_large_arrays()
             digest = gzip_streams.sha256_meanwhile(data)
             try:
-                mesh_file, is_compressed = open_mesh(
-                    data, self._record.input, self._settings.format
-                )
+                name, format = self._record.input, self._settings.format
+                mesh_file, is_compressed = open_mesh(data, name, format)
             finally:
                 # A file that cannot be read is known by its hash, too.
                 self.know(input_sha256=digest())
@@ -254,11 +242,7 @@ class FileRun:
         return mesh_file, is_compressed
 
     def build(
-        self,
-        mesh_file: MeshFile,
-        vertices: Floats,
-        output_path: str | None,
-        source: output.Source,
+        self, mesh_file: MeshFile, vertices: Floats, output_path: str | None, source: output.Source
     ) -> output.Output:
         """The output file with new positions (n, 3)."""
         from msal_cli.storage import gzip_streams
@@ -311,7 +295,11 @@ class FileRun:
         """The mesh of a file, fit for computing, and its defects in the record."""
         ready = prepare_mesh(mesh_file)
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
-        self.warn(*changes.defect_warnings(ready.defects))
+        if n_edges := ready.defects.inconsistent_edges:
+            self.warn(
+                f"inconsistent winding at {n_edges} edges; "
+                f"{ready.defects.turned_faces} faces were turned for the computation only"
+            )
         return ready
 
     def move_vertices(self, mesh_file: Surface, pinned: Flags | None = None) -> Floats:
@@ -375,9 +363,8 @@ class FileRun:
         moved, normals_s = chosen.mesh.vertices, 0.0
         with self.stage("sweeps"):
             if chosen.method is not None:
-                result = chosen.method.denoise(
-                    chosen.mesh, chosen.parameters, self._report_steps("sweeps")
-                )
+                on_step = functools.partial(self._on_progress, "sweeps")
+                result = chosen.method.denoise(chosen.mesh, chosen.parameters, on_step)
                 self._check_result(ready, result.vertices)
                 moved, normals_s = result.vertices, result.seconds.get("normals", 0.0)
                 fidelity = result.fields.get("fidelity")
@@ -416,10 +403,9 @@ class FileRun:
 
     def _prepare(self, given: Mesh) -> Preparation:
         """What is to be run on a mesh; the record has how that came about."""
-        on_step = self._report_steps("choose")
-        if not looks_at_mesh(self._settings):
-            return prepare(given, self._settings, on_step)
-        with self.stage("choose"):
+        # Where the same is run on every mesh, that takes no time.
+        with self.stage("choose") if looks_at_mesh(self._settings) else nullcontext():
+            on_step = functools.partial(self._on_progress, "choose")
             chosen = prepare(given, self._settings, on_step)
         self.know(**chosen.known)
         self.warn(*chosen.warnings)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.enclosure import measure_enclosure
+from msal_cli.analysis.measures import measure_enclosure
 from msal_cli.arrays import Floats, Ints
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.enclosure import Enclosure, measure_enclosure
-from msal_cli.analysis.measures import measure_surface_change
+from msal_cli.analysis.measures import Enclosure, measure_enclosure, measure_surface_change
 from msal_cli.arrays import Floats
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed

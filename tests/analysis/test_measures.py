@@ -6,24 +6,22 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.enclosure import measure_enclosure
-from msal_cli.analysis.harm import (
+from msal_cli.analysis.measures import (
     AREA,
     FLIPPED,
     MOVES,
     NAMED_LEEWAY,
     VOLUME,
-    excessive_change,
-    folded_faces,
-    harmful_change,
-)
-from msal_cli.analysis.measures import (
     area_and_volume,
     count_self_intersections,
     displacement_statistics,
+    excessive_change,
+    folded_faces,
+    harmful_change,
     is_negative,
     local_scale,
     mean_curvature,
+    measure_enclosure,
     measure_surface_change,
     relative_volume_change,
     self_intersection_change,

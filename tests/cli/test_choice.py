@@ -88,7 +88,7 @@ def choose(monkeypatch):
 
         monkeypatch.setattr("msal_cli.auto.search.search", search)
         # What a test chooses may shrink a small torus.
-        monkeypatch.setattr("msal_cli.analysis.harm.excessive_change", lambda *a, **k: None)
+        monkeypatch.setattr("msal_cli.analysis.measures.excessive_change", lambda *a, **k: None)
         return arrived
 
     return fix

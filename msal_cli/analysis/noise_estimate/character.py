@@ -282,7 +282,9 @@ def characterize(mesh: Mesh) -> Estimate:
         "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
     )
     if is_named:
-        character = dataclasses.replace(character, **_describe_kind(evidence, verdict))
+        character = dataclasses.replace(
+            character, **_describe_kind(evidence, verdict, white.level.tail)
+        )
     readings = _order_readings(verdict.level, verdict.noise)
     level, low = verdict.level, verdict.low
     if verdict.kind == "impulsive":
@@ -406,9 +408,9 @@ def _possible_kinds(evidence: Evidence) -> set[str]:
     return {kind for kind in KIND_NAMES if is_possible.get(kind, True)}
 
 
-def _describe_kind(evidence: Evidence, verdict: Verdict) -> dict[str, Any]:
+def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[str, Any]:
     """What a ``NoiseCharacter`` of the kind of the verdict has, and on what that rests."""
-    kind, far_off = verdict.kind, max(evidence.outliers, evidence.tail)
+    kind, far_off = verdict.kind, max(evidence.outliers, tail)
     values: dict[str, Any] = {"kind": kind}
     if kind in SHARED_KINDS:
         values["rings"] = max(verdict.rings, 1) if kind == "correlated" else verdict.rings
@@ -430,7 +432,7 @@ def _describe_kind(evidence: Evidence, verdict: Verdict) -> dict[str, Any]:
         "quantised": of_steps,
         "staircase": of_steps,
         "outliers": f"{100.0 * far_off:.2g} % of the vertices lie far off",
-        "impulsive": f"{100.0 * evidence.tail:.2g} % of the vertices stand out along the normals",
+        "impulsive": f"{100.0 * tail:.2g} % of the vertices stand out along the normals",
         "uneven": "what fits leave differs by region",
     }
     return values | ({"basis": bases[kind]} if kind in bases else {})

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
-"""The measurements of the level that the numbers begin with, as logarithms."""
+"""The measurements of the level that the numbers begin with, as logarithms; mean edges."""
 
 SIZE = len(LEVELS)
 """Which of the numbers is the logarithm of the number of vertices."""
@@ -91,7 +91,6 @@ class Evidence:
     steps : depths in steps.
     differences : levels by region, where they differ.
     outliers : share of the vertices that lie far off.
-    tail : share of the vertices that are further out than 99 in 100 are with Gaussian noise.
     loud_correlation : of the heights of neighbours, in the roughest third of the places; below 0
         for noise that they do not share.
     numbers : (k,) for the classifier.
@@ -103,7 +102,6 @@ class Evidence:
     steps: StepEvidence
     differences: Differences | None
     outliers: float
-    tail: float
     loud_correlation: float
     numbers: Floats
 
@@ -131,7 +129,13 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
     outliers, within = outlying_share(mesh, white, survey)
     neighbours = _neighbour_numbers(mesh, survey)
     numbers = [
-        *_level_numbers(white, colour, axis, axis_colour, steps, differences),
+        _log(white.level.mean_edges),
+        _log(white.level.rms_edges),
+        MISSING if colour is None else _log(colour.level),
+        MISSING if axis is None else _log(axis.best_level),
+        MISSING if axis_colour is None else _log(axis_colour.level),
+        _log(steps.level) if steps.n_axes else MISSING,
+        MISSING if differences is None else _log(math.sqrt(weigh_differences(differences))),
         *_size_numbers(mesh, survey, white, base),
         *_white_numbers(white, base),
         *_survey_numbers(survey, base),
@@ -141,7 +145,13 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
         *_colour_numbers(axis_colour, base),
         *_offset_numbers(survey, base),
         *neighbours,
-        *_step_numbers(steps, base),
+        float(steps.n_axes),
+        _log(steps.step),
+        _log(steps.step, base),
+        steps.voxel_share,
+        float(steps.is_turned),
+        steps.along_gain,
+        steps.roughness,
         *_region_numbers(white, survey, differences, base),
         outliers,
         within,
@@ -156,7 +166,6 @@ def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
         steps=steps,
         differences=differences,
         outliers=outliers,
-        tail=white.level.tail,
         loud_correlation=neighbours[2],
         numbers=values,
     )
@@ -169,26 +178,6 @@ def _log(value: float, base: float = 1.0) -> float:
 
 def _logs(values: Floats, base: float = 1.0) -> list[float]:
     return [_log(float(value), base) for value in values]
-
-
-def _level_numbers(
-    white: WhiteEstimate,
-    colour: Colour | None,
-    axis: AxisEvidence | None,
-    axis_colour: Colour | None,
-    steps: StepEvidence,
-    differences: Differences | None,
-) -> list[float]:
-    """Logarithms of the level by each measurement, in the order of ``LEVELS``; mean edges."""
-    return [
-        _log(white.level.mean_edges),
-        _log(white.level.rms_edges),
-        MISSING if colour is None else _log(colour.level),
-        MISSING if axis is None else _log(axis.best_level),
-        MISSING if axis_colour is None else _log(axis_colour.level),
-        _log(steps.level) if steps.n_axes else MISSING,
-        MISSING if differences is None else _log(math.sqrt(weigh_differences(differences))),
-    ]
 
 
 def _size_numbers(mesh: Mesh, survey: Survey, white: WhiteEstimate, base: float) -> list[float]:
@@ -354,18 +343,6 @@ def _neighbour_numbers(mesh: Mesh, survey: Survey) -> list[float]:
         float(along.sum() / max(their_squares.sum(), TINY * TINY)),
         float((along > 0.0).mean()),
         float(kurtosis.std()) if is_known.any() else MISSING,
-    ]
-
-
-def _step_numbers(steps: StepEvidence, base: float) -> list[float]:
-    return [
-        float(steps.n_axes),
-        _log(steps.step),
-        _log(steps.step, base),
-        steps.voxel_share,
-        float(steps.is_turned),
-        steps.along_gain,
-        steps.roughness,
     ]
 
 

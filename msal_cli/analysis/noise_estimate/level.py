@@ -80,7 +80,20 @@ class NoiseCharacter:
         """The character in plain words, for a line after the level; empty for none."""
         if self.kind in ("none", "unknown"):
             return "of a kind that cannot be determined" if self.kind == "unknown" else ""
-        words = [self._kind_words()]
+        outliers = f"{100.0 * self.outliers:.2g} % outliers"
+        words = [
+            {
+                "white": "independent at each vertex, along the normals",
+                "isotropic": "independent at each vertex, in all directions",
+                "correlated": f"shared over {RING_COUNTS[self.rings]}",
+                "view": "along the view",
+                "quantised": f"depths in steps of {self.step:.2g} e along the view",
+                "uneven": "uneven over the surface",
+                "outliers": outliers,
+                "impulsive": "impulses at some vertices",
+                "staircase": f"terraces of {self.step:.2g} e",
+            }[self.kind]
+        ]
         if self.rings and self.kind not in ("correlated", "staircase"):
             words.append(f"shared over {RING_COUNTS[self.rings]}")
         if self.direction == "axis" and self.kind not in ("view", "quantised", "staircase"):
@@ -88,21 +101,8 @@ class NoiseCharacter:
         if self.direction == "isotropic" and self.kind != "isotropic":
             words.append("in all directions")
         if self.outliers and self.kind != "outliers":
-            words.append(f"{100.0 * self.outliers:.2g} % outliers")
+            words.append(outliers)
         return "; ".join(words)
-
-    def _kind_words(self) -> str:
-        return {
-            "white": "independent at each vertex, along the normals",
-            "isotropic": "independent at each vertex, in all directions",
-            "correlated": f"shared over {RING_COUNTS[self.rings]}",
-            "view": "along the view",
-            "quantised": f"depths in steps of {self.step:.2g} e along the view",
-            "uneven": "uneven over the surface",
-            "outliers": f"{100.0 * self.outliers:.2g} % outliers",
-            "impulsive": "impulses at some vertices",
-            "staircase": f"terraces of {self.step:.2g} e",
-        }[self.kind]
 
 
 NO_CHARACTER = NoiseCharacter("none")

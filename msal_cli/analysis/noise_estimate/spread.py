@@ -180,6 +180,12 @@ def find_colour(
     level = math.exp(logarithm)
     is_pattern = rings > 0 and bool((sharpness > PATTERN).any())
     least_sharpness = SHARP_LOUD if level > LOUD_LEVEL else SHARP
+    # Whether fits leave more than such noise would.  Creases add to wide fits too, but not
+    # everywhere.
+    growth = float(by_scale[SIX] / by_scale[FOUR])
+    growth /= math.sqrt(LEFT[rings, SIX] / LEFT[rings, FOUR])
+    is_wide = sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH
+    is_relief = bool(is_wide or by_scale[THREE] < SMOOTH_GROWTH * by_scale[TWO])
     return Colour(
         rings=rings,
         level=level,
@@ -187,19 +193,8 @@ def find_colour(
         margin=float(others.min() - chosen[rings]),
         sharpness=sharpness,
         is_floor=bool((sharpness >= least_sharpness).all()) and not is_pattern,
-        is_relief=rings > 0 and _is_relief(by_scale, sharpness, rings),
+        is_relief=rings > 0 and is_relief,
     )
-
-
-def _is_relief(by_scale: Floats, sharpness: Floats, rings: int) -> bool:
-    """Whether fits leave more than noise that is shared over so many rings would.
-
-    Creases add to wide fits too, but not everywhere.
-    """
-    expected = math.sqrt(LEFT[rings, SIX] / LEFT[rings, FOUR])
-    growth = float(by_scale[SIX] / by_scale[FOUR]) / expected
-    is_wide = sharpness[SIX] > RELIEF_SHARP and growth > RELIEF_GROWTH
-    return bool(is_wide or by_scale[THREE] < SMOOTH_GROWTH * by_scale[TWO])
 
 
 # Levels by region, where the noise is not the same everywhere
