@@ -81,7 +81,8 @@ def code(names: list[str]) -> str:
 
 
 def default_text(text: str) -> str:
-    """A default: a value as code, or words that describe it."""
+    """A default: a value as code, or words that describe it, without what follows from them."""
+    text = text.partition(", which ")[0]
     return inline(text) if " " in text else f"`{text}`"
 
 

@@ -37,8 +37,6 @@ SIZE = (200, 200)
 COMMAND = "auto"
 COLUMNS = (0, 1, 2, 4, 5, 8, -1)
 """Of the table of scanners: kind, noisy, plain command, --auto, best single setting."""
-CLEAN = (0, 1, 2, -1)
-"""Of the table of clean meshes: label, mean."""
 LARGEST_PICTURE = 150_000  # bytes
 
 
@@ -76,14 +74,18 @@ def scanner_table() -> list[str]:
 
 
 def summary(lines: list[str]) -> list[str]:
-    """The tables of accuracy.md: some columns of the first one, the means of the last one."""
-    start = next((at for at, line in enumerate(lines) if line.startswith("| clean ")), len(lines))
-    return [
-        "|".join(line.split("|")[k] for k in (CLEAN if at >= start else COLUMNS))
+    """The table of accuracy.md and what it shows: some columns, and no clean meshes."""
+    end = next((at for at, line in enumerate(lines) if line.startswith("Clean meshes")), len(lines))
+    shown = [
+        "|".join(
+            re.sub(r" \([^)]*\) $", " ", line.split("|")[k]) if k == 8 else line.split("|")[k]
+            for k in COLUMNS
+        )
         if line.startswith("|")
         else line
-        for at, line in enumerate(lines)
+        for line in lines[:end]
     ]
+    return shown[: len(shown) - (shown[-1] == "")]
 
 
 def put(page: Path, name: str, lines: list[str]) -> None:
