@@ -72,18 +72,6 @@ def plain(page: str) -> str:
     return text
 
 
-def test_special_characters_are_escaped():
-    assert MAN.escape(".SH x") == r"\&.SH x"
-    assert MAN.escape("'tis a-b\\n") == r"\(aqtis a\-b\en"
-    assert (
-        METHOD.inline("mean|h| of p* and\n<b>, x_i <- y") == r"mean\|h\| of p\* and \<b>, x_i <- y"
-    )
-    assert METHOD.inline("``a|b*`` or ``al``") == "`a|b*` or `al`"
-    assert COMMAND.inline("with --in-place: a_b '*.ply', `a|b`") == (
-        r"with `--in-place`: a\_b '\*.ply', `a|b`"
-    )
-
-
 @pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
 def test_roff_has_no_warnings():
     for name, text in MAN.pages().items():
@@ -93,35 +81,9 @@ def test_roff_has_no_warnings():
         assert "msal" in made.stdout
 
 
-def test_indented_blocks_are_formulas_and_dashes_are_lists():
-    text = "First\nline:\n\n    a * b\n      c\n\n- one\n  more\n- two\n\n1.  up\n    to\n2. 3.4 x"
-    assert list(METHOD.prose(text, "al")) == [
-        "First line:\n",
-        "```\na * b\n  c\n```\n",
-        "- one more\n- two\n",
-        "1. up to\n2. 3.4 x\n",
-    ]
-
-
 def test_every_name_of_the_api_has_its_place():
     rows = re.findall(r"^### `(\w+)`|^\| `([A-Z]\w*)` \|", API.page(), re.M)
     assert {name or other for name, other in rows} >= set(msal.__all__) - {"__version__"}
-
-
-def test_arguments_are_listed_once():
-    def function():
-        """What.
-
-        Parameters
-        ----------
-        a : one
-            two.
-        b, c : three
-        """
-
-    seen = set()
-    assert "- `a`: one two.\n- `b`, `c`: three\n" in API.describe(function, seen)
-    assert "- `" not in API.describe(function, seen)
 
 
 def test_the_first_page_leads_to_all_pages_in_few_groups():

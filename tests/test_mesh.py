@@ -88,14 +88,6 @@ def test_the_way_back(seed, as_soup, loose):
     assert ready.seam_gap(out) == 0.0
 
 
-def test_a_torn_seam_is_seen():
-    vertices, faces = soup(*torus(7, 5))
-    ready = prepare_mesh(vertices, faces)
-    torn = vertices.copy()
-    torn[3] += [0.0, 0.25, 0.0]
-    assert ready.seam_gap(torn) == pytest.approx(0.25)
-
-
 def test_dirt_is_counted_and_put_aside():
     vertices, faces = torus()
     dirty = np.concatenate([faces, faces[:3], faces[5:7, ::-1], [[0, 0, 1]]])
@@ -140,20 +132,6 @@ def test_far_from_the_origin_nothing_is_lost():
     edges = ready.mesh.vertices[faces[:, 0]] - ready.mesh.vertices[faces[:, 1]]
     assert np.allclose(edges, near[faces[:, 0]] - near[faces[:, 1]], rtol=0, atol=2e-9)
     assert np.abs(ready.mesh.vertices).max() < 5
-
-
-def test_vertices_known_to_be_distinct_need_no_welding():
-    # The last face is degenerate, and the last vertex in no other.
-    vertices, faces = torus(12, 8)
-    vertices = np.concatenate([noisy(vertices), [[9.0, 9.0, 9.0]]])
-    faces = np.concatenate([faces, [[0, 0, len(vertices) - 1]]])
-    plain, distinct = (
-        prepare_mesh(vertices, faces),
-        prepare_mesh(vertices, faces, are_distinct=True),
-    )
-    assert plain.defects == distinct.defects
-    assert np.array_equal(plain.mesh.vertices, distinct.mesh.vertices)
-    assert np.array_equal(plain.mesh.faces, distinct.mesh.faces)
 
 
 def test_a_mesh_with_few_vertices_moved_knows_what_it_would_compute():

@@ -157,20 +157,6 @@ def test_hooks(project, name):
         assert (project / "denoised/spike.ply").exists()
 
 
-def test_check_keeps_its_outputs_in_the_folder_of_a_worktree(project):
-    made = run_shell(
-        project,
-        f"git init -q . && {GIT} commit -qm a --allow-empty && git worktree add -q ../other",
-    )
-    assert made.returncode == 0, made.stderr
-    shutil.copytree(project / "scans", project.parent / "other/scans")
-    words = [*shlex.split(HOOKS["msal-check"]["entry"]), "scans", "--method=al"]
-    done = run_shell(project.parent / "other", words)
-    assert done.returncode == 0, done.stderr
-    assert (project / ".git/worktrees/other/msal/closed.ply").exists()
-    assert run_shell(project.parent / "other", "git status --porcelain").stdout == "?? scans/\n"
-
-
 def assert_junit(path):
     tree = ElementTree.parse(path)
     assert len(tree.findall(".//testcase")) == 3
@@ -236,16 +222,6 @@ def test_component(project):
     assert done.returncode == 4, done.stderr
     assert all((project / name).exists() for name in job["artifacts"]["paths"])
     assert_junit(project / job["artifacts"]["reports"]["junit"])
-
-
-def test_component_takes_several_gates(project):
-    gates = "seconds.total < 0; vertices > 10; "
-    (job,) = component(gates=gates, options="-v", source=".").values()
-    done = run_shell(project, "\n".join(job["script"]), **job["variables"])
-    assert done.returncode == 4, done.stderr
-    assert "broken: vertices > 10" in done.stderr
-    report = json.loads((project / "meshes.json").read_text())
-    assert {len(record["gates"]) for record in report["records"]} == {2}
 
 
 # Many machines

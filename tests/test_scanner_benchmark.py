@@ -13,8 +13,6 @@ from benchmarks.scan_simulation.depth_camera import (
 from benchmarks.scan_simulation.occupancy import Grid, fill_voxels
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_settings import PEER_SETTINGS
-from benchmarks.true_surface import TrueSurface, corner_normals
-from msal_cli.analysis.surface_distance import nearest_on_surface
 from msal_cli.errors import ContentError
 from msal_cli.kernels.geometry import area_and_volume, face_normals
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -72,16 +70,6 @@ def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
     assert roughness(level=0.05) == pytest.approx(0.5 * white, rel=0.25)
 
 
-def test_an_open_or_inverted_mesh_is_filled_all_the_same():
-    vertices, faces = ball(48, 24)
-    inverted = prepare_mesh(vertices, faces[:, ::-1]).mesh
-    assert np.array_equal(scan("voxels", mesh=inverted).vertices, scan("voxels").vertices)
-    lid = vertices[faces].mean(axis=1)[:, 2] > 0.9
-    made = scan("voxels", mesh=prepare_mesh(vertices, faces[~lid]).mesh)
-    assert made.closed_holes == 1
-    assert prepare_mesh(made.vertices, made.faces).defects.boundary_edges == 0
-
-
 def test_a_sheet_has_nothing_inside():
     with pytest.raises(ContentError, match="fills no voxel"):
         scan("voxels", mesh=prepare_mesh(*grid()).mesh)
@@ -127,16 +115,6 @@ def test_noise_goes_along_the_rays_with_the_level_head_on():
     assert along[side].std() > 1.6 * along[front].std()
 
 
-def test_a_fusion_closes_the_sphere():
-    made = scan("fusion", mesh=FINE, **QUIET, misalignment=0.0, views=14)
-    defects = prepare_mesh(made.vertices, made.faces).defects
-    assert (defects.boundary_edges, defects.components, defects.non_manifold_edges) == (0, 1, 0)
-    radii = np.linalg.norm(made.vertices, axis=1)
-    assert np.abs(radii - 1.0).mean() < 0.2 * made.cell
-    outward = face_normals(made.vertices, made.faces) * made.vertices[made.faces].mean(axis=1)
-    assert (outward.sum(axis=1) > 0.0).mean() > 0.99
-
-
 pytest.importorskip("fcpw")
 
 
@@ -149,15 +127,6 @@ def one_model(monkeypatch):
     """A torus in place of all models, and no data."""
     monkeypatch.setattr(scanner_cases, "sources", lambda: {"torus": small_torus})
     monkeypatch.setattr(scanner_cases.ground_truth, "data_folder", lambda: None)
-
-
-def test_every_kind_changes_its_model_and_repeats(one_model):
-    for kind, cases in scanner_cases.cases().items():
-        (case,) = cases
-        pair, again = case.make(), case.make()
-        assert np.array_equal(pair.noisy.vertices, again.noisy.vertices), kind
-        has_moved = not np.array_equal(pair.noisy.vertices, pair.true.vertices)
-        assert has_moved == (kind != scanner_cases.CLEAN), kind
 
 
 def test_errors_of_a_known_result():
@@ -175,21 +144,6 @@ def test_errors_of_a_known_result():
     assert 0.0 < other.angle_deg < 10.0
     expected = 10.0 / small.mean_edge_length
     assert other.distance_percent == pytest.approx(expected, rel=0.05)
-
-
-def test_true_normals_are_smooth_on_a_ball_and_sharp_on_a_cube():
-    coarse = prepare_mesh(*ball(24, 12)).mesh
-    points = prepare_mesh(*ball(96, 48)).mesh.vertices
-    radial = points / np.linalg.norm(points, axis=1)[:, None]
-    facets = face_normals(coarse.vertices, coarse.faces)[nearest_on_surface(points, coarse)[0]]
-    smooth = TrueSurface(coarse).normals_at(points)
-    errors = [
-        np.arccos(np.clip((normals * radial).sum(axis=1), -1, 1)) for normals in (smooth, facets)
-    ]
-    assert errors[0].mean() < 0.3 * errors[1].mean()
-    box = prepare_mesh(*cube()).mesh
-    normals = face_normals(box.vertices, box.faces)
-    assert np.allclose(corner_normals(box), normals[:, None, :])
 
 
 def test_the_section_is_printed_without_any_peer(one_model, tmp_path, capsys, monkeypatch):

@@ -211,11 +211,6 @@ def test_a_folder_is_not_flushed_where_it_cannot_be_opened(tmp_path, windows):
     atomic.flush_folder(tmp_path)
 
 
-def test_names_are_folded_as_file_systems_do():
-    assert plan.fold_case("S/\u00c9.PLY") == plan.fold_case("s/e\u0301.ply")
-    assert plan.fold_case("a.ply") != plan.fold_case("b.ply")
-
-
 def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
     # SIGBREAK is 21 on Windows; here another number plays its part.
     number = int(getattr(signal, "SIGUSR1", signal.SIGTERM))
@@ -227,12 +222,6 @@ def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
     with pytest.raises(interrupts.Terminated) as caught:
         interrupts.raise_for(number)
     assert caught.value.exit_status == 128 + number
-
-
-def test_signals_that_a_system_lacks_are_left_out(monkeypatch):
-    if hasattr(signal, "SIGHUP"):
-        monkeypatch.delattr(signal, "SIGHUP")
-    assert set(interrupts._numbers()) >= {signal.SIGINT, signal.SIGTERM}
 
 
 def test_holes_are_not_looked_for_without_seek_hole_and_pread(tmp_path, monkeypatch):

@@ -147,3 +147,8 @@ def test_the_mixture_moves_farther_by_as_much_as_is_asked_for(strength):
     lengths = [np.linalg.norm(moves, axis=1).mean() for moves in (base, mixed)]
     ratio = lengths[1] / lengths[0]
     assert 1.0 + MORE * strength <= ratio < 1.0 + MORE * strength + 0.05
+
+
+def test_if_none_moves_far_enough_the_farthest_is_mixed_in():
+    base = np.ones((10, 3))
+    assert strengthen(base, [0.2 * base, 0.9 * base], 2.0) == (1, 1.0)

@@ -83,10 +83,6 @@ def test_kills_cost_nothing(scans, whole, tmp_path, count):
     print(f"\n{dict(met)}")
 
 
-def workers_of(process):
-    return [pid for pid in session_of(process.pid) if pid != process.pid]
-
-
 def is_listening(process):
     """Whether msal has taken its signals; while Python itself starts, Ctrl-C is its own affair."""
     try:

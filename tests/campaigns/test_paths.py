@@ -98,19 +98,3 @@ def test_names_of_our_own_are_no_inputs_and_are_not_written_over(tmp_path):
         assert status == 2 and "msal's own" in said
         assert statuses(scans / name, "--in-place")[0] == 2
         assert not (tmp_path / "b").exists() and (scans / name).read_bytes() == SCAN
-
-
-def test_hard_links_in_place_are_as_many_files(tmp_path):
-    scans = folder_of(tmp_path / "in", a=SCAN)
-    os.link(scans / "a.ply", scans / "b.ply")
-    assert statuses(scans, "--in-place")[:2] == (0, {"a.ply": "written", "b.ply": "written"})
-    after = contents(scans)
-    assert after["a.ply"] == after["b.ply"] != SCAN == after["a.ply.orig"] == after["b.ply.orig"]
-
-
-def test_a_path_too_long_for_the_system(tmp_path):
-    scans = folder_of(tmp_path / "in", a=SCAN)
-    folder_of(scans / Path(*["e" * 200] * 16), b=SCAN)
-    status, results, said = statuses(scans, "-o", tmp_path / Path(*["o" * 200] * 4))
-    assert (status, results) == (3, {"a.ply": "written", "b.ply": "failed"}), said
-    assert "File name too long (E_WRITE)" in said

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from msal_cli.codecs import normal_warnings, obj, open_mesh
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
-from tests.codecs import plain_ply
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 ROOF = b"""# two sides that meet at an edge, one normal each
@@ -172,19 +171,6 @@ V 1 2 3
 
 
 # Arrays that grow
-
-
-def test_faces_of_many_corners() -> None:
-    n = 5000
-    ring = b"".join(
-        b"v %.6f %.6f 0\n" % (math.cos(k / n * 6.28), math.sin(k / n * 6.28)) for k in range(n)
-    )
-    data = ring + b"f " + b" ".join(b"%d" % (k + 1) for k in range(n)) + b"\nf 1 2 3\n"
-    file = obj.read(data, "")
-    assert (len(file.faces), file.n_polygons) == (n - 1, 2)
-    assert file.faces[n - 3].tolist() == [0, n - 2, n - 1]
-    with_normals = data.replace(b"v 1.", b"vn 0 0 1\nv 1.", 1).replace(b" 2 3", b"//1 2//1 3//1")
-    assert obj.read(with_normals, "").properties == ("normals",)
 
 
 @given(st.binary(max_size=200), st.lists(st.sampled_from([b"v ", b"\nvn\t", b" f\\", b"v"])))
@@ -456,10 +442,3 @@ def test_shared_normals_that_cannot_fit_are_counted():
         "turned apart: 2 of 2 faces (100.0 %) are now more than 30 degrees off their vn (0.0 %"
     )
     assert counted in warning
-
-
-def test_a_file_without_normals_or_of_another_format_has_no_such_warning():
-    file = open_mesh(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj")
-    assert normal_warnings(file, file.vertices[:, ::-1].copy()) == ()
-    ply = open_mesh(plain_ply.written(plain_ply.cube("ascii", "float")), "a.ply")
-    assert normal_warnings(ply, ply.vertices[:, ::-1].copy()) == ()

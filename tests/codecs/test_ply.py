@@ -12,7 +12,7 @@ import trimesh
 from msal_cli import codecs
 from msal_cli.codecs import open_mesh, ply
 from msal_cli.codecs.ply_write import with_fields
-from msal_cli.errors import ContentError, InternalError, MsalError, UsageError
+from msal_cli.errors import ContentError, InternalError, MsalError
 from tests.cli.scans import closed_scan, ply_text
 from tests.codecs import plain_ply
 from tests.codecs.plain_ply import ENCODINGS, Element, Ply
@@ -288,13 +288,6 @@ def test_long_integers_are_exact_there_and_back():
     assert bytes(again.encoded(again.vertices, "binary", "same")) == plain_ply.written(file)
 
 
-def test_unknown_words_for_encoding_and_precision_are_wrong_use():
-    mesh = read(plain_ply.cube())
-    for words in (("little", "same"), ("same", "float16")):
-        with pytest.raises(UsageError):
-            mesh.encoded(mesh.vertices, *words)
-
-
 @pytest.mark.parametrize(
     ("kind", "token"),
     [
@@ -504,3 +497,12 @@ def test_a_field_that_cannot_be(name):
     source = opened(ply_text(*cube()))
     with pytest.raises(InternalError):
         with_fields(source, source.vertices, {name: np.zeros(8)})
+
+
+def test_a_list_longer_than_its_count_type_does_not_become_binary():
+    file = mesh_file("ascii", *grid(3, 3))
+    file.elements[1].properties = [("vertex_indices", "int", "char")]
+    file.elements[1].rows[2][0] = [0, 1, 4] * 43
+    mesh = read(file)
+    with pytest.raises(ContentError, match="face 2"):
+        mesh.encoded(mesh.vertices, "binary", "same")

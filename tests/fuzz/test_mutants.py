@@ -102,10 +102,3 @@ def test_mutants_through_the_whole_pipeline(format, tmp_path):
             assert record.error.message
         assert not list(target.parent.iterdir()), "something was left behind"
     assert 0 < n_written < 60
-
-
-def test_a_mutant_can_be_made_again():
-    for format in survival.FORMATS:
-        made = [mutants.mutant(format, number) for number in range(60)]
-        assert made == [mutants.mutant(format, number) for number in range(60)]
-        assert len(set(made)) > 50

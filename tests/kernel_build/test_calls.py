@@ -52,27 +52,10 @@ def test_a_read_only_array_is_not_written(call):
     assert not result.any()
 
 
-def test_numbers_of_numpy_are_numbers(call):
-    rows = np.zeros((1, 1))
-    for number in (np.int64(5), 5):
-        assert call(some.described, rows, number, np.bool_(False)) == (1, 2.5, True, 1)
-    assert call(some.described, rows, np.float64(4.0), True)[1] == 2.0
-
-
 def test_a_failure_in_a_kernel_is_an_exception(call):
     with pytest.raises(RuntimeError, match="failed"):
         call(some.room, -1)
     assert call(some.room, 7) == 7
-
-
-def test_division_is_that_of_numpy(call):
-    assert call(some.ratio, 7.0, 2.0) == 3.5
-    assert call(some.ratio, 1.0, 0.0) == np.inf
-
-
-def test_functions_of_the_library(call):
-    expected = some.functions.function(1.5, 2.5)
-    assert call(some.functions, 1.5, 2.5) == pytest.approx(expected, rel=1e-15)
 
 
 def test_zig_links_what_the_systems_compiler_links(build):
@@ -82,15 +65,6 @@ def test_zig_links_what_the_systems_compiler_links(build):
     entry = entries[library.signature(some.scaled_sum.name, arg_types)]
     kernel = library.bind(loaded, entry, arg_types)
     assert kernel(np.arange(3.0), np.empty(3)) == 9.0
-
-
-@pytest.mark.parametrize("level", ["", "v2"])
-def test_a_level_of_the_processor_can_be_chosen(build, monkeypatch, level):
-    monkeypatch.setenv("MSAL_CPU", level)
-    loaded, _ = build(linking.system_compiler() or linking.ZIG)
-    if not loaded.msal_cpu_level():
-        pytest.skip("this kind of processor has one level")
-    assert library.level_suffix(loaded) == "_" + (level or f"v{loaded.msal_cpu_level()}")
 
 
 def test_a_level_that_is_not_there_is_an_error(build, monkeypatch):

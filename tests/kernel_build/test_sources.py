@@ -86,12 +86,6 @@ def test_written_arguments(kernel, expected):
     assert written_arguments(kernel) == expected
 
 
-def test_a_line_of_the_list():
-    line = "text._copied(u1[::1], f4[:, :, ::1], f4[:, :], i8)"
-    assert arg_types_of(line) == ["u1[::1]", "f4[:, :, ::1]", "f4[:, :]", "i8"]
-    assert arg_types_of("text._copied()") == []
-
-
 def test_every_line_names_a_kernel_and_its_arguments():
     for line in listed():
         code = kernel_of(line).function.__code__

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msal_cli.view.camera import frame_vertices, rotate
+from msal_cli.view.camera import choose_camera, frame_vertices, rotate
 from msal_cli.view.shading import shade
 from tests.shapes import ball
 
@@ -74,3 +74,10 @@ def test_the_same_mesh_gives_the_same_image(monkeypatch):
         monkeypatch.setenv("MSAL_THREADS", threads)
         images.append(seen(vertices, faces))
     assert (images[0] == images[1]).all()
+
+
+def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
+    vertices, faces = ball()
+    camera = choose_camera(vertices, faces)
+    images = [shade(vertices, one, camera, 60, 60).astype(int) for one in (faces, faces[:, ::-1])]
+    assert np.abs(images[0] - images[1]).max() <= 1
