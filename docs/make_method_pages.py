@@ -11,7 +11,7 @@ from __future__ import annotations
 import collections
 import re
 import textwrap
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from msal_cli import methods
@@ -85,14 +85,24 @@ def shared_specs(all_methods: list[Method]) -> dict[Meaning, list[str]]:
     return {key: names for key, names in users.items() if len(names) >= SHARED}
 
 
+def common_defaults(all_methods: list[Method]) -> dict[Meaning, str]:
+    """The defaults of shared parameters that all their methods have."""
+    defaults: dict[Meaning, set[str]] = {}
+    for method in all_methods:
+        for spec in method.parameters:
+            defaults.setdefault(meaning(spec), set()).add(f"{spec.default}")
+    return {key: words.pop() for key, words in defaults.items() if len(words) == 1}
+
+
 def shared_items(all_methods: list[Method]) -> Iterator[str]:
     """The parameters that the index explains; one of several meanings with its methods."""
     shared = shared_specs(all_methods)
+    defaults = common_defaults(all_methods)
     specs = {meaning(spec): spec for method in all_methods for spec in method.parameters}
     counts = collections.Counter(name for name, *_ in shared)
     for key, names in sorted(shared.items(), key=lambda pair: pair[0][0]):
         of = f" of {', '.join(names)}" if counts[key[0]] > 1 else ""
-        yield item(specs[key], of=of)
+        yield item(specs[key], defaults.get(key, ""), of)
 
 
 def item(spec: ParameterSpec, default: str = "", of: str = "") -> str:
@@ -113,18 +123,22 @@ def item(spec: ParameterSpec, default: str = "", of: str = "") -> str:
     return f"- {head}{of}{allowed}: {text}{'' if text.endswith('.') else '.'}{more}\n"
 
 
-def parameters(method: Method, shared: Container[Meaning]) -> Iterator[str]:
-    """The parameters of a method: a list of its own ones, a sentence on the others."""
+def parameters(method: Method, all_methods: list[Method]) -> Iterator[str]:
+    """The parameters of a method: a list of its own ones, a sentence on the shared ones."""
+    shared, defaults = shared_specs(all_methods), common_defaults(all_methods)
     own = [spec for spec in method.parameters if meaning(spec) not in shared]
     others = [spec for spec in method.parameters if meaning(spec) in shared]
     if own:
         yield "".join(item(spec, f"{spec.default}") for spec in own)
     if others:
-        pairs = ", ".join(f"`{spec.name}` (`{spec.default}`)" for spec in others)
-        yield f"[Shared](README.md#shared-parameters): {pairs}.\n"
+        words = ", ".join(
+            f"`{spec.name}`" + ("" if meaning(spec) in defaults else f" (`{spec.default}`)")
+            for spec in others
+        )
+        yield f"[Shared](README.md#shared-parameters): {words}.\n"
 
 
-def page(method: Method, shared: Container[Meaning]) -> str:
+def page(method: Method, all_methods: list[Method]) -> str:
     """All about one method."""
     before, _, rest = method.description.partition("Source:")
     _, _, body = before.partition("\n")
@@ -137,9 +151,8 @@ def page(method: Method, shared: Container[Meaning]) -> str:
             f"**{inline(method.summary)}**\n",
             *blocks,
             "## Parameters\n",
-            *parameters(method, shared),
-            "## Source\n",
-            f"{inline(method.source)}\n",
+            *parameters(method, all_methods),
+            f"Source: {inline(method.source)}\n",
         ]
     )
 
@@ -165,16 +178,15 @@ def index(all_methods: list[Method]) -> str:
         f"`msal` with another operator: {', '.join(scheduled)} take it. `msal` itself takes the "
         "last three.\n\n"
         "## Shared parameters\n\n"
-        "Each page has the default. Further names are options, and symbols that `--set` takes.\n\n"
-        + "".join(shared_items(all_methods))
+        "Pages have the defaults that differ. Further names are options, and symbols that `--set` "
+        "takes.\n\n" + "".join(shared_items(all_methods))
     )
 
 
 def pages() -> dict[str, str]:
     """Every page by its file name."""
     found = [methods.find(name) for name in methods.names()]
-    shared = shared_specs(found)
-    made = {f"{method.name}.md": page(method, shared) for method in found}
+    made = {f"{method.name}.md": page(method, found) for method in found}
     return {"README.md": index(found)} | made
 
 
