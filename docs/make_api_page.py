@@ -45,12 +45,13 @@ _SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 
 
 def signature(function: Any, listed: dict[str, str]) -> str:
-    """A function with its arguments, one a line where they are many.
+    """A function with its arguments, one a line where they are many, keywords without types.
 
     Many arguments that are alike in a function before, by their text in ``listed``, stand in a
     comment; the others are added there.
     """
     arguments = list(inspect.signature(function).parameters.values())
+    arguments_by_name = {one.name: one for one in arguments}
     texts = {one.name: argument(one) for one in arguments}
     keywords = [one.name for one in arguments if one.kind is one.KEYWORD_ONLY]
     as_before = [name for name in keywords if texts[name] in listed]
@@ -61,7 +62,8 @@ def signature(function: Any, listed: dict[str, str]) -> str:
         if keywords and name == keywords[0]:
             lines.append("*,")
         if name not in as_before:
-            lines.append(f"{text},")
+            short = f"{name}={arguments_by_name[name].default!r}" if name in keywords else text
+            lines.append(f"{short},")
     if as_before:
         names = f"and of {listed[texts[as_before[-1]]]}: {', '.join(as_before)}"
         lines[-1:-1] = [f"# {line}" for line in textwrap.wrap(names, 78)]
