@@ -53,8 +53,8 @@ MIN_VERTICES = 256
 """Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,
 a torus of 96, a ring of 128.  Scans have more."""
 
-PART, SEEDS = 4_000, 16_384
-"""Vertices that candidates run on, and places where patches of a large mesh may begin."""
+PART = 4_000
+"""Vertices that candidates run on."""
 
 PROBES = 1
 """One probe of the divergence is enough: the candidates are few, and far apart."""
@@ -147,7 +147,8 @@ def _build_case(mesh: Mesh, noise: NoiseLevel) -> _Case:
     model = model.along_normals()
     loudest = levels[-1] * mesh.mean_edge_length if levels else 0.0
     base = even_out(mesh, relax)
-    height = model.height(mesh.topology.has_ring, mesh.vertex_normals("uniform", 1))
+    normals = None if model.axis is None else mesh.vertex_normals("uniform", 1)
+    height = model.height(mesh.topology.has_ring, normals)
     edges = max(height, loudest) / base.mean_edge_length
     return _Case(base, model, edges, local, levels, relax)
 
@@ -157,7 +158,7 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
     where it ``is_unsure`` that there is noise."""
     mesh = case.mesh
     what = describe_noise(noise, is_unsure)
-    part = select_patch(mesh, PART, SEEDS)
+    part = select_patch(mesh, PART)
     surface = _find_surface(part)
     model = case.model.on_part(part.numbers)
     done = total = 0

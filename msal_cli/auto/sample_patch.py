@@ -19,6 +19,10 @@ Ints = NDArray[Any]
 PATCH = 2_000
 """Vertices of a patch, about: in smaller ones too much is near the cut."""
 
+SEEDS = 16_384
+"""Places where patches of a large mesh may begin, evenly over the numbers of vertices: to order a
+million by place takes longer than a short search can spend."""
+
 MARGIN = 3
 """Rings at the cut of a patch that are filtered but not evaluated: their neighbours beyond the cut
 are missing."""
@@ -43,11 +47,8 @@ class Part:
     numbers: Ints | None = None
 
 
-def select_patch(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
+def select_patch(mesh: Mesh, most: int) -> Part:
     """Patches of about ``most`` vertices together; the whole mesh if it has hardly more.
-
-    Patches grow from any vertex, or from one of about ``seeds`` vertices evenly over their numbers:
-    to order a million of them by place takes longer than a short search can spend.
 
     Fixed vertices and those that no face uses are not evaluated.  The sample itself has no fixed
     vertices and no trust.
@@ -65,8 +66,8 @@ def select_patch(mesh: Mesh, most: int, seeds: int | None = None) -> Part:
         return Part(whole, judged)
     # Patches begin only at vertices that are evaluated.
     places = np.flatnonzero(judged if judged.any() else links.has_ring)
-    if seeds is not None and len(places) > 2 * seeds:
-        places = places[:: len(places) // seeds]
+    if len(places) > 2 * SEEDS:
+        places = places[:: len(places) // SEEDS]
     order = places[_in_space(mesh.vertices[places])]
     inside = np.zeros(n, dtype=np.bool_)
     count = max(most // PATCH, 1)

@@ -20,6 +20,8 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     """
     from msal_cli.kernels.geometry import slide
 
+    if not passes:
+        return mesh
     links = mesh.topology
     normals = mesh.vertex_normals("uniform", MOLLIFY)
     free = links.has_ring & ~links.boundary
@@ -28,4 +30,4 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     positions = mesh.vertices
     for _ in range(passes):
         positions = slide(positions, normals, free, STEP, *links.one_ring)
-    return mesh.with_vertices(positions) if passes else mesh
+    return mesh.with_vertices(positions)
