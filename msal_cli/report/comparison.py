@@ -16,10 +16,13 @@ from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference
 from msal_cli.report.data import parse_json, read_json, read_record
 from msal_cli.report.facts import (
+    Fact,
     Line,
+    fact_lines,
     failure_lines,
     file_name,
     gate_text,
+    list_broken,
     self_intersections_text,
     vertices_text,
 )
@@ -66,8 +69,7 @@ def describe_comparison(record: ComparisonRecord) -> list[Line]:
         ),
         Line(f"after   {file_name(record.after)}: {after}, {record.faces_after or 0:,} triangles"),
     ]
-    lines += [Line(f"  {word:<18} {text}") for word, text in _facts(record)]
-    return lines + [Line(f"  {'warning':<18} {text}", "bad") for text in record.warnings]
+    return [*lines, *fact_lines(_facts(record), 18)]
 
 
 def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
@@ -92,46 +94,49 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
 def broken_gates(records: Sequence[ComparisonRecord]) -> Iterator[Line]:
     """A line for every gate that a pair breaks, with the value."""
     for record in records:
-        for gate in record.gates:
-            if gate.broken:
-                yield Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
+        for gate in list_broken(record):
+            yield Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
 
 
 def _pair_name(record: ComparisonRecord) -> str:
     return f"{file_name(record.before)} and {file_name(record.after)}"
 
 
-def _facts(record: ComparisonRecord) -> Iterator[tuple[str, str]]:
-    yield "mean edge before", figure(record.mean_edge_length, ".6g", unknown="-")
+def _facts(record: ComparisonRecord) -> Iterator[Fact]:
+    yield Fact("mean edge before", figure(record.mean_edge_length, ".6g", unknown="-"))
     if record.correspondence == "surface":
-        yield "compared", "surfaces only: the faces are not the same"
+        yield Fact("compared", "surfaces only: the faces are not the same")
     if record.mean_angular_error_deg is not None:
         largest = record.max_angular_error_deg or 0.0
-        yield "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
+        yield Fact(
+            "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
+        )
     if record.vertex_error_percent is not None:
-        yield "vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge"
+        yield Fact("vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge")
     for title, distance in (
         ("displacement", record.displacement),
         ("after to before", record.distance_to_before),
         ("before to after", record.distance_to_after),
     ):
         if distance is not None:
-            words = ("mean", "rms", "p95", "max")
-            pairs = [(getattr(distance, w), getattr(distance, f"{w}_edges")) for w in words]
-            parts = zip(words, pairs, strict=True)
-            yield title, ", ".join(f"{w} {size:.4g} ({edges:.4g} e)" for w, (size, edges) in parts)
+            parts = (
+                f"{word} {getattr(distance, word):.4g} ({getattr(distance, f'{word}_edges'):.4g} e)"
+                for word in ("mean", "rms", "p95", "max")
+            )
+            yield Fact(title, ", ".join(parts))
     if record.hausdorff is not None and record.hausdorff_edges is not None:
-        yield "Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)"
+        yield Fact("Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)")
     volume = record.volume
     if volume is not None:
         change = figure(volume.change_percent, "+.4g", " %", "-")
         known = f"{change} ({figure(volume.change, '+.4g')})"
-        yield "volume", f"- {volume.reason}" if volume.change is None else known
-    yield "area", figure(record.area_change_percent, "+.4g", " %", "-")
+        yield Fact("volume", f"- {volume.reason}" if volume.change is None else known)
+    yield Fact("area", figure(record.area_change_percent, "+.4g", " %", "-"))
     if record.flipped_faces is not None:
-        yield "flipped faces", f"{record.flipped_faces:,}"
+        yield Fact("flipped faces", f"{record.flipped_faces:,}")
     if record.self_intersections is not None:
-        yield "intersecting", self_intersections_text(record.self_intersections)
+        yield Fact("intersecting", self_intersections_text(record.self_intersections))
+    yield from (Fact("warning", text, "bad") for text in record.warnings)
 
 
 # Baseline

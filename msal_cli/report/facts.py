@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -17,6 +17,7 @@ from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import (
     DONE,
+    ComparisonRecord,
     Failure,
     GateResult,
     InfoRecord,
@@ -93,14 +94,13 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
         yield Fact("next best", ", ".join(risks), level=DETAIL)
         yield Fact("by hand", shlex.join(choice.repeat), level=DETAIL)
     if method is not None:
-        given = (
+        given = ", ".join(
             f"{name} {value}"
             for name, value in method.parameters.items()
             if name not in defaults or defaults[name] != value
         )
-        named = ", ".join(given)
         level = SHORT if choice is None else DETAIL
-        yield Fact("method", method.name + (f" ({named})" if named else ""), level=level)
+        yield Fact("method", method.name + (f" ({given})" if given else ""), level=level)
     is_unchanged = record.status == "unchanged"
     level = DETAIL if is_unchanged else SHORT
     yield Fact("left as it is", record.left_alone or "", level=level)
@@ -149,9 +149,8 @@ def _time_text(record: MeshRecord) -> str:
 
 
 def _remarks(record: MeshRecord) -> Iterator[Fact]:
-    for gate in record.gates:
-        if gate.broken:
-            yield Fact("gate", gate_text(gate), "bad", ATTENTION)
+    for gate in list_broken(record):
+        yield Fact("gate", gate_text(gate), "bad", ATTENTION)
     for warning in record.warnings:
         yield Fact("warning", warning, "bad", ATTENTION)
     reference = record.reference
@@ -168,6 +167,12 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
         yield Fact("intersecting", self_intersections_text(record.self_intersections))
     for sidecar in record.sidecars:
         yield Fact("beside it", sidecar)
+
+
+def fact_lines(facts: Iterable[Fact], width: int) -> Iterator[Line]:
+    """The lines of facts, their words in ``width`` columns."""
+    for fact in facts:
+        yield Line(f"  {fact.word:<{width}} {fact.text}", fact.tone)
 
 
 # Figures
@@ -237,7 +242,7 @@ def worst_first(records: Sequence[MeshRecord]) -> list[MeshRecord]:
     """
 
     def rank(record: MeshRecord) -> tuple[int, int, float, float]:
-        n_broken = sum(gate.broken for gate in record.gates)
+        n_broken = len(list_broken(record))
         group = {"failed": 0, "planned": 2}.get(record.status, 3)
         moved = value_at(record, "displacement.max_edges")
         change = value_at(record, "volume.change_percent")
@@ -267,9 +272,7 @@ def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
         for record in worst
         if (failure := record.error) is not None
     ]
-    broken = [
-        (record, (gate_values(gate),)) for record in worst for gate in record.gates if gate.broken
-    ]
+    broken = [(record, (gate_values(gate),)) for record in worst for gate in list_broken(record)]
     warned = [(record, (warning,)) for record in worst for warning in record.warnings]
     unsure = [(record, (text,)) for record in worst if (text := unsure_text(record))]
     tables = (
@@ -287,7 +290,7 @@ def problem_texts(record: MeshRecord) -> list[str]:
     if record.error is not None:
         hint = [f"hint: {record.error.hint}"] if record.error.hint else []
         return [f"{name}: {failure_text(record.error)}", *hint]
-    broken = [gate_values(gate) for gate in record.gates if gate.broken]
+    broken = list(map(gate_values, list_broken(record)))
     return [f"{name}:", *broken] if broken else []
 
 
@@ -405,6 +408,11 @@ def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[
         return []
     lines = [Line(f"{indent}{name}: {failure_text(failure)}", "bad")]
     return lines + ([Line(f"{indent}  hint: {failure.hint}")] if failure.hint else [])
+
+
+def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
+    """The gates that a record breaks."""
+    return [gate for gate in record.gates if gate.broken]
 
 
 def gate_values(gate: GateResult) -> str:

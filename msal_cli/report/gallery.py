@@ -27,7 +27,7 @@ from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
-from msal_cli.report.html import Gallery, Pictures, Scale
+from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
 from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
@@ -87,10 +87,9 @@ class PictureCache:
     def add(self, key: str, drawn: Pictures, scene: str) -> None:
         """Keep new pictures."""
         self.n_drawn += 1
-        parts = (drawn.before, drawn.after, drawn.deviation or b"", scene.encode())
-        for name, part in zip(_CACHED_NAMES, parts, strict=True):
+        for name, part in zip(_CACHED_NAMES, (*drawn, scene.encode()), strict=True):
             if key:
-                self._new[f"{key}/{name}"] = part
+                self._new[f"{key}/{name}"] = part or b""
 
     def to_bytes(self) -> bytes | None:
         """The archive; None if it is as it was."""
@@ -183,7 +182,7 @@ def build_gallery(
         if scene:
             scenes[at] = scene
             is_decimated |= (record.triangles or 0) > bounds.scene_faces
-        n_bytes += len(images[at].before) + len(images[at].after) + len(images[at].deviation or b"")
+        n_bytes += sum(len(part or b"") for part in images[at])
     remarks = []
     if n_left:
         remarks.append(
@@ -199,7 +198,7 @@ def build_gallery(
     return Gallery(
         pictures=images,
         scenes=scenes,
-        scale=_scale(reach),
+        legend=_draw_legend(reach),
         script=viewer.script() if scenes else "",
         style=viewer.style() if scenes else "",
         remarks=tuple(remarks),
@@ -283,12 +282,20 @@ def _reach(records: Sequence[MeshRecord]) -> float:
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= wanted * 0.999)
 
 
-def _scale(reach: float) -> Scale:
+def _draw_legend(reach: float) -> str:
+    """The elements that say what the colours of deviations mean."""
     table = colours.colour_table("diverging")
-    rows = [table[round(at * (len(table) - 1) / (_SHADES - 1))] for at in range(_SHADES)]
-    return Scale(
-        title="Deviation, along the normals, the same scale for all files:",
-        low=f"−{reach:g} (inwards)",
-        high=f"+{reach:g} mean edge lengths (outwards)",
-        colours=tuple("#" + "".join(f"{int(part):02x}" for part in row) for row in rows),
+    size = 100 / _SHADES
+    rects = []
+    for at in range(_SHADES):
+        shade = table[round(at * (len(table) - 1) / (_SHADES - 1))]
+        colour = "".join(f"{int(part):02x}" for part in shade)
+        rects.append(
+            f'<rect x="{at * size:.3f}" width="{size + 0.2:.3f}" height="10" fill="#{colour}"/>'
+        )
+    return (
+        '<div class="scale"><span>Deviation, along the normals, the same scale for all files:'
+        f"</span><span>\N{MINUS SIGN}{reach:g} (inwards)</span>"
+        '<svg viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">'
+        f"{''.join(rects)}</svg><span>+{reach:g} mean edge lengths (outwards)</span></div>"
     )

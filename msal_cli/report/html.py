@@ -18,7 +18,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
 from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import DONE, MeshRecord
@@ -34,6 +34,7 @@ from msal_cli.report.facts import (
     file_name,
     format_count,
     gate_values,
+    list_broken,
     list_figures,
     percent_text,
     problem_tables,
@@ -54,8 +55,7 @@ _MAX_COMMAND = 20_000
 _MAX_PROBLEMS = 200
 
 
-@dataclass(frozen=True)
-class Pictures:
+class Pictures(NamedTuple):
     """JPEGs of one mesh from one place: before, after, and where it moved (None: not known)."""
 
     before: bytes
@@ -64,26 +64,17 @@ class Pictures:
 
 
 @dataclass(frozen=True)
-class Scale:
-    """What the colours of all deviations mean: hex colours from ``low`` to ``high``."""
-
-    title: str
-    low: str
-    high: str
-    colours: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Gallery:
     """Pictures and scenes by the number of the record, as far as there are any.
 
-    ``scenes`` are elements of HTML, which ``script`` (behind them) and ``style`` bring to life.
+    ``scenes`` are elements of HTML, which ``script`` (behind them) and ``style`` bring to life;
+    ``legend`` are elements that say what the colours of all deviations mean.
     ``remarks`` say in words what was left out, and why.
     """
 
     pictures: Mapping[int, Pictures] = field(default_factory=dict)
     scenes: Mapping[int, str] = field(default_factory=dict)
-    scale: Scale | None = None
+    legend: str = ""
     script: str = ""
     style: str = ""
     remarks: tuple[str, ...] = ()
@@ -144,7 +135,7 @@ def render(
         static=static,
         beyond=beyond if n_more > 0 else "",
         words=escape(ORDER_TEXT),
-        scale=_scale(gallery) if pictures else "",
+        scale=gallery.legend if pictures else "",
         remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in remarks),
         settings=_settings(run),
         rows=rows,
@@ -169,7 +160,7 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]
     columns = [dict(zip(("title", "unit", "kind"), head, strict=True)) for head in heads]
     rows = []
     for record in records:
-        kind = "gate" if any(gate.broken for gate in record.gates) else "good"
+        kind = "gate" if list_broken(record) else "good"
         kind = record.status if record.status in ("failed", "planned") else kind
         status = {"planned": "not done", "up-to-date": "up to date"}.get(
             record.status, "gate broken" if kind == "gate" else record.status
@@ -238,9 +229,7 @@ def _fit_pictures(
     kept: list[list[str | None] | None] = []
     n_dropped = 0
     for at in order:
-        shown = pictures.get(at)
-        several = (shown.before, shown.after, shown.deviation) if shown else ()
-        texts = [None if data is None else to_base64(data) for data in several]
+        texts = [None if data is None else to_base64(data) for data in pictures.get(at, ())]
         room -= sum(len(text or "") + 4 for text in texts)
         # After one that does not fit none does.
         n_dropped += bool(texts) and (n_dropped > 0 or room < 0)
@@ -310,7 +299,7 @@ def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
     title = "The worst file in 3D" if len(scenes) == 1 else f"The worst {len(scenes)} in 3D"
     cards = []
     for record, elements in scenes:
-        parts = [gate_values(gate) for gate in record.gates if gate.broken]
+        parts = [gate_values(gate) for gate in list_broken(record)]
         if record.displacement is not None:
             parts.append(f"moved at most {record.displacement.max_edges:.3g} mean edge lengths")
         if record.volume is not None and record.volume.valid:
@@ -322,23 +311,6 @@ def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
             f"{elements}</article>"
         )
     return f'<section><h2>{title}</h2><div class="cards">{"".join(cards)}</div></section>'
-
-
-def _scale(gallery: Gallery) -> str:
-    scale = gallery.scale
-    if scale is None:
-        return ""
-    n = max(1, len(scale.colours))
-    wide = f'width="{100 / n + 0.2:.3f}" height="10"'
-    rects = "".join(
-        f'<rect x="{100 * at / n:.3f}" {wide} fill="{escape(colour)}"/>'
-        for at, colour in enumerate(scale.colours)
-    )
-    return (
-        f'<div class="scale"><span>{escape(scale.title)}</span><span>{escape(scale.low)}</span>'
-        f'<svg viewBox="0 0 100 10" preserveAspectRatio="none" aria-hidden="true">{rects}</svg>'
-        f"<span>{escape(scale.high)}</span></div>"
-    )
 
 
 def _settings(run: Run) -> str:
@@ -403,18 +375,9 @@ def _histograms(records: Sequence[MeshRecord]) -> str:
     return f'<section class="histograms" aria-label="Histograms">{inner}</section>' if parts else ""
 
 
-@dataclass(frozen=True)
-class Bins:
-    """Counts between ``edges``; what lies below the first and beyond the last edge beside them."""
-
-    edges: tuple[float, ...]
-    counts: tuple[int, ...]
-    below: int
-    beyond: int
-
-
-def bin_values(values: Sequence[float]) -> Bins:
-    """The values in equal steps; a few far outliers get no axis that squeezes all the others.
+def bin_values(values: Sequence[float]) -> tuple[list[float], list[int]]:
+    """The edges of equal steps, and how many values lie below the first, between each two and
+    beyond the last; a few far outliers get no axis that squeezes all the others.
 
     ``values`` are finite, and at least one.
     """
@@ -427,17 +390,12 @@ def bin_values(values: Sequence[float]) -> Bins:
     step = (high - low) / n_bins
     if not (math.isfinite(step) and low + step > low):
         # Values that are too large or too close for steps between them.
-        return Bins((low, high), (len(values),), 0, 0)
-    counts = [0] * n_bins
-    below = beyond = 0
+        return [low, high], [0, len(values), 0]
+    counts = [0] * (n_bins + 2)
     for value in values:
-        if value < low:
-            below += 1
-        elif value > high:
-            beyond += 1
-        else:
-            counts[min(n_bins - 1, int((value - low) / step))] += 1
-    return Bins(tuple(low + step * at for at in range(n_bins + 1)), tuple(counts), below, beyond)
+        at = min(n_bins - 1, int((value - low) / step)) + 1 if low <= value <= high else 0
+        counts[at if value <= high else -1] += 1
+    return [low + step * at for at in range(n_bins + 1)], counts
 
 
 def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "") -> str:
@@ -452,21 +410,20 @@ def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "
     def text(value: float) -> str:
         return html.escape(figure(value, form, unit))
 
-    bins = bin_values(ranked)
-    edges = bins.edges
+    edges, counts = bin_values(ranked)
     low, median, high = (text(ranked[at]) for at in (0, len(ranked) // 2, -1))
     label = f"{html.escape(title)}: {len(ranked):,} files from {low} to {high}, median {median}"
-    highest = max(*bins.counts, bins.below, bins.beyond, 1)
+    highest = max(counts)
     left, right, floor = _LEFT, _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    slot = (right - left) / (len(bins.counts) + 2)
+    slot = (right - left) / len(counts)
     places = [f"{text(a)} to {text(b)}" for a, b in itertools.pairwise(edges)]
     places = [f"below {text(edges[0])}", *places, f"above {text(edges[-1])}"]
     parts = []
-    for at, count in enumerate((bins.below, *bins.counts, bins.beyond)):
+    for at, count in enumerate(counts):
         if count:
             # A single file among thousands must still be seen.
             height = max(2.0, (floor - _TOP) * count / highest)
-            kind = "bar" if 0 < at <= len(bins.counts) else "out"
+            kind = "bar" if 0 < at < len(counts) - 1 else "out"
             parts.append(
                 f'<rect class="{kind}" x="{left + slot * at + 0.75:.2f}" '
                 f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from msal_cli.job.display_names import columns, figure, pad_name, shorten_name
 from msal_cli.job.records import InfoRecord
 from msal_cli.report.facts import (
+    Fact,
     Line,
     defects_text,
+    fact_lines,
     failure_lines,
     file_name,
     format_count,
@@ -29,55 +31,56 @@ def describe_info(record: InfoRecord) -> list[Line]:
     name = file_name(record.input)
     if record.error is not None:
         return failure_lines(name, record.error)
-    lines = [Line(name, "good")]
-    lines += [Line(f"  {word:<15} {text}") for word, text in _facts(record)]
-    return lines + [Line(f"  {'warning':<15} {text}", "bad") for text in record.warnings]
+    return [Line(name, "good"), *fact_lines(_facts(record), 15)]
 
 
-def _facts(record: InfoRecord) -> Iterator[tuple[str, str]]:
+def _facts(record: InfoRecord) -> Iterator[Fact]:
     storage = [part for part in (record.format, record.encoding, record.precision) if part]
     size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
-    yield "format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size])
+    yield Fact("format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size]))
     beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
-    yield "vertices", _count(record.vertices) + beside
+    yield Fact("vertices", _count(record.vertices) + beside)
     sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
     parts = [f"{count:,} {_SHAPES.get(size, f'with {size} corners')}" for size, count in sizes]
-    yield "faces", _count(record.faces) + (f" ({', '.join(parts)})" if parts else "")
-    yield "components", _count(record.components)
+    yield Fact("faces", _count(record.faces) + (f" ({', '.join(parts)})" if parts else ""))
+    yield Fact("components", _count(record.components))
     surface = "closed"
     if not record.closed:
         surface = f"open, {_count(record.boundary_edges)} boundary edges"
     if record.non_manifold_edges:
         surface += f", {_count(record.non_manifold_edges)} non-manifold edges"
-    yield "surface", surface
-    yield "winding", (record.winding or "-") + (", inside out" if record.inside_out else "")
+    yield Fact("surface", surface)
+    yield Fact("winding", (record.winding or "-") + (", inside out" if record.inside_out else ""))
     for word, count, unit in (
         ("degenerate", record.degenerate_faces, "faces"),
         ("duplicate", record.duplicate_faces, "faces"),
         ("unreferenced", record.unreferenced_vertices, "vertices"),
         ("welded", record.welded_vertices, "vertices"),
     ):
-        yield word, _count(count) + ("" if count is None else f" {unit}")
+        yield Fact(word, _count(count) + ("" if count is None else f" {unit}"))
     if record.self_intersections is not None:
-        yield "intersecting", f"{record.self_intersections:,} pairs of faces"
+        yield Fact("intersecting", f"{record.self_intersections:,} pairs of faces")
     if record.bounds is not None:
         low, high = record.bounds
-        yield "from", ", ".join(f"{x:.9g}" for x in low)
-        yield "to", ", ".join(f"{x:.9g}" for x in high)
-        yield "size", " x ".join(f"{b - a:.6g}" for a, b in zip(low, high, strict=True))
-    yield "area", figure(record.area, ".6g", unknown="-")
+        yield Fact("from", ", ".join(f"{x:.9g}" for x in low))
+        yield Fact("to", ", ".join(f"{x:.9g}" for x in high))
+        yield Fact("size", " x ".join(f"{b - a:.6g}" for a, b in zip(low, high, strict=True)))
+    yield Fact("area", figure(record.area, ".6g", unknown="-"))
     if record.volume_valid and record.volume is not None:
-        yield "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
+        yield Fact(
+            "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
+        )
     else:
-        yield "volume", f"- {record.volume_reason}".rstrip()
-    yield "mean edge", figure(record.mean_edge_length, ".6g", unknown="-")
+        yield Fact("volume", f"- {record.volume_reason}".rstrip())
+    yield Fact("mean edge", figure(record.mean_edge_length, ".6g", unknown="-"))
     if record.noise_estimate is not None:
         level, *details = noise_texts(record.noise_estimate, record)
-        yield "noise estimate", level
-        yield from (("", text) for text in details)
-    yield "carried along", ", ".join(record.properties) or "nothing else"
+        yield Fact("noise estimate", level)
+        yield from (Fact("", text) for text in details)
+    yield Fact("carried along", ", ".join(record.properties) or "nothing else")
     if record.references:
-        yield "refers to", ", ".join(record.references)
+        yield Fact("refers to", ", ".join(record.references))
+    yield from (Fact("warning", text, "bad") for text in record.warnings)
 
 
 def _count(number: int | None) -> str:

@@ -23,6 +23,7 @@ from msal_cli.report.facts import (
     facts,
     failure_text,
     gate_values,
+    list_broken,
     problem_texts,
     setting_texts,
 )
@@ -89,20 +90,17 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
         "testcase", name=_name(record), classname=folder, time=_seconds(_duration(record))
     )
     why = "\n".join(map(escape_for_display, problem_texts(record)))
-    result = None
     if record.error is not None:
-        failure = record.error
-        message = failure_text(failure, with_code=False)
-        result = _element("error", type=failure.code, message=message)
+        message = failure_text(record.error, with_code=False)
+        case.append(_element("error", type=record.error.code, message=message))
     elif why:
         # Ant's schema has room for one failure in a case.
-        broken = "; ".join(gate_values(gate) for gate in record.gates if gate.broken)
-        result = _element("failure", type="gate", message=broken)
+        broken = "; ".join(map(gate_values, list_broken(record)))
+        case.append(_element("failure", type="gate", message=broken))
     elif record.status == "planned":
         case.append(_element("skipped"))
-    if result is not None:
-        result.text = _characters(why)
-        case.append(result)
+    if why:
+        case[0].text = _characters(why)
     return case
 
 

@@ -21,6 +21,7 @@ from msal_cli.report.facts import (
     command_text,
     count_states,
     format_count,
+    list_broken,
     list_figures,
     problem_tables,
     speed_text,
@@ -97,8 +98,7 @@ def _file_section(worst: Sequence[MeshRecord], max_bytes: int) -> str:
     heads += [", ".join(filter(None, (figure.title.lower(), figure.unit))) for figure in figures]
     rows = []
     for record in done[:MAX_ROWS]:
-        is_broken = any(gate.broken for gate in record.gates)
-        status: str = "**gate**" if is_broken else record.status
+        status: str = "**gate**" if list_broken(record) else record.status
         chosen = "" if record.choice is None else record.choice.reason
         status += ", inside out" if record.inside_out else ""
         cells = [figure.text(record) for figure in figures]

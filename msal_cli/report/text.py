@@ -13,17 +13,20 @@ from msal_cli.machine import megabytes
 from msal_cli.report.data import Run, known_values, totals
 from msal_cli.report.facts import (
     SHORT,
+    Fact,
     Line,
     Tone,
     auto_text,
     count_states,
     despiked_text,
+    fact_lines,
     facts,
     failure_lines,
     failure_text,
     file_name,
     format_count,
     gate_text,
+    list_broken,
     list_figures,
     seconds_text,
     speed_text,
@@ -76,9 +79,7 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            ending = ""
-            if record.planned is not None:
-                ending = f": {_planned_text(record.planned)}"
+            ending = "" if record.planned is None else f": {_planned_text(record.planned)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
                 counts = vertices_text(record.vertices, record.corners)
@@ -110,20 +111,15 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
     return Line(", ".join(parts), "bad" if n_failed else "plain")
 
 
-def _scratch_text(planned: Planned) -> str:
-    if planned.scratch_bytes is None or planned.memory_bytes is None:
-        return ""
-    memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
-    return f"with {memory} of memory and {scratch} of scratch space"
-
-
 def _planned_text(planned: Planned) -> str:
-    parts = (
+    parts = [
         "" if planned.bytes is None else f"{planned.bytes / 1e3:,.1f} kB",
         format_count(planned.vertices, "vertex", "vertices"),
         "" if planned.seconds is None else f"about {seconds_text(planned.seconds)}",
-        _scratch_text(planned),
-    )
+    ]
+    if planned.scratch_bytes is not None and planned.memory_bytes is not None:
+        memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
+        parts.append(f"with {memory} of memory and {scratch} of scratch space")
     return ", ".join(filter(None, parts))
 
 
@@ -167,10 +163,9 @@ def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]
     items = [
         [Line(f"  {file_name(record.input)}: {gate_text(gate)}", "bad")]
         for record in records
-        for gate in record.gates
-        if gate.broken
+        for gate in list_broken(record)
     ]
-    n_files = sum(any(gate.broken for gate in record.gates) for record in records)
+    n_files = sum(bool(list_broken(record)) for record in records)
     yield from _section("broke a gate", items, None if verbose else MAX_FAILURES, count=n_files)
 
 
@@ -186,29 +181,29 @@ def _file_lines(
         if record.remembered:
             yield Line(f"it {remembered_text()}")
         return
+    output = _output_name(record)
     if record.status == "planned":
-        if run.interrupted:
-            yield Line(f"{name} was not finished", "bad")
-        else:
-            yield Line(f"{name} would be written to {_output_name(record)}")
+        is_late = run.interrupted
+        text = f"{name} was not finished" if is_late else f"{name} would be written to {output}"
+        yield Line(text, "bad" if is_late else "plain")
         return
     if record.status == "up-to-date":
-        yield Line(f"{_output_name(record)} is up to date", "good")
+        yield Line(f"{output} is up to date", "good")
     else:
         why = record.left_alone or "no vertex moved"
         ending = f", byte for byte as it was: {why}" if record.status == "unchanged" else ""
         seconds = "" if record.seconds is None else f" in {seconds_text(record.seconds.total)}"
-        yield Line(f"{name} -> {_output_name(record)}{seconds}{ending}", "good")
-    known = facts(record, None if verbose else defaults)
-    shown = known if verbose else [fact for fact in known if fact.level <= SHORT]
-    rest = []
-    if not verbose and len(shown) > MAX_LINES - 1:
-        shown, rest = shown[: MAX_LINES - 2], shown[MAX_LINES - 2 :]
-    for word, text, tone, _ in shown:
-        yield Line(f"  {word:<13} {text}", tone)
+        yield Line(f"{name} -> {output}{seconds}{ending}", "good")
+    shown = facts(record, None if verbose else defaults)
+    rest: list[Fact] = []
+    if not verbose:
+        shown = [fact for fact in shown if fact.level <= SHORT]
+        if len(shown) > MAX_LINES - 1:
+            shown, rest = shown[: MAX_LINES - 2], shown[MAX_LINES - 2 :]
+    yield from fact_lines(shown, 13)
     if rest:
         worst: Tone = "bad" if any(fact.tone == "bad" for fact in rest) else "faint"
-        yield Line(f"  {'...':<13} and {len(rest):,} more (-v shows them)", worst)
+        yield from fact_lines([Fact("...", f"and {len(rest):,} more (-v shows them)", worst)], 13)
 
 
 def _output_name(record: MeshRecord) -> str:
@@ -290,22 +285,17 @@ def table_lines(
 
 
 def _note(record: MeshRecord) -> str:
-    notes = []
-    if record.choice is not None and record.method is not None:
-        notes.append(record.method.name)
-    if unsure_text(record):
-        notes.append("noise or texture")
-    if record.status == "unchanged":
-        notes.append("no vertex moved" if record.left_alone is None else "left as it is")
-    if record.status == "up-to-date":
-        notes.append("up to date")
-    if record.volume is not None and not record.volume.valid:
-        notes.append(record.volume.reason)
-    if record.inside_out:
-        notes.append("inside out")
-    if record.corners is not None:
-        notes.append(f"{record.corners:,} corners")
-    return escape_for_display(", ".join(notes))
+    volume, is_unchanged = record.volume, record.status == "unchanged"
+    notes = (
+        record.method.name if record.choice is not None and record.method is not None else "",
+        "noise or texture" if unsure_text(record) else "",
+        ("left as it is" if record.left_alone else "no vertex moved") if is_unchanged else "",
+        "up to date" if record.status == "up-to-date" else "",
+        volume.reason if volume is not None and not volume.valid else "",
+        "inside out" if record.inside_out else "",
+        format_count(record.corners, "corner"),
+    )
+    return escape_for_display(", ".join(filter(None, notes)))
 
 
 def _section(
@@ -340,11 +330,10 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
             yield Line(f"{word} against the reference: {figures}")
     items = []
     for reference in known_values(records, "reference"):
-        if reference.error is not None:
+        if (error := reference.error) is not None:
             # The place may name the reference already.
-            where = reference.error.where
-            is_named = where == reference.path or where.startswith(f"{reference.path}: ")
+            is_named = f"{error.where}: ".startswith(f"{reference.path}: ")
             name = "" if is_named else f"{file_name(reference.path)}: "
-            items.append([Line(f"  {name}{failure_text(reference.error)}", "bad")])
+            items.append([Line(f"  {name}{failure_text(error)}", "bad")])
     max_items = None if verbose else MAX_FAILURES
     yield from _section("no comparison with the reference", items, max_items)

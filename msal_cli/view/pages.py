@@ -94,20 +94,20 @@ def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
     """Tables of numbers for beside a scene: a heading, and rows of a name and a value."""
     record, mesh = scene.record, scene.before
     if record is None:
-        rows = [
+        rows: Rows = [
             ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
             ("Triangles", f"{len(mesh.faces):,}"),
             ("Mean edge length", _number(mesh.mean_edge_length)),
         ]
-        return [("Mesh", [row for row in rows if row[1]])]
-    tables: list[tuple[str, SurfaceDistance | None]] = [("Displacement", record.displacement)]
-    if record.displacement is None:
-        tables = [
-            ("Distance, after to before", record.distance_to_before),
-            ("Distance, before to after", record.distance_to_after),
-        ]
+        return [("Mesh", rows)]
+    tables = (
+        ("Displacement", record.displacement),
+        ("Distance, after to before", record.distance_to_before),
+        ("Distance, before to after", record.distance_to_after),
+    )
+    kinds = tables[1:] if record.displacement is None else tables[:1]
     return [
-        *((heading, _lengths(lengths)) for heading, lengths in tables if lengths is not None),
+        *((heading, _lengths(lengths)) for heading, lengths in kinds if lengths is not None),
         ("Change", _changes(record)),
         ("Meshes", _sizes(record)),
     ]
@@ -115,31 +115,23 @@ def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
 
 def _lengths(distance: SurfaceDistance) -> Rows:
     """Each in file units, and in mean edge lengths (e)."""
-    heads: Rows = [("", "file units", "e")]
-    return heads + [
-        (name, _number(length), _number(edges))
-        for name, length, edges in (
-            ("Mean", distance.mean, distance.mean_edges),
-            ("RMS", distance.rms, distance.rms_edges),
-            ("95 %", distance.p95, distance.p95_edges),
-            ("Maximum", distance.max, distance.max_edges),
-        )
-    ]
+    rows: Rows = [("", "file units", "e")]
+    for title, word in (("Mean", "mean"), ("RMS", "rms"), ("95 %", "p95"), ("Maximum", "max")):
+        lengths = (getattr(distance, name) for name in (word, f"{word}_edges"))
+        rows.append((title, *map(_number, lengths)))
+    return rows
 
 
 def _changes(record: ComparisonRecord) -> Rows:
     volume = "" if record.volume is None else "unknown"
-    if record.volume_change_percent is not None:
-        volume = _percent(record.volume_change_percent)
-    area, distance = record.area_change_percent, record.hausdorff
     rows = (
-        ("Volume", volume),
-        ("Area", "" if area is None else _percent(area)),
+        ("Volume", _percent(record.volume_change_percent) or volume),
+        ("Area", _percent(record.area_change_percent)),
         ("Mean normal angle", figure(record.mean_angular_error_deg, ".3g", "°")),
         ("Largest normal angle", figure(record.max_angular_error_deg, ".3g", "°")),
         ("Flipped faces", figure(record.flipped_faces, ",")),
         ("Vertex error", figure(record.vertex_error_percent, ".3g", " % of e")),
-        ("Hausdorff distance", "" if distance is None else _number(distance)),
+        ("Hausdorff distance", _number(record.hausdorff)),
     )
     return [row for row in rows if row[1]]
 
@@ -239,13 +231,13 @@ def _description(titles: Sequence[str], scene: Scene) -> str:
     return f"{words}, and the {pictures.deviation_name(scene).lower()}"
 
 
-def _number(value: float) -> str:
-    text = f"{value:.3g}"
+def _number(value: float | None) -> str:
+    text = figure(value, ".3g")
     if "e" in text:
         digits, exponent = text.split("e")
         text = f"{digits}·10{str(int(exponent)).translate(_RAISED)}"
     return text.replace("-", _MINUS)
 
 
-def _percent(value: float) -> str:
-    return f"{value:+.3g} %".replace("-", _MINUS)
+def _percent(value: float | None) -> str:
+    return figure(value, "+.3g", " %").replace("-", _MINUS)

@@ -283,7 +283,7 @@ def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> Coarse:
     """
     left = faces.astype(np.int64)
     if len(left) > max_faces:
-        left = _with_area(left)
+        left = left[_has_area(left)]
     is_checked = True
     for _ in range(_ROUNDS):
         excess = len(left) - max_faces
@@ -293,7 +293,9 @@ def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> Coarse:
         is_checked = is_checked and len(left) - len(fewer) >= min(excess, _STALLED * len(left))
         left = fewer
     if len(left) < len(faces):
-        left = _distinct(left)
+        # Each set of corners but once.
+        _, first = np.unique(np.sort(left, axis=1), axis=0, return_index=True)
+        left = left[np.sort(first)]
     kept, flat = np.unique(left, return_inverse=True)
     return Coarse(kept, flat.reshape(-1, 3).astype(np.int32))
 
@@ -329,7 +331,8 @@ def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> 
         else:
             bad = _turn(vertices, faces, moved)
             moved[bad] = bad
-    return _with_area(moved[faces])
+    after = moved[faces]
+    return after[_has_area(after)]
 
 
 def _pairs(vertices: Floats, faces: Longs) -> tuple[Longs, Longs]:
@@ -373,40 +376,21 @@ def _on_boundary(n_vertices: int, faces: Longs) -> NDArray[np.bool_]:
 def _turn(vertices: Floats, faces: Longs, moved: Longs) -> Longs:
     """Corners of the faces that would turn too far, or become needles."""
     after = moved[faces]
-    changed = np.flatnonzero((after != faces).any(axis=1))
-    a, b, c = after[changed].T
-    changed = changed[(a != b) & (b != c) & (c != a)]
-    was, now = _normals(vertices, faces[changed]), _normals(vertices, after[changed])
+    is_changed = (after != faces).any(axis=1) & _has_area(after)
+    faces, after = faces[is_changed], after[is_changed]
+    was, now = _normals(vertices, faces), _normals(vertices, after)
     along = (was * now).sum(axis=1)
     sizes = np.sqrt((was * was).sum(axis=1) * (now * now).sum(axis=1))
-    return np.unique(faces[changed[along <= _MIN_COSINE * sizes]])
+    return np.unique(faces[along <= _MIN_COSINE * sizes])
 
 
 def _normals(vertices: Floats, faces: Longs) -> Floats:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    u, w = b - a, c - a
-    return np.stack(
-        [
-            u[:, 1] * w[:, 2] - u[:, 2] * w[:, 1],
-            u[:, 2] * w[:, 0] - u[:, 0] * w[:, 2],
-            u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0],
-        ],
-        axis=1,
-    )
+    return np.cross(b - a, c - a)
 
 
-def _with_area(faces: Longs) -> Longs:
-    """The faces with three different corners."""
+def _has_area(faces: Longs) -> NDArray[np.bool_]:
+    """Whether faces have three different corners."""
     a, b, c = faces.T
-    left: Longs = faces[(a != b) & (b != c) & (c != a)]
-    return left
-
-
-def _distinct(faces: Longs) -> Longs:
-    """The faces (m, 3), each set of corners but once."""
-    ordered = np.sort(faces, axis=1)
-    order = np.lexsort(ordered.T)
-    again = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
-    is_first = np.ones(len(faces), dtype=bool)
-    is_first[order[1:][again]] = False
-    return faces[is_first]
+    has_area: NDArray[np.bool_] = (a != b) & (b != c) & (c != a)
+    return has_area

@@ -9,7 +9,7 @@ import pytest
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.mesh import Mesh
 from msal_cli.report import html as as_html
-from msal_cli.report.html import Gallery, Pictures, Scale
+from msal_cli.report.html import Gallery, Pictures
 from msal_cli.view import scene, viewer
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 from tests.shapes import noisy, torus
@@ -43,7 +43,7 @@ def path(tmp_path_factory):
     gallery = Gallery(
         pictures=dict.fromkeys(range(at, len(every)), views),
         scenes={at: viewer.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])},
-        scale=Scale("Deviation", "-1", "1", ("#ff0000", "#ffffff")),
+        legend="<p>moved</p>",
         script=viewer.script(),
         style=viewer.style(),
     )
