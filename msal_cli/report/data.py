@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import types
 import typing
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -338,22 +339,25 @@ def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False
 
 
 def _all_columns(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    for name in _field_names(MeshRecord, ""):
+    for name, _ in leaf_fields(MeshRecord):
         if name in _FREE_FORM:
             yield from sorted({key for row in rows for key in row if key.startswith(f"{name}.")})
         else:
             yield name
 
 
-def _field_names(kind: type[Any], prefix: str) -> Iterator[str]:
+def leaf_fields(kind: type[Any], prefix: str = "") -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """The dotted names and the types of the fields of a record and of the records within it."""
     hints = typing.get_type_hints(kind)
     for item in dataclasses.fields(kind):
-        hint = hints[item.name]
-        inner = [part for part in typing.get_args(hint) if dataclasses.is_dataclass(part)]
-        if inner and typing.get_origin(hint) is not tuple:
-            yield from _field_names(typing.cast("type[Any]", inner[0]), f"{prefix}{item.name}.")
+        hint, path = hints[item.name], prefix + item.name
+        is_union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+        parts = typing.get_args(hint) if is_union else (hint,)
+        inner = [part for part in parts if dataclasses.is_dataclass(part)]
+        if inner:
+            yield from leaf_fields(typing.cast("type[Any]", inner[0]), f"{path}.")
         else:
-            yield prefix + item.name
+            yield path, parts
 
 
 def flatten(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -310,6 +310,12 @@ def count_states(sums: Totals) -> list[Fact]:
     return [Fact(word, f"{count:,}", tone) for word, count, tone in counts if count]
 
 
+def totals_text(sums: Totals) -> str:
+    """``7 files: 6 written, 1 failed``."""
+    states = ", ".join(f"{fact.text} {fact.word}" for fact in count_states(sums))
+    return f"{format_count(sums.files, 'file')}: {states or 'nothing done'}"
+
+
 def total_facts(records: Sequence[MeshRecord], sums: Totals) -> list[Fact]:
     """What a reader looks at over all files."""
     found = []

@@ -8,13 +8,11 @@ None and stays so, except that ``and`` and ``or`` may be decided without it.
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import functools
 import math
 import operator
 import re
-import types
 import typing
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +22,7 @@ from msal_cli.errors import UsageError
 from msal_cli.job.constraints import COMPARISONS, UNIT_PATTERN, in_file_units
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import GateResult
+from msal_cli.report.data import leaf_fields
 
 if typing.TYPE_CHECKING:
     from msal_cli.job.records import ComparisonRecord, MeshRecord
@@ -147,26 +146,18 @@ class Quantity:
 @functools.cache
 def quantities(kind: Hashable) -> Mapping[str, Quantity]:
     """Everything that can be named of a kind of record, short names first."""
-    fields = dict(_fields(typing.cast("type[Any]", kind), ""))
+    fields = {
+        path: TRUTH if part is bool else _unit(path)
+        for path, parts in leaf_fields(typing.cast("type[Any]", kind))
+        for part in parts
+        if part in (bool, int, float)
+    }
     found = {}
     for name, (paths, unit) in SHORT_NAMES.items():
         there = tuple(path for path in paths if path in fields)
         if there and name not in fields:
             found[name] = Quantity(name, there, unit or fields[there[0]])
     return found | {name: Quantity(name, (name,), unit) for name, unit in fields.items()}
-
-
-def _fields(kind: type[Any], prefix: str) -> Iterator[tuple[str, Unit]]:
-    """The numbers and truths of a kind of record, dotted, with their units."""
-    hints = typing.get_type_hints(kind)
-    for item in dataclasses.fields(kind):
-        hint, path = hints[item.name], prefix + item.name
-        is_union = typing.get_origin(hint) in (typing.Union, types.UnionType)
-        for part in typing.get_args(hint) if is_union else (hint,):
-            if dataclasses.is_dataclass(part):
-                yield from _fields(typing.cast("type[Any]", part), f"{path}.")
-            elif part in (bool, int, float):
-                yield path, TRUTH if part is bool else _unit(path)
 
 
 def _unit(path: str) -> Unit:

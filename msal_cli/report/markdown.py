@@ -19,13 +19,12 @@ from msal_cli.report.facts import (
     DETAIL,
     ORDER_TEXT,
     command_text,
-    count_states,
-    format_count,
     list_broken,
     list_figures,
     problem_tables,
     speed_text,
     total_facts,
+    totals_text,
     worst_first,
 )
 
@@ -66,11 +65,9 @@ def render(run: Run, records: Sequence[MeshRecord], *, max_bytes: int = MAX_BYTE
 
 
 def _heading(run: Run, sums: Totals) -> str:
-    states = ", ".join(f"{fact.text} {fact.word}" for fact in count_states(sums))
     is_bad = sums.failed or sums.gate_broken
     sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
-    files = format_count(sums.files, "file")
-    return f"## {sign} msal denoise: {files}: {states or 'nothing done'}\n\n"
+    return f"## {sign} msal denoise: {totals_text(sums)}\n\n"
 
 
 def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:

@@ -17,7 +17,6 @@ from msal_cli.report.facts import (
     Line,
     Tone,
     auto_text,
-    count_states,
     despiked_text,
     fact_lines,
     facts,
@@ -32,6 +31,7 @@ from msal_cli.report.facts import (
     speed_text,
     tile_set_text,
     total_facts,
+    totals_text,
     touches_text,
     unsure_text,
     vertices_text,
@@ -256,10 +256,11 @@ def _batch_lines(
         yield Line(f"{word}: {text}", tone)
     if tile_set := tile_set_text(done):
         yield Line(f"tile set: {tile_set}")
-    states = ", ".join(f"{fact.text} {fact.word}" for fact in count_states(sums))
-    total = f"{format_count(sums.files, 'file')}: {states or 'nothing done'}"
     is_bad = sums.failed or sums.gate_broken or run.interrupted
-    yield Line("; ".join(filter(None, (total, speed_text(run, sums)))), "bad" if is_bad else "good")
+    yield Line(
+        "; ".join(filter(None, (totals_text(sums), speed_text(run, sums)))),
+        "bad" if is_bad else "good",
+    )
 
 
 def table_lines(

@@ -42,14 +42,6 @@ _SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}
 
 
 @dataclass(frozen=True)
-class Axis:
-    """A parameter's name and the values that it takes along the rows or the columns."""
-
-    name: str
-    values: tuple[Any, ...]
-
-
-@dataclass(frozen=True)
 class Cell:
     """The numbers of one denoised mesh.
 
@@ -82,21 +74,20 @@ class Grid:
     ----------
     method : of ``methods``.
     fixed : parameters that are the same in all cells.
-    axes : what varies: along rows and columns, or along columns only.
+    axes : the values of what varies by name: along rows and columns, or along columns only.
     """
 
     method: Method
     fixed: Mapping[str, object]
-    axes: tuple[Axis, ...]
+    axes: Mapping[str, tuple[Any, ...]]
 
     def settings(self) -> Iterator[dict[str, Any]]:
         """What varies, for each cell, row by row."""
-        names = [axis.name for axis in self.axes]
-        for values in itertools.product(*(axis.values for axis in self.axes)):
-            yield dict(zip(names, values, strict=True))
+        for values in itertools.product(*self.axes.values()):
+            yield dict(zip(self.axes, values, strict=True))
 
 
-def parse_axis(method: Method, text: str, option: str) -> Axis:
+def _parse_axis(method: Method, text: str, option: str) -> tuple[str, tuple[Any, ...]]:
     """The parameter and the values in ``NAME=VALUE,VALUE,...``; UsageError for another form, an
     unknown parameter, or a value that is not allowed or is there twice."""
     name, sign, listed = text.partition("=")
@@ -110,7 +101,7 @@ def parse_axis(method: Method, text: str, option: str) -> Axis:
     values = tuple(spec.validate(word) for word in words)
     if len(set(values)) < len(values):
         raise UsageError(f"{option} {text}: a value is there twice", hint="give each value once")
-    return Axis(spec.name, values)
+    return spec.name, values
 
 
 def grid(
@@ -131,15 +122,15 @@ def grid(
     given = [(columns, "--columns"), (rows, "--rows")]
     texts = [(text, option) for text, option in given if text is not None]
     axes = [
-        parse_axis(method, text, option if texts[1:] else "the values") for text, option in texts
+        _parse_axis(method, text, option if texts[1:] else "the values") for text, option in texts
     ]
-    names = [*(axis.name for axis in axes), *(method.spec(name).name for name in fixed)]
+    names = [*(name for name, _ in axes), *(method.spec(name).name for name in fixed)]
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"{name} is set in two places", hint="let it vary or set it, not both")
-    if math.prod(len(axis.values) for axis in axes) > MAX_CELLS:
+    if math.prod(len(values) for _, values in axes) > MAX_CELLS:
         raise UsageError(f"that makes more than {MAX_CELLS} cells", hint="try fewer values")
-    wanted = Grid(method, fixed, tuple(axes[::-1]))
+    wanted = Grid(method, fixed, dict(axes[::-1]))
     for chosen in wanted.settings():
         method.validate({**fixed, **chosen})
     return wanted
@@ -261,7 +252,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         sides.append((draw_grid(on, on.reference, view), "reference", [words]))
     style = pictures.style_of(view)
     empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
-    width = len(wanted.axes[-1].values)
+    width = len([*wanted.axes.values()][-1])
     panels: list[Panel] = []
     for at in range(max(-(-len(cells) // width), len(sides))):
         row = cells[at * width : (at + 1) * width]
