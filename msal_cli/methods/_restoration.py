@@ -70,7 +70,7 @@ class RestorationParameters(NormalParameters):
         symbol="sigma_c",
         low=0.01,
         high=100.0,
-        unit="mean distances of the centroids of faces that share an edge",
+        unit="mean distances of neighbouring centroids",
         more="smoother, up to the plain average of the neighbours",
     )
     scan_share: float = parameter(

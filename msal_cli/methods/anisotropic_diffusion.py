@@ -17,9 +17,9 @@ of the volume; at a feature, a vertex with an edge beyond lambda, it has that le
 direction of H_A averaged with the mean of its neighbours' H_A.  f are the curvatures
 H_A . V_A / |V_A|^2 averaged over the neighbours, a feature's over features.
 
-lambda is the median of |H| in the input, right for objects with sharp edges; ``shape=organic``
-adds 1.4826 times the median absolute deviation, and ``threshold`` sets it by hand.  A mesh without
-noise that is mostly flat has lambda = 0 and is left alone.
+lambda is the median of |H| in the input, right for objects with sharp edges; ``shape=organic`` adds
+1.4826 times the median absolute deviation, and ``threshold`` sets it by hand.  A mesh without noise
+that is mostly flat is left alone.
 
 Own choices: lambda follows the noise, tau is an area in squared mean edge lengths, or the vertex's
 limit of stability if that is smaller, averages are weighted by |V_A|, not by angles, so that a fold

@@ -24,9 +24,9 @@ passes that each add the mean of a vertex's ways to the planes of its faces thro
 organic shapes.  Heavier noise folds faces; ``guided_normal`` is made for that.  Fine texture goes;
 ``msal`` keeps it.
 
-sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``;
-where none do, the mean edge length.  Boundary vertices are fixed, as in the public implementation
-that later papers compare with.  ``global`` costs 100 to 200 passes.
+sigma_c is the mean distance between the centroids of faces that share an edge, times ``closeness``.
+Boundary vertices are fixed, as in the public implementation that later papers compare with.
+``global`` costs 100 to 200 passes.
 
 Source: Y. Zheng, H. Fu, O. K.-C. Au and C.-L. Tai, Bilateral normal filtering for mesh denoising,
 IEEE TVCG 17 (2011), 1521-1530; vertices: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, the
@@ -81,7 +81,7 @@ class Parameters(NormalFilterParameters):
         symbol="sigma_c",
         low=0.01,
         high=100.0,
-        unit="mean distances of the centroids of faces that share an edge",
+        unit="mean distances of neighbouring centroids",
         more="smoother, up to the plain average of the neighbours",
     )
     fidelity: float = parameter(

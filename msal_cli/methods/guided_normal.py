@@ -86,7 +86,7 @@ class Parameters:
         low=0.0,
         high=10.0,
         low_open=True,
-        unit="mean distances of the centroids of faces that share an edge",
+        unit="mean distances of neighbouring centroids",
         more="smoother, as far as the radius goes",
     )
     radius: float = parameter(
@@ -95,7 +95,7 @@ class Parameters:
         symbol="r",
         low=0.0,
         high=10.0,
-        unit="mean distances of the centroids of faces that share an edge",
+        unit="mean distances of neighbouring centroids",
         more="smoother, and slower; thin features are lost",
     )
     vertex_iterations: int = parameter(

@@ -8,10 +8,10 @@ vertex was, averages this correction over the neighbourhood, and takes it back:
     q_i <- p_i - (beta b_i + (1 - beta) (1 / m_i) sum(b_k))
 
 with o the scanned and q the previous positions, all vertices at once.  A correction that the
-neighbours share is shape and comes back, one that differs is noise and goes.  beta above one half
+neighbours share is shape and comes back, one that differs is noise and goes. beta above one half
 makes the iteration converge; alpha above zero keeps texture.  It does well on organic shapes and
-fine texture where the angles between normals matter.  It knows no edges, and vertices slide along
-the surface, farther from where they were scanned than after ``al`` or ``msal``.
+fine texture where angles matter.  It knows no edges, and vertices slide along the surface, farther
+than after ``al`` or ``msal``.
 
 An iteration costs two passes over the edges.
 

@@ -8,10 +8,9 @@ to where it was scanned, the more so the rougher its surroundings:
     lambda_i = sigma_i / max sigma                      eq. (7)
 
 sigma (eq. 4) and lambda are computed anew at every sweep.  Flat regions are smoothed, texture is
-recaptured, and the volume shrinks far less than under AL.  It is at its best for fine texture with
+recaptured, and the volume shrinks far less than under AL. It is at its best for fine texture with
 noise up to about a tenth of the mean edge length; for strong noise choose a larger K, or ``al``.
-Many sweeps lead back to the input: four are a stable default.  A sweep costs about as much as one
-of AL.
+Many sweeps lead back to the input: four are a stable default.
 
 ``schedule`` is not in the paper.  One spike or torn triangle has a sigma so large that every other
 lambda is almost zero; ``robust`` takes in place of max sigma a ``quantile`` of the sigma above
@@ -23,13 +22,12 @@ in five bands from fine to coarse, what is more than noise:
 
 with the ``noise`` sigma_n (estimated, unless it is given), c the share of white noise in the band,
 and Q_i the mean square around the vertex of what a first such look took for shape.  On organic and
-textured objects it comes closer to the truth than the paper's schedule at its best, and the number
-of sweeps hardly matters.  It needs to know the noise to a fifth or so: a given ``noise`` helps
-most where texture is as fine as the mesh.  docs/algorithm.md has all of it.
+textured objects it comes closer to the truth than the paper's schedule at its best.  A given
+``noise`` helps most where texture is as fine as the mesh. docs/algorithm.md has all of it.
 
 ``weights`` and ``deviation`` are those of ``al``, where ``schedule=multiscale`` with a ``scaling``
-is the form for mixed triangle sizes; section 4.3 finds that it is rarely needed.  On a mesh that is
-planar everywhere (max sigma = 0) lambda is zero.
+is the form for mixed triangle sizes.  On a mesh that is planar everywhere (max sigma = 0) lambda is
+zero.
 
 Source: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 3 and Algorithm 1.
 """

@@ -95,7 +95,7 @@ class Parameters:
         low=0.0,
         high=10.0,
         low_open=True,
-        unit="mean distances of the centroids of faces that share an edge",
+        unit="mean distances of neighbouring centroids",
         more="smoother; the cost grows with its square; small features are lost",
     )
     guidance: float = parameter(
