@@ -129,9 +129,7 @@ def command(request: Request) -> int:
             for note in scene.notes:
                 console.say(f"msal: {escape_for_display(note)}", "warn")
         if kind == "html":
-            default = ("view", *names, *(("-o", output) if output else ()))
-            arguments = request.context.find_root().obj or default
-            data = pages.page_of(scene, view, shlex.join(("msal", *arguments)))
+            data = pages.page_of(scene, view, shlex.join(("msal", *request.context.obj)))
         else:
             data = png_bytes(pictures.draw_picture(scene, view))
     if output == STREAM:
