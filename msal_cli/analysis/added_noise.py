@@ -41,10 +41,6 @@ KINDS = {
 docs/reproduction.md remakes it, ``mixed`` that of its Fig. 7."""
 
 OPTIONS = {
-    "gaussian-normal": (),
-    "gaussian": (),
-    "uniform": (),
-    "mixed": (),
     "impulsive": ("fraction",),
     "correlated": ("rings",),
     "view": ("rings", "direction"),
@@ -55,18 +51,17 @@ OPTIONS = {
     "property": ("rings", "property"),
     "outliers": ("rings", "fraction"),
 }
-"""The settings that each kind uses besides its level and seed."""
+"""The settings that kinds use besides level and seed; others use none."""
 
 
 def refuse_unused(kind: str, names: Iterable[str], prefix: str = "") -> None:
     """Refuse settings that the kind does not use; UsageError.  ``prefix`` is for options."""
-    used = OPTIONS.get(kind, tuple(names))
     for name in names:
-        if name not in used:
-            users = ", ".join(user for user, settings in OPTIONS.items() if name in settings)
+        users = [user for user, settings in OPTIONS.items() if name in settings]
+        if kind in KINDS and kind not in users:
             raise UsageError(
                 f"{prefix}{name} means nothing for {kind} noise",
-                hint=f"leave it out; it is for {users}",
+                hint=f"leave it out; it is for {', '.join(users)}",
             )
 
 
@@ -134,7 +129,7 @@ class AddedNoise:
 
     def describe(self) -> str:
         """The settings that the kind uses, in words: "along (0, 0, 1), shared over 2 rings"."""
-        used = OPTIONS[self.kind]
+        used = OPTIONS.get(self.kind, ())
         words = []
         if "fraction" in used:
             words.append(f"at {100.0 * self.fraction:g} % of the vertices")
@@ -193,7 +188,9 @@ def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> F
     heights = amount * share_over_rings(mesh, heights, noise.count_rings())
     axis = np.asarray(noise.direction) / math.hypot(*noise.direction)
     if noise.kind == "quantised":
-        return _quantise(mesh.vertices + heights[:, None] * axis, axis, noise.step * edge)
+        positions, step = mesh.vertices + heights[:, None] * axis, noise.step * edge
+        depths = (positions * axis).sum(axis=1)
+        return np.asarray(positions + (np.round(depths / step) * step - depths)[:, None] * axis)
     if noise.kind in ("view", "grazing"):
         growth = grazing_growth(normals, axis) if noise.kind == "grazing" else 1.0
         return mesh.vertices + (growth * heights)[:, None] * axis
@@ -226,14 +223,6 @@ def grazing_growth(normals: Floats, axis: Floats) -> Floats:
     cosines = np.abs((normals * axis).sum(axis=1))
     growth: Floats = 1.0 / np.maximum(cosines, 1.0 / GRAZING_CAP)
     return growth
-
-
-def _quantise(positions: Floats, axis: Floats, step: float) -> Floats:
-    """Positions (n, 3) moved along ``axis`` so that their depths are multiples of ``step``."""
-    depths = (positions * axis).sum(axis=1)
-    rounded = np.round(depths / step) * step
-    result: Floats = positions + (rounded - depths)[:, None] * axis
-    return result
 
 
 def _regional_weights(

@@ -134,12 +134,19 @@ class _Search:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
             # What is not found yet is among the spikes, so they do not count here.
             are_apart = are_apart or (share > USUAL and self._are_beyond(self._noise().mean_edges))
-            before, bound = bound, BOUND - (_more_likely(share) if are_apart else 0.0)
+            before, bound = bound, BOUND
+            if are_apart:
+                bound -= min(STEP * math.log(max(share / USUAL, 1.0)), MAX_STEPS)
             if not len(found) and bound == before:
                 break
         for _ in range(RETURNS):
             self._bring_back(np.flatnonzero(self.flags))
-        self._restore_inliers(bound)
+        # What is no outlier any more now that its neighbours are in their places goes back.
+        found = np.flatnonzero(self.flags)
+        wrong = found[self._judge(found)[0] <= bound]
+        if len(wrong):
+            self.flags[wrong] = False
+            self._move(wrong, mesh.vertices[wrong])
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
         are_clear = self._are_off_noise(are_certain, count / n_used)
@@ -203,24 +210,9 @@ class _Search:
 
     def _bring_back(self, found: Longs) -> None:
         """Move outliers to their places on the fits, and score their surroundings again."""
-        _, targets = self._judge(found)
-        self._move(found, targets)
-
-    def _restore_inliers(self, bound: float) -> None:
-        """Put back what is no outlier any more now that its neighbours are in their places."""
-        found = np.flatnonzero(self.flags)
-        scores, _ = self._judge(found)
-        wrong = found[scores <= bound]
-        if len(wrong):
-            self.flags[wrong] = False
-            self._move(wrong, self.mesh.vertices[wrong])
+        self._move(found, self._judge(found)[1])
 
     def _move(self, which: Longs, targets: Floats) -> None:
         self.positions[which] = targets
         self.noise = None
         self._score(outliers.mark_two_rings(which, self.mesh.topology))
-
-
-def _more_likely(share: float) -> float:
-    """What the bound is less by where this share of the vertices are outliers."""
-    return min(STEP * math.log(max(share / USUAL, 1.0)), MAX_STEPS)

@@ -129,9 +129,9 @@ class SharedBorders:
         """For each file those that share a point with it, in order."""
         rows: list[set[int]] = [set() for _ in range(len(self.starts) - 1)]
         for a, b in self.pairs():
-            for one, other in np.unique(self.file_of[np.stack([a, b], axis=1)], axis=0).tolist():
-                rows[one].add(other)
-                rows[other].add(one)
+            for file, other in np.unique(self.file_of[np.stack([a, b], axis=1)], axis=0).tolist():
+                rows[file].add(other)
+                rows[other].add(file)
         return [sorted(row) for row in rows]
 
     def of_file(self, index: int) -> slice:
@@ -217,20 +217,20 @@ def near_pairs(points: Floats, others: Floats, radius: float) -> tuple[Longs, Lo
     keys = _keys(np.floor((others - low) / radius).astype(np.int64))
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
-    found = []
+    pairs = []
     for way in itertools.product((-1, 0, 1), repeat=3):
         wanted = _keys(cells + np.array(way))
         first, last = np.searchsorted(keys, wanted), np.searchsorted(keys, wanted, "right")
         counts = last - first
-        one = np.repeat(np.arange(len(points)), counts)
-        step = np.arange(len(one)) - np.repeat(np.cumsum(counts) - counts, counts)
+        point = np.repeat(np.arange(len(points)), counts)
+        step = np.arange(len(point)) - np.repeat(np.cumsum(counts) - counts, counts)
         other = order[np.repeat(first, counts) + step]
-        gap = points[one] - others[other]
+        gap = points[point] - others[other]
         near = (gap * gap).sum(axis=1) <= radius * radius
-        found.append(np.stack([one[near], other[near]], axis=1))
+        pairs.append(np.stack([point[near], other[near]], axis=1))
     # Cells whose keys agree by chance are looked at more than once.
-    both = np.unique(np.concatenate(found), axis=0)
-    return both[:, 0], both[:, 1]
+    first, second = np.unique(np.concatenate(pairs), axis=0).T
+    return first, second
 
 
 def _keys(cells: Longs) -> Longs:

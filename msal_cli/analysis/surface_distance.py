@@ -37,8 +37,8 @@ def find_obstacle() -> str:
 
 
 def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
-    """Distances (n,) from points (n, 3) to the nearest point of ``surface``, file units; errors
-    as of ``build_scene``."""
+    """Distances (n,) from points (n, 3) to the nearest point of ``surface``, file units; errors as
+    of ``build_scene``."""
     return nearest_on_surface(points, surface)[1]
 
 
@@ -135,7 +135,7 @@ def _dot_rows(first: Floats, second: Floats) -> Floats:
 def at_other_positions(ready: PreparedMesh, vertices: Floats) -> Mesh:
     """The prepared mesh with its vertices where ``vertices`` (n_file, 3) of another file are.
 
-    Of file vertices that are one in the mesh the first counts; see ``Prepared.seam_gap``.
+    Of file vertices that are one in the mesh the first counts; see ``PreparedMesh.seam_gap``.
     """
     if ready.vertex_map is None:
         return ready.mesh.with_vertices(vertices - ready.origin)

@@ -31,7 +31,7 @@ from msal_cli.job import changes, output
 from msal_cli.job.inspection import open_mesh, to_known_error
 from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
-from msal_cli.job.room import find_scratch, taken
+from msal_cli.job.room import find_scratch, use_scratch
 from msal_cli.job.settings import (
     NO_LIMITS,
     Limits,
@@ -207,7 +207,7 @@ class _SetRun:
         try:
             work = f"denoising these {len(self._tasks)} files as one"
             needed = memory_of_set(self._tasks, self._settings)
-            with taken(find_scratch(work, needed, self._limits, self._tasks[0].output)):
+            with use_scratch(find_scratch(work, needed, self._limits, self._tasks[0].output)):
                 for index in range(len(self._tasks)):
                     self._scan(index)
                 has_given_up = max_failures is not None and len(self._records) >= max_failures

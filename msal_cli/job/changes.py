@@ -38,6 +38,10 @@ on scans and on models with any noise; one spike of ten mean edge lengths makes 
 _MAX_SAMPLED = 16_384
 """Vertices whose lambda is sampled."""
 
+_OF_LEVEL = ("mean_edges", "file_units", "clean_edges", "rms_edges", "tail", "regions")
+_OF_CHARACTER = ("kind", "rings", "direction", "axis", "outliers", "confidence", "basis", "words")
+"""Fields of the record that have the names of the estimate's."""
+
 _DAMAGE_ADVICE = "try --auto, another method, fewer sweeps or --max-move"
 
 
@@ -75,27 +79,15 @@ def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
     level = known or estimate_noise(mesh)
     character = level.character
     return NoiseEstimate(
-        mean_edges=level.mean_edges,
-        file_units=level.file_units,
+        **{name: getattr(level, name) for name in _OF_LEVEL},
+        **{name: getattr(character, name) for name in _OF_CHARACTER},
         low_edges=level.low,
         high_edges=level.high,
-        clean_edges=level.clean_edges,
-        rms_edges=level.rms_edges,
-        tail=level.tail,
         negligible=level.is_negligible,
         lowest_edges=level.lowest,
         highest_edges=level.highest,
-        regions=level.regions,
         uneven=level.is_uneven,
-        kind=character.kind,
-        rings=character.rings,
-        direction=character.direction,
-        axis=character.axis,
         step_edges=character.step,
-        outliers=character.outliers,
-        confidence=character.confidence,
-        basis=character.basis,
-        words=character.words,
         unsure=level.is_unsure,
         readings=tuple(
             NoiseReading(reading.kind, reading.level, reading.probability)

@@ -85,7 +85,10 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
     wishes = settings.parameters if settings.method == AUTO else None
     made = choose(mesh, wishes, on_step, assume=settings.assume)
     if despiked:
-        made.known["choice"] = _with_despiking(made.known["choice"])
+        first = made.known["choice"]
+        reason = first.reason.replace("left as it is", "the rest left as it is")
+        repeat = (*first.repeat, "--despike")
+        made.known["choice"] = replace(first, reason=reason, repeat=repeat)
     return replace(made, known=known | made.known, warnings=warnings + made.warnings)
 
 
@@ -141,12 +144,6 @@ def choose(
     known = {"method": MethodUsed(choice.method, parameters), "choice": made}
     noise = choice.estimate or choice.noise
     return Preparation(mesh, method, parameters, noise, known, warnings)
-
-
-def _with_despiking(made: ChoiceMade) -> ChoiceMade:
-    """A choice for a mesh whose outliers were brought back: reason and options say so."""
-    reason = made.reason.replace("left as it is", "the rest left as it is")
-    return replace(made, reason=reason, repeat=(*made.repeat, "--despike"))
 
 
 MILDER = (0.5, 0.25, 0.0)

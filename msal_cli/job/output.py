@@ -76,10 +76,9 @@ def build_output(
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target = _target(mesh_file, path, settings)
+    how = settings.encoding, settings.precision
     if target != mesh_file.format:
-        output, losses = codecs.convert(
-            mesh_file, vertices, target, settings.encoding, settings.precision
-        )
+        output, losses = codecs.convert(mesh_file, vertices, target, *how)
         if losses and settings.strict:
             raise LossError(
                 f"{mesh_file.format} to {target} would lose {', '.join(losses)}",
@@ -89,11 +88,10 @@ def build_output(
         lost = tuple(f"lost in {target}: {loss}" for loss in losses)
         # A scene that only changes its container still names its images.
         references = mesh_file.references if {target, mesh_file.format} == detection.SCENES else ()
-        return Output(
-            gzip_streams.compress(output) if compress else output, references, losses=lost
-        )
-    if settings.encoding != "same" or settings.precision != "same":
-        output = mesh_file.encoded(vertices, settings.encoding, settings.precision)
+        output = gzip_streams.compress(output) if compress else output
+        return Output(output, references, losses=lost)
+    if how != ("same", "same"):
+        output = mesh_file.encoded(vertices, *how)
         _check_reopened(output, target, mesh_file, vertices)
     elif not _are_equal(vertices, mesh_file.vertices):
         output = mesh_file.replaced(vertices)
@@ -231,9 +229,8 @@ def add_noise_to_file(
             hint=f"name it .{mesh_file.format}, and convert with msal denoise --to",
         )
     ready = prepare_mesh(mesh_file)
-    weights = None
-    if noise.kind == "property":
-        weights = read_weights(mesh_file, ready, noise.property)
+    is_weighted = noise.kind == "property"
+    weights = read_weights(mesh_file, ready, noise.property) if is_weighted else None
     positions = add_noise(ready.mesh, noise, weights)
     if not np.isfinite(positions).all():
         raise InternalError("noise made a position that is not finite")
@@ -254,15 +251,14 @@ def add_noise_to_file(
         output = data if is_kept else gzip_streams.expand(data, name)[0]
     path = None if target == "-" else target
     output, companions = codecs.with_companions(mesh_file, output, vertices, path)
+    output = gzip_streams.compress(output) if compress and not is_kept else output
     settings = noise.describe()
-    return MadeFile(
-        output=gzip_streams.compress(output) if compress and not is_kept else output,
-        description=f"{noise.kind} noise of {noise.level:g} mean edge lengths "
+    description = (
+        f"{noise.kind} noise of {noise.level:g} mean edge lengths "
         f"({noise.level * ready.mesh.mean_edge_length:.4g}), {settings + ', ' if settings else ''}"
-        f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}",
-        warnings=mesh_file.warnings,
-        companions=companions,
+        f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}"
     )
+    return MadeFile(output, description, mesh_file.warnings, companions)
 
 
 def read_weights(mesh_file: Surface, ready: PreparedMesh, name: str) -> Floats:

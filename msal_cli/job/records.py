@@ -27,9 +27,7 @@ WITH_OUTPUT = (*DONE, "up-to-date")
 @dataclass(frozen=True, slots=True)
 class Volume:
     """Volume in cubed file units that a surface encloses, whichever side its normals point to;
-    ``reason`` says why it is not ``valid`` (open, ...).
-
-    A volume that is not valid has no figures, also in records of earlier versions that had some.
+    ``reason`` says why it is not ``valid`` (open, ...), and then it has no figures.
     """
 
     before: float | None = required(
@@ -181,11 +179,7 @@ class RunnerUp:
 
 @dataclass(frozen=True, slots=True)
 class ChoiceMade:
-    """Why ``method`` was chosen; lengths are in mean edge lengths.
-
-    ``method`` is ``none`` where the mesh stays as it is.  ``repeat`` are the options that do the
-    same by hand.
-    """
+    """Why ``method`` was chosen; lengths are in mean edge lengths."""
 
     reason: str = required("in one sentence: the noise, the surface, the method")
     surface: str | None = required(
@@ -243,12 +237,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class GateResult:
-    """What became of one gate (--fail-on) for one file.
-
-    ``values`` are those of the names in the expression, in the units of their fields; one that is
-    not known is None.  ``reason`` says them in words, and why a gate could not be decided; one that
-    could not be counts as broken.
-    """
+    """What became of one gate (--fail-on) for one file."""
 
     expression: str = required("what breaks the gate, as it was given")
     broken: bool = required("true if it is so for this file, or cannot be decided")
@@ -373,11 +362,7 @@ class TileSetPart:
 class MeshRecord(ScreenRepr):
     """One row per file; fields that could not be determined are None.
 
-    ``status`` is ``written``; ``unchanged`` (written, but no vertex moved, so the bytes are the
-    input's); ``up-to-date`` (the output of an earlier run is current); ``planned`` (--dry-run, or
-    the run ended before); or ``failed`` (see ``error``; if it is ``remembered`` the file failed in
-    an earlier run, and was not tried again).  Lengths are in file units unless the name says
-    otherwise.
+    Lengths are in file units unless the name says otherwise.
     """
 
     input: str = required("path of the input as it was found, - for standard input")
@@ -538,9 +523,7 @@ class ComparisonRecord(ScreenRepr):
     """A mesh ``after`` against a mesh ``before``, which is the reference: its mean edge length is
     the unit, its volume, area and normals are what changed.
 
-    ``correspondence`` is ``vertices`` where both files have the same faces, and ``surface`` where
-    not: then what needs corresponding vertices is None, and the vertex error is the mean distance
-    of ``after``'s vertices to ``before``'s surface.
+    Where the files have other faces, what needs corresponding vertices is None.
     """
 
     before: str = required("path of the reference")

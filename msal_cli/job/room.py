@@ -88,7 +88,7 @@ def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractCon
         return nullcontext()
     expected = forecast(task, settings)
     refuse_faces(expected.faces, limits)
-    return taken(scratch_of_task(task, expected, limits))
+    return use_scratch(scratch_of_task(task, expected, limits))
 
 
 def scratch_of_task(task: Task, expected: Forecast, limits: Limits) -> Scratch | None:
@@ -107,7 +107,7 @@ def room_for_files(paths: Sequence[str], format: str | None = None) -> AbstractC
     needs = [forecast(path, format=format).memory_bytes or base for path in paths]
     needed = base + sum(need - base for need in needs)
     words = "opening this file" if len(paths) == 1 else "opening these files"
-    return taken(find_scratch(words, needed))
+    return use_scratch(find_scratch(words, needed))
 
 
 def find_scratch(
@@ -177,7 +177,7 @@ def are_arrays_in_files() -> bool:
 
 
 @contextmanager
-def taken(scratch: Scratch | None) -> Iterator[None]:
+def use_scratch(scratch: Scratch | None) -> Iterator[None]:
     """Have large arrays live in files; nothing where they fit into memory.
 
     Raises

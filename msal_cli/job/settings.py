@@ -22,12 +22,9 @@ Assumption = Literal["noise", "texture"]
 Encoding = Literal["same", "ascii", "binary"]
 Precision = Literal["same", "float32", "float64"]
 
-AUTO = "auto"
-"""In place of a method's name: each mesh gets the one that suits it, see ``selection``."""
-
-ADAPTIVE = "adaptive"
-"""In place of a method's name: parameters of AL and MSAL are chosen for each mesh, see
-``auto.adaptive``."""
+AUTO, ADAPTIVE = "auto", "adaptive"
+"""In place of a method's name: each mesh gets the one that suits it, see ``auto.search``, or the
+parameters of AL and MSAL that do, see ``auto.adaptive``."""
 
 CHOOSING = (ADAPTIVE, AUTO)
 """The words in place of a method for which something is chosen."""
@@ -52,7 +49,7 @@ class Settings:
     Attributes
     ----------
     method, parameters : the method's name and all its parameters, resolved; with
-        ``AUTO`` the fields of ``selection.Wishes``, with ``ADAPTIVE`` none but ``assume``.
+        ``AUTO`` the fields of ``auto.Wishes``, with ``ADAPTIVE`` none but ``assume``.
     to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
         output name's.
     encoding : ``same``, ``ascii`` or ``binary``.

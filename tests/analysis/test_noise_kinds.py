@@ -10,10 +10,11 @@ import pytest
 from benchmarks.noise_kinds import KINDS, outcomes
 from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import estimate_noise, estimate_regions
-from msal_cli.analysis.noise_estimate.character import (
+from msal_cli.analysis.noise_estimate import (
     KIND_NAMES,
     classify,
+    estimate_noise,
+    estimate_regions,
     load_classifier,
 )
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence

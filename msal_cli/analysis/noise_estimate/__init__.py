@@ -2,25 +2,56 @@
 
 ``fits`` measures the level of noise that each vertex has of its own over one- and two-rings, and
 looks at fewer places over up to six rings; ``spread`` and ``axes`` measure what each kind of noise
-would leave there, and ``evidence`` makes numbers of it all.  ``character`` says from these how
-probable every kind is, and puts the estimate together.
+would leave there, and ``evidence`` makes numbers of it all.
+
+From these numbers boosted trees, trained by ``python -m training.noise`` on scripted shapes with
+noise of every kind and without, give a sum for each kind; the probabilities are its softmax,
+calibrated on shapes that the trees had not seen.  Another forest tells over how many rings
+neighbours share it; the level is the one measured for the kind.  Numbers are compared in single
+precision, so that every processor takes the same branches.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import math
+from collections.abc import Container
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from msal_cli.analysis.measures import apply_umbrella
-from msal_cli.analysis.noise_estimate.character import characterize
-from msal_cli.analysis.noise_estimate.fits import find_nearest
+from msal_cli.analysis.noise_estimate.evidence import (
+    LEVELS,
+    MISSING,
+    SIZE,
+    Evidence,
+    gather_evidence,
+)
+from msal_cli.analysis.noise_estimate.fits import (
+    NEGLIGIBLE,
+    SIX,
+    TWO,
+    WhiteEstimate,
+    estimate_white,
+    find_nearest,
+)
 from msal_cli.analysis.noise_estimate.level import (
+    KINDS,
+    MIN_PROBABILITY,
     NOISE,
     SURE,
     TEXTURE,
     NoiseCharacter,
     NoiseLevel,
     Reading,
+    to_clean_edges,
 )
+from msal_cli.analysis.noise_estimate.spread import weigh_differences
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import Mesh, cached_by_mesh
@@ -35,6 +66,73 @@ __all__ = [
     "estimate_noise",
     "estimate_regions",
 ]
+
+WEIGHTS = Path(__file__).with_name("forests.npz")
+
+KIND_NAMES = KINDS[:-1]
+"""The outputs of the classifier: all kinds but ``unknown``."""
+
+LEVEL_OF_KIND = {
+    "white": "white",
+    "isotropic": "white",
+    "correlated": "colour",
+    "view": "axis",
+    "quantised": "steps",
+    "uneven": "regions",
+    "outliers": "white",
+    "impulsive": "rms",
+    "staircase": "steps",
+}
+"""Which of the ``LEVELS`` is that of a kind."""
+
+MANY_VERTICES, FEWER = 1_500, 1.6
+"""Vertices below which a mesh is a design rather than a scan, and the power of their number with
+which the odds of noise fall."""
+
+MAX_RINGS, MIN_SHARED = 4, 0.95
+"""Most rings, and the estimated number of them below which neighbours share nothing."""
+
+
+MIN_VERTICES = 64
+"""Vertices below which nothing is said: two rings are most of the mesh."""
+
+NAMED = 0.5
+"""Share of the probability of noise that its most probable kind needs to be named."""
+
+PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
+"""Probability of noise that neighbours share, which removes most of a relief where there is none:
+where wide fits leave the same everywhere and ``PLAIN_MISFIT`` holds, elsewhere, and where a smooth
+relief would leave that as well, or ``POOR_MISFIT`` is exceeded."""
+
+PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
+"""Misfits of the levels by scale below which shared noise explains them, and above which it hardly
+does."""
+
+QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
+"""Mean edge lengths below which noise that neighbours may share has to be as probable as the
+second, the third for noise that differs by region and for terraces, and the last for few vertices.
+"""
+
+MAX_SEEN = (1.0, 0.65, 0.19)
+"""Greatest level for white noise, over that of noise shared over so many rings, or more, of which
+it is: 0.5 over one ring, 0.10 to 0.17 over two, on 21 shapes; white noise on relief has more."""
+
+FACING, MIN_GAIN = 0.6, 0.05
+"""Mean squared cosine of the normals to an axis that a mesh faces as a whole, and by how much an
+axis explains better what is left over, where it does not."""
+
+MAX_SLIDE = 1.6
+"""Level of noise along an axis, by how far vertices slide along it, over that by what fits leave:
+1.0 to 1.5, and 4 on range scans whose rows are uneven."""
+
+SHARED_KINDS = ("correlated", "view", "uneven")
+"""Kinds whose noise neighbours may share."""
+
+PASSES = 20
+"""Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""
+
+MIN_HEIGHT = 0.01
+"""Mean edge lengths that are added to every height, so that those near zero do not rule."""
 
 
 def estimate_noise(mesh: Mesh) -> NoiseLevel:
@@ -59,13 +157,6 @@ def estimate_regions(mesh: Mesh) -> Floats:
     return np.where(mesh.topology.has_ring, result.regions[nearest], 0.0)
 
 
-PASSES = 20
-"""Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""
-
-MIN_HEIGHT = 0.01
-"""Mean edge lengths that are added to every height, so that those near zero do not rule."""
-
-
 @cached_by_mesh
 def local_levels(mesh: Mesh) -> Floats:
     """Level of the noise around each vertex (n,), mean edge lengths.
@@ -86,3 +177,337 @@ def local_levels(mesh: Mesh) -> Floats:
     square = float((levels * levels).sum())
     scale = np.sqrt(float((wanted * wanted).sum()) / square) if square > 0.0 else 0.0
     return np.asarray(levels * scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """Binary trees whose leaves add up, one sum for each output; a leaf is its own child.
+
+    Attributes
+    ----------
+    features : (k,) which number a node compares.
+    thresholds : (k,) float32; numbers up to it go left.
+    left, right : (k,) children.
+    values : (k,) what a leaf adds; 0 at other nodes.
+    roots, outputs : (t,) first node and output of each tree.
+    start : (o,) each output without trees.
+    depth : levels below the roots.
+    """
+
+    features: NDArray[np.int16]
+    thresholds: NDArray[np.float32]
+    left: NDArray[np.int32]
+    right: NDArray[np.int32]
+    values: NDArray[np.float32]
+    roots: NDArray[np.int32]
+    outputs: NDArray[np.int16]
+    start: Floats
+    depth: int
+
+    def evaluate(self, numbers: Floats) -> Floats:
+        """The outputs (o,) for the numbers (f,) of one mesh."""
+        compared = numbers.astype(np.float32)
+        nodes = self.roots
+        for _ in range(self.depth):
+            goes_left = compared[self.features[nodes]] <= self.thresholds[nodes]
+            nodes = np.where(goes_left, self.left[nodes], self.right[nodes])
+        added = np.bincount(self.outputs, self.values[nodes], len(self.start))
+        return np.asarray(self.start + added)
+
+
+@dataclass(frozen=True, eq=False)
+class Classifier:
+    """The trained forests.
+
+    Attributes
+    ----------
+    kinds, rings : of the sums by kind, and of the number of rings.
+    sharpness : by what sums are multiplied so that probabilities hold.
+    spreads : (kinds, 3) true level over the measured one: what it exceeds in nine of ten cases, in
+        half of them, and in one.
+    """
+
+    kinds: Forest
+    rings: Forest
+    sharpness: float
+    spreads: Floats
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the classifier says of one mesh.
+
+    Attributes
+    ----------
+    noise : probability that there is noise, 0 to 1.
+    kind : the most probable kind of noise, as if there was some.
+    probability : of that kind.
+    level, low, high : its level and an interval for it, mean edge lengths, as if there was some.
+    rings : over how many rings neighbours share it, 0 to 4.
+    """
+
+    noise: float
+    kind: str
+    probability: float
+    level: float
+    low: float
+    high: float
+    rings: int
+
+
+FOREST_ARRAYS = [field.name for field in dataclasses.fields(Forest) if field.name != "depth"]
+
+
+@functools.cache
+def load_classifier() -> Classifier:
+    """The forests of the package."""
+    with np.load(WEIGHTS, allow_pickle=False) as arrays:
+        forests = {
+            name: Forest(
+                **{part: arrays[f"{name}_{part}"] for part in FOREST_ARRAYS},
+                depth=int(arrays[f"{name}_depth"]),
+            )
+            for name in ("kinds", "rings")
+        }
+        sharpness, spreads = float(arrays["sharpness"]), arrays["spreads"]
+    return Classifier(**forests, sharpness=sharpness, spreads=spreads)
+
+
+def measured_level(numbers: Floats, kind: str, rings: int) -> float:
+    """Logarithm of the level that was measured for a kind; mean edges."""
+    name = "axis_colour" if kind == "view" and rings else LEVEL_OF_KIND[kind]
+    value = float(numbers[LEVELS.index(name)])
+    return value if value > MISSING else float(numbers[LEVELS.index("white")])
+
+
+def classify(numbers: Floats, possible: Container[str]) -> Verdict:
+    """What the numbers (k,) of a mesh say, if its noise is of a ``possible`` kind."""
+    trained = load_classifier()
+    sums = trained.sharpness * trained.kinds.evaluate(numbers)
+    sums[0] -= FEWER * min(float(numbers[SIZE]) - math.log(MANY_VERTICES), 0.0)
+    chances = np.exp(sums - sums.max())
+    chances /= chances.sum()
+    by_kind = {
+        name: float(chance)
+        for name, chance in zip(KIND_NAMES, chances, strict=True)
+        if name != "none" and name in possible
+    }
+    kind = max(by_kind, key=lambda name: by_kind[name])
+    index = KIND_NAMES.index(kind)
+    shared = float(trained.rings.evaluate(numbers)[0])
+    rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
+    level = math.exp(measured_level(numbers, kind, rings))
+    return Verdict(
+        noise=1.0 - float(chances[0]),
+        kind=kind,
+        probability=by_kind[kind],
+        level=level,
+        low=level * min(float(trained.spreads[index, 0]), 1.0),
+        high=level * max(float(trained.spreads[index, 2]), 1.0),
+        rings=rings,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The noise of a mesh, by region too.
+
+    Attributes
+    ----------
+    level : the noise.
+    middles : (r, 3) positions of the regions' middles.
+    regions : (r,) levels of the regions, file units.
+    """
+
+    level: NoiseLevel
+    middles: Floats
+    regions: Floats
+
+
+def characterize(mesh: Mesh) -> Estimate:
+    """What the noise is like, and its level as it is for such."""
+    white = estimate_white(mesh)
+    if np.count_nonzero(mesh.topology.has_ring) < MIN_VERTICES:
+        return _without_noise(white, 1.0, "few vertices")
+    evidence = gather_evidence(mesh, white)
+    verdict = classify(evidence.numbers, _possible_kinds(evidence))
+    is_named = verdict.probability >= _naming_probability(verdict, evidence)
+    # What fits over one-rings see, beyond what noise that neighbours share leaves there.
+    max_seen = MAX_SEEN[min(verdict.rings, 2)] * verdict.level
+    if verdict.kind == "correlated" and white.level.mean_edges > max_seen:
+        verdict = dataclasses.replace(_with_level(verdict, white.level.mean_edges), kind="white")
+    elif not is_named and verdict.level > white.level.mean_edges:
+        # In doubt what the finest fits see, which relief adds least to.
+        verdict = _with_level(verdict, white.level.mean_edges)
+    elif verdict.kind == "view" and evidence.axis is not None and not verdict.rings:
+        # Rows of a range scan slide within the surface farther than noise makes them.
+        verdict = _with_level(verdict, min(verdict.level, MAX_SLIDE * evidence.axis.level))
+    is_weak = verdict.level < NEGLIGIBLE and verdict.kind != "outliers"
+    if verdict.noise < _needed_probability(verdict, evidence) or is_weak:
+        return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), verdict)
+    character = NoiseCharacter(
+        "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
+    )
+    if is_named:
+        character = dataclasses.replace(
+            character, **_describe_kind(evidence, verdict, white.level.tail)
+        )
+    readings = _order_readings(verdict.level, verdict.noise)
+    level, low = verdict.level, verdict.low
+    if verdict.kind == "impulsive":
+        level = min(level, white.level.mean_edges)
+    if verdict.kind == "white":
+        # What may be relief is known where the fits are those of the level.
+        low = min(low, white.level.low)
+    noise = dataclasses.replace(
+        white.level,
+        mean_edges=level,
+        low=0.0 if readings[0].probability < MIN_PROBABILITY else low,
+        high=max(verdict.high, verdict.level),
+        file_units=level * white.edge,
+        clean_edges=to_clean_edges(level),
+        rms_edges=max(verdict.level, white.level.rms_edges),
+        is_negligible=False,
+        lowest=level,
+        highest=level,
+        character=character,
+        readings=readings,
+    )
+    if character.kind == "uneven" and evidence.differences is not None:
+        differences = evidence.differences
+        scale = level * white.edge / np.sqrt(max(weigh_differences(differences), 1e-300))
+        regions = scale * np.sqrt(differences.lows)
+        lowest, highest = float(regions.min()) / white.edge, float(regions.max()) / white.edge
+        middles = mesh.vertices[evidence.survey.vertices[differences.middles]]
+        noise = dataclasses.replace(
+            noise,
+            low=min(noise.low, lowest),
+            lowest=lowest,
+            high=max(noise.high, highest),
+            highest=max(highest, level),
+            regions=len(regions),
+        )
+        return Estimate(noise, middles, regions)
+    return Estimate(noise, white.middles, np.full(len(white.middles), noise.file_units))
+
+
+def _with_level(verdict: Verdict, level: float) -> Verdict:
+    """The verdict with another level, mean edges, and its interval by as much."""
+    scale = level / verdict.level
+    return dataclasses.replace(
+        verdict, level=level, low=scale * verdict.low, high=scale * verdict.high
+    )
+
+
+def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
+    """Probability from which the kind is named."""
+    if verdict.kind != "correlated":
+        return NAMED * verdict.noise
+    colour = evidence.colour
+    if colour is None:
+        return SURE_SHARED
+    if colour.is_relief or colour.misfit > POOR_MISFIT:
+        return RELIEF_SHARED
+    is_plain = colour.is_floor and colour.misfit < PLAIN_MISFIT
+    return PLAIN_SHARED if is_plain else SURE_SHARED
+
+
+def _needed_probability(verdict: Verdict, evidence: Evidence) -> float:
+    """Probability of noise from which there is some.
+
+    A trace of noise that neighbours share is hardly seen, and relief is, once it is gone; detail on
+    a part of a design is more frequent than noise on a part of a scan, what neighbours share has a
+    floor where it is noise, and blocks on a grid are designs as well.
+    """
+    level = verdict.level
+    if verdict.kind == "view" and evidence.axis is not None:
+        level = min(level, evidence.axis.best_level)
+    if verdict.kind in SHARED_KINDS and level < QUIET:
+        return SURE_NOISE
+    is_detail = verdict.kind == "uneven" and evidence.loud_correlation > 0.0
+    colour = evidence.colour
+    is_patchy = verdict.kind == "correlated" and colour is not None and not colour.is_floor
+    if is_detail or is_patchy or verdict.kind == "staircase":
+        return SURE_DESIGN
+    return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
+
+
+def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
+    """Both readings, the more probable first: noise of a level, or all of it surface."""
+    readings = Reading(NOISE, level, noise), Reading(TEXTURE, 0.0, 1.0 - noise)
+    return readings if noise >= 0.5 else readings[::-1]
+
+
+def _without_noise(
+    white: WhiteEstimate, probability: float, basis: str, verdict: Verdict | None = None
+) -> Estimate:
+    """No noise, or less than can be seen; with a verdict that is unsure, up to its level."""
+    noise = dataclasses.replace(
+        white.level,
+        mean_edges=0.0,
+        low=0.0,
+        high=0.0 if verdict is None else verdict.level,
+        file_units=0.0,
+        clean_edges=0.0,
+        rms_edges=0.0,
+        is_negligible=True,
+        lowest=0.0,
+        highest=0.0,
+        character=NoiseCharacter("none", confidence=probability, basis=basis),
+        readings=_order_readings(0.0 if verdict is None else verdict.level, 1.0 - probability),
+    )
+    return Estimate(noise, white.middles, np.zeros(len(white.middles)))
+
+
+def _possible_kinds(evidence: Evidence) -> set[str]:
+    """Kinds of which everything is known that describes them."""
+    steps = evidence.steps
+    has_depths = steps.axis is not None and steps.along_gain > MIN_GAIN
+    if steps.axis is not None and not has_depths:
+        # Rows of a range scan are in steps within the surface, which the mesh does not face.
+        has_depths = float(((evidence.survey.normals @ steps.axis) ** 2).mean()) > FACING
+    is_possible = {
+        "view": evidence.axis is not None,
+        "quantised": has_depths,
+        "staircase": steps.n_axes == 3,
+        "uneven": evidence.differences is not None,
+    }
+    return {kind for kind in KIND_NAMES if is_possible.get(kind, True)}
+
+
+def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[str, Any]:
+    """What a ``NoiseCharacter`` of the kind of the verdict has, and on what that rests."""
+    kind, far_off = verdict.kind, max(evidence.outliers, tail)
+    values: dict[str, Any] = {"kind": kind}
+    if kind in SHARED_KINDS:
+        values["rings"] = max(verdict.rings, 1) if kind == "correlated" else verdict.rings
+    axis = evidence.steps.axis if kind == "quantised" else None
+    if kind == "view" and evidence.axis is not None:
+        axis = evidence.axis.axis
+    if axis is not None:
+        values |= {"direction": "axis", "axis": tuple(axis.tolist())}
+    if kind == "isotropic":
+        values["direction"] = "isotropic"
+    if kind in ("quantised", "staircase"):
+        values["step"] = evidence.steps.step
+    if kind == "outliers":
+        values["outliers"] = far_off
+    of_steps = "neighbours differ by multiples of one step"
+    bases = {
+        "view": "vertices slide along the axis, and what fits leave falls with the angle to it",
+        "isotropic": "vertices are moved within the surface as much as along the normals",
+        "quantised": of_steps,
+        "staircase": of_steps,
+        "outliers": f"{100.0 * far_off:.2g} % of the vertices lie far off",
+        "impulsive": f"{100.0 * tail:.2g} % of the vertices stand out along the normals",
+        "uneven": "what fits leave differs by region",
+    }
+    return values | ({"basis": bases[kind]} if kind in bases else {})
+
+
+def _describe_fits(evidence: Evidence) -> str:
+    """Such as ``fits leave 0.056 e over two rings, 0.14 e over six``."""
+    two, six = (np.sqrt(max(evidence.survey.quantile(fit, 0.2), 0.0)) for fit in (TWO, SIX))
+    if not np.isfinite(six):
+        return f"fits leave {two:.2g} e over two rings"
+    return f"fits leave {two:.2g} e over two rings, {six:.2g} e over six"

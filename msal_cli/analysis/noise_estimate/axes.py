@@ -426,12 +426,14 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
     steps = _axis_steps(differences)
     if not any(steps):
         is_turned = True
-        for frame in _find_frames(differences):
+        lengths = np.sqrt((differences * differences).sum(axis=1))
+        directions = differences[lengths > SAME] / lengths[lengths > SAME, None]
+        for frame in _find_frames(directions):
             steps = _axis_steps(differences @ frame.T)
             if all(steps):
                 break
         else:
-            axis = _find_step_axis(differences)
+            axis = _find_step_axis(differences, directions)
             if axis is None:
                 return NO_STEPS
             frame = np.stack([axis, axis, axis])
@@ -469,11 +471,9 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
     )
 
 
-def _find_step_axis(differences: Floats) -> Floats | None:
-    """The direction across which many edge vectors (d, 3) lie exactly, if their parts along it come
-    in steps; None where there is none."""
-    lengths = np.sqrt((differences * differences).sum(axis=1))
-    some = differences[lengths > SAME] / lengths[lengths > SAME, None]
+def _find_step_axis(differences: Floats, some: Floats) -> Floats | None:
+    """The direction across which many edges lie exactly, if the parts along it of their vectors
+    (d, 3) come in steps, None where there is none; ``some`` (k, 3) are directions of edges."""
     if len(some) < MIN_DIFFERENCES:
         return None
     first = some[np.linspace(0, len(some) - 2, MAX_PAIRS).astype(np.int64)]
@@ -513,21 +513,9 @@ def _axis_steps(differences: Floats) -> list[float]:
     return [_step(np.abs(differences[:, axis])) for axis in range(3)]
 
 
-def _find_frames(differences: Floats) -> Iterator[Floats]:
-    """Axes (3, 3), one a row, of turned grids that edge vectors (d, 3) may lie on: two directions
-    across one another that many edges have, and the third one."""
-    lengths = np.sqrt((differences * differences).sum(axis=1))
-    directions = differences[lengths > SAME] / lengths[lengths > SAME, None]
-    main = _main_directions(directions)
-    for first, second in itertools.combinations(main, 2):
-        if abs(float(first @ second)) < ACROSS:
-            third = np.cross(first, second)
-            third /= math.sqrt(float(third @ third))
-            yield np.stack([first, np.cross(third, first), third])
-
-
-def _main_directions(directions: Floats) -> Floats:
-    """Those (m, 3) of the directions (d, 3) that many have, the most frequent first."""
+def _find_frames(directions: Floats) -> Iterator[Floats]:
+    """Axes (3, 3), one a row, of turned grids that edges with these directions (d, 3) may lie on:
+    two of the most frequent directions across one another, and the third one."""
     some = directions[:: max(-(-len(directions) // MAX_CANDIDATES), 1)]
     shares = np.empty(len(some))
     for start in range(0, len(some), AT_ONCE):
@@ -540,7 +528,11 @@ def _main_directions(directions: Floats) -> Floats:
             break
         if not main or (np.abs(np.array(main) @ some[candidate]) < 1.0 - SAME).all():
             main.append(some[candidate])
-    return np.array(main).reshape(-1, 3)
+    for first, second in itertools.combinations(main, 2):
+        if abs(float(first @ second)) < ACROSS:
+            third = np.cross(first, second)
+            third /= math.sqrt(float(third @ third))
+            yield np.stack([first, np.cross(third, first), third])
 
 
 def _step(differences: Floats) -> float:
