@@ -9,10 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import (
-    accuracy_tables,
-    ground_truth,
-)
+from benchmarks import accuracy_tables, ground_truth
 from benchmarks.accuracy_grid import Setting, defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
 from msal_cli import methods

@@ -7,14 +7,7 @@ import sys
 
 import pytest
 
-from benchmarks import (
-    auto_seconds,
-    batch,
-    large_file,
-    measured,
-    small_file,
-    stages,
-)
+from benchmarks import auto_seconds, batch, large_file, measured, small_file, stages
 
 PEER = ["--peers", "meshio_mean", "--peers-python", sys.executable]
 

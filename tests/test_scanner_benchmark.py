@@ -7,9 +7,7 @@ import pytest
 
 from benchmarks import scanner_cases, scanner_outcomes, scanners
 from benchmarks.scan_simulation import ScannerSettings, simulate_scan
-from benchmarks.scan_simulation.depth_camera import (
-    DISTANCE,
-)
+from benchmarks.scan_simulation.depth_camera import DISTANCE
 from benchmarks.scan_simulation.occupancy import Grid, fill_voxels
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_settings import PEER_SETTINGS

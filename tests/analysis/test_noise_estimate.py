@@ -97,8 +97,7 @@ def test_gaussian_noise_is_told(shape, level):
 
 
 @pytest.mark.parametrize(
-    "shape",
-    [torus(160, 80), torus(60, 30), grid(40, 40), grid(60, 60), ball(), cube(), grid(3, 3)],
+    "shape", [torus(160, 80), torus(60, 30), grid(40, 40), grid(60, 60), ball(), cube(), grid(3, 3)]
 )
 def test_a_smooth_or_flat_mesh_has_none(shape):
     noise = estimate_noise(prepare_mesh(*shape).mesh)

@@ -11,13 +11,7 @@ import pytest
 from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.added_noise import add_plain_noise
-from msal_cli.analysis.noise_estimate import (
-    NOISE,
-    TEXTURE,
-    NoiseCharacter,
-    Reading,
-    estimate_noise,
-)
+from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, NoiseCharacter, Reading, estimate_noise
 from msal_cli.auto import FAMILY, NONE, adaptive
 from msal_cli.auto.candidates import LINEAR
 from msal_cli.mesh import prepare_mesh

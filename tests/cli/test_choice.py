@@ -18,14 +18,7 @@ from msal_cli.auto import adaptive
 from msal_cli.job.choice import prepare
 from msal_cli.job.settings import ADAPTIVE, Settings
 from msal_cli.mesh import prepare_mesh
-from tests.cli.scans import (
-    closed_scan,
-    folder_of,
-    msal,
-    ply_text,
-    record_of,
-    records_of,
-)
+from tests.cli.scans import closed_scan, folder_of, msal, ply_text, record_of, records_of
 from tests.report.schemas import report_schema
 from tests.shapes import noisy, torus
 

@@ -12,15 +12,7 @@ import time
 import pytest
 
 from msal_cli import methods
-from tests.cli.scans import (
-    BAD_SCAN,
-    MSAL,
-    closed_scan,
-    folder_of,
-    msal,
-    ply_text,
-    process,
-)
+from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, ply_text, process
 from tests.shapes import noisy, torus
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and pipes of POSIX")
@@ -42,9 +34,7 @@ except SystemExit as end:
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [["--help"], ["denoise", "--help"], ["completion", "--help"]],
-    ids=" ".join,
+    "arguments", [["--help"], ["denoise", "--help"], ["completion", "--help"]], ids=" ".join
 )
 def test_help_imports_nothing_heavy(arguments):
     assert heavy_modules_after(*arguments) == "0 []"

@@ -18,15 +18,7 @@ from msal_cli import machine
 from msal_cli.cli.streams import Stream, choose_format, copy_stream, find_stream, read_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError, UsageError
 from msal_cli.storage import regular
-from tests.cli.scans import (
-    MSAL,
-    closed_scan,
-    folder_of,
-    msal,
-    msal_on,
-    process,
-    record_of,
-)
+from tests.cli.scans import MSAL, closed_scan, folder_of, msal, msal_on, process, record_of
 
 SCAN = closed_scan()
 

@@ -150,14 +150,7 @@ def test_polygons_are_fanned_and_small_faces_carried(encoding):
     mesh = read(
         mesh_file(encoding, corners, [[0, 1, 2, 3, 4], [0, 1], [2, 1, 0], [], [3, 2, 1, 0]])
     )
-    assert mesh.faces.tolist() == [
-        [0, 1, 2],
-        [0, 2, 3],
-        [0, 3, 4],
-        [2, 1, 0],
-        [3, 2, 1],
-        [3, 1, 0],
-    ]
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 4], [2, 1, 0], [3, 2, 1], [3, 1, 0]]
     assert mesh.n_polygons == 5
     assert "2 faces have fewer than three corners" in mesh.warnings[0]
     assert [one.tolist() for one in mesh.polygons()] == [[0, 1, 2, 3, 4], [2, 1, 0], [3, 2, 1, 0]]
@@ -364,11 +357,7 @@ def test_records_of_positions_alone_are_as_any_others(code, extra):
             file.check(bytes(wrong), moved)
 
 
-SAMPLES = [
-    [0, 1, 2, None],
-    [3, 4, 5, 6],
-    [None, 7, None, 8],
-]
+SAMPLES = [[0, 1, 2, None], [3, 4, 5, 6], [None, 7, None, 8]]
 PLACES = [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (1.75, 0.875), (3, 1), (1, 2), (3, 2)]
 """A vertex for each sample, on whole numbers but for the sixth, which is nearer to the second."""
 

@@ -212,11 +212,7 @@ def test_encoded_keeps_all_but_encoding_and_types(file, encoding, precision):
     result = plain_ply.read(output)
     assert (
         result.encoding
-        == {
-            "same": file.encoding,
-            "ascii": "ascii",
-            "binary": "binary_little_endian",
-        }[encoding]
+        == {"same": file.encoding, "ascii": "ascii", "binary": "binary_little_endian"}[encoding]
     )
     assert result.comments == list(file.comments)
     assert result.newline == file.newline

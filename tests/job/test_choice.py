@@ -20,13 +20,7 @@ from msal_cli.job import pipeline
 from msal_cli.job.changes import method_warnings
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import Displacement, NoiseEstimate
-from msal_cli.job.settings import (
-    AUTO,
-    Settings,
-    Task,
-    forecast,
-    resolve_parameters,
-)
+from msal_cli.job.settings import AUTO, Settings, Task, forecast, resolve_parameters
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.cli.scans import msal, ply_text, record_of
 from tests.shapes import noisy, torus

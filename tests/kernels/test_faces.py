@@ -8,12 +8,7 @@ import pytest
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels import faces as module
 from msal_cli.kernels.connectivity import connectivity
-from msal_cli.kernels.faces import (
-    MAX_AROUND,
-    face_centroids,
-    face_rings,
-    faces_within,
-)
+from msal_cli.kernels.faces import MAX_AROUND, face_centroids, face_rings, faces_within
 from tests.methods.plain_normals import neighbours
 from tests.shapes import fan, grid
 

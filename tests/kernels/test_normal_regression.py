@@ -14,9 +14,7 @@ from msal_cli.kernels import (
     parallel,
     regression_network,
 )
-from msal_cli.kernels import (
-    vectors as small_vectors,
-)
+from msal_cli.kernels import vectors as small_vectors
 from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis.noise_estimate.spread import FREEDOMS, LEFT
-from msal_cli.kernels.patch_fits import (
-    fit_patches,
-    fit_scales,
-)
+from msal_cli.kernels.patch_fits import fit_patches, fit_scales
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid
 

@@ -43,9 +43,7 @@ def value_of(word: bytes) -> float:
 # Reading
 
 
-@given(
-    st.from_regex(rb"[+-]?(\d{1,25}\.?\d{0,25}|\.\d{1,25})([eE][+-]?\d{1,3})?", fullmatch=True),
-)
+@given(st.from_regex(rb"[+-]?(\d{1,25}\.?\d{0,25}|\.\d{1,25})([eE][+-]?\d{1,3})?", fullmatch=True))
 @example(b"9007199254740993")
 @example(b"9007199254740993.0000000000")
 @example(b"9007199254740992.9999")

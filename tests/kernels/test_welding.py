@@ -8,11 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from msal_cli.kernels.welding import (
-    first_alike,
-    number_groups,
-    weld_corners,
-)
+from msal_cli.kernels.welding import first_alike, number_groups, weld_corners
 
 
 def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[int]]:

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth
-from msal_cli.kernels.operators import (
-    DEVIATIONS,
-    SCALINGS,
-    WEIGHTS,
-    RobustLaplacian,
-)
+from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
 from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.pairs import errors, opened

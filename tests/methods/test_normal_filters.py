@@ -11,10 +11,7 @@ from msal_cli import methods
 from msal_cli.errors import UsageError
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
-from msal_cli.kernels.normal_filters import (
-    bilateral_averages,
-    difference_width,
-)
+from msal_cli.kernels.normal_filters import bilateral_averages, difference_width
 from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_normals as plain
 from tests.methods.runs import denoise, error_deg, free_vertices, run, scan, small_scan

@@ -105,8 +105,7 @@ def jpeg(size=1000):
 def test_pictures_stand_in_the_order_of_the_rows():
     records = [written("good"), failed("bad"), gated("gate")]
     gallery = Gallery(
-        pictures={0: Pictures(b"a", b"b"), 2: Pictures(b"c", b"d", b"e")},
-        legend="<p>moved</p>",
+        pictures={0: Pictures(b"a", b"b"), 2: Pictures(b"c", b"d", b"e")}, legend="<p>moved</p>"
     )
     _, reader = page(records, gallery)
     coded = [base64.b64encode(one).decode() for one in (b"c", b"d", b"e", b"a", b"b")]

@@ -13,12 +13,7 @@ from hypothesis import strategies as st
 
 from msal_cli.errors import InputError, MsalError, TooLargeError
 from msal_cli.storage import gzip_streams as streams
-from msal_cli.storage.gzip_streams import (
-    ALWAYS_EXPANDED,
-    compress,
-    expand,
-    read_whole,
-)
+from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, compress, expand, read_whole
 
 
 @given(st.lists(st.binary(max_size=5000), min_size=1, max_size=4))

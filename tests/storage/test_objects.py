@@ -16,13 +16,7 @@ from msal_cli.codecs.header import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
 from msal_cli.storage import objects as remote
 from msal_cli.storage import regular
-from msal_cli.storage.objects import (
-    Mark,
-    list_objects,
-    mark,
-    read_whole,
-    write_whole,
-)
+from msal_cli.storage.objects import Mark, list_objects, mark, read_whole, write_whole
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 

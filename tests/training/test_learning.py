@@ -16,11 +16,7 @@ from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 from training import noise_mixture, regression
 from training.noise_mixture import MIXTURE, draw_noise
-from training.samples import (
-    collect_samples,
-    draw_estimate,
-    draw_meshes,
-)
+from training.samples import collect_samples, draw_estimate, draw_meshes
 from training.scans import SHARES, draw_scan
 
 SHAPES = [("torus", *torus(40, 20)), ("thin", *torus(40, 16, 3.0, 0.5))]
