@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.mesh_file import fans
 from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
-from msal_cli.job.inspection import to_known_error
+from msal_cli.job.room import to_known_error
 
 Array = NDArray[Any]
 

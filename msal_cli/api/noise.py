@@ -19,8 +19,8 @@ from msal_cli.api.mesh_objects import (
 )
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
-from msal_cli.job.inspection import prepare_mesh
 from msal_cli.job.records import NoiseEstimate
+from msal_cli.job.room import prepare_mesh
 from msal_cli.job.settings import to_number
 
 NoiseKind = Literal[

@@ -28,10 +28,9 @@ from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
-from msal_cli.job.inspection import open_mesh, to_known_error
 from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
-from msal_cli.job.room import find_scratch, use_scratch
+from msal_cli.job.room import find_scratch, open_mesh, to_known_error, use_scratch
 from msal_cli.job.settings import (
     NO_LIMITS,
     Limits,

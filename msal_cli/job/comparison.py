@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
-from msal_cli.job.inspection import open_mesh, to_known_error
 from msal_cli.job.records import (
     WITH_OUTPUT,
     ComparisonRecord,
@@ -18,7 +17,7 @@ from msal_cli.job.records import (
     Reference,
     SelfIntersections,
 )
-from msal_cli.job.room import room_for_files
+from msal_cli.job.room import open_mesh, room_for_files, to_known_error
 from msal_cli.mesh import PreparedMesh, prepare_mesh
 from msal_cli.version import __version__
 

@@ -1,62 +1,19 @@
-"""Open one mesh file, and say what is in it: counts, defects, extent, volume and noise.
+"""What is in one mesh file: counts, defects, extent, volume and noise.
 
 Like ``pipeline`` it never raises for a file's fault: that becomes a record with an error.
 """
 
 from __future__ import annotations
 
-import logging
 from typing import TYPE_CHECKING
 
-from msal_cli import machine
-from msal_cli.errors import InternalError, MsalError, ResourceError
 from msal_cli.job.changes import defect_fields, noise_field
 from msal_cli.job.records import Failure, InfoRecord
-from msal_cli.job.room import require_order, room_for_files
+from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.mesh_file import MeshFile, Surface
-    from msal_cli.mesh import PreparedMesh
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.storage.regular import Buffer
-
-log = logging.getLogger("msal")
-
-
-def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
-    """The mesh file in ``data``, and whether gzip compressed it."""
-    from msal_cli import codecs
-    from msal_cli.storage import gzip_streams
-
-    plain, is_compressed = gzip_streams.expand(data, name)
-    return codecs.open_mesh(plain, name, format), is_compressed
-
-
-def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
-    """The mesh of a file, fit for computing; ContentError if it is not, ResourceError if its order
-    is random and there is not enough memory for that."""
-    from msal_cli.mesh import prepare_mesh
-
-    require_order(mesh_file.faces, len(mesh_file.vertices))
-    return prepare_mesh(
-        mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
-    )
-
-
-def to_known_error(error: Exception, name: str) -> MsalError:
-    """What a record says of any error; a defect of msal is logged with its traceback."""
-    if machine.is_out_of_memory(error):
-        return ResourceError(
-            error.message if isinstance(error, MsalError) else "not enough memory",
-            code="E_MEMORY",
-            hint="run fewer jobs at once, or use a machine with more memory",
-        )
-    if isinstance(error, MsalError):
-        return error
-    log.exception("internal error at %r", name)
-    return InternalError(
-        f"{type(error).__name__}: {error}",
-        hint="this is a defect of msal; please report it with the file",
-    )
 
 
 def inspect_file(

@@ -218,7 +218,7 @@ def add_noise_to_file(
     from msal_cli import codecs
     from msal_cli.analysis.added_noise import add_noise
     from msal_cli.codecs import detection
-    from msal_cli.job.inspection import open_mesh, prepare_mesh
+    from msal_cli.job.room import open_mesh, prepare_mesh
     from msal_cli.storage import gzip_streams
 
     mesh_file, is_compressed = open_mesh(data, name, format)

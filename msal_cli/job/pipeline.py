@@ -17,9 +17,8 @@ from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
-from msal_cli.job.inspection import open_mesh, prepare_mesh, to_known_error
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
-from msal_cli.job.room import room_for_task
+from msal_cli.job.room import open_mesh, prepare_mesh, room_for_task, to_known_error
 from msal_cli.job.settings import (
     CHOOSING,
     NO_LIMITS,

@@ -1,4 +1,4 @@
-"""Room for a mesh: memory where it fits, else files of a scratch folder, or a refusal.
+"""Open a mesh file, with room for it: memory, else files of a scratch folder, or a refusal.
 
 Whatever loads a mesh calls this module first.  In files, large arrays are the same arrays, and the
 system moves their pages in and out of memory (``kernels.array_files``).
@@ -6,6 +6,7 @@ system moves their pages in and out of memory (``kernels.array_files``).
 
 from __future__ import annotations
 
+import logging
 import os
 import tempfile
 import threading
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli import machine
-from msal_cli.errors import MsalError, OutputError, ResourceError
+from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
 from msal_cli.job.records import Failure, MeshRecord, Planned
 from msal_cli.job.settings import (
     ADAPTIVE,
@@ -38,6 +39,11 @@ from msal_cli.storage.urls import is_url
 if TYPE_CHECKING:
     from msal_cli.arrays import Ints
     from msal_cli.codecs.header import Forecast
+    from msal_cli.codecs.mesh_file import MeshFile, Surface
+    from msal_cli.mesh import PreparedMesh
+    from msal_cli.storage.regular import Buffer
+
+log = logging.getLogger("msal")
 
 LARGE_BYTES = 4 << 20
 """Files from this size on are looked into; smaller ones fit."""
@@ -284,6 +290,46 @@ def _free_bytes(folder: str) -> int | None:
     except OSError:
         return None  # using it says why not
     return status.f_bavail * status.f_frsize
+
+
+# Opening a file
+
+
+def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
+    """The mesh file in ``data``, and whether gzip compressed it."""
+    from msal_cli import codecs
+    from msal_cli.storage import gzip_streams
+
+    plain, is_compressed = gzip_streams.expand(data, name)
+    return codecs.open_mesh(plain, name, format), is_compressed
+
+
+def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
+    """The mesh of a file, fit for computing; ContentError if it is not, ResourceError if its order
+    is random and there is not enough memory for that."""
+    from msal_cli.mesh import prepare_mesh
+
+    require_order(mesh_file.faces, len(mesh_file.vertices))
+    return prepare_mesh(
+        mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
+    )
+
+
+def to_known_error(error: Exception, name: str) -> MsalError:
+    """What a record says of any error; a defect of msal is logged with its traceback."""
+    if machine.is_out_of_memory(error):
+        return ResourceError(
+            error.message if isinstance(error, MsalError) else "not enough memory",
+            code="E_MEMORY",
+            hint="run fewer jobs at once, or use a machine with more memory",
+        )
+    if isinstance(error, MsalError):
+        return error
+    log.exception("internal error at %r", name)
+    return InternalError(
+        f"{type(error).__name__}: {error}",
+        hint="this is a defect of msal; please report it with the file",
+    )
 
 
 # What a file will take, and whether it will fail, before it is denoised.  Seconds are those of one

@@ -14,7 +14,7 @@ from msal_cli.analysis.shared_borders import (
     share_borders,
 )
 from msal_cli.codecs import open_mesh
-from msal_cli.job.inspection import prepare_mesh
+from msal_cli.job.room import prepare_mesh
 from tests.batch.tile_files import ply
 from tests.shapes import grid
 
