@@ -48,7 +48,7 @@ from msal_cli.batch.schedule import (
 from msal_cli.errors import ResourceError
 from msal_cli.job.room import are_arrays_in_files
 from msal_cli.job.settings import FORECAST
-from msal_cli.machine import oom_kills, peak_bytes, usable_cores
+from msal_cli.machine import memory_bytes, oom_kills, peak_bytes, usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
@@ -794,18 +794,6 @@ class _ParentLog(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._outgoing.send("log", record.name, record.levelno, self.format(record))
-
-
-def memory_bytes(pid: int | str, name: str) -> int:
-    """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not known."""
-    try:
-        with open(f"/proc/{pid}/status", "rb") as file:
-            for line in file:
-                if line.startswith(name.encode() + b":"):
-                    return 1024 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
-    return 0
 
 
 def denoise_in_worker(
