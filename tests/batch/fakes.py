@@ -130,8 +130,9 @@ def work(task, common, on_progress):
     if action == "unpicklable":
         return lambda: None
     if action == "alone":
-        # How many workers of this run are alive while this one works?
+        # How many workers of this run are alive while this one works, and had it another task?
         mark = Path(argument) / str(os.getpid())
+        was_here = mark.exists()
         mark.touch()
         time.sleep(0.2)
         names = [int(one.name) for one in Path(argument).iterdir() if one.name.isdigit()]
@@ -140,7 +141,7 @@ def work(task, common, on_progress):
         (Path(argument) / "tried").touch()
         if first:
             die("kill")
-        return alive
+        return alive, was_here
     die(action)
     return None
 
