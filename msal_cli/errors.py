@@ -26,6 +26,9 @@ from __future__ import annotations
 EXPORT_AGAIN = "the file is damaged; export it again"
 """The hint for a file whose own counts or indices contradict each other."""
 
+CUT_SHORT = "the file was cut short; copy or export it again"
+"""The hint for a file that ends too early."""
+
 
 class MsalError(Exception):
     """Base of all errors; ``str(error)`` is the message alone.
@@ -172,3 +175,7 @@ def _packages(extra: str) -> list[str]:
     marker = re.compile(rf"""extra\s*==\s*['"]{re.escape(extra)}['"]""")
     found = (one.partition(";") for one in requirements)
     return [name.strip() for name, _, condition in found if marker.search(condition)]
+
+
+def damaged(message: str, where: str = "") -> FormatError:
+    return FormatError(message, where=where, hint=EXPORT_AGAIN)

@@ -57,7 +57,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     if wanted in ("glb", "gltf"):
         from msal_cli.codecs import gltf
 
-        return gltf.read_glb(data, name) if wanted == "glb" else gltf.read_gltf(data, name)
+        return gltf.GlbFile(data) if wanted == "glb" else gltf.GltfFile(data, name)
     if wanted == "3mf":
         from msal_cli.codecs import threemf
 

@@ -9,7 +9,7 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots
-from msal_cli.errors import EXPORT_AGAIN, FormatError, UnsupportedError
+from msal_cli.errors import UnsupportedError, damaged
 
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 69, 70, 76, 77)
 """Types of surface cells of second order, which are refused."""
@@ -59,7 +59,7 @@ class Cells:
         """
         wrong = sizes != _CORNERS.get(kind, sizes)
         if wrong.any():
-            raise FormatError(f"a {kind} has {int(sizes[wrong][0])} corners", hint=EXPORT_AGAIN)
+            raise damaged(f"a {kind} has {int(sizes[wrong][0])} corners")
         self._counts[kind] += len(sizes)
         if kind == "strip":
             triangles = corners[_strip_triangles(sizes)]
@@ -77,7 +77,7 @@ class Cells:
     def add_types(self, types: Longs, sizes: Longs, corners: Longs) -> None:
         """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers."""
         if len(types) != len(sizes):
-            raise FormatError("there are not as many types as cells", hint=EXPORT_AGAIN)
+            raise damaged("there are not as many types as cells")
         if n_curved := int(np.isin(types, _CURVED).sum()):
             raise UnsupportedError(
                 f"the file has second-order surface cells ({n_curved} cells)",
@@ -97,7 +97,7 @@ class Cells:
         for type in (5, 9):
             kind = _KINDS[type]
             if ((types == type) & (sizes != _CORNERS[kind])).any():
-                raise FormatError(f"a {kind} has not {_CORNERS[kind]} corners", hint=EXPORT_AGAIN)
+                raise damaged(f"a {kind} has not {_CORNERS[kind]} corners")
         groups = [("polygon", np.isin(types, _POLYGONS))]
         groups += [(name, types == one) for one, name in names.items() if one not in _POLYGONS]
         for kind, chosen in groups:
@@ -106,7 +106,7 @@ class Cells:
     def add_layer(self, dimensions: list[int], n_points: int) -> None:
         """Add the quadrilaterals of a structured grid that is one layer thick."""
         if len(dimensions) != 3 or dimensions[0] * dimensions[1] * dimensions[2] != n_points:
-            raise FormatError("DIMENSIONS and POINTS do not agree", hint=EXPORT_AGAIN)
+            raise damaged("DIMENSIONS and POINTS do not agree")
         rows = [size for size in dimensions if size > 1]
         if len(rows) != 2:
             self._counts["block of cells" if len(rows) == 3 else "row of points"] += 1

@@ -184,7 +184,7 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
         for primitive in as_dicts(mesh.get("primitives"))
     ]
     whole = []
-    for part in scene_file.parts:
+    for part in scene.parts.values():
         shown = np.tile(np.array(UNPAINTED, dtype=np.uint8), (part.positions.count, 1))
         for attributes in primitives:
             if attributes.get("POSITION") not in part.accessors or "COLOR_0" not in attributes:

@@ -11,8 +11,9 @@ import base64
 import errno
 import json
 import os
+import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
 from urllib.parse import quote, unquote
@@ -21,11 +22,9 @@ import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.codecs.gltf_scene import (
-    Part,
     Scene,
     as_dict,
     as_dicts,
-    damaged,
     find_entries,
     has_scheme,
     parse_json,
@@ -43,6 +42,7 @@ from msal_cli.codecs.mesh_file import (
 )
 from msal_cli.codecs.slot_file import Change, SlotFile
 from msal_cli.errors import (
+    CUT_SHORT,
     EXPORT_AGAIN,
     InputError,
     InternalError,
@@ -51,13 +51,12 @@ from msal_cli.errors import (
     TooLargeError,
     TruncatedError,
     UnsupportedError,
+    damaged,
 )
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open_regular
 from msal_cli.storage.urls import is_url
-
-_CUT = "the file was cut short; copy or export it again"
 
 
 class SceneFile(SlotFile):
@@ -66,18 +65,21 @@ class SceneFile(SlotFile):
     ``vertices`` are those of every part, one behind the other.  With several parts they are in the
     frame of the scene, since two parts may coincide in their own; with one part, in its own.
 
-    Its numbers lie in ``scene.data``; those who inherit put that into a file.
+    Its numbers lie in ``scene.data``; those who inherit put that into a file: ``_pack`` makes the
+    file with other data and a description that fits them, and ``_unpack`` the description and the
+    data of a file that was made of ``vertices`` (n, 3).
     """
 
     format = ""
+    _pack: Callable[[memoryview], Buffer]
+    _unpack: Callable[[Buffer, Floats], tuple[bytes, Buffer]]
 
     def __init__(self, data: Buffer, text: bytes, scene: Scene) -> None:
         self.data = data
         self.scene = scene
         self.text = text.decode("latin-1")
-        parts, warnings = scene.parts()
-        self.parts = parts
-        super().__init__(scene.data.data, self.format, lambda _: _layout(scene, parts, warnings))
+        scene.read_parts()
+        super().__init__(scene.data.data, self.format, lambda _: _layout(scene))
 
     def replaced(self, vertices: Floats) -> Buffer:
         if np.array_equal(vertices, self.vertices):
@@ -115,9 +117,13 @@ class SceneFile(SlotFile):
 
     def _bounds(self, data: Buffer) -> Iterator[tuple[int, str, list[float]]]:
         """The bounds that positions have in ``data``: accessor, ``min`` or ``max``, numbers."""
-        for part in self.parts:
-            bounds = part.bounds(as_bytes(data))
-            yield from ((i, word, bound) for i in part.accessors for word, bound in bounds.items())
+        for part in self.scene.parts.values():
+            # Column by column, because numpy reduces the first of two axes slowly.
+            columns = part.positions.rows(as_bytes(data)).T
+            least, most = ([f(column).item() for column in columns] for f in (np.min, np.max))
+            for index in part.accessors:
+                yield index, "min", least
+                yield index, "max", most
 
     def text_of(self, data: Buffer) -> bytes:
         """The description with the bounds that positions have in ``data``."""
@@ -129,18 +135,9 @@ class SceneFile(SlotFile):
         ]
         return replace_spans(self.text, edits).encode("latin-1")
 
-    def _pack(self, data: memoryview) -> Buffer:
-        """The file with other data, and with a description that fits them."""
-        raise NotImplementedError
 
-    def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
-        """The description and the data of a file that was made."""
-        raise NotImplementedError
-
-
-def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layout:
-    properties = scene.properties()
-    frames = scene.frames(parts)
+def _layout(scene: Scene) -> Layout:
+    parts, properties, frames = list(scene.parts.values()), scene.properties(), scene.frames()
     if len(parts) > 1:
         properties = (f"{len(parts)} parts", *properties)
     elif is_placed(frames[0]):
@@ -151,11 +148,11 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
     first = 0
     for part, slots, frame in zip(parts, positions, frames, strict=True):
         require_finite(slots.values, f"accessor {part.positions.index}, vertex {{}}".format)
-        own = part.faces()
-        faces.append(own + first)
+        own = np.concatenate(list(part.triangles.values()))
+        faces.append(own + np.int32(first))
         if part.normals is not None:
             linear = frame[:3, :3] if is_framed else np.eye(3)
-            normals.append((own.astype(np.int32), part.normals.slots(scene.data), linear, first))
+            normals.append((own, part.normals.slots(scene.data), linear, first))
         first += slots.count
     return Layout(
         "binary_little_endian",
@@ -168,9 +165,9 @@ def _layout(scene: Scene, parts: list[Part], warnings: tuple[str, ...]) -> Layou
         ],
         frames=tuple(frames) if is_framed else (),
         properties=properties,
-        warnings=warnings,
+        warnings=tuple(scene.notes),
         references=scene.references(),
-        faces=np.concatenate(faces).astype(np.int32),
+        faces=np.concatenate(faces),
     )
 
 
@@ -199,11 +196,6 @@ _HEAD = 20
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
 
-def read_glb(data: Buffer, name: str) -> GlbFile:
-    """Read the surfaces of a GLB file; ``name`` is there for all codecs alike."""
-    return GlbFile(data)
-
-
 def expected_bytes(head: memoryview, total: int) -> int:
     """The bytes that a file of ``total`` bytes that begins with ``head`` should have."""
     if total < _HEAD:
@@ -219,7 +211,7 @@ def expected_bytes(head: memoryview, total: int) -> int:
         raise TruncatedError(
             f"the file should have {max(length, _HEAD + size)} bytes but has {total}",
             where=f"byte {total}",
-            hint=_CUT,
+            hint=CUT_SHORT,
         )
     require_short(size, "JSON chunk")
     return int(length)
@@ -255,7 +247,7 @@ class GlbFile(SceneFile):
                 raise TruncatedError(
                     f"the binary chunk should have {size} bytes but has {length - 8}",
                     where=f"byte {_HEAD + len(text) + length}",
-                    hint=_CUT,
+                    hint=CUT_SHORT,
                 )
         is_inside = "uri" not in (as_dicts(content.get("buffers")) or [{}])[0]
         places = {0: (8 * (size > 0), size)} if is_inside else {}
@@ -279,20 +271,12 @@ class GlbFile(SceneFile):
 
 
 _BASE64 = ";base64,"
-_DATA_URI = b'"data:'
+_DATA_URI = re.compile(rb'"data:[^"]*"')
 _MAX_BEHIND = 256 << 20
 """Bytes behind the declared end of a buffer that are carried along whatever its size."""
 
 _MAX_BUFFERS = 10_000
 _AS_GLB = "export it as .glb, which holds everything in one file"
-
-
-def read_gltf(data: Buffer, name: str) -> GltfFile:
-    """Read the surfaces of a .gltf file and of the buffers in its folder; ``name`` is its path.
-
-    Raises InputError (``E_READ``) if a buffer cannot be read.
-    """
-    return GltfFile(data, name)
 
 
 def _decode_data_uri(uri: str, where: str) -> bytes | None:
@@ -306,10 +290,6 @@ def _decode_data_uri(uri: str, where: str) -> bytes | None:
         return base64.b64decode(uri[comma + 1 :], validate=True)
     except ValueError as failure:
         raise damaged(f"the data are not base64: {str(failure)[:100]}", where) from None
-
-
-def _encode_data_uri(head: str, content: Buffer) -> str:
-    return head + base64.b64encode(content).decode("ascii")
 
 
 def _file_name(uri: str, where: str) -> str:
@@ -384,7 +364,7 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
         raise TruncatedError(
             f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
             where=where,
-            hint=_CUT,
+            hint=CUT_SHORT,
         )
     return content
 
@@ -404,12 +384,8 @@ class GltfFile(SceneFile):
     def __init__(self, data: Buffer, path: str) -> None:
         text = bytes(data)
         # Base64 inside the text does not count.
-        size, at = len(text), text.find(_DATA_URI)
-        while at >= 0:
-            end = max(text.find(b'"', at + 1), at)
-            size -= end - at
-            at = text.find(_DATA_URI, end + 1)
-        require_short(size)
+        uris = (uri.end() - uri.start() for uri in _DATA_URI.finditer(text))
+        require_short(len(text) - sum(size - 1 for size in uris))
         content = parse_json(text, "description")
         self._path = path
         self.names: dict[int, str] = {}
@@ -465,7 +441,7 @@ class GltfFile(SceneFile):
             raise TruncatedError(
                 f"the buffer should have {declared:,} bytes but has {span[1]:,}",
                 where=where,
-                hint=_CUT,
+                hint=CUT_SHORT,
             )
         self.spans[number] = span
         return content or b""
@@ -483,7 +459,9 @@ class GltfFile(SceneFile):
         for number in self._changed(data) - set(self.names):
             at, size = self.spans[number]
             uri = self.scene.entry("buffers", number)["uri"]
-            uris[number] = _encode_data_uri(uri[: uri.index(",") + 1], data[at : at + size])
+            uris[number] = (
+                uri[: uri.index(",") + 1] + base64.b64encode(data[at : at + size]).decode()
+            )
         return _replace_uris(self.text_of(data), uris)
 
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
@@ -498,9 +476,8 @@ class GltfFile(SceneFile):
             if number in self.names or number not in self.spans:
                 continue
             at, size = self.spans[number]
-            if _decode_data_uri(content["buffers"][number]["uri"], "") != bytes(
-                data[at : at + size]
-            ):
+            uri = content["buffers"][number]["uri"]
+            if _decode_data_uri(uri, "") != bytes(data[at : at + size]):
                 raise InternalError("a buffer of a .gltf file was not written right")
             restored.append((spans["uri"], self.text[slice(*original[number]["uri"])]))
         return replace_spans(text, restored).encode("latin-1"), data
@@ -565,7 +542,7 @@ class GltfFile(SceneFile):
         return _replace_uris(output, uris), tuple(companions.values())
 
     def _new_names(self, path: str, changed: set[int]) -> dict[int, str]:
-        """The names of the buffers' files beside an output at ``path``; some buffers changed."""
+        """The names of the buffers' files beside an output at ``path``."""
         stem, new_stem = _stem(self._path), _stem(path)
         names: dict[int, str] = {}
         renamed: dict[str, str] = {}
@@ -625,8 +602,8 @@ def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
     except (TypeError, ValueError, LookupError, AttributeError):
         return None
     if to == "gltf":
-        head = "data:application/octet-stream;base64,"
-        content["buffers"][0]["uri"] = _encode_data_uri(head, binary)
+        uri = "data:application/octet-stream;base64," + base64.b64encode(binary).decode()
+        content["buffers"][0]["uri"] = uri
         return _to_json(content)
     binary += bytes(-len(binary) % 4)
     chunk = struct.pack("<II", len(binary), _BINARY) + binary

@@ -18,7 +18,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Bytes, Floats, Longs
+from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs.slots import Strided
 from msal_cli.errors import (
     EXPORT_AGAIN,
@@ -28,6 +28,7 @@ from msal_cli.errors import (
     TooLargeError,
     TruncatedError,
     UnsupportedError,
+    damaged,
 )
 
 Span = tuple[int, int]
@@ -39,10 +40,6 @@ it may take thirty times its size."""
 
 _GAP = re.compile(r"[ \t\n\r,:]*")
 _decoder = json.JSONDecoder()
-
-
-def damaged(message: str, where: str) -> FormatError:
-    return FormatError(message, where=where, hint=EXPORT_AGAIN)
 
 
 def parse_json(data: bytes, where: str) -> dict[str, Any]:
@@ -190,29 +187,15 @@ class Part:
     normals : one to a position, if all of them have the same that can be recomputed.
     mesh : the number of the first mesh.
     accessors : the numbers of all accessors that its positions have.
-    triangles : (m, 3) by the mode and the indices that they come from, so that a mesh that is twice
-        in a file, with other materials perhaps, is read once.
+    triangles : (m, 3) into the positions by the mode and the indices that they come from, so that a
+        mesh that is twice in a file, with other materials perhaps, is read once.
     """
 
     positions: Accessor
     normals: Accessor | None
     mesh: int
     accessors: dict[Any, None] = field(default_factory=dict)
-    triangles: dict[object, Longs] = field(default_factory=dict)
-
-    def faces(self) -> Longs:
-        """All triangles (m, 3) into the positions."""
-        triangles = list(self.triangles.values())
-        return triangles[0] if len(triangles) == 1 else np.concatenate(triangles)
-
-    def bounds(self, data: Bytes) -> dict[str, list[float]]:
-        """The least and the largest of each coordinate in ``data``."""
-        # Column by column, because numpy reduces the first of two axes slowly.
-        columns = self.positions.rows(data).T
-        return {
-            "min": [column.min().item() for column in columns],
-            "max": [column.max().item() for column in columns],
-        }
+    triangles: dict[object, Ints] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -225,11 +208,15 @@ class Scene:
     data : (size,) uint8, the bytes of its buffers and perhaps more.
     buffers : first byte and size of each buffer in ``data``, or why it cannot be had; a buffer that
         the reader does not look for is left out.
+    parts : the surfaces by their positions; filled by ``read_parts``.
+    notes : warnings, each once.
     """
 
     content: dict[str, Any]
     data: Bytes
     buffers: Mapping[int, tuple[int, int] | MsalError]
+    parts: dict[Accessor, Part] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)
 
     def entry(self, kind: str, index: object) -> dict[str, Any]:
         """The entry ``index`` of the list ``kind``; FormatError if there is none."""
@@ -286,17 +273,15 @@ class Scene:
         unit = 1.0 / np.iinfo(code).max if is_share else 1.0
         return Accessor(index, begin + offset + within, stride, count, columns, code, unit)
 
-    def parts(self) -> tuple[list[Part], tuple[str, ...]]:
-        """All surfaces, those over one list of positions together, and warnings."""
-        parts: dict[Accessor, Part] = {}
-        notes: dict[str, None] = {}
+    def read_parts(self) -> None:
+        """Find all surfaces, those over one list of positions together."""
         size = sum(place[1] for place in self.buffers.values() if isinstance(place, tuple))
         room = max(size, _ALWAYS_READ)
         for mesh in range(len(as_list(self.content.get("meshes")))):
             primitives = as_dicts(self.entry("meshes", mesh).get("primitives"))
             for k, primitive in enumerate(primitives):
                 where = f"mesh {mesh}, primitive {k}"
-                part = self._find_part(parts, notes, mesh, primitive, where)
+                part = self._find_part(mesh, primitive, where)
                 if part is None:
                     continue
                 indices = None
@@ -319,42 +304,30 @@ class Scene:
                         "the mesh alone",
                     )
                 room -= n_corners
-                corners = np.arange(count, dtype=np.int64)
-                if indices is not None:
-                    corners = indices.rows(self.data)[:, 0].astype(np.int64)
-                highest = int(corners.max(initial=-1))
-                if highest >= count:
+                corners = np.arange(count) if indices is None else indices.rows(self.data)[:, 0]
+                if n_corners and (highest := int(corners.max())) >= count:
                     raise ContentError(
                         f"a face names vertex {highest} of {count}",
                         code="E_INDEX",
                         where=where,
                         hint=EXPORT_AGAIN,
                     )
-                part.triangles[source] = _triangles(corners, source[0])
-        _separate(list(parts.values()), size, notes)
-        if not any(len(faces) for part in parts.values() for faces in part.triangles.values()):
+                part.triangles[source] = _triangles(corners.astype(np.int32), source[0])
+        self._refuse_overlaps(size)
+        if not any(len(faces) for part in self.parts.values() for faces in part.triangles.values()):
             raise ContentError(
                 "the file has no triangles",
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
-        return list(parts.values()), tuple(notes)
 
-    def _find_part(
-        self,
-        parts: dict[Accessor, Part],
-        notes: dict[str, None],
-        mesh: int,
-        primitive: dict[str, Any],
-        where: str,
-    ) -> Part | None:
-        """That of ``parts`` over the positions of a primitive, or a new one; None if the primitive
-        is no surface."""
+    def _find_part(self, mesh: int, primitive: dict[str, Any], where: str) -> Part | None:
+        """The part over the positions of a primitive; None if the primitive is no surface."""
         if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
             raise UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         attributes = as_dict(primitive.get("attributes"))
         if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
-            notes["points and lines are kept as they are"] = None
+            self.notes["points and lines are kept as they are"] = None
             return None
         if "POSITION" not in attributes:
             return None
@@ -366,23 +339,48 @@ class Scene:
         if not positions.count:
             return None
         if positions.code != "<f4":
-            notes["positions are whole numbers (quantised): new ones are rounded"] = None
+            self.notes["positions are whole numbers (quantised): new ones are rounded"] = None
         normals = None
         if "NORMAL" in attributes:
             normals = self.find_rows(attributes["NORMAL"], _FLOAT_TYPES, "VEC3", where)
             if normals is None or normals.count != positions.count:
                 normals = None
-                notes["normals that are not float32 are kept as they are"] = None
+                self.notes["normals that are not float32 are kept as they are"] = None
         if "TANGENT" in attributes:
-            notes["tangents are kept as they are"] = None
+            self.notes["tangents are kept as they are"] = None
         if primitive.get("targets"):
-            notes["the displacements of morph targets are kept as they are"] = None
-        part = parts.setdefault(positions, Part(positions, normals, mesh))
+            self.notes["the displacements of morph targets are kept as they are"] = None
+        part = self.parts.setdefault(positions, Part(positions, normals, mesh))
         part.accessors[positions.index] = None
         if part.normals != normals:
-            notes["normals of parts that share positions are kept as they are"] = None
+            self.notes["normals of parts that share positions are kept as they are"] = None
             part.normals = None
         return part
+
+    def _refuse_overlaps(self, data_size: int) -> None:
+        """Drop normals that two of the parts share; raise UnsupportedError if rows overlap."""
+        parts = self.parts.values()
+        used: set[Accessor] = set()
+        for part in parts:
+            if part.normals in used:
+                self.notes["normals that several parts share are kept as they are"] = None
+                part.normals = None
+            elif part.normals is not None:
+                used.add(part.normals)
+        regions = [rows for part in parts for rows in (part.positions, part.normals) if rows]
+        # Rows that do not fit beside one another are not compared: there may be very many.
+        is_overlap = sum(rows.width * rows.count for rows in regions) > data_size
+        if len(regions) > 1 and not is_overlap:
+            starts = np.concatenate(
+                [rows.at + rows.stride * np.arange(rows.count) for rows in regions]
+            )
+            widths = np.repeat([rows.width for rows in regions], [rows.count for rows in regions])
+            order = np.argsort(starts)
+            is_overlap = bool((np.diff(starts[order]) < widths[order][:-1]).any())
+        if is_overlap:
+            raise UnsupportedError(
+                "lists of positions or normals overlap", where="accessors", hint=_PLAIN
+            )
 
     def properties(self) -> tuple[str, ...]:
         """What is carried along."""
@@ -404,45 +402,34 @@ class Scene:
         paths = [uri for uri in uris if isinstance(uri, str) and uri and not has_scheme(uri)]
         return tuple(dict.fromkeys(map(unquote, paths)))
 
-    def frames(self, parts: list[Part]) -> list[Floats]:
-        """The frame (4, 4) of each part, by the first node that shows its mesh.
-
-        Identities if a frame is not understood.
-        """
+    def frames(self) -> list[Floats]:
+        """The frame (4, 4) of each part, by the first node that shows its mesh; identities if one
+        is not understood."""
         parents: dict[int, int] = {}
         shown_by: dict[int, int] = {}
-        frames: dict[int | None, Floats] = {}
+        products: dict[int | None, Floats] = {}
+        result = []
         try:
             for number in range(len(as_list(self.content.get("nodes")))):
-                node = self.entry("nodes", number)
-                for child in node.get("children", []):
+                entry = self.entry("nodes", number)
+                for child in entry.get("children", []):
                     parents.setdefault(int(child), number)
-                if isinstance(node.get("mesh"), int):
-                    shown_by.setdefault(node["mesh"], number)
+                if isinstance(entry.get("mesh"), int):
+                    shown_by.setdefault(entry["mesh"], number)
             with np.errstate(all="ignore"):
-                return [
-                    self._frame(shown_by.get(part.mesh), parents, frames, _MAX_DEPTH)
-                    @ np.diag([*3 * [part.positions.unit], 1.0])
-                    for part in parts
-                ]
+                for rows, part in self.parts.items():
+                    node = shown_by.get(part.mesh)
+                    chain: list[int] = []
+                    while node is not None and node not in products and len(chain) < _MAX_DEPTH:
+                        chain.append(node)
+                        node = parents.get(node)
+                    frame = products.get(node, np.eye(4))
+                    for number in reversed(chain):
+                        frame = products[number] = frame @ _transform(self.entry("nodes", number))
+                    result.append(frame @ np.diag([rows.unit] * 3 + [1.0]))
         except (TypeError, ValueError, OverflowError, FormatError):
-            return [np.eye(4) for _ in parts]
-
-    def _frame(
-        self,
-        node: int | None,
-        parents: dict[int, int],
-        frames: dict[int | None, Floats],
-        depth: int,
-    ) -> Floats:
-        """The product of a node's transform and at most ``depth`` - 1 above it; ``frames``
-        remembers it."""
-        if node is None or (node not in frames and not depth):
-            return np.eye(4)
-        if node not in frames:
-            above = self._frame(parents.get(node), parents, frames, depth - 1)
-            frames[node] = above @ _transform(self.entry("nodes", node))
-        return frames[node]
+            return [np.eye(4) for _ in self.parts]
+        return result
 
 
 def _transform(node: dict[str, Any]) -> Floats:
@@ -466,31 +453,6 @@ def has_scheme(uri: str) -> bool:
     return re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", uri) is not None
 
 
-def _separate(parts: list[Part], data_size: int, notes: dict[str, None]) -> None:
-    """Drop normals that two of the parts share; raise UnsupportedError if rows overlap."""
-    used: set[Accessor] = set()
-    for part in parts:
-        if part.normals in used:
-            notes["normals that several parts share are kept as they are"] = None
-            part.normals = None
-        elif part.normals is not None:
-            used.add(part.normals)
-    regions = [rows for part in parts for rows in (part.positions, part.normals) if rows]
-    # Rows that do not fit beside one another are not compared: there may be very many.
-    is_overlap = sum(rows.width * rows.count for rows in regions) > data_size
-    if len(regions) > 1 and not is_overlap:
-        starts = [rows.at + rows.stride * np.arange(rows.count) for rows in regions]
-        widths = [np.full(rows.count, rows.width) for rows in regions]
-        order = np.argsort(np.concatenate(starts))
-        is_overlap = bool(
-            (np.diff(np.concatenate(starts)[order]) < np.concatenate(widths)[order][:-1]).any()
-        )
-    if is_overlap:
-        raise UnsupportedError(
-            "lists of positions or normals overlap", where="accessors", hint=_PLAIN
-        )
-
-
 def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     value = entry.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**40:
@@ -498,15 +460,14 @@ def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = No
     return value
 
 
-def _triangles(corners: Longs, mode: int) -> Longs:
+def _triangles(corners: Ints, mode: int) -> Ints:
     """Triangles (m, 3) of a list, strip or fan of corners."""
     if mode == _TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    if len(corners) < 3:
-        return np.zeros((0, 3), dtype=np.int64)
-    second, third = corners[1:-1], corners[2:]
+    first, second, third = corners[:-2], corners[1:-1], corners[2:]
     if mode == _FAN:
-        return np.stack([np.broadcast_to(corners[0], second.shape), second, third], axis=1)
-    faces = np.stack([corners[:-2], second, third], axis=1)
-    faces[1::2] = faces[1::2, [1, 0, 2]]
+        first = np.broadcast_to(corners[:1], third.shape)
+    faces = np.stack([first, second, third], axis=1)
+    if mode == _STRIP:
+        faces[1::2] = faces[1::2, [1, 0, 2]]
     return faces

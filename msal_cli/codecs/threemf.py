@@ -38,7 +38,6 @@ from msal_cli.codecs.threemf_model import (
     place_of,
     start_parser,
 )
-from msal_cli.codecs.xml_offsets import damaged
 from msal_cli.codecs.zip_archive import Archive, Member
 from msal_cli.errors import (
     ContentError,
@@ -46,6 +45,7 @@ from msal_cli.errors import (
     InternalError,
     MsalError,
     UnsupportedError,
+    damaged,
 )
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED

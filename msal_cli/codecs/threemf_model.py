@@ -20,8 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.xml_offsets import damaged
-from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, UnsupportedError
+from msal_cli.errors import (
+    EXPORT_AGAIN,
+    ContentError,
+    FormatError,
+    TooLargeError,
+    UnsupportedError,
+    damaged,
+)
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
 _VERTICES = re.compile(

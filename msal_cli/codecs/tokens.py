@@ -8,7 +8,14 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Longs
 from msal_cli.codecs.text_slots import Tokens, line_of, parse_floats
-from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, TooLargeError, TruncatedError
+from msal_cli.errors import (
+    CUT_SHORT,
+    EXPORT_AGAIN,
+    ContentError,
+    TooLargeError,
+    TruncatedError,
+    damaged,
+)
 from msal_cli.storage.regular import Buffer
 
 _MAX_KEYWORDS = 1_000_000
@@ -64,7 +71,7 @@ class Words:
             raise TruncatedError(
                 f"the file ends before all {what} are there",
                 where=self.where(len(self)),
-                hint="the file was cut short; copy or export it again",
+                hint=CUT_SHORT,
             )
 
     def count(self, i: int, what: str) -> int:
@@ -73,9 +80,7 @@ class Words:
         word = self.word(i)
         if not word.isdigit() or len(word) > 18:
             shown = word[:40].decode("ascii", "backslashreplace")
-            raise FormatError(
-                f"{shown!r} is not the number of {what}", where=self.where(i), hint=EXPORT_AGAIN
-            )
+            raise damaged(f"{shown!r} is not the number of {what}", self.where(i))
         return int(word)
 
     def integers(self, chosen: slice | Longs) -> Longs:
@@ -85,11 +90,7 @@ class Words:
         wrong = ~(np.abs(values) < 2.0**53) | (values != np.rint(values))
         if wrong.any():
             at = int(starts[int(np.argmax(wrong))])
-            raise FormatError(
-                "a whole number is expected",
-                where=f"line {line_of(self.data, at)}",
-                hint=EXPORT_AGAIN,
-            )
+            raise damaged("a whole number is expected", f"line {line_of(self.data, at)}")
         return values.astype(np.int64)
 
     def float_rows(self, first: Longs, *, unit_length: bool = False) -> Tokens:

@@ -23,7 +23,7 @@ from msal_cli.codecs.mesh_file import Dependent, Layout, Parse, Shift
 from msal_cli.codecs.slots import UnitSlots, to_type
 from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
-from msal_cli.codecs.xml_offsets import Element, damaged, parse_tree
+from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,
@@ -31,6 +31,7 @@ from msal_cli.errors import (
     TooLargeError,
     TruncatedError,
     UnsupportedError,
+    damaged,
 )
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
 from msal_cli.storage.regular import Buffer, memory_bytes

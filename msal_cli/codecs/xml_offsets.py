@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from msal_cli.errors import EXPORT_AGAIN, FormatError, TooLargeError, UnsupportedError
+from msal_cli.errors import TooLargeError, UnsupportedError, damaged
 from msal_cli.storage.regular import Buffer
 
 MAX_ELEMENTS = 1_000_000
@@ -59,10 +59,6 @@ class Element:
         return self.start + found.start(group), self.start + found.end(group)
 
 
-def damaged(message: str, where: str) -> FormatError:
-    return FormatError(message, where=where, hint=EXPORT_AGAIN)
-
-
 def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
     """The root of an XML file, or of its beginning up to the byte ``stop``.
 
@@ -99,7 +95,7 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
         # Each names the other, so that neither would be freed before long.
         del builder.parser
     if builder.root is None:
-        raise FormatError(f"there is no {what} in the file", hint=EXPORT_AGAIN)
+        raise damaged(f"there is no {what} in the file")
     return builder.root
 
 

@@ -258,7 +258,7 @@ def test_nothing_outside_the_folder_is_read(tmp_path, uri, monkeypatch):
     (tmp_path / "in" / "a.gltf").write_text(text)
     monkeypatch.setattr(os, "open", None)
     with pytest.raises(UnsupportedError, match="not in the folder"):
-        gltf.read_gltf(text.encode(), str(tmp_path / "in" / "a.gltf"))
+        gltf.GltfFile(text.encode(), str(tmp_path / "in" / "a.gltf"))
 
 
 @posix
@@ -269,19 +269,19 @@ def test_links_and_pipes_beside_a_scene(tmp_path):
     (tmp_path / "outside.bin").write_bytes(binary)
     buffer.symlink_to(tmp_path / "outside.bin")
     with pytest.raises(UnsupportedError, match="leads out of the folder"):
-        gltf.read_gltf(text.encode(), name)
+        gltf.GltfFile(text.encode(), name)
     (tmp_path / "in" / "real.bin").write_bytes(binary)
     buffer.unlink()
     buffer.symlink_to("real.bin")
-    assert len(gltf.read_gltf(text.encode(), name).faces) == 192
+    assert len(gltf.GltfFile(text.encode(), name).faces) == 192
     buffer.unlink()
     os.mkfifo(buffer)
     with pytest.raises(UnsupportedError, match="not a regular file"):
-        gltf.read_gltf(text.encode(), name)
+        gltf.GltfFile(text.encode(), name)
     buffer.unlink()
     buffer.mkdir()
     with pytest.raises(MsalError):
-        gltf.read_gltf(text.encode(), name)
+        gltf.GltfFile(text.encode(), name)
 
 
 def test_buffers_that_are_missing_or_short(tmp_path):
