@@ -61,7 +61,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     if wanted == "3mf":
         from msal_cli.codecs import threemf
 
-        return threemf.read(data, name)
+        return threemf.ThreeMfFile(data)
     from msal_cli.codecs import off, slot_file, vtk, vtk_xml
 
     parsers = {

@@ -7,8 +7,6 @@ from collections import Counter
 import numpy as np
 
 from msal_cli.arrays import Longs
-from msal_cli.codecs.mesh_file import Layout
-from msal_cli.codecs.slots import Slots
 from msal_cli.errors import UnsupportedError, damaged
 
 _CURVED = (22, 23, 28, 30, 32, 34, 36, 69, 70, 76, 77)
@@ -138,29 +136,6 @@ class Cells:
             and f"{self._small} polygons of fewer than three corners are kept and left out",
         )
         return tuple(str(warning) for warning in warnings if warning)
-
-    def content(
-        self,
-        positions: Slots,
-        precision: str,
-        *,
-        encoding: str,
-        normals: tuple[Slots, ...],
-        properties: tuple[str, ...],
-        warnings: tuple[str, ...],
-    ) -> Layout:
-        """What a file of these cells holds."""
-        return Layout(
-            encoding,
-            precision,
-            (positions,),
-            self.corners(),
-            self.sizes(),
-            normals,
-            properties=properties,
-            warnings=(*self.warnings(), *warnings),
-            held=self.describe(),
-        )
 
 
 def _strip_triangles(sizes: Longs) -> Longs:

@@ -83,12 +83,10 @@ class Package:
 
     def __init__(self, data: Buffer) -> None:
         self.archive = Archive(data)
-        self.room = min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data)))
         self.is_signed = False
-        self._root = self._member(self._root_target(), _ROOT)
         self.models: dict[str, Model] = {}
         self.texts: dict[str, bytes] = {}
-        self._load()
+        self._load(min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data))))
         placed, self.has_instances = self._find_frames()
         meshes = [
             (mesh, placed.get((name, number), np.eye(4)))
@@ -147,10 +145,10 @@ class Package:
             raise damaged(f"the package names {len(targets)} models, not one", _ROOT)
         return targets[0]
 
-    def _load(self) -> None:
-        """Read the root model and all that its build and components lead to."""
-        room = self.room
-        waiting = deque([self._root])
+    def _load(self, room: int) -> None:
+        """Read the root model and all that its build and components lead to, which may expand to
+        ``room`` bytes."""
+        waiting = deque([self._member(self._root_target(), _ROOT)])
         while waiting:
             member = waiting.popleft()
             if member.name in self.models:
@@ -165,7 +163,7 @@ class Package:
                         raise self._missing(member.name, use, f"the part {use.path[:200]!r}")
                     if other.name not in self.models:
                         waiting.append(other)
-        root = self.models[self._root.name]
+        root = next(iter(self.models.values()))
         for name, model in self.models.items():
             if model.unit != root.unit:
                 raise UnsupportedError(
@@ -185,8 +183,8 @@ class Package:
         """
         frames: dict[tuple[str, int], Floats] = {}
         has_instances = False
-        root = self._root.name
-        waiting = deque((root, use, np.eye(4)) for use in self.models[root].items)
+        root, model = next(iter(self.models.items()))
+        waiting = deque((root, use, np.eye(4)) for use in model.items)
         while waiting:
             name, use, above = waiting.popleft()
             member = self.archive.find(use.path) if use.path else None
@@ -207,11 +205,6 @@ class Package:
 
 _BETWEEN = b"\0"
 """Between the texts of model parts, which have no such byte."""
-
-
-def read(data: Buffer, name: str) -> ThreeMfFile:
-    """Read the meshes of a 3MF file; ``name`` is there for all codecs alike."""
-    return ThreeMfFile(data)
 
 
 class _Coordinates(Tokens):
@@ -418,8 +411,6 @@ _TAIL = b"""</triangles>
 </build>
 </model>
 """
-_EARLIEST = (1980, 1, 1, 0, 0, 0)
-_UNIX = 3
 
 
 def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
@@ -428,12 +419,11 @@ def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
     Each number is the shortest text that is read back as the same float64, or float32.
     """
     from msal_cli.kernels import text
-    from msal_cli.kernels.text import fill_rows
 
     digits, stops = text.print_shortest(vertices.reshape(-1), single)
-    rows = fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)
+    rows = text.fill_rows((b'<vertex x="', b'" y="', b'" z="', b'"/>\n'), digits, stops)
     digits, stops = text.print_numbers(faces.reshape(-1).astype(np.float64), 0)
-    triangles = fill_rows((b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'), digits, stops)
+    triangles = text.fill_rows((b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'), digits, stops)
     model = b"".join([_HEAD, *rows, _MIDDLE, *triangles, _TAIL])
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
@@ -442,8 +432,8 @@ def to_3mf(vertices: Floats, faces: Ints, *, single: bool) -> bytes:
             ("_rels/.rels", _RELATIONSHIP_PART),
             ("3D/3dmodel.model", model),
         ):
-            entry = zipfile.ZipInfo(name, _EARLIEST)
+            entry = zipfile.ZipInfo(name)  # of 1980
             entry.compress_type = zipfile.ZIP_DEFLATED
-            entry.create_system = _UNIX
+            entry.create_system = 3  # Unix
             archive.writestr(entry, content)
     return file.getvalue()

@@ -12,7 +12,6 @@ import math
 import re
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
@@ -30,27 +29,20 @@ from msal_cli.errors import (
 )
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
-_VERTICES = re.compile(
-    rb"(?:\s*+<vertex\s++x=" + _NUMBER + rb"\s++y=" + _NUMBER + rb"\s++z=" + _NUMBER
-    + rb"\s*+/>)*+\s*+(?=</vertices)"
-)  # fmt: skip
 _INDEX = rb'"[0-9]++"'
 _OTHERS = rb'(?:\s++(?!v[123]=)[\w:.-]++="[\x20\x21\x23-\x25\x27-\x3b\x3d-\x7e]*+")*+'
-_TRIANGLES = re.compile(
-    rb"(?:\s*+<triangle\s++v1=" + _INDEX + rb"\s++v2=" + _INDEX + rb"\s++v3=" + _INDEX + _OTHERS
-    + rb"\s*+/>)*+\s*+(?=</triangles)"
-)  # fmt: skip
+_PLAIN_LISTS = {
+    b"vertices": re.compile(
+        rb"(?:\s*+<vertex\s++x=" + _NUMBER + rb"\s++y=" + _NUMBER + rb"\s++z=" + _NUMBER
+        + rb"\s*+/>)*+\s*+(?=</vertices)"
+    ),
+    b"triangles": re.compile(
+        rb"(?:\s*+<triangle\s++v1=" + _INDEX + rb"\s++v2=" + _INDEX + rb"\s++v3=" + _INDEX
+        + _OTHERS + rb"\s*+/>)*+\s*+(?=</triangles)"
+    ),
+}  # fmt: skip
 _LIST = re.compile(rb"<(vertices|triangles)\s*>")
 _QUOTE, _LESS = 34, 60
-
-
-def find_plain_lists(text: bytes) -> Iterator[tuple[int, tuple[int, int]]]:
-    """Lists of vertices and triangles in plain form: where the tag begins that opens each, where
-    the list begins, and where it ends."""
-    for tag in _LIST.finditer(text):
-        pattern = _VERTICES if tag[1] == b"vertices" else _TRIANGLES
-        if match := pattern.match(text, tag.end()):
-            yield tag.start(), match.span()
 
 
 def find_quoted(region: NDArray[np.uint8], offset: int) -> tuple[Longs, Longs]:
@@ -168,8 +160,7 @@ def parse_model(text: bytes, name: str) -> Model:
 
 def place_of(text: bytes, name: str, at: int) -> str:
     """A byte of a part in words."""
-    line = text.count(b"\n", 0, at) + 1
-    return f"{name}, line {line}"
+    return f"{name}, line {1 + text.count(10, 0, at)}"
 
 
 def start_parser(text: bytes, name: str) -> expat.XMLParserType:
@@ -206,7 +197,12 @@ class _Reader:
         self._fed: list[int] = []
         """Bytes that Expat had got when a list was left out, and all bytes left out until then."""
         self._left_out: list[int] = [0]
-        self._lists = dict(find_plain_lists(text))
+        # Plain lists by the byte where the tag begins that opens each: where they begin and end.
+        self._lists = {
+            tag.start(): match.span()
+            for tag in _LIST.finditer(text)
+            if (match := _PLAIN_LISTS[tag[1]].match(text, tag.end()))
+        }
         self._prefixes: dict[str, str] = {}
         self._path: list[str] = []
         self._object = -1

@@ -18,7 +18,14 @@ from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots, Strided
 from msal_cli.codecs.text_slots import Tokens, line_of
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import EXPORT_AGAIN, FormatError, InputError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    CUT_SHORT,
+    FormatError,
+    InputError,
+    TruncatedError,
+    UnsupportedError,
+    damaged,
+)
 from msal_cli.storage.regular import Buffer
 
 _CODES = {"signed_char": ">i1", "vtkidtype": ">i4", "float": ">f4", "double": ">f8"}
@@ -40,6 +47,10 @@ _CELLS = {
     "TRIANGLE_STRIPS": "strip",
 }
 _PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
+_PER_TUPLE |= dict.fromkeys(("GLOBAL_IDS", "PEDIGREE_IDS", "EDGE_FLAGS"), 1)
+"""Numbers of a tuple of each attribute whose line is its name and a type."""
+
+_PRECISIONS = {">f4": "float32", ">f8": "float64"}
 _ZERO = np.zeros(1, dtype=np.int64)
 
 
@@ -47,10 +58,8 @@ def parse(data: Buffer) -> Layout:
     """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
     header = _HEADER.match(data)
     if not header:
-        raise FormatError(
-            "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY",
-            where="line 1",
-            hint=EXPORT_AGAIN,
+        raise damaged(
+            "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY", "line 1"
         )
     is_text = header[4].upper() == b"ASCII"
     reader = _Reader(data, header.end(), is_text=is_text)
@@ -69,8 +78,7 @@ def parse(data: Buffer) -> Layout:
         if keyword == "DIMENSIONS":
             dimensions = [reader.count_of(words, k, "points") for k in (1, 2, 3)]
         elif keyword in ("POINT_DATA", "CELL_DATA"):
-            reader.back()
-            reader.read_attributes()
+            reader.read_attributes(words)
             break
         else:
             reader.read_section(words)
@@ -82,13 +90,16 @@ def parse(data: Buffer) -> Layout:
         raise reader.damaged("the file has no CELL_TYPES")
     normals = reader.normals
     has_normals = normals is not None and len(normals.values) == len(reader.points.values)
-    return reader.surface.content(
-        reader.points,
+    return Layout(
+        "ascii" if is_text else "binary_big_endian",
         reader.precision,
-        encoding="ascii" if is_text else "binary_big_endian",
-        normals=(normals,) if normals is not None and has_normals else (),
+        (reader.points,),
+        reader.surface.corners(),
+        reader.surface.sizes(),
+        (normals,) if normals is not None and has_normals else (),
         properties=tuple(reader.properties),
-        warnings=tuple(reader.warnings),
+        warnings=(*reader.surface.warnings(), *reader.warnings),
+        held=reader.surface.describe(),
     )
 
 
@@ -123,7 +134,7 @@ class _Reader:
         return f"line {line_of(self._data, self._line_at)}"
 
     def damaged(self, message: str) -> FormatError:
-        return FormatError(message, where=self.where(), hint=EXPORT_AGAIN)
+        return damaged(message, self.where())
 
     def line(self) -> list[str]:
         """The words of the next line that has any; empty at the end."""
@@ -132,10 +143,6 @@ class _Reader:
         self._before_line, self._line_at = self._at, found.start(1)
         self._at = found.end()
         return found[1][:1000].decode("ascii", "replace").split()
-
-    def back(self) -> None:
-        """Go back to the beginning of the last line."""
-        self._at = self._before_line
 
     def _skip_paragraph(self) -> None:
         """Skip to after the next blank line, which ends METADATA."""
@@ -155,22 +162,10 @@ class _Reader:
             raise self.damaged(f"{word[:40]!r} is not a number of {what}")
         return int(word)
 
-    def _read_points(self, n_points: int, kind: str) -> Slots:
-        """The points (n, 3) that follow."""
-        code = self._code(kind)
-        if code not in (">f4", ">f8"):
-            raise UnsupportedError(
-                f"the points are stored as {kind}, not as float or double",
-                where=self.where(),
-                hint="write the points as float or double",
-            )
-        self.precision = "float32" if code == ">f4" else "float64"
-        return self._floats(n_points, code, is_normals=False)
-
     def _read_normals(self, count: int, kind: str) -> Slots | None:
         """The normals (n, 3) that follow; None if they are stored as whole numbers."""
         code = self._code(kind)
-        if code not in (">f4", ">f8"):
+        if code not in _PRECISIONS:
             self._skip(3 * count, kind)
             return None
         return self._floats(count, code, is_normals=True)
@@ -273,7 +268,7 @@ class _Reader:
             raise TruncatedError(
                 f"{at + count - len(self._data):,} bytes are missing",
                 where=f"byte {len(self._data)}",
-                hint="the file was cut short; copy or export it again",
+                hint=CUT_SHORT,
             )
         self._at += count
         return at
@@ -282,8 +277,16 @@ class _Reader:
         """Read a section in front of the attributes; ``words`` are those of its first line."""
         keyword = words[0].upper()
         if keyword == "POINTS":
-            n_points = self.count_of(words, 1, "points")
-            self.points = self._read_points(n_points, self.word_of(words, 2))
+            n_points, kind = self.count_of(words, 1, "points"), self.word_of(words, 2)
+            code = self._code(kind)
+            if code not in _PRECISIONS:
+                raise UnsupportedError(
+                    f"the points are stored as {kind}, not as float or double",
+                    where=self.where(),
+                    hint="write the points as float or double",
+                )
+            self.precision = _PRECISIONS[code]
+            self.points = self._floats(n_points, code, is_normals=False)
         elif keyword in _CELLS:
             self.surface.add(_CELLS[keyword], *self._read_cells(words))
         elif keyword == "CELLS":
@@ -303,11 +306,12 @@ class _Reader:
         else:
             raise self.damaged(f"{words[0][:40]!r} is no section of a VTK file")
 
-    def read_attributes(self) -> None:
-        """Look for normals of points among the attributes; what is not understood is left alone."""
+    def read_attributes(self, words: list[str]) -> None:
+        """Look for normals of points among the attributes, whose first line is ``words``; what is
+        not understood is left alone."""
         owner, n_tuples = "", 0
         try:
-            while words := self.line():
+            while words:
                 keyword = words[0].upper()
                 if keyword in ("POINT_DATA", "CELL_DATA"):
                     owner = keyword[: -len("_DATA")].lower()
@@ -318,6 +322,7 @@ class _Reader:
                     self._read_field(words, owner, n_tuples)
                 else:
                     self._read_attribute(words, owner, n_tuples)
+                words = self.line()
         except InputError as failure:
             first = failure.where or "the first"
             self.warnings.append(
@@ -332,7 +337,7 @@ class _Reader:
             width = int(words[3]) if len(words) > 3 and words[3].isdigit() else 1
             table = self.line()
             if not table or table[0].upper() != "LOOKUP_TABLE":
-                self.back()
+                self._at = self._before_line
             self._skip(n_tuples * width, self.word_of(words, 2))
         elif keyword == "COLOR_SCALARS":
             width = self.count_of(words, 2, "colours")
@@ -345,8 +350,6 @@ class _Reader:
             self._skip(n_tuples * _PER_TUPLE[keyword], self.word_of(words, 2))
         elif keyword == "TEXTURE_COORDINATES":
             self._skip(n_tuples * self.count_of(words, 2, "numbers"), self.word_of(words, 3))
-        elif keyword in ("GLOBAL_IDS", "PEDIGREE_IDS", "EDGE_FLAGS"):
-            self._skip(n_tuples, self.word_of(words, 2))
         else:
             raise FormatError(f"{words[0][:40]!r} is no attribute", where=self.where())
         if keyword == "NORMALS" and owner == "cell":

@@ -12,7 +12,10 @@ import functools
 import lzma
 import re
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +26,6 @@ from msal_cli.codecs.mesh_file import Dependent, Layout, Parse, Shift
 from msal_cli.codecs.slots import UnitSlots, to_type
 from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
-from msal_cli.codecs.xml_offsets import Element, parse_tree
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,
@@ -43,6 +45,141 @@ _CODES = {
 } | {"Float32": "f4", "Float64": "f8"}
 _MAX_LZMA_BYTES = 256 << 20
 _BLANKS = b" \t\r\n"
+_TOO_SHORT = "an array ends before all its bytes are there"
+
+
+MAX_ELEMENTS = 1_000_000
+"""A file of more elements would take more memory as a tree than meshes take."""
+
+_MAX_DEPTH = 100
+_TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """An element; ``name`` is without its namespace, ``start`` the first byte of its tag, and its
+    content is ``data[inside:stop]``."""
+
+    name: str
+    attributes: dict[str, str]
+    start: int
+    inside: int
+    stop: int
+    children: list[Element] = field(default_factory=list)
+
+    @property
+    def text_stop(self) -> int:
+        """The end of the text in front of the first element inside."""
+        return self.children[0].start if self.children else self.stop
+
+    def find(self, name: str) -> Element | None:
+        """The first child of that name."""
+        return next(self.all(name), None)
+
+    def all(self, name: str) -> Iterator[Element]:
+        return (child for child in self.children if child.name == name)
+
+    def inner(self) -> Iterator[Element]:
+        """All elements inside, in the order of the file."""
+        left = self.children[::-1]
+        while left:
+            element = left.pop()
+            yield element
+            left.extend(element.children[::-1])
+
+    def attribute_place(self, data: Buffer, name: str) -> tuple[int, int] | None:
+        """Between which bytes the value of an attribute stands, or None."""
+        tag = bytes(memoryview(data)[self.start : self.inside])
+        found = re.search(rb"\s%s\s*=\s*(?:\"([^\"]*)\"|'([^']*)')" % re.escape(name.encode()), tag)
+        if not found:
+            return None
+        group = 1 if found[1] is not None else 2
+        return self.start + found.start(group), self.start + found.end(group)
+
+
+def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
+    """The root of an XML file, or of its beginning up to the byte ``stop``.
+
+    Entities are refused, so that nothing expands; no other file is opened, whatever is named.
+
+    Raises
+    ------
+    FormatError
+        if it is not well-formed XML.
+    UnsupportedError
+        for entities that the file declares, or letters of more than one byte as in UTF-16.
+    TooLargeError
+        for more than ``MAX_ELEMENTS`` elements.
+    """
+    builder = _Builder(data)
+    parser = expat.ParserCreate()
+    builder.parser = parser
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.EntityDeclHandler = builder.refuse_entity
+    view = memoryview(data).cast("B")
+    if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe"):
+        raise UnsupportedError("the XML is UTF-16", hint="save it as UTF-8")
+    try:
+        parser.Parse(bytes(view[:stop]), stop is None)
+    except expat.ExpatError as failure:
+        message = f"it is not well-formed XML: {expat.errors.messages[failure.code]}"
+        raise damaged(message, f"line {failure.lineno}") from None
+    except (LookupError, ValueError) as failure:
+        raise UnsupportedError(
+            f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
+        ) from None
+    finally:
+        # Each names the other, so that neither would be freed before long.
+        del builder.parser
+    if builder.root is None:
+        raise damaged(f"there is no {what} in the file")
+    return builder.root
+
+
+class _Builder:
+    """Builds the tree while expat reads."""
+
+    parser: expat.XMLParserType
+
+    def __init__(self, data: Buffer) -> None:
+        self.root: Element | None = None
+        self._data = data
+        self._open: list[Element] = []
+        self._count = 0
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        self._count += 1
+        if self._count > MAX_ELEMENTS or len(self._open) > _MAX_DEPTH:
+            raise TooLargeError(
+                f"the file has more than {MAX_ELEMENTS:,} elements"
+                if self._count > MAX_ELEMENTS
+                else f"elements lie more than {_MAX_DEPTH} deep in one another",
+                hint="convert it to PLY",
+            )
+        at = self.parser.CurrentByteIndex
+        tag = _TAG.match(self._data, at)
+        if tag is None:
+            raise damaged("a tag does not end", f"byte {at}")
+        element = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
+        if self._open:
+            self._open[-1].children.append(element)
+        elif self.root is None:
+            self.root = element
+        self._open.append(element)
+
+    def end(self, name: str) -> None:
+        element = self._open.pop()
+        # Of ``<a/>`` the end is reported where the tag begins.
+        element.stop = max(element.inside, self.parser.CurrentByteIndex)
+        if bytes(memoryview(self._data)[element.inside - 2 : element.inside]) == b"/>":
+            element.stop = element.inside
+
+    def refuse_entity(self, *_: object) -> None:
+        raise UnsupportedError(
+            "the XML declares entities, which may expand to anything",
+            hint="remove the DOCTYPE, or export the mesh again",
+        )
 
 
 class Coding:
@@ -146,7 +283,7 @@ class Coding:
             return content, source.first, source.at
         n_blocks, block_bytes, last_bytes = counts
         if n_blocks * width > stop - start:
-            raise TruncatedError("blocks are missing", where=f"byte {start}", hint=EXPORT_AGAIN)
+            raise _cut("blocks are missing", start)
         sizes = np.frombuffer(source.take(n_blocks * width), dtype=self.header).tolist()
         source.begin_data()
         packed = sum(sizes)
@@ -257,7 +394,7 @@ class _Source:
         missing = size - len(self._left)
         n_bytes = missing if self._is_raw else 4 * -(-missing // 3)
         if size < 0 or self.at + max(n_bytes, 0) > len(self._view):
-            raise _cut(len(self._view))
+            raise _cut(_TOO_SHORT, len(self._view))
         if missing > 0:
             piece = bytes(self._view[self.at : self.at + n_bytes])
             try:
@@ -267,7 +404,7 @@ class _Source:
             self.at += n_bytes
             self.is_split |= not self._is_raw and piece.endswith(b"=")
         if len(self._left) < size:
-            raise _cut(self.at)
+            raise _cut(_TOO_SHORT, self.at)
         result, self._left = self._left[:size], self._left[size:]
         return result
 
@@ -276,11 +413,12 @@ class _Source:
         self._left = b""
 
 
-def _cut(at: int) -> TruncatedError:
-    return TruncatedError(
-        "an array ends before all its bytes are there", where=f"byte {at}", hint=EXPORT_AGAIN
-    )
+def _cut(message: str, at: int) -> TruncatedError:
+    return TruncatedError(message, where=f"byte {at}", hint=EXPORT_AGAIN)
 
+
+Text = Callable[[bytes, Sequence[Floats], Shift], bytes]
+"""What makes the bytes of a ``Dependent``."""
 
 _TYPES = {"vtu": "UnstructuredGrid", "vtp": "PolyData"}
 _COMPRESSORS = ("", "vtkZLibDataCompressor", "vtkLZMADataCompressor")
@@ -414,32 +552,36 @@ def _offsets(data: Buffer, root: Element, coding: Coding) -> list[Dependent]:
     """The offsets of appended arrays, which move with the size of those in front of them."""
     if coding.appended_at < 0 or not coding.compressor:
         return []
+    base = coding.appended_at
+
+    def shifted(at: int) -> Text:
+        def text(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
+            change = shift(at) - shift(base)
+            return str(at - base + change).encode() if change else old
+
+        return text
+
     return [
-        Dependent(*place, _shifted(coding.place(array)[0], coding.appended_at))
+        Dependent(*place, shifted(coding.place(array)[0]))
         for array in root.inner()
         if array.attributes.get("format") == "appended"
         and (place := array.attribute_place(data, "offset"))
     ]
 
 
-def _shifted(at: int, base: int) -> Callable[[bytes, Sequence[Floats], Shift], bytes]:
-    def text(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
-        change = shift(at) - shift(base)
-        return str(at - base + change).encode() if change else old
-
-    return text
-
-
 def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
     """The smallest and largest distance from the origin, which VTK writes beside points."""
 
-    def smallest(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
-        return repr(float(_lengths(positions[which]).min())).encode()
+    def distance(reduce: Callable[[Floats], Any]) -> Text:
+        def text(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
+            points = positions[which]
+            with np.errstate(over="ignore"):
+                lengths = np.sqrt((points * points).sum(axis=1))
+            return repr(float(reduce(lengths))).encode()
 
-    def largest(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
-        return repr(float(_lengths(positions[which]).max())).encode()
+        return text
 
-    texts = (smallest, largest)
+    texts = distance(np.min), distance(np.max)
     places = [array.attribute_place(data, name) for name in ("RangeMin", "RangeMax")]
     bounds = [Dependent(*at, text) for at, text in zip(places, texts, strict=True) if at]
     for key in array.all("InformationKey"):
@@ -448,12 +590,6 @@ def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
             pairs = zip(values, texts, strict=True)
             bounds += [Dependent(value.inside, value.stop, text) for value, text in pairs]
     return bounds
-
-
-def _lengths(points: Floats) -> Floats:
-    with np.errstate(over="ignore"):
-        lengths: Floats = np.sqrt((points * points).sum(axis=1))
-    return lengths
 
 
 def to_vtp(points: Floats, faces: NDArray[np.int32], *, single: bool) -> bytes:

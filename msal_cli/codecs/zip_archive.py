@@ -15,7 +15,13 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    CUT_SHORT,
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+)
 from msal_cli.storage.regular import Buffer
 
 _LOCAL, _CENTRAL, _END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
@@ -328,7 +334,7 @@ def _find_end(data: memoryview) -> int:
     raise TruncatedError(
         "the archive has no end record",
         where=f"byte {len(data)}",
-        hint="the file was cut short; copy or export it again",
+        hint=CUT_SHORT,
     )
 
 

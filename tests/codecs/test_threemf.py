@@ -48,7 +48,7 @@ def texts(data: bytes) -> dict[str, bytes]:
 @pytest.mark.parametrize("streamed", [False, True])
 def test_only_the_numbers_of_moved_vertices_change(method, streamed, tmp_path):
     data = simple(method=method, streamed=streamed)
-    file = threemf.read(data, "a.3mf")
+    file = threemf.ThreeMfFile(data)
     assert np.array_equal(file.vertices, VERTICES) and np.array_equal(file.faces, FACES)
     assert file.replaced(file.vertices.copy()) is data
     vertices = moved_corner(file)
@@ -88,7 +88,7 @@ def test_sizes_in_the_header_and_behind_the_data_both_change():
     info = zipfile.ZipFile(io.BytesIO(data)).getinfo(MODEL)
     numbers = info.CRC, info.compress_size, info.file_size
     struct.pack_into("<3L", data, info.header_offset + 14, *numbers)
-    file = threemf.read(bytes(data), "")
+    file = threemf.ThreeMfFile(bytes(data))
     output = file.replaced(moved_corner(file))
     now = zipfile.ZipFile(io.BytesIO(output)).getinfo(MODEL)
     expected = now.CRC, now.compress_size, now.file_size
@@ -121,7 +121,7 @@ def test_members_with_wide_sizes_and_gaps_between_them():
     end = b"PK\x05\x06" + struct.pack("<4H2LH", 0, 0, 0xFFFF, 0xFFFF, 2**32 - 1, 2**32 - 1, 0)
     data = body + central + end_64 + locator + end
     assert texts(data)[MODEL] == content
-    file = threemf.read(data, "")
+    file = threemf.ThreeMfFile(data)
     vertices = moved_corner(file)
     output = file.replaced(vertices)
     file.check(output, vertices)
@@ -151,7 +151,7 @@ def parts_of_equal_numbers() -> bytes:
 def test_parts_of_equal_numbers_stay_apart():
     trimesh = pytest.importorskip("trimesh")
     data = parts_of_equal_numbers()
-    file = threemf.read(data, "")
+    file = threemf.ThreeMfFile(data)
     assert len(file.faces) == 12 + 96
     assert "2 parts" in file.properties
     # Placed as the build says: turned, shifted, and both lifted.
@@ -162,7 +162,7 @@ def test_parts_of_equal_numbers_stay_apart():
     vertices[3:20] = file.vertices[3:20]
     output = file.replaced(vertices)
     file.check(output, vertices)
-    assert np.allclose(threemf.read(output, "").vertices, vertices, atol=1e-6)
+    assert np.allclose(threemf.ThreeMfFile(output).vertices, vertices, atol=1e-6)
     new, old = texts(output), texts(data)
     assert new[MODEL] == old[MODEL]
     stay = re.findall(rb"<vertex[^>]*>", old["3D/Objects/b.model"])[:12]
@@ -175,7 +175,7 @@ def test_parts_of_equal_numbers_stay_apart():
         (part,) = scene.geometry.values()
         expected = {
             len(mesh.vertices): mesh.vertices
-            for model in threemf.read(output, "").package.models.values()
+            for model in threemf.ThreeMfFile(output).package.models.values()
             for mesh in model.meshes.values()
         }
         assert np.allclose(part.vertices, expected[len(part.vertices)])
@@ -192,7 +192,7 @@ def test_components_that_use_each_other_come_to_an_end():
         for k in range(1, 60)
     )
     last = '<components><component objectid="99"/><component objectid="1"/></components>'
-    file = threemf.read(package(model(nested + shape(60, last) + shape(99, CUBE))), "")
+    file = threemf.ThreeMfFile(package(model(nested + shape(60, last) + shape(99, CUBE))))
     assert len(file.faces) == 12
 
 
@@ -218,7 +218,7 @@ OTHER_FORMS = {
 @pytest.mark.parametrize("streamed", [False, True])
 def test_the_check_sees_every_byte_of_the_archive(streamed):
     """Times, flags, sizes in local headers and behind the data: what other readers may go by."""
-    file = threemf.read(simple(streamed=streamed), "")
+    file = threemf.ThreeMfFile(simple(streamed=streamed))
     vertices = moved_corner(file)
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
@@ -234,13 +234,13 @@ def test_the_check_sees_every_byte_of_the_archive(streamed):
 @pytest.mark.parametrize("name", OTHER_FORMS)
 def test_every_form_of_a_mesh(name):
     data = package(model(shape(1, OTHER_FORMS[name])))
-    file = threemf.read(data, "")
+    file = threemf.ThreeMfFile(data)
     assert np.array_equal(file.vertices, VERTICES)
     assert np.array_equal(file.faces, FACES)
     vertices = moved_corner(file)
     output = file.replaced(vertices)
     file.check(output, vertices)
-    again = threemf.read(output, "")
+    again = threemf.ThreeMfFile(output)
     assert np.array_equal(again.vertices, vertices)
     # Everything else of the XML is there: without the numbers the texts are equal.
     plain = [
@@ -265,7 +265,7 @@ def test_every_form_of_a_mesh(name):
 )  # fmt: skip
 def test_what_would_no_longer_fit_is_read_and_not_changed(attributes, inside, more, what):
     data = package(model(inside, attributes=attributes), more)
-    file = threemf.read(data, "")
+    file = threemf.ThreeMfFile(data)
     assert file.replaced(file.vertices.copy()) is data
     with pytest.raises(UnsupportedError, match=what):
         file.replaced(moved_corner(file))
