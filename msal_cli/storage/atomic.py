@@ -18,7 +18,6 @@ import sys
 import time
 import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 from msal_cli.errors import OutputError
@@ -95,10 +94,7 @@ def write_whole(
         from msal_cli.storage import objects as remote
 
         return remote.write_whole(path, buffers)
-    try:
-        _write(Path(path), _pieces(buffers), sources, _move)
-    except (OSError, ValueError) as failure:
-        raise _not_written(path, failure) from failure
+    _write(path, buffers, sources, _move)
     return None
 
 
@@ -117,13 +113,7 @@ def write_new(
     OutputError
         if the system refuses, with the reason.
     """
-    try:
-        _write(Path(path), _pieces(buffers), sources, _place)
-    except FileExistsError:
-        return False
-    except (OSError, ValueError) as failure:
-        raise _not_written(path, failure) from failure
-    return True
+    return _write(path, buffers, sources, _place)
 
 
 def make_folders(folder: str | os.PathLike[str]) -> None:
@@ -142,82 +132,62 @@ def make_folders(folder: str | os.PathLike[str]) -> None:
         parent.mkdir(exist_ok=True)
 
 
-def _not_written(path: str | os.PathLike[str], failure: OSError | ValueError) -> OutputError:
-    reason = getattr(failure, "strerror", None) or str(failure)
-    return OutputError(
-        f"the file cannot be written: {reason}",
-        path=os.fspath(path),
-        hint=_HINTS.get(getattr(failure, "errno", None) or 0, ""),
-    )
-
-
-def _pieces(buffers: Buffer | Iterable[Buffer]) -> Iterable[Buffer]:
-    if isinstance(buffers, bytes | bytearray | memoryview):
-        return (buffers,)
-    return buffers
-
-
 def _write(
-    target: Path,
-    buffers: Iterable[Buffer],
+    path: str | os.PathLike[str],
+    buffers: Buffer | Iterable[Buffer],
     sources: Sources,
-    place: Callable[[Path, Path], None],
-) -> None:
-    mode = _choose_mode(target, sources)
-    temporary = target.with_name(temporary_name(target.name))
+    place: Callable[[Path, Path], bool],
+) -> bool:
+    """Write a temporary file and let ``place`` give it its name; whether it did."""
+    if isinstance(buffers, bytes | bytearray | memoryview):
+        buffers = (buffers,)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
     # Windows would translate line ends and hand the handle down to children.
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
-    # Never wider than in the end: another process may keep open what it could read for a moment.
-    handle = os.open(temporary, flags, mode.widest & 0o666 | 0o200)
     try:
+        target = Path(path)
+        widest, is_replacement = _choose_mode(target, sources)
+        temporary = target.with_name(temporary_name(target.name))
+        # Never wider than in the end: another process may keep open what it could read for a
+        # moment.
+        handle = os.open(temporary, flags, widest & 0o666 | 0o200)
         try:
-            expected = 0
-            for buffer in buffers:
-                view = memoryview(buffer).cast("B")
-                expected += len(view)
-                while len(view):
-                    view = view[os.write(handle, view[:_PIECE]) :]
-            mode.apply(handle, temporary)
-            os.fsync(handle)
-            _require_size(os.fstat(handle).st_size, expected)
+            try:
+                expected = 0
+                for buffer in buffers:
+                    view = memoryview(buffer).cast("B")
+                    expected += len(view)
+                    while len(view):
+                        view = view[os.write(handle, view[:_PIECE]) :]
+                now = os.fstat(handle).st_mode & 0o777
+                wanted = widest if is_replacement else widest & now
+                if wanted != now:
+                    os.chmod(handle if hasattr(os, "fchmod") else temporary, wanted)
+                os.fsync(handle)
+                written = os.fstat(handle).st_size
+                if written != expected:
+                    raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
+            finally:
+                os.close(handle)
+            is_placed = place(temporary, target)
         finally:
-            os.close(handle)
-        place(temporary, target)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
-    flush_folder(target.parent)
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+    except (OSError, ValueError) as failure:
+        reason = getattr(failure, "strerror", None) or str(failure)
+        raise OutputError(
+            f"the file cannot be written: {reason}",
+            path=os.fspath(path),
+            hint=_HINTS.get(getattr(failure, "errno", None) or 0, ""),
+        ) from failure
+    if is_placed:
+        flush_folder(target.parent)
+    return is_placed
 
 
-def _require_size(written: int, expected: int) -> None:
-    if written != expected:
-        raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
-
-
-@dataclass(frozen=True)
-class _Mode:
-    """Permission bits of a file to be: ``widest``, of which the umask takes its part unless it
-    ``replaces`` a file."""
-
-    widest: int
-    replaces: bool
-
-    def apply(self, handle: int, path: str | os.PathLike[str]) -> None:
-        """Set the bits of a file that was made under the umask."""
-        now = os.fstat(handle).st_mode & 0o777
-        wanted = self.widest if self.replaces else self.widest & now
-        if wanted == now:
-            return
-        if hasattr(os, "fchmod"):
-            os.fchmod(handle, wanted)
-        else:
-            os.chmod(path, wanted)
-
-
-def _choose_mode(target: Path, sources: Sources) -> _Mode:
-    """The permission bits for the new file; refuses what must not be replaced."""
+def _choose_mode(target: Path, sources: Sources) -> tuple[int, bool]:
+    """The widest permission bits for the new file, and whether it replaces one, so that the umask
+    takes no part of them; refuses what must not be replaced."""
     group = _group_of_new_file(target.parent)
     widest = 0o777
     for source in sources:
@@ -226,14 +196,13 @@ def _choose_mode(target: Path, sources: Sources) -> _Mode:
     try:
         present = target.stat()
     except FileNotFoundError:
-        return _Mode(widest & 0o666, replaces=False)
+        return widest & 0o666, False
     if stat.S_ISDIR(present.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(present.st_mode):
         # Moving a file onto /dev/null would destroy the device.
         raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
-    widest &= _bits_for_group(present, group)
-    return _Mode(widest, replaces=not target.is_symlink())
+    return widest & _bits_for_group(present, group), not target.is_symlink()
 
 
 def _source_bits(source: str | os.PathLike[str] | int, group: int | None) -> int:
@@ -284,33 +253,35 @@ def machine_tag() -> str:
     return f"{zlib.crc32((platform.node() + processes).encode('utf-8', 'replace')):08x}"
 
 
-def _move(temporary: Path, target: Path) -> None:
+def _move(temporary: Path, target: Path) -> bool:
     """Rename over ``target``; on Windows a scanner that just looks at the file may delay it."""
     for wait_s in (0.05, 0.2, 0.8) if os.name == "nt" else ():
         try:
             temporary.replace(target)
-            return
+            return True
         except PermissionError:
             time.sleep(wait_s)
     temporary.replace(target)
+    return True
 
 
-def _place(temporary: Path, target: Path) -> None:
-    """Give the file its name, or raise FileExistsError if the name is taken."""
-    if os.name == "nt":
-        temporary.rename(target)  # which does not replace there
-        return
+def _place(temporary: Path, target: Path) -> bool:
+    """Give the file its name unless that is taken."""
     try:
-        os.link(temporary, target)
+        if os.name == "nt":
+            temporary.rename(target)  # which does not replace there
+        else:
+            os.link(temporary, target)
     except FileExistsError:
-        raise
+        return False
     except OSError:
+        if os.name == "nt":
+            raise
         # A file system without hard links; then two processes can only be kept apart this far.
         if os.path.lexists(target):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+            return False
         temporary.replace(target)
-    else:
-        temporary.unlink()
+    return True
 
 
 def flush_folder(folder: Path) -> None:
@@ -348,13 +319,12 @@ def sweep(folders: Iterable[str | Path]) -> int:
 
     def is_stale(match: re.Match[str], path: Path) -> bool:
         written = path.lstat().st_mtime
-        is_ours = match["machine"] == machine_tag()
-        is_dead = False
-        if is_ours:
+        if match["machine"] == machine_tag():
             began = start_time(int(match["pid"]))
             is_late = began is not None and began >= written + _CLOCK_TOLERANCE_S
-            is_dead = is_late or not is_alive(int(match["pid"]))
-        return is_dead or time.time() - written > _STALE_AFTER_S
+            if is_late or not is_alive(int(match["pid"])):
+                return True
+        return time.time() - written > _STALE_AFTER_S
 
     return sum(_remove_matching(Path(folder), is_stale) for folder in folders)
 
@@ -375,16 +345,11 @@ def _remove_matching(folder: Path, is_to_go: Callable[[re.Match[str], Path], boo
             names = [entry.name for entry in entries if entry.name.startswith(".")]
     except OSError:
         return 0
-    for name in names:
-        match = _TEMPORARY.fullmatch(name)
-        if match is None:
-            continue
-        path = folder / name
-        try:
+    for match in filter(None, map(_TEMPORARY.fullmatch, names)):
+        path = folder / match[0]
+        # Another process may be faster, or the file locked; it does no harm.
+        with contextlib.suppress(OSError):
             if is_to_go(match, path):
                 path.unlink()
                 count += 1
-        except OSError:
-            # Another process was faster, or the file is locked; it does no harm.
-            continue
     return count

@@ -63,7 +63,7 @@ def read_whole(url: str, size: int | None = None) -> bytes:
     Raises InputError (``E_READ``) if there is none, or the store does not give it; TooLargeError
     if it has more than half of the machine's memory; UsageError if a package is missing.
     """
-    with _input_errors(url, "the object cannot be read"):
+    with _errors(url, "the object cannot be read"):
         system, path = _open(url)
         if urls.split(url)[0] in urls.WEB:
             return _read_from_web(system, path)
@@ -80,15 +80,19 @@ def read_whole(url: str, size: int | None = None) -> bytes:
 
 
 @contextlib.contextmanager
-def _input_errors(url: str, message: str) -> Iterator[None]:
-    """Make InputError (``E_READ``) of whatever a file system raises."""
+def _errors(url: str, message: str, *, is_output: bool = False) -> Iterator[None]:
+    """Make InputError (``E_READ``) or OutputError of whatever a file system raises."""
     try:
         yield
     except (MsalError, MemoryError):
         raise
     except Exception as failure:
         reason, hint = _explain(failure)
-        raise InputError(f"{message}: {reason}", path=url, code="E_READ", hint=hint) from None
+        if not is_output:
+            raise InputError(f"{message}: {reason}", path=url, code="E_READ", hint=hint) from None
+        if isinstance(failure, FileNotFoundError):
+            reason, hint = "there is no such bucket or folder", "check the output's name"
+        raise OutputError(f"{message}: {reason}", path=url, hint=hint) from None
 
 
 def _read_from_web(system: Any, path: str) -> bytes:
@@ -117,7 +121,7 @@ def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     if there is None:
         raise InputError("there is no such object", path=url, code="E_READ")
     data = b""
-    with _input_errors(url, "the object cannot be read"):
+    with _errors(url, "the object cannot be read"):
         system, path = _open(url)
         if urls.split(url)[0] in urls.WEB:
             # A server may send all of it, whatever range is requested, and in small pieces.
@@ -155,21 +159,13 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
     if isinstance(buffers, bytes | bytearray | memoryview):
         buffers = (buffers,)
     data = b"".join(buffers)
-    try:
+    with _errors(url, "the object cannot be written", is_output=True):
         system, path = _open(url)
         if _OBJECT_STORES.fullmatch(urls.split(url)[0]):
             system.pipe_file(path, data)
         else:
             _write_and_move(system, path, data)
         there = _mark(system, path)
-    except (MsalError, MemoryError):
-        raise
-    except Exception as failure:
-        if isinstance(failure, FileNotFoundError):
-            reason, hint = "there is no such bucket or folder", "check the output's name"
-        else:
-            reason, hint = _explain(failure)
-        raise OutputError(f"the object cannot be written: {reason}", path=url, hint=hint) from None
     if there is None or there.size != len(data):
         size = "none" if there is None else str(there.size)
         raise OutputError(
@@ -202,7 +198,7 @@ def mark(url: str) -> Mark | None:
 
     Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
     """
-    with _input_errors(url, "the object cannot be inspected"):
+    with _errors(url, "the object cannot be inspected"):
         return _mark(*_open(url))
 
 
@@ -213,7 +209,7 @@ def list_objects(url: str, depth: int | None = None) -> dict[str, Mark]:
     On object stores that is one request for a thousand objects, however deep they lie.  The errors
     are those of ``mark``.
     """
-    with _input_errors(url, "the folder cannot be listed"):
+    with _errors(url, "the folder cannot be listed"):
         system, path = _open(url)
         system.invalidate_cache()
         limit = {} if depth is None else {"maxdepth": depth}
