@@ -14,7 +14,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from msal_cli import codecs, methods
+from msal_cli import methods
+from msal_cli.codecs.conversion import WRITABLE
 from msal_cli.codecs.detection import readable_suffixes
 
 
@@ -37,7 +38,7 @@ def main(samples: Path, out: Path) -> None:
         run("denoise", mesh, "-o", out / f"{name}.ply", "--method", name, "-q")
     run("denoise", mesh, "-o", out / "auto.ply", "--auto", "-q")
     readable = readable_suffixes()
-    for name in codecs.writable_formats():
+    for name in WRITABLE:
         made = out / f"mesh.{name}"
         run("denoise", mesh, "-o", made, "--to", name, "-q")
         if f".{name}" in readable:
@@ -52,9 +53,7 @@ def main(samples: Path, out: Path) -> None:
     run("noise", samples / "toadstool_clean.ply", "-o", out / "noise.ply", "--level", "0.2e")
     run("view", mesh, out / "auto.ply", "-o", out / "view.png")
     n_files = len(os.listdir(out))
-    print(
-        f"{len(methods.names())} methods, {len(codecs.writable_formats())} formats: {n_files} files"
-    )
+    print(f"{len(methods.names())} methods, {len(WRITABLE)} formats: {n_files} files")
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from msal_cli import codecs, methods
+from msal_cli.codecs import conversion
 from msal_cli.job.settings import AUTO, Settings, Task, forecast
 from msal_cli.storage import gzip_streams
 
@@ -89,7 +90,7 @@ def cases(folder: Path, around: int, words: list[str]) -> dict[str, Path]:
             if to == "ply":
                 output = opened.encoded(opened.vertices, encoding, precision)
             else:
-                output, _ = codecs.convert(opened, opened.vertices, to, encoding, precision)
+                output, _ = conversion.convert(opened, opened.vertices, to, encoding, precision)
         except Exception as error:
             print(f"{name}: {error}", file=sys.stderr)
             continue

@@ -16,13 +16,6 @@ if TYPE_CHECKING:
     from msal_cli.codecs.mesh_file import Companion
 
 
-def writable_formats() -> tuple[str, ...]:
-    """Formats that ``convert`` can write."""
-    from msal_cli.codecs import conversion
-
-    return conversion.WRITABLE
-
-
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     """Read a mesh from the bytes of its file.
 
@@ -71,36 +64,6 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         "vtp": vtk_xml.parse_vtp,
     }
     return slot_file.SlotFile(data, wanted, parsers[wanted])
-
-
-def convert(
-    mesh_file: MeshFile,
-    vertices: NDArray[np.float64],
-    to: str,
-    encoding: str = "same",
-    precision: str = "same",
-) -> tuple[Buffer, tuple[str, ...]]:
-    """The mesh with ``vertices`` (n, 3) in another format, and what that format cannot carry.
-
-    See ``convert.converted``.
-    """
-    from msal_cli.codecs import conversion as convert
-
-    return convert.converted(mesh_file, vertices, to, encoding, precision)
-
-
-def encode_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int32], to: str) -> Buffer:
-    """A new file of vertices (n, 3) and faces (m, 3); see ``convert.encode_mesh``."""
-    from msal_cli.codecs import conversion as convert
-
-    return convert.encode_mesh(vertices, faces, to)
-
-
-def digits_lost(vertices: NDArray[np.float64]) -> tuple[str, ...]:
-    """What single precision would take from new positions (n, 3), in words; empty if nothing."""
-    from msal_cli.codecs import conversion as convert
-
-    return convert.digits_lost(vertices)
 
 
 def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:

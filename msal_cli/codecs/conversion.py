@@ -66,8 +66,12 @@ class _Mesh:
         return corners_of(self.faces if self.polygons is None else self.polygons)
 
 
-def converted(
-    mesh_file: MeshFile, vertices: Floats, to: str, encoding: str, precision: str
+def convert(
+    mesh_file: MeshFile,
+    vertices: Floats,
+    to: str,
+    encoding: str = "same",
+    precision: str = "same",
 ) -> tuple[Buffer, tuple[str, ...]]:
     """A mesh in another format.
 
@@ -111,41 +115,12 @@ def converted(
     mesh, losses = _mesh(mesh_file, vertices, to)
     if single and mesh_file.precision != "float32" and len(vertices):
         # The loss of digits, where it is one: float32 far from the origin ruins a scan.
-        step, loss = _float32_step(vertices)
+        largest = float(np.abs(vertices).max())
+        step = float(np.spacing(np.float32(min(largest, 3e38))))
         extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
-        losses += [loss] if mesh_file.precision == "float64" or step > 1e-6 * extent else []
+        if mesh_file.precision == "float64" or step > 1e-6 * extent:
+            losses.append(f"digits (float32 rounds positions to {step:.1g} units)")
     return _write(mesh, to, encoding, single), tuple(losses)
-
-
-def encode_mesh(vertices: Floats, faces: Ints, to: str) -> Buffer:
-    """A new file of a mesh that no file held before, one of ``WRITABLE``.
-
-    Positions are float32, or float64 where float32 would round them by more than a millionth of
-    the mesh's extent.
-    """
-    from msal_cli.codecs import ply
-
-    single = not digits_lost(vertices)
-    data = _as_ply(_Mesh(vertices, faces), "binary", single)
-    if to == "ply":
-        return data
-    mesh_file = ply.read(data)
-    return converted(mesh_file, mesh_file.vertices, to, "same", "same")[0]
-
-
-def digits_lost(vertices: Floats) -> tuple[str, ...]:
-    """What float32 would take from new positions (n, 3): nothing, or their digits, where it rounds
-    them by more than a millionth of the mesh's extent."""
-    step, loss = _float32_step(vertices)
-    is_exact = step <= 1e-6 * float(np.ptp(vertices, axis=0).max())
-    return () if is_exact and float(np.abs(vertices).max()) < 3e38 else (loss,)
-
-
-def _float32_step(vertices: Floats) -> tuple[float, str]:
-    """How far apart float32 numbers are at the largest coordinate, and that as a loss."""
-    largest = float(np.abs(vertices).max())
-    step = float(np.spacing(np.float32(min(largest, 3e38))))
-    return step, f"digits (float32 rounds positions to {step:.1g} units)"
 
 
 def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:

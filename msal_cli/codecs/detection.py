@@ -114,10 +114,8 @@ def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
     )
 
 
-def resolve_format(data: Buffer, name: str, format: str | None, size: int | None = None) -> str:
+def resolve_format(data: Buffer, name: str, format: str | None) -> str:
     """The format to read a file in, which its content agrees with; parameters as of ``open_mesh``.
-
-    ``size`` is that of the file where ``data`` is only its beginning.
 
     Raises
     ------
@@ -130,7 +128,7 @@ def resolve_format(data: Buffer, name: str, format: str | None, size: int | None
     wanted = _wanted(data, name, format)
     if not len(data):
         raise TruncatedError("the file is empty", hint="copy or export it again")
-    found = content_format(data, wanted, size)
+    found = content_format(data, wanted)
     _refuse_unread(found, name)
     if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):
         said = "--format" if format else "the name"

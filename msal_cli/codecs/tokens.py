@@ -40,14 +40,13 @@ class Words:
         stop: int | None = None,
         *,
         comment: bytes = b"",
-        blanks: bytes = b"",
     ) -> None:
         from msal_cli.kernels.text import as_bytes
 
         self.data = as_bytes(data)
         stop = len(self.data) if stop is None else stop
         table = np.zeros(256, dtype=bool)
-        table[list(b" \t\r\n\v\f" + blanks)] = True
+        table[list(b" \t\r\n\v\f")] = True
         pieces = list(_pieces(self.data, start, stop, table, comment))
         self.starts: Longs = np.concatenate([piece[0] for piece in pieces] or [_NONE])
         self.stops: Longs = np.concatenate([piece[1] for piece in pieces] or [_NONE])
@@ -178,13 +177,13 @@ def _is_comment(part: Bytes, is_end: Flags, comment: bytes) -> Flags:
     return is_inside
 
 
-def require_indices(indices: Longs, count: int, what: str = "face") -> None:
+def require_indices(indices: Longs, count: int) -> None:
     """Raise ContentError (``E_INDEX``) for an index that is not from 0 to ``count`` - 1."""
     wrong = (indices < 0) | (indices >= count)
     if wrong.any():
         raise ContentError(
-            f"a {what} names a vertex that is not among the {count}",
+            f"a face names a vertex that is not among the {count}",
             code="E_INDEX",
-            where=f"corner {int(np.argmax(wrong))} of all {what}s",
+            where=f"corner {int(np.argmax(wrong))} of all faces",
             hint=EXPORT_AGAIN,
         )

@@ -71,14 +71,14 @@ def build_output(
         where the output does not hold what it should.
     """
     from msal_cli import codecs
-    from msal_cli.codecs import detection
+    from msal_cli.codecs import conversion, detection
     from msal_cli.storage import gzip_streams
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target = _target(mesh_file, path, settings)
     how = settings.encoding, settings.precision
     if target != mesh_file.format:
-        output, losses = codecs.convert(mesh_file, vertices, target, *how)
+        output, losses = conversion.convert(mesh_file, vertices, target, *how)
         if losses and settings.strict:
             raise LossError(
                 f"{mesh_file.format} to {target} would lose {', '.join(losses)}",

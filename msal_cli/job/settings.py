@@ -378,9 +378,9 @@ def is_mesh_name(name: str) -> bool:
 
 def writable_formats() -> tuple[str, ...]:
     """The words that ``--to`` takes."""
-    from msal_cli.codecs import writable_formats
+    from msal_cli.codecs.conversion import WRITABLE
 
-    return tuple(writable_formats())
+    return WRITABLE
 
 
 def output_name(name: str, to: str | None) -> str:

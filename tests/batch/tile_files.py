@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from msal_cli.codecs import encode_mesh, open_mesh
+from msal_cli.codecs import open_mesh
+from msal_cli.codecs.conversion import convert
 from msal_cli.job.settings import Task
 from tests.shapes import ball, noisy
 
@@ -81,9 +82,10 @@ def tasks_of(folder: Path, contents) -> list[Task]:
 
 def mixed(parts):
     """Each part as a file in one of several formats, by name."""
+    meshes = [open_mesh(ply(*part), "a.ply") for part in parts]
     return {
-        f"{i}.{format}": bytes(encode_mesh(*part, format))
-        for i, (part, format) in enumerate(zip(parts, FORMATS, strict=False))
+        f"{i}.{format}": bytes(convert(mesh, mesh.vertices, format)[0])
+        for i, (mesh, format) in enumerate(zip(meshes, FORMATS, strict=False))
     }
 
 

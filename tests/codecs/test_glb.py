@@ -11,7 +11,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from msal_cli.codecs import convert, gltf
+from msal_cli.codecs import gltf
+from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.mesh_file import PLACEMENT
 from msal_cli.errors import ContentError, InternalError, MsalError
 from tests.codecs.plain_glb import Scene, content_of

@@ -15,6 +15,7 @@ import pytest
 from msal_cli import codecs
 from msal_cli.codecs import header as first_look
 from msal_cli.codecs import open_mesh
+from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.header import BASE_BYTES, LOOKED_AT, forecast, of_beginning, read_input
 from msal_cli.errors import InputError, MsalError
 from msal_cli.job.settings import Settings, Task
@@ -53,7 +54,7 @@ def converted(to, encoding="same"):
     opened = codecs.open_mesh(ply(*scan()), "a.ply")
     if to == "ply":
         return bytes(opened.encoded(opened.vertices, encoding, "same"))
-    return bytes(codecs.convert(opened, opened.vertices, to, encoding)[0])
+    return bytes(convert(opened, opened.vertices, to, encoding)[0])
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_p
     data = ply(*scan(around, around // 2))
     opened = codecs.open_mesh(data, "a.ply")
     if to != "ply":
-        data = codecs.convert(opened, opened.vertices, to, flavour or "same")[0]
+        data = convert(opened, opened.vertices, to, flavour or "same")[0]
     elif flavour == "ascii":
         data = opened.encoded(opened.vertices, "ascii", "same")
     path = tmp_path / f"a.{to}"

@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from msal_cli.codecs import convert, open_mesh
+from msal_cli.codecs import open_mesh
+from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.detection import content_format, format_of_name
 from msal_cli.codecs.header import read_header
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError

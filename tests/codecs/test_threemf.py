@@ -13,8 +13,8 @@ import zlib
 import numpy as np
 import pytest
 
-from msal_cli.codecs import conversion as convert
 from msal_cli.codecs import open_mesh, threemf
+from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.zip_archive import Archive
 from msal_cli.errors import InternalError, UnsupportedError
 from tests.codecs import plain_3mf
@@ -269,4 +269,4 @@ def test_what_would_no_longer_fit_is_read_and_not_changed(attributes, inside, mo
     assert file.replaced(file.vertices.copy()) is data
     with pytest.raises(UnsupportedError, match=what):
         file.replaced(moved_corner(file))
-    assert len(convert.converted(file, VERTICES, "stl", "same", "same")[0]) == 84 + 50 * 12
+    assert len(convert(file, VERTICES, "stl")[0]) == 84 + 50 * 12

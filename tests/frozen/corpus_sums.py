@@ -32,8 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli import codecs
-from msal_cli.codecs import normal_warnings, open_mesh, vertex_property, writable_formats
+from msal_cli.codecs import normal_warnings, open_mesh, vertex_property
+from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand
@@ -145,7 +145,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         return digest(plain_bytes(file.encoded(moved, encoding, precision))), ""
 
     def conversion(to: str) -> tuple[str, str]:
-        output, losses = codecs.convert(file, moved, to)
+        output, losses = convert(file, moved, to)
         return f"{digest(output)} {len(losses)}", "\n".join(losses)
 
     def about_normals() -> tuple[str, str]:
@@ -171,7 +171,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         numbers = functools.partial(vertex_property, file, name)
         attempt(steps, f"property {name}", lambda of=numbers: (digest(of()), ""))
     if not is_mutant:
-        for to in PLAIN if len(data) > LARGE_BYTES else writable_formats():
+        for to in PLAIN if len(data) > LARGE_BYTES else WRITABLE:
             attempt(steps, f"to {to}", functools.partial(conversion, to))
     return steps
 

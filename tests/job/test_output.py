@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from msal_cli import codecs as files
+from msal_cli.codecs import conversion, open_mesh
 from msal_cli.errors import InternalError, LossError, OutputError
 from msal_cli.job import output
 from msal_cli.job.settings import Settings, Task
@@ -23,7 +23,7 @@ def obj(vertices, faces=FACES):
 
 
 def opened(vertices=VERTICES):
-    return files.open_mesh(obj(vertices), "scan.obj", "obj")
+    return open_mesh(obj(vertices), "scan.obj", "obj")
 
 
 def check(data, vertices=VERTICES, target="obj"):
@@ -52,7 +52,7 @@ def test_whole_numbers_are_rounded_when_they_are_encoded_anew():
     header += "".join(f"property int {name}\n" for name in "xyz")
     header += "element face 12\nproperty list uchar int vertex_indices\nend_header\n"
     data = (header + rows + faces).encode()
-    mesh_file = files.open_mesh(data, "in.ply")
+    mesh_file = open_mesh(data, "in.ply")
     vertices = mesh_file.vertices + 0.375
     encoded = mesh_file.encoded(vertices, "binary", "same")
     output._check_reopened(encoded, "ply", mesh_file, vertices)
@@ -89,7 +89,7 @@ def test_what_has_not_changed_is_the_input_itself():
 def test_a_conversion_is_read_back_and_says_what_is_lost(path):
     result = built(path=path)
     data = gzip.decompress(result.data) if path.endswith("gz") else result.data
-    again = files.open_mesh(bytes(data), "out.stl", "stl")
+    again = open_mesh(bytes(data), "out.stl", "stl")
     assert again.vertices[again.faces] == pytest.approx(VERTICES[FACES])
     assert result.references == ()
     assert result.losses and all(loss.startswith("lost in stl: ") for loss in result.losses)
@@ -121,7 +121,7 @@ def test_a_wrong_writer_is_noticed(monkeypatch):
     monkeypatch.setattr(type(mesh_file), "replaced", lambda self, vertices: wrong)
     with pytest.raises(InternalError):
         built(VERTICES + 2.0)
-    monkeypatch.setattr(files, "convert", lambda *given: (wrong, ()))
+    monkeypatch.setattr(conversion, "convert", lambda *given: (wrong, ()))
     with pytest.raises(InternalError):
         built(path="out.ply")
 

@@ -17,6 +17,7 @@ import trimesh
 
 from msal_cli import codecs, methods
 from msal_cli.codecs import header
+from msal_cli.codecs.conversion import convert
 from msal_cli.job import inspection, pipeline
 from msal_cli.job.pipeline import denoise_bytes, denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
@@ -332,7 +333,7 @@ class TestLimits:
         assert record.vertices == 288
         opened = codecs.open_mesh(path.read_bytes(), "a.obj")
         as_ply = path.with_suffix(".ply")
-        as_ply.write_bytes(codecs.convert(opened, opened.vertices, "ply")[0])
+        as_ply.write_bytes(convert(opened, opened.vertices, "ply")[0])
         monkeypatch.setattr(header, "read_whole", None)
         record = self.done(as_ply, max_faces=575)
         assert record.error.code == "E_TOO_LARGE" and record.vertices is None
