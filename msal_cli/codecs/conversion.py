@@ -32,19 +32,19 @@ _DERIVED = ("facet normals",)
 
 _ENCODINGS = {
     "ply": ("binary", "ascii"),
-    "stl": ("binary", "ascii"),
     "obj": ("ascii",),
-    "off": ("ascii",),
-    "glb": ("binary",),
+    "stl": ("binary", "ascii"),
     "gltf": ("binary",),
+    "3mf": ("binary",),
+    "off": ("ascii",),
+    "vtp": ("binary",),
     "vtk": ("binary", "ascii"),
     "vtu": ("binary", "ascii"),
-    "vtp": ("binary",),
-    "3mf": ("binary",),
+    "glb": ("binary",),
 }
 """Encodings of each format, the default one first."""
 
-WRITABLE = ("ply", "obj", "stl", "gltf", "3mf", "off", "vtp", "vtk", "vtu", "glb")
+WRITABLE = tuple(_ENCODINGS)
 """Formats that can be written, in the order in which help names them."""
 
 _SINGLE = ("glb", "gltf", "stl")

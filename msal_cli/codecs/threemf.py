@@ -34,7 +34,6 @@ from msal_cli.codecs.text_slots import (
 from msal_cli.codecs.threemf_model import (
     Model,
     Use,
-    parse_model,
     place_of,
     start_parser,
 )
@@ -77,8 +76,7 @@ class Package:
     frames : the frame (4, 4) in the build of each mesh with triangles, in the order of ``models``;
         empty where all of them stay in their own.
     is_signed : whether a digital signature holds its bytes.
-    has_instances : whether an object is put to several places.
-    is_sole_part_placed : whether there is one mesh only, and the build turns, scales or shifts it.
+    properties : as in ``mesh_file.MeshFile``.
     """
 
     def __init__(self, data: Buffer) -> None:
@@ -87,7 +85,7 @@ class Package:
         self.models: dict[str, Model] = {}
         self.texts: dict[str, bytes] = {}
         self._load(min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data))))
-        placed, self.has_instances = self._find_frames()
+        placed, has_instances = self._find_frames()
         meshes = [
             (mesh, placed.get((name, number), np.eye(4)))
             for name, model in self.models.items()
@@ -100,7 +98,15 @@ class Package:
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
             )
-        self.is_sole_part_placed = len(meshes) == 1 and is_placed(meshes[0][1])
+        unit = next(iter(self.models.values())).unit
+        properties = (
+            f"{len(meshes)} parts" if len(meshes) > 1 else "",
+            f"unit {unit}" if unit != "millimeter" else "",
+            "instances" if has_instances else "",
+            PLACEMENT if len(meshes) == 1 and is_placed(meshes[0][1]) else "",
+            *(word for model in self.models.values() for word in model.words),
+        )
+        self.properties = tuple(dict.fromkeys(filter(None, properties)))
         is_framed = len(meshes) > 1 and all(
             is_usable(frame) and np.isfinite(transform(mesh.vertices, frame)).all()
             for mesh, frame in meshes
@@ -155,7 +161,7 @@ class Package:
                 continue
             text = self.texts[member.name] = self.archive.content(member, room)
             room -= len(text)
-            model = self.models[member.name] = parse_model(text, member.name)
+            model = self.models[member.name] = Model(text, member.name)
             for use in itertools.chain(model.items, *model.components.values()):
                 if use.path:
                     other = self.archive.find(use.path)
@@ -258,7 +264,7 @@ class ThreeMfFile(SlotFile):
             models: Mapping[str, Model] = package.models
             if content is not text:
                 texts = [bytes(content)] if len(models) == 1 else bytes(content).split(_BETWEEN)
-                models = {n: parse_model(t, n) for n, t in zip(models, texts, strict=True)}
+                models = {n: Model(t, n) for n, t in zip(models, texts, strict=True)}
             return _layout(package, models, content)
 
         super().__init__(text, "3mf", parse)
@@ -362,21 +368,12 @@ def _layout(package: Package, models: Mapping[str, Model], text: Buffer) -> Layo
                 faces.append(mesh.faces + n_vertices)
                 n_vertices += len(mesh.vertices)
         begin += model.size + len(_BETWEEN)
-    properties = [f"{len(positions)} parts"] if len(positions) > 1 else []
-    unit = next(iter(models.values())).unit
-    if unit != "millimeter":
-        properties.append(f"unit {unit}")
-    if package.has_instances:
-        properties.append("instances")
-    if package.is_sole_part_placed:
-        properties.append(PLACEMENT)
-    properties += [word for model in models.values() for word in model.words]
     return Layout(
         "binary",
         "text",
         tuple(positions),
         frames=package.frames,
-        properties=tuple(dict.fromkeys(properties)),
+        properties=package.properties,
         faces=np.concatenate(faces).astype(np.int32),
     )
 

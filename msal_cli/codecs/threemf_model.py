@@ -120,44 +120,6 @@ class Use:
     at: int
 
 
-@dataclass(eq=False)
-class Model:
-    """A model part.
-
-    Attributes
-    ----------
-    size : bytes of its text.
-    unit : the word for it.
-    ids : the numbers of its objects.
-    meshes : the meshes by their objects' numbers, in the order of the file.
-    components : what an object is put together from.
-    items : what is to be built.
-    words : what else is carried along, for reports.
-    stale : what would no longer fit the surface once it moved.
-    """
-
-    size: int
-    unit: str = "millimeter"
-    ids: set[int] = field(default_factory=set)
-    meshes: dict[int, ThreeMfMesh] = field(default_factory=dict)
-    components: dict[int, list[Use]] = field(default_factory=dict)
-    items: list[Use] = field(default_factory=list)
-    words: dict[str, None] = field(default_factory=dict)
-    stale: dict[str, None] = field(default_factory=dict)
-
-
-def parse_model(text: bytes, name: str) -> Model:
-    """Take a model part apart; ``name`` is for messages.
-
-    Raises
-    ------
-    FormatError, TruncatedError, UnsupportedError
-    ContentError
-        with code ``E_INDEX`` or ``E_NONFINITE``.
-    """
-    return _Reader(text, name).model
-
-
 def place_of(text: bytes, name: str, at: int) -> str:
     """A byte of a part in words."""
     return f"{name}, line {1 + text.count(10, 0, at)}"
@@ -187,11 +149,32 @@ def start_parser(text: bytes, name: str) -> expat.XMLParserType:
     return parser
 
 
-class _Reader:
-    """Follows Expat through a part."""
+class Model:
+    """A model part taken apart; ``name`` is for messages.
+
+    Attributes
+    ----------
+    size : bytes of its text.
+    unit : the word for it.
+    ids : the numbers of its objects.
+    meshes : the meshes by their objects' numbers, in the order of the file.
+    components : what an object is put together from.
+    items : what is to be built.
+    words : what else is carried along, for reports.
+    stale : what would no longer fit the surface once it moved.
+
+    Raises FormatError, TruncatedError, UnsupportedError, and ContentError (``E_INDEX``,
+    ``E_NONFINITE``).
+    """
 
     def __init__(self, text: bytes, name: str) -> None:
-        self.model = Model(len(text))
+        self.size, self.unit = len(text), "millimeter"
+        self.ids: set[int] = set()
+        self.meshes: dict[int, ThreeMfMesh] = {}
+        self.components: dict[int, list[Use]] = {}
+        self.items: list[Use] = []
+        self.words: dict[str, None] = {}
+        self.stale: dict[str, None] = {}
         self._text = text
         self._name = name
         self._fed: list[int] = []
@@ -213,8 +196,8 @@ class _Reader:
         self._values, self._starts, self._stops = array("d"), array("q"), array("q")
         self._corners = array("q")
         self._parse()
-        # It names this reader, so that neither would be freed before long.
-        del self._parser
+        # The parser names this model, so that neither would be freed before long.
+        del self._parser, self._text, self._vertices, self._faces
 
     def _parse(self) -> None:
         self._parser = parser = start_parser(self._text, self._name)
@@ -268,20 +251,20 @@ class _Reader:
                 raise self._damaged(f"the root element is {word[:40]!r}, not a model of 3MF")
             self._open_model(attributes)
         elif space in _STALE:
-            self.model.stale[_STALE[space]] = None
+            self.stale[_STALE[space]] = None
         elif not is_core:
             if space == _MICROSOFT + "material/2015/02":
-                self.model.words["materials"] = None
+                self.words["materials"] = None
         elif above == "vertices" and word == "vertex":
             self._add_vertex(attributes)
         elif above == "triangles" and word == "triangle":
             self._corners.extend(self._whole(attributes, word) for word in ("v1", "v2", "v3"))
             if len(attributes) > 3:
-                self.model.words[_PAINT] = None
+                self.words[_PAINT] = None
         elif word in ("vertices", "triangles") and above == "mesh":
             self._open_list(word)
         elif word == "mesh" and above == "object":
-            if self._object in self.model.meshes:
+            if self._object in self.meshes:
                 raise self._damaged("the object has two meshes")
             self._vertices = self._faces = None
         elif word == "object":
@@ -296,11 +279,11 @@ class _Reader:
                     hint="export the mesh alone",
                 )
             if word == "item":
-                self.model.items.append(use)
+                self.items.append(use)
             else:
-                self.model.components.setdefault(self._object, []).append(use)
+                self.components.setdefault(self._object, []).append(use)
         elif word in ("basematerials", "metadata"):
-            self.model.words["materials" if word == "basematerials" else word] = None
+            self.words["materials" if word == "basematerials" else word] = None
 
     def _end(self, name: str) -> None:
         word = self._path.pop()
@@ -318,9 +301,9 @@ class _Reader:
         return damaged(message, self._where())
 
     def _open_model(self, attributes: dict[str, str]) -> None:
-        self.model.unit = attributes.get("unit", "millimeter")
-        if self.model.unit not in UNITS:
-            raise self._damaged(f"the unit {self.model.unit[:40]!r} is not one of 3MF")
+        self.unit = attributes.get("unit", "millimeter")
+        if self.unit not in UNITS:
+            raise self._damaged(f"the unit {self.unit[:40]!r} is not one of 3MF")
         for prefix in attributes.get("requiredextensions", "").split():
             uri = self._prefixes.get(prefix, "")
             if uri not in _UNDERSTOOD:
@@ -332,11 +315,11 @@ class _Reader:
 
     def _open_object(self, attributes: dict[str, str]) -> None:
         self._object = self._whole(attributes, "id")
-        if self._object in self.model.ids:
+        if self._object in self.ids:
             raise self._damaged(f"two objects have the number {self._object}")
-        self.model.ids.add(self._object)
+        self.ids.add(self._object)
         spaces = [key.rpartition(" ")[0] for key in attributes]
-        self.model.stale |= {_STALE[space]: None for space in spaces if space in _STALE}
+        self.stale |= {_STALE[space]: None for space in spaces if space in _STALE}
 
     def _open_list(self, word: str) -> None:
         if (self._vertices if word == "vertices" else self._faces) is not None:
@@ -354,7 +337,7 @@ class _Reader:
                 raise self._not_finite(int(np.argmin(finite)))
         else:
             if np.count_nonzero(region == ord('"')) > 2 * starts.size:
-                self.model.words[_PAINT] = None
+                self.words[_PAINT] = None
             # As float64, so that no index wraps round, however many digits it has.
             corners = self._numbers(starts, stops)
             self._faces = np.minimum(corners, 2.0**53).astype(np.int64)
@@ -435,4 +418,4 @@ class _Reader:
                 where=f"{self._where()}, object {self._object}, triangle {row}",
                 hint=EXPORT_AGAIN,
             )
-        self.model.meshes[self._object] = ThreeMfMesh(vertices, starts, stops, self._faces)
+        self.meshes[self._object] = ThreeMfMesh(vertices, starts, stops, self._faces)

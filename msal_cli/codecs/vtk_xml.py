@@ -111,12 +111,46 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
     TooLargeError
         for more than ``MAX_ELEMENTS`` elements.
     """
-    builder = _Builder(data)
+    root: Element | None = None
+    opened: list[Element] = []
+    count = 0
     parser = expat.ParserCreate()
-    builder.parser = parser
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.EntityDeclHandler = builder.refuse_entity
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal root, count
+        count += 1
+        if count > MAX_ELEMENTS or len(opened) > _MAX_DEPTH:
+            raise TooLargeError(
+                f"the file has more than {MAX_ELEMENTS:,} elements"
+                if count > MAX_ELEMENTS
+                else f"elements lie more than {_MAX_DEPTH} deep in one another",
+                hint="convert it to PLY",
+            )
+        at = parser.CurrentByteIndex
+        tag = _TAG.match(data, at)
+        if tag is None:
+            raise damaged("a tag does not end", f"byte {at}")
+        element = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
+        if opened:
+            opened[-1].children.append(element)
+        elif root is None:
+            root = element
+        opened.append(element)
+
+    def end(name: str) -> None:
+        element = opened.pop()
+        # Of ``<a/>`` the end is reported where the tag begins.
+        element.stop = max(element.inside, parser.CurrentByteIndex)
+
+    def refuse_entity(*_: object) -> None:
+        raise UnsupportedError(
+            "the XML declares entities, which may expand to anything",
+            hint="remove the DOCTYPE, or export the mesh again",
+        )
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.EntityDeclHandler = refuse_entity
     view = memoryview(data).cast("B")
     if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe"):
         raise UnsupportedError("the XML is UTF-16", hint="save it as UTF-8")
@@ -130,56 +164,11 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
             f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
         ) from None
     finally:
-        # Each names the other, so that neither would be freed before long.
-        del builder.parser
-    if builder.root is None:
+        # They name the parser, so that nothing would be freed before long.
+        parser.StartElementHandler = parser.EndElementHandler = None
+    if root is None:
         raise damaged(f"there is no {what} in the file")
-    return builder.root
-
-
-class _Builder:
-    """Builds the tree while expat reads."""
-
-    parser: expat.XMLParserType
-
-    def __init__(self, data: Buffer) -> None:
-        self.root: Element | None = None
-        self._data = data
-        self._open: list[Element] = []
-        self._count = 0
-
-    def start(self, name: str, attributes: dict[str, str]) -> None:
-        self._count += 1
-        if self._count > MAX_ELEMENTS or len(self._open) > _MAX_DEPTH:
-            raise TooLargeError(
-                f"the file has more than {MAX_ELEMENTS:,} elements"
-                if self._count > MAX_ELEMENTS
-                else f"elements lie more than {_MAX_DEPTH} deep in one another",
-                hint="convert it to PLY",
-            )
-        at = self.parser.CurrentByteIndex
-        tag = _TAG.match(self._data, at)
-        if tag is None:
-            raise damaged("a tag does not end", f"byte {at}")
-        element = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
-        if self._open:
-            self._open[-1].children.append(element)
-        elif self.root is None:
-            self.root = element
-        self._open.append(element)
-
-    def end(self, name: str) -> None:
-        element = self._open.pop()
-        # Of ``<a/>`` the end is reported where the tag begins.
-        element.stop = max(element.inside, self.parser.CurrentByteIndex)
-        if bytes(memoryview(self._data)[element.inside - 2 : element.inside]) == b"/>":
-            element.stop = element.inside
-
-    def refuse_entity(self, *_: object) -> None:
-        raise UnsupportedError(
-            "the XML declares entities, which may expand to anything",
-            hint="remove the DOCTYPE, or export the mesh again",
-        )
+    return root
 
 
 class Coding:

@@ -73,11 +73,11 @@ class Member:
 
     Attributes
     ----------
+    header_at, data_at : first bytes of the local header and of the compressed data.
+    entry_at : first byte of its entry in the central directory.
     name : as the directory has it, with slashes.
     flags, method, crc, packed_size, size : as the central directory has them.
-    header_at, data_at : first bytes of the local header and of the compressed data.
     stop : first byte of the next member's header, or of the central directory.
-    entry_at : first byte of its entry in the central directory.
     """
 
     header_at: int
