@@ -1,4 +1,4 @@
-"""Descriptors of face normals and the network, against plain twins and by identities."""
+"""Descriptors of face normals and the network: what goes in, threads and machine code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_regression import (
-    EARLIER,
     GLOBALS,
     NUMBERS,
     OTHERS,
@@ -29,16 +28,10 @@ from msal_cli.kernels.normal_regression import (
     Network,
     NormalDescriber,
     count_vectors,
-    find_neighbourhoods,
     measure_ripples,
 )
 from msal_cli.mesh import prepare_mesh
-from tests.kernels import plain_descriptors
 from tests.shapes import grid, noisy, torus
-
-
-def rows_of(start, entries):
-    return [entries[a:b].tolist() for a, b in itertools.pairwise(start)]
 
 
 def evidence_of(mesh):
@@ -107,65 +100,12 @@ def scan():
     return prepare_mesh(noisy(vertices, 3, 0.1), faces).mesh
 
 
-@pytest.fixture(scope="module")
-def plain(scan):
-    normals, areas = face_normals_and_areas(scan.vertices, scan.faces)
-    centroids = face_centroids(scan.vertices, scan.faces)
-    edges = face_rings(scan.faces, scan.topology, "edge")
-    across = rows_of(*edges)
-    near = find_neighbourhoods(centroids, *edges)
-    units = plain_descriptors.local_units(centroids, across)
-    return plain_descriptors.Plain(
-        normals, areas, centroids, rows_of(near.near_start, near.near), units
-    )
-
-
-def test_vectors_are_those_of_the_twin(scan, plain):
-    got = described(scan)[0].collect()[1]
-    assert got.shape == (len(scan.faces), count_vectors(0), 3)
-    assert np.abs(got[:, :VECTORS] - plain.vectors).max() < 2e-4
-
-
-def test_evidence_stands_behind_the_own_vectors_and_numbers(scan, plain):
+def test_evidence_stands_behind_the_own_vectors_and_numbers(scan):
     given = evidence_of(scan)
     descriptors = described(scan, make_evidence=evidence_of)[0]
-    made = descriptors.collect()[1]
     others = given.normals.reshape(-1, OTHERS, 3)
-    assert (made[:, VECTORS : VECTORS + OTHERS] == others).all()
+    assert (descriptors.collect()[1][:, VECTORS : VECTORS + OTHERS] == others).all()
     assert (numbers_of(descriptors)[:, NUMBERS:] == given.statistics).all()
-    own = plain.normals
-    for k, s in enumerate((0.3, 0.6)):
-        expected = [plain.filtered(f, others[:, 0], own, s) for f in range(len(own))]
-        assert np.abs(made[:, VECTORS + OTHERS + k] - expected).max() < 2e-4
-
-
-def test_numbers_are_those_of_the_twin(scan, plain):
-    got = numbers_of(described(scan)[0])
-    assert np.abs(got[:, :13] - plain.numbers).max() < 2e-4
-
-
-def test_normals_are_those_of_the_plain_network(scan):
-    descriptors, _ = described(scan)
-    network = random_network(count_vectors(0))
-    inputs, vectors = descriptors.collect()
-    plain = plain_descriptors.predict(
-        [(bias.astype(float), matrix.astype(float)) for bias, matrix in network.layers],
-        inputs.astype(float),
-        vectors.astype(float),
-    )
-    assert np.abs(descriptors.predict(network) - plain).max() < 1e-3
-
-
-def test_a_later_stage_filters_the_scanned_normals_by_the_last(scan, plain):
-    normals = face_normals_and_areas(scan.vertices, scan.faces)[0]
-    last = plain.vectors[:, 3].copy()
-    vectors = described(scan, (normals, last))[0].collect()[1]
-    first = count_vectors(1) - EARLIER
-    assert np.abs(vectors[:, first] - normals).max() < 1e-6
-    assert np.abs(vectors[:, first + 1] - last).max() < 1e-6
-    for k, s in enumerate((0.3, 0.6)):
-        expected = [plain.filtered(f, last, normals, s) for f in range(len(normals))]
-        assert np.abs(vectors[:, first + 2 + k] - expected).max() < 2e-4
 
 
 def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):

@@ -34,25 +34,6 @@ def test_corners_are_numbered_in_order_of_appearance(corners):
     assert not np.signbit(vertices[vertices == 0.0]).any()
 
 
-def test_views_into_a_file_are_read():
-    facets = np.zeros(700, dtype=[("normal", "<f4", 3), ("corners", "<f4", 9), ("word", "<u2")])
-    facets["corners"] = np.random.default_rng(2).integers(0, 9, (700, 9))
-    shifted = np.frombuffer(b"xx" + facets.tobytes(), dtype=facets.dtype, offset=2)
-    vertices, faces, bad = weld_corners(shifted["corners"])
-    assert bad == -1
-    assert np.array_equal(vertices[faces].reshape(-1, 9), facets["corners"])
-    assert len(vertices) == len(by_dictionary(facets["corners"])[0])
-
-
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("facet", [0, 255, 256, 999])
-def test_the_first_facet_that_is_not_finite_is_reported(wrong, facet):
-    corners = np.zeros((1000, 9))
-    corners[facet, 8] = wrong
-    corners[999, 0] = wrong
-    assert weld_corners(corners)[2] == facet
-
-
 @given(
     st.lists(st.sampled_from([0.0, -0.0, 1.0, 1e-300, np.nextafter(1.0, 2)]), min_size=9),
     st.integers(0, 5),
@@ -66,22 +47,6 @@ def test_welding_is_by_exact_position(values, skip):
         for i, (point, use) in enumerate(zip((points + 0.0).tolist(), used, strict=True))
     ]
     assert first_alike(points, used)[0].tolist() == expected
-
-
-def test_among_very_many_points_only_equal_ones_weld():
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(20_000, 3))
-    points[15_000:15_050] = points[7_000:7_050]
-    points[-1] = points[15_000]
-    first, merged = first_alike(points, np.ones(len(points), dtype=bool))
-    expected = np.arange(len(points))
-    expected[15_000:15_050] = expected[7_000:7_050]
-    expected[-1] = 7_000
-    assert first.tolist() == expected.tolist()
-    assert merged == 51
-    used = np.ones(len(points), dtype=bool)
-    used[7_000:7_050] = False
-    assert first_alike(points, used)[1] == 1
 
 
 @given(st.lists(st.tuples(st.integers(-2, 5), st.integers(-2, 5)), min_size=1, max_size=60))
