@@ -16,9 +16,8 @@ import subprocess
 
 import pytest
 
-from tests.campaigns.runs import IS_LINUX, command, contents, ended, started
-from tests.cli.scans import MSAL, closed_scan, folder_of, msal, open_scan, ply_text
-from tests.shapes import noisy, torus
+from tests.campaigns.runs import IS_LINUX, command, contents, ended
+from tests.cli.scans import closed_scan, folder_of, msal, open_scan
 
 CALLS = (
     *("open", "write", "fsync", "close", "replace", "rename", "link", "chmod", "mkdir"),
@@ -150,14 +149,3 @@ def test_a_manifest_that_is_full_hides_nothing(tmp_path):
     assert sorted(reported) == there
     assert ended(words)[0] == 0
     assert len(contents(tmp_path / "out")) == 12
-
-
-def test_a_reader_that_has_had_enough_is_no_noise(tmp_path):
-    vertices, faces = torus(80, 40)
-    # More than a pipe holds, so that writing goes on when the reader is gone.
-    folder_of(tmp_path, big=ply_text(noisy(vertices, 0, 0.01), faces))
-    words = [*MSAL, "denoise", str(tmp_path / "big.ply"), "-o", "-", "-q"]
-    with started(words) as process:
-        process.stdout.read(10)
-        process.stdout.close()
-        assert (process.wait(60), process.stderr.read()) == (141, b"")

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 from click.testing import CliRunner
 
@@ -69,11 +68,6 @@ def process(*arguments, **options):
     environment.pop("PYTHONUNBUFFERED", None)
     words = [word if isinstance(word, bytes) else str(word) for word in (*MSAL, *arguments)]
     return subprocess.run(words, env=environment, check=False, **options)
-
-
-def lines_of(path):
-    """A text file's lines."""
-    return Path(path).read_text().splitlines()
 
 
 def record_of(made, code=0):

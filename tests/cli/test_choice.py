@@ -180,20 +180,6 @@ def test_every_way_to_ask_reaches_the_chooser(scan, tmp_path, choose, words, wis
     assert selection.Wishes(**record["choice"]["wishes"]) == arrived[0]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--strength", "2.5"), "'2.5' is not a number from -2 to 2"),
-        (("--auto-budget", "0.5"), "'0.5' is not a number from 1"),
-        (("--keep", "noise"), "'texture', 'edges', 'shape'"),
-        (("--prefer", "speed"), "'positions', 'normals', 'volume'"),
-    ],
-)
-def test_wishes_that_mean_nothing_are_refused(scan, tmp_path, words, message):
-    made = msal("denoise", scan, "-o", tmp_path / "o.ply", *words)
-    assert (made.exit_code, message in made.stderr) == (2, True)
-
-
 def test_other_commands_point_to_auto(scan, tmp_path):
     for words in (("sweep", scan, "-o", tmp_path / "o.png", "--method"), ("methods",)):
         made = msal(*words, "auto")
@@ -258,17 +244,6 @@ def test_choices_for_many_files_are_counted_logged_and_kept(tmp_path):
     assert [(record["method"], record["choice"]) for record in again] == [
         (record["method"], record["choice"]) for record in records
     ]
-
-
-def test_the_options_of_the_record_repeat_a_real_choice(tmp_path):
-    scan = "sample_meshes/toadstool_noisy.ply"
-    record = denoise(scan, "-o", tmp_path / "1.ply", "--auto", "--keep", "edges")
-    assert record["method"]["name"] in (*selection.METHODS, selection.NONE)
-    assert record["choice"]["reason"].startswith("noise 0.")
-    again = denoise(scan, "-o", tmp_path / "2.ply", *record["choice"]["repeat"])
-    if record["method"]["name"] != selection.NONE:
-        assert again["method"] == record["method"]
-    assert (tmp_path / "1.ply").read_bytes() == (tmp_path / "2.ply").read_bytes()
 
 
 # --assume

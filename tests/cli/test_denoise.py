@@ -46,32 +46,20 @@ def tree(folder):
 def test_one_file_is_written_and_told(scan, tmp_path):
     output = tmp_path / "out.ply"
     made = msal("denoise", scan, "-o", output)
-    assert made.exit_code == 0
-    assert made.stdout == ""
+    assert (made.exit_code, made.stdout) == (0, "")
     assert made.stderr.startswith(f"{scan} -> {output} in ")
     assert "288 vertices, 576 faces, 1 component\n" in made.stderr
     assert len(made.stderr.splitlines()) <= 8
     made = msal("denoise", scan, "-o", output, "-v")
     assert f"\n{scan} -> {output} in " in made.stderr
     assert "stored as     ply ascii" in made.stderr
-    assert "vertices/s" not in made.stderr
-    before, after = scan.read_bytes(), output.read_bytes()
-    assert before != after
-    header = before.index(b"end_header")
-    assert before[:header] == after[:header]
-    assert before[before.index(b"\n3 ") :] == after[after.index(b"\n3 ") :]
-
-
-def test_a_bad_file_is_an_error_with_place_code_and_hint(mixed, tmp_path):
-    output = tmp_path / "out.ply"
-    made = msal("denoise", mixed / "bad.ply", "-o", output)
-    assert made.exit_code == 1
+    # A bad file is an error with place, code and hint.
+    scan.write_bytes(BAD_SCAN)
+    made = msal("denoise", scan, "-o", tmp_path / "new.ply")
     error, hint = made.stderr.splitlines()
-    assert error.startswith(f"msal: error: {mixed / 'bad.ply'}: ")
-    assert "9999" in error
-    assert error.endswith("(E_INDEX)")
-    assert hint.startswith("hint: ")
-    assert not output.exists()
+    assert (made.exit_code, (tmp_path / "new.ply").exists()) == (1, False)
+    assert error.startswith(f"msal: error: {scan}: ") and error.endswith("(E_INDEX)")
+    assert "9999" in error and hint.startswith("hint: ")
 
 
 def test_options_reach_the_method(scan, tmp_path):
@@ -140,13 +128,6 @@ def test_wrong_use(scan, tmp_path, arguments, error, hint):
     assert scan.read_bytes() == before
 
 
-def test_nothing_matched(mixed, tmp_path):
-    made = msal("denoise", mixed, "-o", tmp_path / "out", "--include", "*.stl")
-    assert made.exit_code == 5
-    assert "(E_NOTHING_MATCHED)" in made.stderr
-    assert not (tmp_path / "out").exists()
-
-
 # Folders
 
 
@@ -197,6 +178,7 @@ def test_what_reaches_the_run(scan, tmp_path, monkeypatch):
 
 def test_a_dry_run_lists_and_touches_nothing(mixed, tmp_path):
     output = tmp_path / "out"
+    (mixed / "empty.ply").write_bytes(b"")
     before = tree(tmp_path)
     made = msal("denoise", mixed, "-o", output, "--dry-run", "--report", tmp_path / "r.json")
     assert made.exit_code == 3
@@ -205,21 +187,14 @@ def test_a_dry_run_lists_and_touches_nothing(mixed, tmp_path):
     assert "bad.ply: " in made.stdout and "(E_INDEX)" in made.stdout
     sums, last = made.stderr.splitlines()[-2:]
     assert sums.startswith("2 files to denoise, ")
-    assert sums.endswith(" s on an idle machine, 1 will fail")
+    assert sums.endswith(" s on an idle machine, 2 will fail")
     assert last == "dry run: no report is written"
-    assert tree(tmp_path) == before
-
-
-def test_a_dry_run_as_json(mixed, tmp_path):
-    (mixed / "empty.ply").write_bytes(b"")
-    made = msal("denoise", mixed, "-o", tmp_path / "out", "--dry-run", "--json", "-q", "--auto")
-    assert made.exit_code == 3
+    made = msal("denoise", mixed, "-o", output, "--dry-run", "--json", "-q", "--auto")
     records = {Path(one["input"]).name: one for one in json.loads(made.stdout)["records"]}
-    assert {name for name, one in records.items() if one["status"] == "failed"} == {
-        "bad.ply",
-        "empty.ply",
-    }
+    failed = {name for name, one in records.items() if one["status"] == "failed"}
+    assert failed == {"bad.ply", "empty.ply"}
     assert records["closed.ply"]["planned"]["seconds"] > 2.0
+    assert tree(tmp_path) == before
 
 
 # Talk

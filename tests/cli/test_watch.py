@@ -105,26 +105,30 @@ def test_what_arrives_later_is_done_once_and_what_changes_again(inbox):
 
 
 @posix
-def test_ctrl_c_while_ten_files_are_done_leaves_whole_files_and_the_next_watch_does_the_rest(inbox):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_leaves_whole_files_and_no_lock_and_the_next_watch_does_the_rest(
+    inbox, number, status
+):
     folder_of(inbox, **{f"s{n}": closed_scan(n) for n in range(10)})
     out = inbox.parent / "out"
     command = [*MSAL, "watch", inbox, "-o", out, *QUICK, "-j", "1"]
     with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
         lines = [process.stderr.readline() for _ in range(3)]
-        process.send_signal(signal.SIGINT)
-        process.stderr.read()
-        assert process.wait(20) == 130
+        process.send_signal(number)
+        words = process.stderr.read()
+        assert process.wait(20) == status
     # In the order of their arrival, which is that of their times.
     assert [line.split(" ")[0] for line in lines] == ["watching", "s0.ply", "s1.ply"]
+    assert "msal: interrupted" in words and "goes on from here" in words
     n_done = len(done_lines(out))
     assert n_done >= 2
     assert len(outputs(out)) in (n_done, n_done + 1)
-    made = watch(inbox)
-    assert made.exit_code == 0
+    with FolderLock(str(out)):
+        pass
+    assert watch(inbox).exit_code == 0
     assert len(outputs(out)) == 10
     assert {len(one) for one in outputs(out).values()} != {0}
-    states = [one["name"] for one in done_lines(out)]
-    assert len(set(states)) == 10
+    assert len({one["name"] for one in done_lines(out)}) == 10
 
 
 def test_an_output_that_is_not_ours_is_a_failure_and_the_watch_goes_on(inbox):
@@ -201,21 +205,3 @@ def test_one_run_at_a_time(inbox):
         made = watch(inbox)
     assert made.exit_code == 2
     assert "E_LOCKED" in made.stderr
-
-
-@posix
-def test_a_signal_ends_it_and_leaves_no_lock(inbox):
-    folder_of(inbox, a=open_scan())
-    out = inbox.parent / "out"
-    command = [*MSAL, "watch", inbox, "-o", out, *QUICK]
-    with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
-        assert "watching" in process.stderr.readline()
-        assert "a.ply -> " in process.stderr.readline()
-        time.sleep(0.3)
-        process.send_signal(signal.SIGTERM)
-        words = process.stderr.read()
-        assert process.wait(20) == 143
-    assert "msal: interrupted" in words
-    assert "goes on from here" in words
-    with FolderLock(str(out)):
-        pass
