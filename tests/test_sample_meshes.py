@@ -15,9 +15,6 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs
-from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.settings import Settings, Task
-from msal_cli.methods import find
 from tests.scripts import load_script
 
 FOLDER = Path(__file__).resolve().parents[1] / "sample_meshes"
@@ -92,39 +89,3 @@ def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
         assert (a * np.cross(b, c)).sum() > 0, "faces look outwards"
     else:
         assert (normal[:, 2] > 0).all(), "faces look at the camera"
-
-
-@pytest.mark.ci
-@pytest.mark.parametrize("name", NAMES)
-def test_denoising_comes_nearer_to_the_truth(name: str, tmp_path: Path) -> None:
-    source = sample(name, "noisy")
-    result = tmp_path / source.name
-    settings = Settings("msal", find("msal").validate({}))
-    record = denoise_file(Task(str(source), str(result), source.name), settings)
-    assert record.status == "written", record.error
-    assert record.seam_gap == 0.0
-    assert record.volume is not None and record.volume.valid == (name != "coin")
-    truth, noisy, denoised = (geometry(path) for path in (sample(name, "clean"), source, result))
-    if name == "knot":  # its corners are numbered anew in each file
-        before, after = (
-            angles(soup(sample(name, "clean")), soup(path)) for path in (source, result)
-        )
-    else:
-        assert np.array_equal(noisy[1], denoised[1])
-        before, after = (angles(truth[0][truth[1]], mesh[0][mesh[1]]) for mesh in (noisy, denoised))
-    assert after < 0.85 * before
-
-
-def soup(path: Path) -> np.ndarray[Any, Any]:
-    """Corners (m, 3, 3) of a binary STL file, in its order."""
-    table = np.frombuffer(path.read_bytes(), np.dtype("(3,)<f4, (9,)<f4, <u2"), offset=84)
-    return table["f1"].reshape(-1, 3, 3).astype(float)
-
-
-def angles(first: np.ndarray[Any, Any], second: np.ndarray[Any, Any]) -> float:
-    """Mean angle in degrees between the normals of corresponding triangles (m, 3, 3)."""
-    unit = []
-    for corners in (first, second):
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        unit.append(normal / np.linalg.norm(normal, axis=1)[:, None])
-    return float(np.degrees(np.arccos(np.clip((unit[0] * unit[1]).sum(axis=1), -1, 1))).mean())

@@ -8,13 +8,11 @@ import pytest
 from benchmarks import scanner_cases, scanner_outcomes, scanners
 from benchmarks.scan_simulation import ScannerSettings, simulate_scan
 from benchmarks.scan_simulation.depth_camera import DISTANCE
-from benchmarks.scan_simulation.occupancy import Grid, fill_voxels
 from benchmarks.scanner_cases import Pair
 from benchmarks.scanner_settings import PEER_SETTINGS
-from msal_cli.errors import ContentError
 from msal_cli.kernels.geometry import area_and_volume, face_normals
 from msal_cli.mesh import Mesh, prepare_mesh
-from tests.shapes import ball, cube, grid, torus
+from tests.shapes import ball, torus
 
 pytest.importorskip("fcpw")
 pytest.importorskip("skimage")
@@ -47,16 +45,6 @@ def test_the_same_seed_makes_the_same_scan_only(scanner):
     assert not np.array_equal(first.vertices[:9], other.vertices[:9])
 
 
-def test_binary_voxels_make_a_staircase():
-    made = scan("voxels")
-    # Every vertex lies in the middle of an edge of the grid, along one of its axes.
-    steps = np.mod(made.vertices / made.cell - made.vertices[0] / made.cell, 0.5)
-    assert np.minimum(steps, 0.5 - steps).max() < 1e-4
-    radii = np.linalg.norm(made.vertices, axis=1)
-    assert np.abs(radii - 1.0).max() < 0.9 * made.cell
-    assert 0.1 < (radii - 1.0).std() / made.cell < 0.4
-
-
 def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
     def roughness(**settings):
         made = scan("ct", **settings)
@@ -66,23 +54,6 @@ def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
     assert quiet < 0.03
     assert 0.08 < white < 0.2
     assert roughness(level=0.05) == pytest.approx(0.5 * white, rel=0.25)
-
-
-def test_a_sheet_has_nothing_inside():
-    with pytest.raises(ContentError, match="fills no voxel"):
-        scan("voxels", mesh=prepare_mesh(*grid()).mesh)
-
-
-def test_the_voxels_of_a_box_are_filled_by_their_share():
-    # Two and a half voxels wide, one and a quarter deep and three and three quarters high.
-    vertices, faces = cube()
-    vertices = 0.5 + (vertices - vertices.min(axis=0)) * [2.5, 1.25, 3.75]
-    made = fill_voxels(vertices, faces, Grid(np.zeros(3), np.ones(3), (5, 4, 6)), columns=4)
-    x = np.array([0.0, 1.0, 1.0, 0.5, 0.0])
-    y = np.array([0.0, 1.0, 0.25, 0.0])
-    z = np.array([0.0, 1.0, 1.0, 1.0, 0.75, 0.0])
-    expected = x[:, None, None] * y[:, None] * z
-    assert made == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_camera_sees_one_side_with_an_open_border():

@@ -63,11 +63,10 @@ class TestTime:
             heard([("double", 1)])
 
 
-class TestRetries:
-    def test_an_objection_ends_the_tries(self):
-        messages = heard([("exit", 0)], on_loss=lambda index: f"task {index} is spoilt")
-        assert lost(messages)[0].cause == "changed"
-        assert "task 0 is spoilt" in lost(messages)[0].reason
+def test_an_objection_ends_the_tries():
+    messages = heard([("exit", 0)], on_loss=lambda index: f"task {index} is spoilt")
+    assert lost(messages)[0].cause == "changed"
+    assert "task 0 is spoilt" in lost(messages)[0].reason
 
 
 @posix
@@ -166,13 +165,11 @@ class TestRun:
 
 
 @posix
-class TestInPlace:
+def test_without_a_backup_it_is_never_denoised_twice(tmp_path):
     """The worker dies after it has replaced the file: ``replaced`` in it is the order to."""
-
-    def test_without_a_backup_it_is_never_denoised_twice(self, tmp_path):
-        records = ran(tmp_path, {"a": "replaced once", "b": "x"}, in_place=True, backup=None)
-        assert records[0].error.code == "E_CHANGED"
-        assert (tmp_path / "in/a.ply").read_text() == "fake REPLACED ONCE"
+    records = ran(tmp_path, {"a": "replaced once", "b": "x"}, in_place=True, backup=None)
+    assert records[0].error.code == "E_CHANGED"
+    assert (tmp_path / "in/a.ply").read_text() == "fake REPLACED ONCE"
 
 
 # The real command

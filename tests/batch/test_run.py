@@ -115,12 +115,11 @@ def test_a_finished_file_is_noted_before_it_is_told(folders):
     assert len(names) == 5
 
 
-class TestOneTask:
-    def test_it_runs_here_and_without_starting_a_process(self, folders, monkeypatch):
-        fill(folders, 1)
-        monkeypatch.setattr(subprocess, "Popen", None)
-        assert statuses(ran(folders, engine=None)) == ["written"]
-        assert statuses(ran(folders, engine=None)) == ["up-to-date"]
+def test_one_task_runs_here_and_without_starting_a_process(folders, monkeypatch):
+    fill(folders, 1)
+    monkeypatch.setattr(subprocess, "Popen", None)
+    assert statuses(ran(folders, engine=None)) == ["written"]
+    assert statuses(ran(folders, engine=None)) == ["up-to-date"]
 
 
 class TestFailures:
@@ -144,24 +143,6 @@ class TestFailures:
         records = ran(folders, on_event=on_event, **WORKERS)
         assert records[1].error.code == "E_MEMORY"
         assert names.count("01") == 2 and names[-1] == "01"
-
-
-class TestRerun:
-    def test_nothing_is_done_twice(self, folders):
-        fill(folders, 6)
-        first = ran(folders)
-        before = {path: path.stat().st_mtime_ns for path in (folders / "out").glob("*.ply")}
-        names, on_event = tried(folders)
-        second = ran(folders, on_event=on_event)
-        assert names == [] and statuses(second) == ["up-to-date"] * 6
-        for one, two in zip(first, second, strict=True):
-            assert (one.vertices, one.output_sha256, one.output) == (
-                two.vertices,
-                two.output_sha256,
-                two.output,
-            )
-        after = {path: path.stat().st_mtime_ns for path in (folders / "out").glob("*.ply")}
-        assert after == before
 
 
 class TestDryRun:
@@ -258,29 +239,21 @@ except KeyboardInterrupt:
 
 
 @posix
-class TestCancellation:
-    def test_a_run_ends_when_it_is_asked_and_goes_on_later(self, folders):
-        fill(folders, 4)
-        cancellation = Cancellation()
+def test_a_run_ends_when_it_is_asked_and_goes_on_later(folders):
+    fill(folders, 4)
+    cancellation = Cancellation()
 
-        def on_event(event):
-            if isinstance(event, Finished) and event.index == 1:
-                cancellation.request()
+    def on_event(event):
+        if isinstance(event, Finished) and event.index == 1:
+            cancellation.request()
 
+    for _ in range(2):  # The second time it is asked before it begins.
         with pytest.raises(KeyboardInterrupt):
             ran(folders, on_event=on_event, cancellation=cancellation)
         assert set(tree(folders / "out")) == {"00.ply", "01.ply"}
-        assert statuses(ran(folders)) == ["up-to-date"] * 2 + ["written"] * 2
-
-    def test_it_may_be_asked_before_it_begins(self, folders):
-        fill(folders, 2)
-        cancellation = Cancellation()
-        cancellation.request()
-        with pytest.raises(KeyboardInterrupt):
-            ran(folders, cancellation=cancellation)
-        assert tree(folders / "out") == {}
-        with pytest.raises(KeyboardInterrupt):
-            cancellation.check()
+    with pytest.raises(KeyboardInterrupt):
+        cancellation.check()
+    assert statuses(ran(folders)) == ["up-to-date"] * 2 + ["written"] * 2
 
 
 class TestInterrupts:
@@ -402,24 +375,18 @@ CIRCUMSTANCES = (
 )  # fmt: skip
 
 
-def rerun(folders, settings=SETTINGS, **options):
+def test_only_what_may_go_away_by_itself_is_tried_again(folders):
+    codes = (*FAULTS, *CIRCUMSTANCES)
+    fill(folders, 1, **{f"f{code}": f"fail {code}" for code in codes})
+    first = ran(folders)
+    assert not any(record.remembered for record in first)
     names, on_event = tried(folders)
-    records = ran(folders, settings, plan_of(folders, **options), on_event=on_event)
-    return sorted(names), records
-
-
-class TestRememberedFailures:
-    def test_only_what_may_go_away_by_itself_is_tried_again(self, folders):
-        codes = (*FAULTS, *CIRCUMSTANCES)
-        fill(folders, 1, **{f"f{code}": f"fail {code}" for code in codes})
-        first = ran(folders)
-        assert not any(record.remembered for record in first)
-        names, second = rerun(folders)
-        assert names == sorted(CIRCUMSTANCES)
-        for one, two in zip(first, second, strict=True):
-            assert one.error == two.error
-            assert two.remembered == (Path(two.input).stem in FAULTS)
-        assert statuses(second).count("failed") == len(codes)
+    second = ran(folders, on_event=on_event)
+    assert sorted(names) == sorted(CIRCUMSTANCES)
+    for one, two in zip(first, second, strict=True):
+        assert one.error == two.error
+        assert two.remembered == (Path(two.input).stem in FAULTS)
+    assert statuses(second).count("failed") == len(codes)
 
 
 class TestShards:
@@ -457,27 +424,21 @@ class TestShards:
         assert lines == ["run", "end"]
 
 
-class TestRunLines:
-    def lines(self, folders, kind):
-        lines = map(json.loads, (folders / "out" / NAME).read_text().splitlines())
-        return [line for line in lines if line["kind"] == kind]
+def test_a_run_says_when_it_began_and_ended(folders):
+    fill(folders, 2)
+    ran(folders, command=("msal", "denoise", "\udcff"))
+    lines = list(map(json.loads, (folders / "out" / NAME).read_text().splitlines()))
+    (run,), (end,) = ([one for one in lines if one["kind"] == kind] for kind in ("run", "end"))
+    assert run["command"] == ["msal", "denoise", "\udcff"] and run["pid"] == os.getpid()
+    assert run["settings"]["method"] == "fake" and run["version"] == msal_cli.__version__
+    assert run["files"] == 2 and run["shard"] is None and run["host"]
+    assert run["started"] <= end["finished"] and end["interrupted"] is False
+    assert 0.0 <= end["seconds"] < 60.0 and run["at"] < end["at"]
 
-    def test_a_run_says_when_it_began_and_ended(self, folders):
-        fill(folders, 2)
-        ran(folders, command=("msal", "denoise", "\udcff"))
-        (run,), (end,) = self.lines(folders, "run"), self.lines(folders, "end")
-        assert run["command"] == ["msal", "denoise", "\udcff"] and run["pid"] == os.getpid()
-        assert run["settings"]["method"] == "fake" and run["version"] == msal_cli.__version__
-        assert run["files"] == 2 and run["shard"] is None and run["host"]
-        assert run["started"] <= end["finished"] and end["interrupted"] is False
-        assert 0.0 <= end["seconds"] < 60.0 and run["at"] < end["at"]
+    def on_event(event):
+        raise KeyboardInterrupt
 
-    def test_a_run_that_is_broken_off_says_so(self, folders):
-        fill(folders, 2)
-
-        def on_event(event):
-            raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            ran(folders, on_event=on_event)
-        assert self.lines(folders, "end")[0]["interrupted"] is True
+    with pytest.raises(KeyboardInterrupt):
+        ran(folders, Settings("other"), on_event=on_event)
+    last = json.loads((folders / "out" / NAME).read_text().splitlines()[-1])
+    assert (last["kind"], last["interrupted"]) == ("end", True)

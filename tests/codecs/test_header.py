@@ -123,21 +123,6 @@ def test_a_header_that_lies_tells_nothing(lie):
     assert packed.memory_bytes < BASE_BYTES + 10**6 or packed.faces is not None
 
 
-def test_no_beginning_of_anything_raises():
-    generator = np.random.default_rng(0)
-    whole = [ply(*scan()), ply(*scan(), "ascii"), converted("glb"), converted("stl")]
-    whole += [gzip_streams.compress(one) for one in whole[:2]]
-    for data in whole:
-        for _ in range(25):
-            broken = bytearray(data[: generator.integers(0, len(data))])
-            for at in generator.integers(0, max(1, min(len(broken), 600)), 3):
-                if len(broken):
-                    broken[at % len(broken)] = generator.integers(0, 256)
-            for name in ("a.ply", "a.stl", "a.glb", "a.obj", "a.gz", "a", ""):
-                one = forecast_of(bytes(broken), name)
-                assert one.memory_bytes < BASE_BYTES + 50 * (256 << 20)
-
-
 _CHILD = """
 import sys
 from msal_cli import methods

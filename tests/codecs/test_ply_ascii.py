@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -86,15 +85,6 @@ def scan(lines: list[bytes]) -> bytes:
         % len(lines)
         + b"\n".join([*lines, b"3 0 1 2\n"])
     )
-
-
-def test_a_position_has_the_decimals_of_its_own_line() -> None:
-    lines = [b"%.3f %.3f 0" % (math.cos(k / 100), math.sin(k / 100)) for k in range(600)]
-    lines[7] = b"0.997551000253279572 0.069942847337532768 0"
-    file = ply.read(scan(lines))
-    output = bytes(file.replaced(file.vertices + 1e-4)).split(b"\n")
-    decimals = [{len(w.partition(b".")[2]) for w in one.split()} for one in output[9:-2]]
-    assert decimals == [{15} if k == 7 else {7} for k in range(600)]
 
 
 def vertices_of(*properties: str, rows: str) -> bytes:

@@ -223,38 +223,6 @@ def test_the_boundary_is_locked_as_boundary_fixed_does():
     assert both.locked_vertices == len(vertices) > record.locked_vertices
 
 
-@pytest.mark.parametrize(
-    ("method", "given"),
-    [
-        ("msal", {}),
-        ("msal", {"weights": "tukey"}),
-        ("al", {"schedule": "constant"}),
-        ("al", {"schedule": "multiscale", "scaling": "mass"}),
-        ("umbrella", {"schedule": "constant"}),
-        ("umbrella", {"schedule": "multiscale"}),
-        ("bilateral", {"schedule": "multiscale"}),
-    ],
-)
-def test_full_trust_is_the_method_itself_and_none_is_no_data_term(method, given):
-    mesh = prepare_mesh(*noisy()).mesh
-    found = methods.find(method)
-    parameters = found.validate(given)
-    assert found.has_data_term(parameters)
-    n = len(mesh.vertices)
-    plain = found.denoise(mesh, parameters)
-    full = found.denoise(mesh.with_constraints(None, np.ones(n)), parameters)
-    assert np.abs(full.vertices - plain.vertices).max() < 1e-13
-    assert np.array_equal(full.fields["fidelity"], plain.fields["fidelity"])
-    none = found.denoise(mesh.with_constraints(None, np.zeros(n)), parameters)
-    assert not none.fields["fidelity"].any()
-    if given.get("schedule") == "constant":
-        free = found.denoise(mesh, found.validate(given | {"schedule": "plain"}))
-        assert np.abs(free.vertices - none.vertices).max() < 1e-13
-    # Without the pull vertices go further.
-    ways = [distances(mesh.vertices, result.vertices).mean() for result in (none, plain)]
-    assert ways[0] > ways[1]
-
-
 def test_trust_is_the_property_over_its_largest_value():
     vertices, faces = noisy()
     quality = random().random(len(vertices)) * 255.0

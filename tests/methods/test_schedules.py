@@ -39,22 +39,6 @@ def test_a_constant_pull_of_zero_is_the_plain_schedule(run):
     assert (run(schedule="constant", fidelity=0.0) == run()).all()
 
 
-def test_a_pull_of_one_keeps_the_last_step_only(run, mesh):
-    # x + dx + (v - x) = v + dx: nothing adds up from sweep to sweep.
-    once, often, plain = (
-        moved(mesh, run(n=n, schedule=schedule, fidelity=1.0)).max()
-        for n, schedule in ((1, "constant"), (12, "constant"), (12, "plain"))
-    )
-    assert often < 3 * once
-    assert often < plain
-
-
-def test_multiscale_smooths_less_the_smaller_k_is(run, mesh):
-    plain = moved(mesh, run(n=4)).mean()
-    large, small = (moved(mesh, run(n=4, schedule="multiscale", K=K)).mean() for K in (0.9, 0.2))
-    assert plain > large > small > 0
-
-
 def test_multiscale_comes_back_to_the_input(run, mesh):
     # Section 3: as sweeps go on the process converges to the data, over any operator.
     few, many = (moved(mesh, run(n=n, schedule="multiscale")).max() for n in (4, 200))
