@@ -257,7 +257,7 @@ def annotate(records: Sequence[MeshRecord]) -> None:
     """Mark the worst files that failed or broke a gate, if this runs in GitHub Actions."""
     if os.environ.get("GITHUB_ACTIONS") != "true":
         return
-    from msal_cli.report.github import list_annotations
+    from msal_cli.report.markdown import list_annotations
 
     # The current folder as a path from the root of the repository; empty outside of it.
     here = ""

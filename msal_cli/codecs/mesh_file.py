@@ -201,7 +201,7 @@ class Layout:
     normal_of_corner : (c,) int64, the normal that each corner uses, -1 for none; None where each
         vertex has its own.
     renew_normals : makes of the old and the new vertices each array of normals (g_i, 3), and says
-        which rows changed (g_i,); None for the usual way.
+        which rows changed (g_i,); None for the usual way, which knows no ``frames``.
     frames : for each array of positions, the transform (4, 4) from it to the vertices; empty where
         they are the same.
     held : what cells the file has, for the message where none is a surface.

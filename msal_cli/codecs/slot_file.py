@@ -317,24 +317,7 @@ class SlotFile:
         entries = self.faces
         if layout.normal_of_corner is not None:
             entries = layout.normal_of_corner[self._fans].astype(np.int32)
-        if layout.frames:
-            stored, normals = normals, normals.copy()
-            rows = np.zeros(len(normals), dtype=bool)
-            first = 0
-            for slots, own_new in zip(layout.positions, self._to_file(new), strict=True):
-                is_own = (self.faces[:, 0] >= first) & (self.faces[:, 0] < first + len(own_new))
-                own, is_changed = regroup_normals(
-                    slots.values,
-                    own_new,
-                    self.faces[is_own] - np.int32(first),
-                    entries[is_own],
-                    stored,
-                )
-                normals[is_changed] = own[is_changed]
-                rows |= is_changed
-                first += len(own_new)
-        else:
-            normals, rows = regroup_normals(old, new, self.faces, entries, normals)
+        normals, rows = regroup_normals(old, new, self.faces, entries, normals)
         cuts = np.cumsum([len(array) for array in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
 

@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.cells import Cells
 from msal_cli.codecs.mesh_file import Dependent, Layout, Parse, Shift
 from msal_cli.codecs.slots import UnitSlots, to_type
 from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words
+from msal_cli.codecs.vtk import Cells
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,

@@ -3,6 +3,11 @@
 It is made for the summary of a step on GitHub, which refuses more than 1 MiB, and for comments on
 a change.  It is GitHub's Markdown, and nothing of a file's name is markup in it.  Rows that do not
 fit into ``MAX_BYTES`` are left out, and the page says how many.
+
+Annotations are commands that GitHub's runner reads from the log.  A command is one line,
+``::error file=NAME,title=TITLE::MESSAGE``.  In the message per cent signs and line ends are
+escaped, in the properties colons and commas too: nothing that a name or a reason holds can end the
+line, add a property or begin a command of its own.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ from msal_cli.report.facts import (
     list_broken,
     list_figures,
     problem_tables,
+    problem_texts,
     speed_text,
     total_facts,
     totals_text,
@@ -33,6 +39,9 @@ MAX_BYTES = 900_000
 
 MAX_ROWS = 1_000
 """Rows in a table: more is slow to show, and every file is in the other forms."""
+
+MAX_ANNOTATIONS = 10
+"""GitHub shows no more errors of one step."""
 
 _N_OPEN_ROWS = 25
 _MAX_TEXT = 1_000
@@ -160,3 +169,42 @@ def _text(text: str) -> str:
 def _markup_free(text: str) -> str:
     """One line of text as Markdown that shows it; a character by its number is never markup."""
     return _MARKUP.sub(lambda found: f"&#{ord(found[0])};", text)
+
+
+# Annotations
+
+
+def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[str]:
+    """The commands for the worst files that failed or broke a gate.
+
+    ``folder`` is where relative names begin, as a path from the root of the repository; empty if
+    that is where the program runs.
+    """
+    commands = []
+    for record in worst_first(records):
+        if texts := problem_texts(record):
+            n_gates = len(texts) - 1
+            title = "broken gate" if n_gates == 1 else f"{n_gates} broken gates"
+            title = "failed" if record.error is not None else title
+            properties = _properties(record.input, folder, f"msal: {title}")
+            message = _message("\n".join(map(escape_for_display, texts)))
+            commands.append(f"::error {properties}::{message}")
+    return commands[:MAX_ANNOTATIONS]
+
+
+def _properties(name: str, folder: str, title: str) -> str:
+    properties = f"title={_property(title)}"
+    if name == "-" or "://" in name:
+        return properties
+    if folder and not name.startswith("/"):
+        name = f"{folder.rstrip('/')}/{name}"
+    # Marks that a terminal obeys are escaped: better a name that leads nowhere.
+    return f"file={_property(escape_for_display(name))},{properties}"
+
+
+def _message(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _message(text).replace(":", "%3A").replace(",", "%2C")

@@ -22,7 +22,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     Volume,
 )
-from msal_cli.report import comparison, data, facts, github, html, info, junit, markdown, text
+from msal_cli.report import comparison, data, facts, html, info, junit, markdown, text
 from tests.report.made import RUN, failed, gated, written
 
 FOLDER = Path(__file__).with_name("golden")
@@ -154,7 +154,7 @@ def outputs() -> Iterator[tuple[str, str]]:
     yield "compare_table.txt", lines(comparison.comparison_table([PAIR, UNLIKE], width=90))
     yield "report.md", markdown.render(RUN, RECORDS).decode()
     yield "report.xml", junit.render(RUN, RECORDS).decode()
-    yield "annotations.txt", "\n".join([*github.list_annotations(RECORDS), ""])
+    yield "annotations.txt", "\n".join([*markdown.list_annotations(RECORDS), ""])
     columns, rows = html.build_table(facts.worst_first(RECORDS))
     table_lines = (json.dumps(line, ensure_ascii=False) for line in (columns, *rows))
     yield "table.jsonl", "".join(f"{line}\n" for line in table_lines)

@@ -11,7 +11,7 @@ from markdown_it import MarkdownIt
 
 from msal_cli.job.records import Failure, MeshRecord
 from msal_cli.report import markdown as as_markdown
-from tests.report.made import HOSTILE_NAMES, RUN, failed, of, written
+from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
 
 OURS = {"code", "/code", "details", "/details", "summary", "/summary"}
 
@@ -74,3 +74,49 @@ def test_the_room_is_kept_and_every_table_gets_some():
     page = text(records, max_bytes=20_000)
     assert len(page.encode()) <= 20_000
     assert "### Files: 500" in page and "more are not shown here" in page
+
+
+# Annotations: one command a line, and nothing in them that is another's command
+
+COMMAND = re.compile(r"::error ((?:file=([^:,\r\n]*),)?title=([^:,\r\n]*))::([^\r\n]*)")
+
+
+def parse(line):
+    """The file and the message of a command, as the runner reads them."""
+    found = COMMAND.fullmatch(line)
+    assert found, line
+    return unescape(found[2]), unescape(found[4])
+
+
+def unescape(text):
+    codes = (("%0D", "\r"), ("%0A", "\n"), ("%3A", ":"), ("%2C", ","), ("%25", "%"))
+    for code, character in codes:
+        text = text.replace(code, character) if text is not None else None
+    return text
+
+
+def test_failures_come_before_gates_and_no_more_than_github_shows():
+    lines = as_markdown.list_annotations([written("a"), gated("b"), failed("c")])
+    assert [parse(line)[0] for line in lines] == ["c", "b"]
+    assert len(as_markdown.list_annotations([failed(f"{at}.ply") for at in range(50)])) == 10
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("a.ply", "scans/left/a.ply"), ("/x/a.ply", "/x/a.ply")]
+    + [("-", None), ("s3://bucket/a.ply", None)],
+)
+def test_names_begin_at_the_root_of_the_repository(name, file):
+    (line,) = as_markdown.list_annotations([failed(name)], "scans/left")
+    assert parse(line)[0] == file
+
+
+@pytest.mark.parametrize("name", [*HOSTILE_NAMES, "\udcff.ply", "100%.ply", "%25,:.ply"])
+def test_names_in_annotations_stay_data(name):
+    record = failed(name, error=Failure("E_X", name, name, name))
+    (line,) = as_markdown.list_annotations([record])
+    file, message = parse(line)
+    assert "\x1b" not in line and "\u202e" not in line and line.isprintable()
+    if name.isprintable() and not name.lstrip().startswith("::") and "##" not in name:
+        assert file == name
+        assert message == f"{name}: {name}: {name} (E_X)\nhint: {name}"
