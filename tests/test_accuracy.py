@@ -1,4 +1,4 @@
-"""The benchmark of accuracy: its settings and its tables.
+"""The benchmark of accuracy, its settings and its tables; and the maker of giant meshes.
 
 Tests that compare with ``methods.names()`` fail for a new method; they say what to run.
 """
@@ -7,12 +7,43 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks import accuracy_tables, ground_truth
+from benchmarks import accuracy_tables, giant_mesh, ground_truth
 from benchmarks.accuracy_grid import Setting, defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
-from msal_cli import methods
+from msal_cli import codecs, methods
+from msal_cli.mesh import prepare_mesh
+
+
+def read(path):
+    return codecs.open_mesh(path.read_bytes(), path.name)
+
+
+@pytest.mark.parametrize("order", giant_mesh.ORDERS)
+def test_the_surface_is_the_same_in_every_order(order, tmp_path, monkeypatch):
+    monkeypatch.setattr(giant_mesh, "_AT_ONCE", 1000)
+    monkeypatch.setattr(giant_mesh, "_BLOCK", 256)
+    path = tmp_path / "giant.ply"
+    giant_mesh.main([str(path), "--millions", "0.0048", "--order", order])
+    rows = giant_mesh.GiantMesh(40)
+    mesh = read(path)
+    n = rows.n_vertices
+    expected = rows.positions(np.arange(n))
+    assert len(mesh.vertices) == n == 4800
+    ready = prepare_mesh(mesh.vertices, mesh.faces)
+    assert ready.defects.boundary_edges == ready.defects.inconsistent_edges == 0
+    assert ready.defects.components == 1 and ready.defects.duplicate_faces == 0
+    assert (np.unique(mesh.vertices, axis=0) == np.unique(expected, axis=0)).all()
+    triangles = mesh.vertices[mesh.faces].reshape(-1, 9)
+    same = expected[rows.corners(np.arange(2 * n))].reshape(-1, 9)
+    assert (np.unique(triangles, axis=0) == np.unique(same, axis=0)).all()
+    if order == "rows":
+        assert (mesh.vertices == expected).all()
+    else:
+        assert not (mesh.vertices == expected).all()
+
 
 A_NEW_METHOD = (
     "For a new method: add its settings to benchmarks/accuracy_grid.py, run `MSAL_DATA=FOLDER "

@@ -1,8 +1,9 @@
-"""Reading whole files, and gzip with a bound."""
+"""Reading whole files, hashes, and gzip with a bound."""
 
 from __future__ import annotations
 
 import gzip
+import hashlib
 import os
 import random
 import sys
@@ -13,7 +14,14 @@ from hypothesis import strategies as st
 
 from msal_cli.errors import InputError, MsalError, TooLargeError
 from msal_cli.storage import gzip_streams as streams
-from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, compress, expand, read_whole
+from msal_cli.storage.gzip_streams import (
+    ALWAYS_EXPANDED,
+    THREAD_BYTES,
+    compress,
+    expand,
+    read_whole,
+    sha256_meanwhile,
+)
 
 
 @given(st.lists(st.binary(max_size=5000), min_size=1, max_size=4))
@@ -137,3 +145,12 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch,
 
     monkeypatch.setattr(os, "fstat", smaller)
     assert bytes(read_whole(path, in_large_pages=in_large_pages)) == b"x" * 1000
+
+
+@pytest.mark.parametrize("size", [0, 1000, THREAD_BYTES, THREAD_BYTES + 1])
+@pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
+def test_they_are_those_of_the_bytes(size, kind):
+    data = bytes(k % 251 for k in range(1000)) * (size // 1000 + 1)
+    data = data[:size]
+    wait = sha256_meanwhile(kind(data))
+    assert wait() == wait() == hashlib.sha256(data).hexdigest()

@@ -1,9 +1,17 @@
-"""Where pictures are taken from."""
+"""Where pictures are taken from, light and colours, and panels with words."""
+
+from __future__ import annotations
+
+import io
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from msal_cli.view.camera import VIEWS, choose_camera
+from msal_cli.analysis import colour_maps as colours
+from msal_cli.view.camera import VIEWS, choose_camera, frame_vertices, rotate
+from msal_cli.view.panels import Legend, draw_panels, fit_text, png_bytes
+from msal_cli.view.shading import shade
 from tests.shapes import ball, cube, grid
 
 X, Y, Z = np.eye(3)
@@ -83,3 +91,141 @@ def test_terrain_is_a_map_with_north_on_top():
     vertices, faces = grid(30, 30)
     vertices[:, 2] = 0.05 * np.sin(3.0 * vertices[:, 0]) * np.cos(2.0 * vertices[:, 1])
     assert np.allclose(choose_camera(vertices, faces).axes, np.eye(3))
+
+
+FACING = rotate(Z, Y, 0.0, 0.0)
+
+
+def square(z=0.0):
+    vertices = np.array([(-1, -1, z), (1, -1, z), (1, 1, z), (-1, 1, z)], dtype=float)
+    return vertices, np.array([(0, 1, 2), (0, 2, 3)], dtype=np.int32)
+
+
+def seen(vertices, faces, colours=None, **options):
+    return shade(vertices, faces, frame_vertices(FACING, vertices), 60, 50, colours, **options)
+
+
+def test_the_mesh_is_where_the_camera_puts_it():
+    image = seen(*square())
+    is_background = (image == 255).all(axis=2)
+    # The margin of a square in a picture of 60 x 50: 46 pixels of its height, as many across.
+    assert not is_background[3:47, 8:52].any()
+    assert is_background[:2].all() and is_background[-2:].all()
+    assert is_background[:, :7].all() and is_background[:, -7:].all()
+
+
+def test_the_light_comes_from_the_upper_left():
+    vertices, faces = ball()
+    image = seen(vertices, faces).astype(int).sum(axis=2)
+    assert image[15, 20] > image[35, 40] + 60
+
+
+def test_a_face_from_behind_has_another_tone():
+    vertices, faces = square()
+    front = seen(vertices, faces)[25, 30].astype(int)
+    back = seen(vertices, faces[:, ::-1])[25, 30].astype(int)
+    assert front[0] > front[2]
+    assert back[2] > back[0]
+
+
+def test_colours_reach_the_picture():
+    vertices, faces = square()
+    colours = np.array([(200, 0, 0), (0, 200, 0), (0, 200, 0), (200, 0, 0)], dtype=np.uint8)
+    image = seen(vertices, faces, colours).astype(int)
+    left, right = image[25, 10], image[25, 49]
+    assert left[0] > 4 * left[1] and left[2] == 0
+    assert right[1] > 4 * right[0] and right[2] == 0
+    middle = image[25, 30]
+    assert abs(middle[0] - middle[1]) < 8
+
+
+def test_hollows_are_darker():
+    """The bottom of a trench gets less light than the same plane without walls."""
+    step = np.array([-3.0, -0.15, -0.15, 0.15, 0.15, 3.0])
+    deep = np.array([0.0, 0.0, -1.0, -1.0, 0.0, 0.0])
+    vertices = np.array([(x, y, z) for x, z in zip(step, deep, strict=True) for y in (-2, 2)])
+    faces = [f for k in range(0, 10, 2) for f in ((k, k + 2, k + 3), (k, k + 3, k + 1))]
+    faces = np.array(faces, dtype=np.int32)
+    camera = frame_vertices(FACING, vertices)
+    trench = shade(vertices, faces, camera, 200, 150).astype(int)
+    plane = shade(vertices * (1, 1, 0), faces, camera, 200, 150).astype(int)
+    assert trench[75, 100].sum() < plane[75, 100].sum() - 60
+    assert abs(trench[75, 40].sum() - plane[75, 40].sum()) < 10
+
+
+def test_the_same_mesh_gives_the_same_image(monkeypatch):
+    vertices, faces = ball()
+    images = []
+    for threads in ("1", "2"):
+        monkeypatch.setenv("MSAL_THREADS", threads)
+        images.append(seen(vertices, faces))
+    assert (images[0] == images[1]).all()
+
+
+def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
+    vertices, faces = ball()
+    camera = choose_camera(vertices, faces)
+    images = [shade(vertices, one, camera, 60, 60).astype(int) for one in (faces, faces[:, ::-1])]
+    assert np.abs(images[0] - images[1]).max() <= 1
+
+
+def plain(colour, width=120, height=80):
+    return np.full((height, width, 3), colour, dtype=np.uint8)
+
+
+def test_images_appear_side_by_side_unchanged():
+    sheet = draw_panels([(plain(10), "one", ["a"]), (plain(200), "two", ["b", "c"])])
+    for tone in (10, 200):
+        rows, columns = np.nonzero((sheet == tone).all(axis=2))
+        assert rows.max() - rows.min() + 1 >= 80
+        assert columns.max() - columns.min() + 1 >= 120
+        assert (sheet == tone).all(axis=2).sum() >= 80 * 120
+
+
+def test_the_legend_shows_its_colours_in_order():
+    ramp = np.stack([np.arange(256), np.zeros(256), 255 - np.arange(256)], axis=1)
+    legend = Legend(("how far",), ramp.astype(np.uint8), ((0.0, "0", "0"), (1.0, "3", "0.2")))
+    image = draw_panels([(plain(255, 400), "", [])], legend).astype(int)
+    on_scale = (image[:, :, 1] == 0) & (image[:, :, 0] + image[:, :, 2] == 255)
+    row = np.argmax(on_scale.sum(axis=1))
+    reds = image[row, on_scale[row], 0]
+    assert len(reds) > 200
+    assert (np.diff(reds) >= 0).all()
+    assert reds[0] == 0 and reds[-1] == 255
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("a\nb", "\\x0a"),
+        ("\x1b[31mred", "\\x1b"),
+        ("evil\u202egnp.ply", "\\u202e"),
+        ("byte\udcff.ply", "\\xff"),
+        ("<script>alert(1)</script>", "<script>"),
+    ],
+)
+def test_names_are_drawn_as_data(name, part):
+    words, _ = fit_text(name, 14, 10_000)
+    assert part in words
+    assert words.isprintable()
+    draw_panels([(plain(1), name, [name])], footer=[name])
+
+
+def test_png_keeps_every_pixel_and_says_the_same_twice():
+    image = np.random.default_rng(3).integers(0, 256, (40, 30, 3)).astype(np.uint8)
+    data = png_bytes(image)
+    assert (np.asarray(Image.open(io.BytesIO(data))) == image).all()
+    assert png_bytes(image) == data
+
+
+def test_a_palette_keeps_the_background_and_comes_near_to_all_else():
+    random = np.random.default_rng(8)
+    image = np.full((120, 200, 3), (254, 255, 251), dtype=np.uint8)
+    # Clay over most of it, and a small scale with all colours of a map.
+    image[:80] = random.integers(60, 220, (80, 200, 1)) + np.array([4, 2, 0])
+    image[100, :200] = colours.colour_table("diverging")[:200]
+    back = Image.open(io.BytesIO(png_bytes(image, 256))).convert("RGB")
+    off = np.abs(np.asarray(back).astype(int) - image).max(axis=2)
+    assert (off[85:95] == 0).all()
+    assert off.max() <= 12
+    assert off[:80].mean() < 2.0

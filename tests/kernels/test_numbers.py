@@ -1,0 +1,180 @@
+"""Numbers by themselves: medians, ranks, quantiles, clusters, exponentials and linear systems."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
+from msal_cli.kernels.elementary import (
+    MIN_ARGUMENT,
+    MIN_POWER,
+    arctangents,
+    exponentials,
+    power_of_two,
+)
+from msal_cli.kernels.quantiles import (
+    MANY,
+    MAX_FREEDOMS,
+    chi_square,
+    clusters,
+    median,
+    select_ranks,
+    student,
+)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
+def test_it_is_that_of_numpy(values):
+    assert median(np.array(values)) == np.median(values)
+
+
+@pytest.mark.parametrize("odd", [0, 1])
+@pytest.mark.parametrize("kind", ["normal", "few", "equal", "wide", "tiny"])
+def test_many_numbers(kind, odd):
+    rng = np.random.default_rng(odd)
+    n = MANY + odd
+    values = {
+        "normal": rng.normal(size=n),
+        "few": rng.integers(-2, 3, n) * 1.0,
+        "equal": np.full(n, -7.25),
+        "wide": rng.normal(size=n) * 10.0 ** rng.integers(-300, 300, n),
+        "tiny": rng.integers(-3, 4, n) * 5e-324,
+    }[kind]
+    assert median(values) == np.median(values)
+    ranks = (0, 1, n // 3, n - 1)
+    assert select_ranks(values, *ranks) == np.sort(values)[list(ranks)].tolist()
+
+
+@pytest.mark.parametrize("count", [2, 3, 7])
+def test_equal_values_are_the_lowest_cluster(count):
+    assert clusters(np.full(5, 0.3), count).tolist() == [0] * 5
+    assert clusters(np.array([0.3]), count).tolist() == [0]
+
+
+@given(
+    values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60),
+    count=st.integers(2, 5),
+    seed=st.integers(0, 1000),
+)
+def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed):
+    values = np.array(values)
+    found = clusters(values, count)
+    order = np.random.default_rng(seed).permutation(len(values))
+    assert (clusters(values[order], count) == found[order]).all()
+    present = np.unique(found)
+    assert set(present) <= set(range(count))
+    means = np.array([values[found == label].mean() for label in present])
+    assert (np.diff(means) > 0).all()
+    own = means[np.searchsorted(present, found)]
+    nearest = np.abs(values[:, None] - means).min(axis=1)
+    assert (np.abs(values - own) <= nearest + 1e-9).all()
+
+
+FREEDOMS = np.arange(1, MAX_FREEDOMS + 1)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_chi_square(share):
+    exact = stats.chi2.ppf(share, FREEDOMS) / FREEDOMS
+    assert chi_square(share)[1:] == pytest.approx(exact, rel=0.006)
+    assert chi_square(share)[1:5] == pytest.approx(exact[:4], rel=1e-5)
+
+
+def test_student():
+    freedoms = FREEDOMS[4:].astype(float)
+    assert student(freedoms) == pytest.approx(stats.t.isf(0.005, freedoms), rel=0.01)
+
+
+def computed(values):
+    values = np.array(values, dtype=np.float64)
+    scratch = np.empty(len(values))
+    exponentials(values, scratch, scratch.view(np.int64), len(values))
+    return values
+
+
+@pytest.mark.parametrize("low", [-1e-8, -1.0, -30.0, MIN_ARGUMENT])
+def test_within_two_ulp(low):
+    values = np.random.default_rng(0).uniform(low, 0.0, 100_000)
+    exact = np.exp(values)
+    assert (np.abs(computed(values) - exact) <= 2 * np.spacing(exact)).all()
+
+
+@given(st.lists(st.floats(-1e300, 0.0), min_size=1, max_size=40))
+def test_any_list_gives_what_single_numbers_give(values):
+    # No number's bits may depend on its neighbours: ranges of threads cut blocks anywhere.
+    together = computed(values)
+    assert together.tolist() == [computed([value])[0] for value in values]
+    assert ((together >= 0.0) & (together <= 1.0)).all()
+
+
+def powers(exponents):
+    return np.array([power_of_two(float(exponent)) for exponent in exponents])
+
+
+def test_whole_powers_of_two_are_exact():
+    whole = np.arange(MIN_POWER, 1.0)
+    assert (powers(whole) == np.ldexp(1.0, whole.astype(int))).all()
+
+
+@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, MIN_POWER])
+def test_powers_of_two_are_within_two_ulp(low):
+    exponents = np.random.default_rng(0).uniform(low, 0.0, 10_000)
+    exact = np.exp2(exponents)
+    assert (np.abs(powers(exponents) - exact) <= 2 * np.spacing(exact)).all()
+
+
+LENGTHS = st.floats(0.0, 1e6)
+
+
+def angles_of(numerators, denominators):
+    values = np.array(numerators, dtype=np.float64)
+    arctangents(values, np.array(denominators, dtype=np.float64), len(values))
+    return values
+
+
+@given(st.lists(st.tuples(LENGTHS, LENGTHS), min_size=1, max_size=20))
+def test_it_is_that_of_the_library(pairs):
+    y, x = np.array(pairs).T
+    expected = np.arctan2(y, x)
+    assert np.abs(angles_of(y, x) - expected).max() <= 4e-16 * np.pi
+
+
+def row_matrix(dense):
+    """A dense symmetric matrix as rows, with its zeros left out."""
+    rest = dense - np.diag(np.diag(dense))
+    rows, columns = np.nonzero(rest)
+    row_start = np.zeros(len(dense) + 1, dtype=np.int32)
+    np.cumsum(np.bincount(rows, minlength=len(dense)), out=row_start[1:])
+    return RowMatrix(
+        np.diag(dense).copy(), row_start, columns.astype(np.int32), rest[rows, columns]
+    )
+
+
+def spd(rng, n, spread=1.0):
+    """A random sparse symmetric positive definite matrix; rows scaled over ``spread`` decades."""
+    half = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.3)
+    scale = 10.0 ** rng.uniform(-spread / 2, spread / 2, n)
+    return scale[:, None] * (half @ half.T + np.eye(n)) * scale
+
+
+def test_the_residual_is_the_true_one():
+    rng = np.random.default_rng(3)
+    dense = spd(rng, 25, 2.0)
+    right = rng.normal(size=(25, 3))
+    found = conjugate_gradients(row_matrix(dense), right, np.zeros((25, 3)), most_iterations=7)
+    rest = right - dense @ found.values
+    d = np.diag(dense)
+    expected = np.sqrt((rest**2 / d[:, None]).sum() / d.sum())
+    assert found.iterations == 7
+    assert not found.converged
+    assert found.residual == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_empty_row_stays():
+    dense = np.diag([2.0, 0.0, 4.0])
+    found = conjugate_gradients(row_matrix(dense), np.ones((3, 3)), np.full((3, 3), 7.0))
+    assert np.allclose(found.values[:, 0], [0.5, 7.0, 0.25])
