@@ -169,44 +169,35 @@ def test_a_file_that_kills_dask_workers_is_found_and_is_one_row(folder, cluster)
     assert [path.name for path in folder.joinpath("in").glob("*.died")] == ["04.ply.died"]
 
 
-class TestRefusals:
-    """Each before any work; no file appears."""
-
-    def test_another_version_at_a_worker(self, folder, cluster, monkeypatch):
-        fill(folder, 2)
+@pytest.mark.parametrize("lack", ["version", "scheduler", "worker", "dask"])
+def test_refusals_before_any_work(folder, cluster, monkeypatch, lack):
+    fill(folder, 2)
+    engine = partial(DaskEngine, scheduler="tcp://127.0.0.1:9")
+    if lack == "version":
         monkeypatch.setattr(dask_engine, "__version__", "99.0")
         with pytest.raises(UsageError, match=r"worker at tcp://127\.0\.0\.1:\d+ has msal .*99\.0"):
             ran(cluster)
-        assert outputs(folder / "out") == {}
-
-    def test_no_scheduler(self, folder, monkeypatch):
-        fill(folder, 1)
+    elif lack == "scheduler":
         monkeypatch.setattr(dask_engine, "_CONNECT_S", 0.2)
-        engine = partial(DaskEngine, scheduler="tcp://127.0.0.1:9")
         with pytest.raises(UsageError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
             run(plan_of(), FAKE, engine=engine, denoise=fakes.denoise)
-
-    def test_without_dask(self, folder, monkeypatch):
-        fill(folder, 1)
+    elif lack == "worker":
+        monkeypatch.setattr(dask_engine, "_PATIENCE_S", 0.3)
+        empty = started_cluster(0)
+        try:
+            with pytest.raises(ResourceError, match="no worker at the Dask scheduler"):
+                ran(empty)
+        finally:
+            empty.close(timeout=5)
+    else:
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-        result = msal(
-            "denoise", "in", "-o", "out", "--engine", "dask", "--scheduler", "tcp://host:1"
-        )
+        words = ("--engine", "dask", "--scheduler", "tcp://host:1")
+        result = msal("denoise", "in", "-o", "out", *words)
         assert result.exit_code == 2
         assert "msal-cli[dask]" in result.stderr
         # That would look for msal itself on an index.
         assert "pip install 'msal-cli" not in result.stderr
-
-
-def test_no_worker_comes(folder, monkeypatch):
-    fill(folder, 2)
-    monkeypatch.setattr(dask_engine, "_PATIENCE_S", 0.3)
-    cluster = started_cluster(0)
-    try:
-        with pytest.raises(ResourceError, match="no worker at the Dask scheduler"):
-            ran(cluster)
-    finally:
-        cluster.close(timeout=5)
+    assert outputs(folder / "out") == {}
 
 
 @posix

@@ -19,7 +19,7 @@ from msal_cli.job.choice import prepare
 from msal_cli.job.settings import ADAPTIVE, Settings
 from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import closed_scan, folder_of, msal, ply_text, record_of, records_of
-from tests.report.schemas import report_schema
+from tests.report.made import load_schema
 from tests.shapes import noisy, torus
 
 REASON = "noise 0.11 e; organic; MSAL, K = 0.7, 3 sweeps"
@@ -55,7 +55,7 @@ def scan(tmp_path):
 def denoise(*words, code=0):
     """The only record of a run; it fits the schema."""
     made = msal("denoise", *words, "--json")
-    Draft202012Validator(report_schema()).validate(json.loads(made.stdout))
+    Draft202012Validator(load_schema("report")).validate(json.loads(made.stdout))
     return record_of(made, code)
 
 

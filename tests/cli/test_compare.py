@@ -9,10 +9,10 @@ from jsonschema import Draft202012Validator
 
 from msal_cli import codecs
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
-from tests.report.schemas import compare_schema
+from tests.report.made import load_schema
 from tests.shapes import noisy, torus
 
-SCHEMA = compare_schema()
+SCHEMA = load_schema("compare")
 ONE = Draft202012Validator({**SCHEMA["$defs"]["ComparisonRecord"], "$defs": SCHEMA["$defs"]})
 
 

@@ -18,7 +18,7 @@ from tests.cli.scans import (
     record_of,
     records_of,
 )
-from tests.report.schemas import report_schema
+from tests.report.made import load_schema
 from tests.shapes import grid, torus
 
 MOVED = "max_displacement > 0"
@@ -39,7 +39,7 @@ def test_every_report_has_the_gates(scans, tmp_path):
     made = msal("denoise", scans, *MSAL, "-o", tmp_path / "out", *words, "--json")
     assert made.exit_code == 4
     data = json.loads(made.stdout)
-    Draft202012Validator(report_schema()).validate(data)
+    Draft202012Validator(load_schema("report")).validate(data)
     assert data["totals"]["gate_broken"] == 2
     closed, opened = (record["gates"] for record in data["records"])
     assert [gate["expression"] for gate in closed] == list(expressions)

@@ -20,7 +20,7 @@ from tests.cli.scans import (
     ply_text,
     record_of,
 )
-from tests.report.schemas import info_schema
+from tests.report.made import load_schema
 from tests.shapes import torus
 
 
@@ -73,7 +73,7 @@ def test_json_has_one_shape_for_one_file_and_for_many(scans, names, status):
     made = msal("info", "--json", *(scans / name for name in names))
     assert made.exit_code == status
     data = json.loads(made.stdout)
-    Draft202012Validator(info_schema()).validate(data)
+    Draft202012Validator(load_schema("info")).validate(data)
     assert [one["input"] for one in data["records"]] == [str(scans / name) for name in names]
     assert ("bad.ply" in made.stderr) == ("bad.ply" in names)
     for record in data["records"]:

@@ -106,20 +106,6 @@ def test_materials_that_are_no_files_of_the_folder(place, kind):
     assert [path.name for path in (place / "out").rglob("*") if path.is_file()] == ["a.obj"]
 
 
-def test_links_to_meshes(place):
-    """A link to a file is the file; one to nothing, or to itself, is a failed row."""
-    (place / "in").mkdir()
-    (place / "in/good.ply").symlink_to(place / "scan.ply")
-    (place / "in/dangling.ply").symlink_to("nothing.ply")
-    (place / "in/loop.ply").symlink_to("loop.ply")
-    (place / "in/pipe.ply").symlink_to(place / "pipe.ply")
-    made = msal("denoise", "in", "-o", "out", "-j", "1")
-    assert made.exit_code == 3
-    assert "dangling.ply" in made.stderr and "loop.ply" in made.stderr
-    assert not (place / "out/good.ply").is_symlink()
-    assert sorted(path.name for path in (place / "out").glob("*.ply")) == ["good.ply"]
-
-
 def test_a_backup_that_is_a_link_is_never_put_in_place(place):
     """A hostile manifest says that a run was killed while it replaced the scan."""
     from msal_cli.batch.manifest import NAME, encode_line, intent_line

@@ -11,8 +11,7 @@ from benchmarks import ground_truth
 from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, RobustLaplacian
 from msal_cli.mesh import prepare_mesh
 from tests import paper
-from tests.methods.pairs import errors, opened
-from tests.methods.runs import SHAPES, denoise
+from tests.methods.runs import SHAPES, denoise, errors, opened
 from tests.methods.runs import run_in_file as run
 from tests.shapes import fan, grid, noisy, torus
 

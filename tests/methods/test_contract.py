@@ -245,9 +245,3 @@ def test_bad_parameters_are_refused(given, part):
     with pytest.raises(UsageError) as caught:
         methods.find("msal").validate(given)
     assert part in f"{caught.value} {caught.value.hint}"
-
-
-def test_unknown_methods_are_refused():
-    with pytest.raises(UsageError) as caught:
-        methods.find("msa")
-    assert "msal" in caught.value.hint

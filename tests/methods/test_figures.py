@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.table1 import volumes
-from tests.methods.pairs import PAIRS, all_errors
+from tests.methods.runs import PAIRS, all_errors
 
 # Method and parameters; angles in degrees on Fandisk, SharpSphere, Bunny and Julius, and their
 # tolerance in %; vertex errors in % of the mean edge, and theirs; - was not measured.

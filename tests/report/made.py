@@ -1,11 +1,13 @@
-"""Records of every kind, made from the types of their fields."""
+"""Records of every kind, made from the types of their fields, and their published schemas."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import json
 import types
 import typing
+from pathlib import Path
 
 from hypothesis import strategies as st
 
@@ -136,3 +138,11 @@ def gated(name="gated.ply", **changes):
         GateResult("flipped_faces > 0", False, True, {"flipped_faces": 0.0}, "flipped_faces is 0"),
     )
     return written(name, **({"gates": gates} | changes))
+
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def load_schema(name):
+    """The published JSON Schema of a name: report, info or compare."""
+    return json.loads((DOCS / f"{name}.schema.json").read_bytes())

@@ -28,12 +28,11 @@ from msal_cli.report.data import (
     render_lines,
     totals,
 )
-from tests.report.made import RUN, failed, of, written
-from tests.report.schemas import DOCS, info_schema, load, report_schema
+from tests.report.made import DOCS, RUN, failed, load_schema, of, written
 
-REPORT = Draft202012Validator(report_schema())
-INFO = Draft202012Validator(info_schema())
-SCHEMAS = ("report.schema.json", "info.schema.json", "compare.schema.json")
+REPORT = Draft202012Validator(load_schema("report"))
+INFO = Draft202012Validator(load_schema("info"))
+SCHEMAS = ("report", "info", "compare")
 
 
 def test_totals_count_by_status_and_leave_out_what_earlier_runs_did():
@@ -131,8 +130,9 @@ def test_a_spoilt_report_is_refused_and_does_not_fit_the_schema(spoil, reason):
 def test_the_committed_schemas_are_current(tmp_path):
     subprocess.run([sys.executable, DOCS / "make_schemas.py", tmp_path], check=True)
     for name in SCHEMAS:
-        assert (DOCS / name).read_bytes() == (tmp_path / name).read_bytes(), "run docs/refresh.py"
-        Draft202012Validator.check_schema(load(name))
+        file = f"{name}.schema.json"
+        assert (DOCS / file).read_bytes() == (tmp_path / file).read_bytes(), "run docs/refresh.py"
+        Draft202012Validator.check_schema(load_schema(name))
 
 
 @given(of(InfoRecord))
