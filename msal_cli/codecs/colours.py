@@ -74,15 +74,10 @@ def _to_bytes(colours: Floats, scale: float = 1.0) -> Colours:
 
 
 def _of_ply(mesh_file: MeshFile) -> Colours | None:
-    from msal_cli.codecs.ply_body import find_sections
-    from msal_cli.codecs.ply_header import parse_header
-    from msal_cli.kernels.text import as_bytes
+    from msal_cli.codecs.ply import PlyFile
 
-    # With no vertex moved every codec returns the input bytes.
-    data = memoryview(mesh_file.replaced(mesh_file.vertices)).cast("B")
-    header = parse_header(data)
-    element = next(element for element in header.elements if element.name == "vertex")
-    scalar = {prop.name: prop.code for prop in element.properties if not prop.is_list}
+    assert isinstance(mesh_file, PlyFile)
+    scalar = mesh_file.vertex_scalars()
     for names in _PLY_NAMES:
         present = tuple(name for name in names if name in scalar)
         codes = {scalar[name] for name in present}
@@ -91,12 +86,7 @@ def _of_ply(mesh_file: MeshFile) -> Colours | None:
         (code,) = codes
         if code not in ("u1", "f4", "f8"):
             return None
-
-        def wanted(_: object, names: tuple[str, ...] = present) -> tuple[str, ...]:
-            return names
-
-        sections, _ = find_sections(as_bytes(data), header, wanted, last="vertex")
-        return _to_bytes(sections["vertex"].slots(present).values, 255.0 if code != "u1" else 1.0)
+        return _to_bytes(mesh_file.read_scalars(present), 255.0 if code != "u1" else 1.0)
     return None
 
 

@@ -17,16 +17,23 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.mesh_file import Layout, cut_polygons, require_finite
-from msal_cli.codecs.ply_body import Fixed, Lines, Section, find_sections
-from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header, parse_header
+from msal_cli.codecs.ply_body import Lines, Section, find_sections
+from msal_cli.codecs.ply_header import (
+    NORMAL,
+    POSITION,
+    Element,
+    Header,
+    parse_header,
+    retype_header,
+)
 from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
@@ -110,8 +117,6 @@ def _squared(edges: Floats) -> Floats:
     return squares
 
 
-Triangles = NDArray[np.int32]
-
 CORNERS = ("vertex_indices", "vertex_index")
 """Names that a list of corners goes by."""
 
@@ -122,78 +127,54 @@ _FLAT = 1e-12
 """Polygon area over the product of its edges, at and below which it has no usable normal."""
 
 
-@dataclass(frozen=True)
-class Surface:
+class Surface(NamedTuple):
     """Triangles of all faces, in file order, and behind them those of all strips.
 
     triangles : (m, 3) int32; the first ones, face by face, are the faces' fans.
-    lengths : corners of every face: one number where all agree, else (n_faces,) int64.
-    n_faces : faces in the element ``face``, also those of fewer than three corners.
+    corners, sizes : polygons as in ``Layout``, empty where all are triangles.
+    lengths : (n_faces,) corners of every face, also of those with fewer than three.
     n_strip_triangles : triangles of strips or of a range grid.
     grid : the samples (rows, columns) of a range grid whose triangles these are, else None.
     """
 
-    triangles: Triangles
-    lengths: int | Longs
-    n_faces: int
+    triangles: Ints
+    corners: Ints
+    sizes: Longs | Ints
+    lengths: Longs | Ints
     n_strip_triangles: int
-    warnings: tuple[str, ...]
-    faces: Section | None
-    list_name: str
-    grid: Ints | None = None
+    warnings: list[str]
+    grid: Ints | None
 
-    @property
-    def n_polygons(self) -> int:
-        """Faces as the file counts them, and the triangles of its strips."""
-        return self.n_faces + self.n_strip_triangles
 
-    def _fans(self) -> tuple[Triangles, NDArray[np.integer[Any]]]:
-        """The triangles (t, 3) that are cut from faces, and the face (t,) of each."""
-        cut = self.triangles[: len(self.triangles) - self.n_strip_triangles]
-        pieces = np.maximum(np.asarray(self.lengths) - 2, 0)
-        return cut, np.repeat(np.arange(self.n_faces), pieces)
+def _renew_face_normals(
+    surface: Surface, old_vertices: Floats, vertices: Floats, old_normals: Floats
+) -> tuple[Floats, Flags]:
+    """Normals (n_faces, 3) of the faces after a move, and which of them changed (n_faces,).
 
-    def face_normals(
-        self, old_vertices: Floats, vertices: Floats, moved: Flags, old_normals: Floats
-    ) -> tuple[Floats, Flags]:
-        """Normals (n_faces, 3) of the faces after a move, and which of them changed (n_faces,).
-
-        A polygon's normal is the direction of the sum of its triangles' area vectors, with the
-        sense that the stored normal had.  A stored normal that is zero or not finite is kept,
-        and so is that of a face without moved corners or with no area.
-        """
-        cut, face = self._fans()
-        usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
-        # Faces whose area overflows or underflows keep their normals.
-        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            before, _ = _area_vectors(old_vertices, cut, face, self.n_faces)
-            after, scale = _area_vectors(vertices, cut, face, self.n_faces)
-            length = np.sqrt((after * after).sum(axis=1))
-            changed = usable & (length > _FLAT * scale) & np.isfinite(length)
-            changed &= np.bincount(face, moved[cut].any(axis=1), self.n_faces) > 0
-            opposed = (before * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
-        sense = np.where(opposed, -1.0, 1.0)[:, None]
-        unit = np.where(changed[:, None], after, 0.0) / np.where(changed, length, 1.0)[:, None]
-        return np.where(changed[:, None], unit * sense, old_normals), changed
-
-    def polygons(self) -> list[Any] | Triangles:
-        """The faces with all their corners: (m, k) int32 where all agree, else a list."""
-        is_triangulated = isinstance(self.lengths, int) and self.lengths == 3
-        if self.faces is None or is_triangulated or not self.n_faces:
-            return self.triangles
-        strips = self.triangles[len(self.triangles) - self.n_strip_triangles :]
-        if isinstance(self.lengths, int) and self.lengths < 3:
-            return strips
-        corners = self.faces.items(self.list_name)[0].astype(np.int32)
-        if isinstance(self.lengths, int):
-            whole = corners.reshape(self.n_faces, self.lengths)
-            return [*whole, *strips] if len(strips) else whole
-        cuts = np.cumsum(self.lengths)[:-1]
-        return [polygon for polygon in np.split(corners, cuts) if len(polygon) > 2] + list(strips)
+    A polygon's normal is the direction of the sum of its triangles' area vectors, with the
+    sense that the stored normal had.  A stored normal that is zero or not finite is kept,
+    and so is that of a face without moved corners or with no area.
+    """
+    n_faces = len(surface.lengths)
+    cut = surface.triangles[: len(surface.triangles) - surface.n_strip_triangles]
+    face = np.repeat(np.arange(n_faces), np.maximum(surface.lengths - 2, 0))
+    is_moved = np.asarray((old_vertices != vertices).any(axis=1))
+    usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
+    # Faces whose area overflows or underflows keep their normals.
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        before, _ = _area_vectors(old_vertices, cut, face, n_faces)
+        after, scale = _area_vectors(vertices, cut, face, n_faces)
+        length = np.sqrt((after * after).sum(axis=1))
+        changed = usable & (length > _FLAT * scale) & np.isfinite(length)
+        changed &= np.bincount(face, is_moved[cut].any(axis=1), n_faces) > 0
+        opposed = (before * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
+    sense = np.where(opposed, -1.0, 1.0)[:, None]
+    unit = np.where(changed[:, None], after, 0.0) / np.where(changed, length, 1.0)[:, None]
+    return np.where(changed[:, None], unit * sense, old_normals), changed
 
 
 def _area_vectors(
-    vertices: Floats, triangles: Triangles, face: NDArray[np.integer[Any]], n_faces: int
+    vertices: Floats, triangles: Ints, face: Longs, n_faces: int
 ) -> tuple[Floats, Floats]:
     """Doubled area vectors (n_faces, 3) and, for scale, the summed products of edges (n_faces,)."""
     first = vertices[triangles[:, 0]]
@@ -230,70 +211,66 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
     Raises ContentError (``E_INDEX`` with the face, ``E_NO_FACES``), FormatError (a corner is not
     a whole number, a range grid of unknown size) and TooLargeError.
     """
+    from msal_cli.kernels.ply_scan import unroll_strips
+
     n_vertices = len(vertices)
     if n_vertices > MAX_VERTICES:
         raise TooLargeError(f"{n_vertices} vertices are more than the {MAX_VERTICES} that are read")
     warnings: list[str] = []
-    triangles = strips = np.empty((0, 3), dtype=np.int32)
-    lengths: int | Longs = 0
+    corners = np.empty(0, dtype=np.int32)
+    triangles = strips = corners.reshape(0, 3)
+    lengths: Longs | Ints = np.empty(0, dtype=np.int64)
+    sizes = lengths
+    samples = None
     lists = {
         element: (section, name)
         for element, section in sections.items()
         if element in ("face", "tristrips", GRID) and (name := corner_list(section.element))
     }
-    faces, list_name = lists.get("face", (None, ""))
-    if faces is not None:
+    if "face" in lists:
+        faces, name = lists["face"]
         if all(faces.element.find(name) for name in CORNERS):
-            warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {list_name} is used")
-        triangles, lengths = _polygon_triangles(faces, list_name, n_vertices)
-        n_few = int((np.broadcast_to(lengths, faces.element.count) < 3).sum())
-        if n_few:
+            warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used")
+        corners, lengths = _read_corners(faces, name, n_vertices)
+        triangles = cut_polygons(corners, lengths)
+        sizes, is_face = lengths, lengths >= 3
+        if not is_face.all():
             warnings.append(
-                f"{n_few} faces have fewer than three corners and are only carried along"
+                f"{np.count_nonzero(~is_face)} faces have fewer than three corners and are only "
+                "carried along"
             )
+            corners, sizes = corners[np.repeat(is_face, lengths)], lengths[is_face]
     if "tristrips" in lists:
-        strips = _strip_triangles(*lists["tristrips"], n_vertices)
-    samples = None
+        items, strip_lengths = _read_corners(*lists["tristrips"], n_vertices, has_ends=True)
+        strips = np.empty((len(items), 3), dtype=np.int32)
+        strips = strips[: unroll_strips(items, np.ascontiguousarray(strip_lengths), strips)].copy()
     if not len(triangles) and not len(strips):
         if GRID not in lists:
             raise _no_faces_error(sections.get("face"), n_vertices)
         samples = _grid_samples(*lists[GRID], header, n_vertices)
         strips = triangulate_grid(samples, vertices)
-    return Surface(
-        triangles=np.concatenate([triangles, strips]) if len(strips) else triangles,
-        lengths=lengths,
-        n_faces=faces.element.count if faces is not None else 0,
-        n_strip_triangles=len(strips),
-        warnings=tuple(warnings),
-        faces=faces,
-        list_name=list_name,
-        grid=samples,
-    )
+    if len(strips):
+        triangles = np.concatenate([triangles, strips])
+        corners = np.concatenate([corners, strips.reshape(-1)])
+        sizes = np.concatenate([sizes, np.full(len(strips), 3)])
+    if len(corners) == 3 * len(sizes):
+        corners, sizes = corners[:0], sizes[:0]
+    return Surface(triangles, corners, sizes, lengths, len(strips), warnings, samples)
 
 
 def _grid_samples(section: Section, name: str, header: Header, n_vertices: int) -> Ints:
     """The samples (rows, columns) of a range grid, -1 for none."""
     shape = grid_shape(header, section.element)
-    items, lengths = section.items(name)
+    lengths = section.items(name)[1]
     if (lengths > 1).any():
         raise FormatError(
             "a sample of the range grid has more than one vertex",
             where=section.where(int(np.argmax(lengths > 1))),
             hint="each sample is a list of no vertex or one",
         )
-    corners = _as_indices(items, section, name).reshape(-1)
-    _require_vertices(corners, section, name, n_vertices)
     samples = np.full(section.element.count, -1, dtype=np.int32)
-    samples[lengths > 0] = corners
+    samples[lengths > 0] = _read_corners(section, name, n_vertices)[0]
     return samples.reshape(shape)
-
-
-def _require_vertices(corners: Triangles, section: Section, name: str, n_vertices: int) -> None:
-    """Raise ContentError (``E_INDEX``) for a list item that is no vertex."""
-    # Seen as unsigned, a negative index is a very large one.
-    if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
-        item = int(np.argmax(corners.view(np.uint32) >= n_vertices))
-        raise _bad_index_error(section, name, item, n_vertices)
 
 
 def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
@@ -311,48 +288,47 @@ def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
     return ContentError(message, where="element face", hint=hint, code="E_NO_FACES")
 
 
-def _polygon_triangles(
-    section: Section, name: str, n_vertices: int
-) -> tuple[Triangles, int | Longs]:
-    """The triangles of polygons and the polygons' numbers of corners, checked."""
-    if isinstance(section, Fixed):
-        column = section.column(name)
-        lengths: int | Longs = column.shape[1]
-        corners = _as_indices(column, section, name).reshape(-1)
-    else:
-        items, each = section.items(name)
-        is_uniform = len(each) > 0 and bool((each == each[0]).all())
-        lengths = int(each[0]) if is_uniform else np.asarray(each, dtype=np.int64)
-        corners = _as_indices(items, section, name)
-    _require_vertices(corners, section, name, n_vertices)
-    sizes = np.broadcast_to(lengths, section.element.count)
-    return cut_polygons(corners, sizes), lengths
+def _read_corners(
+    section: Section, name: str, n_vertices: int, *, has_ends: bool = False
+) -> tuple[Ints, Longs | Ints]:
+    """The corners (c,) of an element's lists, and how many each record has (count,).
 
-
-def _strip_triangles(section: Section, name: str, n_vertices: int) -> Triangles:
-    from msal_cli.kernels.ply_scan import unroll_strips
-
+    Raises ContentError (``E_INDEX``) for one that is no vertex, nor with ``has_ends`` the -1 that
+    ends a strip, FormatError where it is no whole number.
+    """
     items, lengths = section.items(name)
-    corners = _as_indices(items, section, name)
-    # -1 ends a strip; as an unsigned 32-bit number it is the largest one.
-    beyond = (corners.view(np.uint32) >= n_vertices) & (corners != -1)
-    if beyond.any():
-        raise _bad_index_error(section, name, int(np.argmax(beyond)), n_vertices)
-    triangles = np.empty((len(corners), 3), dtype=np.int32)
-    count = unroll_strips(corners, lengths, triangles)
-    return triangles[:count].copy()
 
+    def record_of(item: int) -> int:
+        return int(np.searchsorted(np.cumsum(lengths), item, side="right"))
 
-def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Triangles:
-    """Corners as int32; what does not fit is made an index that no mesh has."""
-    kind, size = items.dtype.kind, items.dtype.itemsize
-    if kind == "f":
+    if items.dtype.kind == "f":
         values = items.astype(np.float64)
         whole = np.isfinite(values) & (np.rint(values) == values)
         if not whole.all():
-            record = _record_of(section, name, int(np.argmin(whole.reshape(-1))))
+            record = record_of(int(np.argmin(whole.reshape(-1))))
             raise FormatError("a corner is not a whole number", where=section.where(record))
-        items = np.clip(values, -2.0, 2.0**31 - 1.0)
+    corners = _as_indices(items)
+    # Seen as unsigned, a negative index is a very large one.
+    if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
+        is_wrong = (corners.view(np.uint32) >= n_vertices) & ~(has_ends & (corners == -1))
+        if is_wrong.any():
+            item = int(np.argmax(is_wrong))
+            record = record_of(item)
+            raise ContentError(
+                f"{section.element.name} {record} names vertex {items.reshape(-1)[item].item()}, "
+                f"but the vertices go from 0 to {n_vertices - 1}",
+                where=section.where(record),
+                hint="the file is damaged or was written with wrong indices; export it again",
+                code="E_INDEX",
+            )
+    return corners, lengths
+
+
+def _as_indices(items: NDArray[Any]) -> Ints:
+    """Whole numbers as int32 (c,); what does not fit is made an index that no mesh has."""
+    kind, size = items.dtype.kind, items.dtype.itemsize
+    if kind == "f":
+        items = np.clip(items.astype(np.float64), -2.0, 2.0**31 - 1.0)
     elif size == 8 and items.size:
         items = items.astype(items.dtype.newbyteorder("="), copy=False)
         low, high = (0 if kind == "u" else -2), MAX_VERTICES
@@ -361,27 +337,8 @@ def _as_indices(items: NDArray[np.generic], section: Section, name: str) -> Tria
     is_plain = size == 4 and kind in "iu" and items.dtype.isnative and items.size > 0
     if is_plain and items.ndim == 2 and items.strides[1] == size:
         # Record by record, not number by number.  An index beyond int32 becomes a negative one.
-        return np.ascontiguousarray(items.view(f"V{items.shape[1] * size}")).view(np.int32)
-    return np.ascontiguousarray(items.astype(np.int32, copy=False))
-
-
-def _record_of(section: Section, name: str, item: int) -> int:
-    """The record that holds the list item of that number."""
-    lengths = section.items(name)[1]
-    return int(np.searchsorted(np.cumsum(lengths), item, side="right"))
-
-
-def _bad_index_error(section: Section, name: str, item: int, n_vertices: int) -> ContentError:
-    """The error for a list item that is no vertex."""
-    record = _record_of(section, name, item)
-    value = section.items(name)[0].reshape(-1)[item].item()
-    return ContentError(
-        f"{section.element.name} {record} names vertex {value}, but the vertices go from 0 to "
-        f"{n_vertices - 1}",
-        where=section.where(record),
-        hint="the file is damaged or was written with wrong indices; export it again",
-        code="E_INDEX",
-    )
+        items = np.ascontiguousarray(items.view(f"V{items.shape[1] * size}")).view(np.int32)
+    return np.ascontiguousarray(items.astype(np.int32, copy=False)).reshape(-1)
 
 
 def wanted_names(element: Element) -> Sequence[str]:
@@ -510,15 +467,21 @@ class PlyLayout(Layout):
     ----------
     sections : the elements by name; ``end`` is the byte behind the last one.
     normal_elements : those that the arrays of normals belong to.
-    is_stream : ascii records are not one to a line.
+    n_polygons : faces, and triangles of strips or of a range grid, whose samples are ``grid``.
     """
 
     header: Header
     sections: Mapping[str, Section] = field(repr=False)
     end: int
-    surface: Surface
     normal_elements: tuple[str, ...]
-    is_stream: bool
+    n_polygons: int
+    grid: Ints | None
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether ascii records are not one to a line."""
+        section = self.sections["vertex"]
+        return isinstance(section, Lines) and section.is_stream
 
 
 def parse(data: Buffer) -> PlyLayout:
@@ -537,14 +500,12 @@ def parse(data: Buffer) -> PlyLayout:
         if name in ("vertex", "face") and has_normals(section.element)
     }
     surface = find_surface(sections, header, vertices)
-    if not surface.n_faces:
+    if not len(surface.lengths):
         normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     check_strays(header, n_behind)
-    first = sections["vertex"]
-    is_stream = isinstance(first, Lines) and first.is_stream
-    return PlyLayout(
+    layout = PlyLayout(
         encoding=header.encoding,
         precision=precision_of(header, vertex),
         positions=(positions,),
@@ -552,21 +513,24 @@ def parse(data: Buffer) -> PlyLayout:
         renew_normals=functools.partial(_renew_normals, surface, normals),
         vertices=vertices,
         faces=surface.triangles,
+        corners=surface.corners,
+        sizes=surface.sizes,
         properties=properties_of(header, surface.grid),
         references=header.textures,
-        warnings=(
-            *warnings_of(header, vertex),
-            *surface.warnings,
-            *((_STREAM_WARNING,) if is_stream else ()),
-            *((f"{n_behind} bytes behind the last element are kept as they are",) * bool(n_behind)),
-        ),
         header=header,
         sections=sections,
         end=end,
-        surface=surface,
         normal_elements=tuple(normals),
-        is_stream=is_stream,
+        n_polygons=len(surface.lengths) + surface.n_strip_triangles,
+        grid=surface.grid,
     )
+    warnings = [*warnings_of(header, vertex), *surface.warnings]
+    if layout.is_stream:
+        warnings.append(_STREAM_WARNING)
+    if n_behind:
+        warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
+    layout.warnings = tuple(warnings)
+    return layout
 
 
 def _renew_normals(
@@ -575,15 +539,13 @@ def _renew_normals(
     """The normals of each element for new vertices, and which rows changed."""
     from msal_cli.kernels.geometry import regroup_normals
 
-    result = []
-    for element, slots in normals.items():
-        if element == "face":
-            moved = np.asarray((old != new).any(axis=1))
-            result.append(surface.face_normals(old, new, moved, slots.values))
-        else:
-            faces = surface.triangles
-            result.append(regroup_normals(old, new, faces, faces, slots.values))
-    return result
+    faces = surface.triangles
+    return [
+        _renew_face_normals(surface, old, new, slots.values)
+        if element == "face"
+        else regroup_normals(old, new, faces, faces, slots.values)
+        for element, slots in normals.items()
+    ]
 
 
 class PlyFile(SlotFile):
@@ -598,38 +560,36 @@ class PlyFile(SlotFile):
 
     def __init__(self, data: Buffer) -> None:
         super().__init__(data, "ply", parse)
-        self.n_polygons = self._layout.surface.n_polygons
-        self.grid = self._layout.surface.grid
+        self.n_polygons = self._layout.n_polygons
+        self.grid = self._layout.grid
+
+    def vertex_scalars(self) -> dict[str, str]:
+        """The scalar properties of the vertices and numpy's codes of their types."""
+        properties = self._layout.sections["vertex"].element.properties
+        return {prop.name: prop.code for prop in properties if not prop.is_list}
+
+    def read_scalars(self, names: tuple[str, ...]) -> Floats:
+        """These scalar properties of the vertices (n, len(names))."""
+        sections, _ = find_sections(
+            as_bytes(self._data),
+            self._layout.header,
+            lambda element: names if element.name == "vertex" else (),
+            last="vertex",
+        )
+        return sections["vertex"].slots(names).values
 
     def vertex_property(self, name: str) -> Floats:
         """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
         is none."""
-        properties = self._layout.sections["vertex"].element.properties
-        scalars = [prop.name for prop in properties if not prop.is_list]
+        scalars = self.vertex_scalars()
         if name not in scalars:
-            is_list = any(prop.name == name for prop in properties)
+            is_list = self._layout.sections["vertex"].element.find(name) is not None
             raise InputError(
                 f"the vertices have no property {name!r}{' that is a number' * is_list}",
                 code="E_PROPERTY",
                 hint=f"they have: {', '.join(scalars)}",
             )
-        if name in POSITION + NORMAL:
-            return self._layout.sections["vertex"].slots((name,)).values[:, 0]
-        sections, _ = find_sections(
-            as_bytes(self._data),
-            self._layout.header,
-            lambda element: (name,) if element.name == "vertex" else (),
-            last="vertex",
-        )
-        values: Floats = np.ascontiguousarray(sections["vertex"].slots((name,)).values[:, 0])
-        return values
-
-    def polygons(self) -> list[Any] | NDArray[np.int32]:
-        """The faces as the file has them: (m, k) int32 where all have k corners, or a list.
-
-        Faces of fewer than three corners are left out; strips give their triangles.
-        """
-        return self._layout.surface.polygons()
+        return np.ascontiguousarray(self.read_scalars((name,))[:, 0])
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with new positions (n, 3) in another encoding or with other number types.
@@ -640,33 +600,32 @@ class PlyFile(SlotFile):
         the encoding stays.  Raises ContentError (``E_RANGE``) where a value does not fit its
         type, FormatError where an ascii value is not of its declared type.
         """
-        from msal_cli.codecs.ply_write import Recoding
-
         layout = self._layout
+        data, old = as_bytes(self._data), layout.header
         retypable: dict[str, tuple[str, ...]] = dict.fromkeys(layout.normal_elements, NORMAL)
         retypable["vertex"] = POSITION + retypable.get("vertex", ())
-        data = as_bytes(self._data)
-        is_stream = layout.is_stream
-        recoding = Recoding(data, layout.header, encoding, precision, retypable, is_stream)
-        if recoding.is_same:
+        old_text = data[: old.size].tobytes()
+        text = retype_header(old, old_text, encoding, precision, retypable)
+        if text == old_text:
             return self.replaced(vertices)
         require_shape(vertices, self.vertices)
-        element = layout.sections["vertex"].element
-        codes = tuple(recoding.code(prop) for prop in element.find_all(POSITION))
+        header = parse_header(memoryview(text))
+        codes = tuple(prop.code for prop in vertex_element(header).find_all(POSITION))
         require_range(vertices, np.ones(vertices.shape, dtype=bool), codes)
-        if recoding.keeps_encoding and self.encoding == "ascii":
+        if header.encoding == old.encoding == "ascii":
             # New numbers as the new types need them; nothing else of the lines changes.
             positions = copy.copy(layout.positions[0])
             positions.codes = codes
             retyped = copy.copy(self)
-            retyped._layout = copy.copy(layout)
-            retyped._layout.positions = (positions,)
+            retyped._layout = replace(layout, positions=(positions,))
             changes = retyped._changes(vertices)
-            text = retyped._spliced(changes, vertices) if changes else data.data
-            return recoding.header() + text[layout.header.size :]
+            lines = retyped._spliced(changes, vertices) if changes else data.data
+            return text + lines[old.size :]
         values = {("vertex", name): vertices[:, k] for k, name in enumerate(POSITION)}
-        for element_name, (_, normals, _) in zip(
+        for element, (_, normals, _) in zip(
             layout.normal_elements, self._changed_normals(vertices), strict=True
         ):
-            values |= {(element_name, name): normals[:, k] for k, name in enumerate(NORMAL)}
-        return recoding.encoded(values, layout.end)
+            values |= {(element, name): normals[:, k] for k, name in enumerate(NORMAL)}
+        from msal_cli.codecs.ply_write import recode
+
+        return recode(data, old, header, text, values, layout.end, is_stream=layout.is_stream)

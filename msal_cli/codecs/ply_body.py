@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +25,6 @@ from msal_cli.errors import FormatError, InputError, TruncatedError
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
-
-_NONE = np.empty(0, dtype=np.int64)
 
 ALL_DIGITS = 1_000
 """Significant digits of which a file has never too many for fixed-point text."""
@@ -53,34 +51,18 @@ class Places(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Values:
-    """What was read of an element.
-
-    Attributes
-    ----------
-    names, values : scalars, and their values (count, len(names)).
-    statements : for positions and normals, if their three scalars are one behind the other, where
-        the first token of each record's is (count,), and the most decimals of the three (count,).
-    list_name, items, lengths : a list, all its items one record behind another, and the number
-        of each record's (count,); an empty name for none.
-    n_unusual : records with a number that is not plain.
-    """
-
-    names: tuple[str, ...]
-    values: Floats
-    statements: dict[tuple[str, ...], tuple[Longs, Bytes]]
-    list_name: str
-    items: Ints
-    lengths: Ints
-    n_unusual: int = 0
-
-
-@dataclass(frozen=True)
 class Lines:
     """Ascii records, one to a line, or if ``is_stream`` on whatever lines.
 
-    ``kept`` are the properties whose values or words are known.  ``read`` are their values, where
-    the records are plain; then the places of words are found only when they are asked for.
+    Attributes
+    ----------
+    kept : the properties whose values or words can be asked for, in file order.
+    scalars : their values (count, len(kept)) where the records are plain; then the places of words
+        are found only when they are asked for.
+    statements : for positions and normals, if their three scalars are one behind the other, where
+        the first token of each record's is (count,), and the most decimals of the three (count,).
+    plain_list : of the one list kept, all its items, one record behind another, and the number of
+        each record's (count,).
     """
 
     data: Bytes
@@ -89,8 +71,10 @@ class Lines:
     start: int
     stop: int
     kept: tuple[str, ...]
-    read: Values | None = None
     is_stream: bool = False
+    scalars: Floats | None = None
+    statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = field(default_factory=dict)
+    plain_list: tuple[Ints, Ints] | None = None
 
     @functools.cached_property
     def tokens(self) -> Places:
@@ -122,60 +106,49 @@ class Lines:
             hint=number_hint(token),
         )
 
-    def slots(self, names: Sequence[str]) -> TextSlots:
+    def slots(self, names: tuple[str, ...]) -> TextSlots:
         """Where the scalars of ``names`` are.
 
         Raises FormatError with the line of one that is no number.
         """
+        from msal_cli.kernels.text import read_numbers
+
         slots: TextSlots
-        read = self.read
-        if read is not None and names in read.statements:
-            values = np.require(self._read_values(names), None, ("C", "W"))
-            slots = Statements(self.data, *read.statements[names], values=values)
+        values = self.scalars
+        if values is not None and names != self.kept:
+            values = np.ascontiguousarray(values[:, [self.kept.index(name) for name in names]])
+        if values is not None and names in self.statements:
+            slots = Statements(self.data, *self.statements[names], values=values)
         else:
             starts, stops = self.spans(names)
-            values = self._values(names, starts, stops)
+            if values is None:
+                numbers, bad = read_numbers(self.data, starts, stops)
+                if bad >= 0:
+                    raise self.not_a_number(int(starts[bad]), "a number")
+                values = numbers.reshape(self.element.count, len(names))
             slots = Tokens(self.data, starts, stops, len(names), values=values)
         slots.codes = tuple(prop.code for prop in self.element.find_all(names))
         slots.unit_length = slots.whole_rows = names == NORMAL
         slots.significant = ALL_DIGITS
         return slots
 
-    def _read_values(self, names: Sequence[str]) -> Floats:
-        assert self.read is not None
-        pick = [self.read.names.index(name) for name in names]
-        if pick == list(range(len(self.read.names))):
-            return self.read.values
-        return self.read.values[:, pick]
-
-    def _values(self, names: Sequence[str], starts: Longs, stops: Longs) -> Floats:
-        """The scalars of ``names``, whose tokens are there, as (count, len(names))."""
-        from msal_cli.kernels.text import read_numbers
-
-        if self.read is not None and set(names) <= set(self.read.names):
-            return self._read_values(names)
-        values, bad = read_numbers(self.data, starts, stops)
-        if bad >= 0:
-            raise self.not_a_number(int(starts[bad]), "a number")
-        return values.reshape(self.element.count, len(names))
-
-    def items(self, name: str) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]]]:
+    def items(self, name: str) -> tuple[NDArray[Any], Longs | Ints]:
         """All items of a list of whole numbers, and each record's number (count,)."""
         from msal_cli.kernels.ply_scan import read_integers
         from msal_cli.kernels.text import read_numbers
 
-        if self.read is not None and name == self.read.list_name:
-            return self.read.items, self.read.lengths
+        if self.plain_list is not None:
+            return self.plain_list
         starts, stops, lengths = self.item_spans(name)
+        items = np.empty(len(starts), dtype=np.int64)
         if self.is_stream:
             values, bad = read_numbers(self.data, starts, stops)
             if bad < 0:
                 # Beyond this a double does not tell whole numbers apart.
                 is_whole = (np.rint(values) == values) & (np.abs(values) < 2.0**53)
                 bad = -1 if is_whole.all() else int(np.argmin(is_whole))
-            items = values.astype(np.int64) if bad < 0 else _NONE
+                items[:] = np.where(is_whole, values, 0.0)
         else:
-            items = np.empty(len(starts), dtype=np.int64)
             bad = int(read_integers(self.data, starts, stops, items))
         if bad >= 0:
             raise self.not_a_number(int(starts[bad]), "a whole number")
@@ -202,58 +175,54 @@ def _plain_lines(
     if not element.properties or not element.count or not can_hold(data, element, at):
         return None
     read = _read_lists if any(prop.is_list for prop in element.properties) else _read_scalars
-    if (result := read(data, element, at, wanted)) is None:
-        return None
-    values, stop = result
-    return Lines(data, header, element, at, stop, kept_names(element, wanted), values)
+    return read(data, header, element, at, kept_names(element, wanted))
 
 
 def _read_scalars(
-    data: Bytes, element: Element, at: int, wanted: Sequence[str]
-) -> tuple[Values, int] | None:
+    data: Bytes, header: Header, element: Element, at: int, kept: tuple[str, ...]
+) -> Lines | None:
     from msal_cli.kernels.ply_scan import WHOLE, read_scalars
 
-    all_names = [prop.name for prop in element.properties]
-    names = tuple(name for name in all_names if name in wanted)
-    columns = np.array([names.index(name) if name in names else -1 for name in all_names])
+    names = [prop.name for prop in element.properties]
     together: list[tuple[str, ...]] = [
         group
         for group in (POSITION, NORMAL)
-        if set(group) <= set(names) and tuple(all_names[all_names.index(group[0]) :][:3]) == group
+        if set(group) <= set(kept) and tuple(names[names.index(group[0]) :][:3]) == group
     ]
     group_of = {name: g for g, group in enumerate(together) for name in group}
-    groups = np.array([group_of.get(name, -1) for name in all_names])
-    values = np.empty((element.count, len(names)))
+    values = np.empty((element.count, len(kept)))
     first_at = np.empty((len(together), element.count), dtype=np.int64)
     decimals = np.empty((len(together), element.count), dtype=np.uint8)
     stop, n_unusual, status = read_scalars(
-        data, at, element.count, columns, groups, values, first_at, decimals
+        data,
+        at,
+        element.count,
+        np.array([kept.index(name) if name in kept else -1 for name in names]),
+        np.array([group_of.get(name, -1) for name in names]),
+        values,
+        first_at,
+        decimals,
     )
     if status != WHOLE or n_unusual > MAX_UNUSUAL:
         return None
-    none = np.empty(0, dtype=np.int32)
-    statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = {
-        group: (first_at[g], decimals[g]) for g, group in enumerate(together)
-    }
-    return Values(names, values, statements, "", none, none, int(n_unusual)), int(stop)
+    statements = dict(zip(together, zip(first_at, decimals, strict=True), strict=True))
+    return Lines(data, header, element, at, int(stop), kept, False, values, statements)
 
 
 def _read_lists(
-    data: Bytes, element: Element, at: int, wanted: Sequence[str]
-) -> tuple[Values, int] | None:
+    data: Bytes, header: Header, element: Element, start: int, kept: tuple[str, ...]
+) -> Lines | None:
     from msal_cli.kernels.ply_scan import FULL, WHOLE, read_lists
 
-    listed = element.properties
-    names = [prop.name for prop in listed if prop.name in wanted]
-    if len(names) > 1 or not all(prop.is_list for prop in listed if prop.name in wanted):
+    if len(kept) > 1 or not all(prop.is_list for prop in element.find_all(kept)):
         return None
-    is_list = np.array([prop.is_list for prop in listed])
-    which = element.index(names[0]) if names else -1
+    is_list = np.array([prop.is_list for prop in element.properties])
+    which = element.index(kept[0]) if kept else -1
     # An item is one digit and one blank at the least.
-    most = (len(data) - at) // 2 + 1
-    items = np.empty(min(3 * element.count, most) if names else 0, dtype=np.int32)
-    lengths = np.empty(element.count if names else 0, dtype=np.int32)
-    done = n_items = 0
+    most = (len(data) - start) // 2 + 1
+    items = np.empty(min(3 * element.count, most) if kept else 0, dtype=np.int32)
+    lengths = np.empty(element.count if kept else 0, dtype=np.int32)
+    done, at, n_items = 0, start, 0
     while True:
         done, at, n_items, status = read_lists(
             data, at, done, element.count, is_list, which, items, n_items, lengths
@@ -270,8 +239,8 @@ def _read_lists(
     if len(lengths) and (lengths == lengths[0]).all():
         # One number instead of one for each record.
         lengths = np.broadcast_to(lengths[:1].copy(), lengths.shape)
-    name = names[0] if names else ""
-    return Values((), np.empty((element.count, 0)), {}, name, items[:n_items], lengths), int(at)
+    plain_list = items[:n_items], lengths
+    return Lines(data, header, element, start, int(at), kept, plain_list=plain_list)
 
 
 def _read_stream(
@@ -379,92 +348,77 @@ def _find_tokens(
     )
 
 
-@dataclass(frozen=True)
-class Fixed:
-    """Binary records of ``stride`` bytes each from byte ``start`` on.
+@dataclass(frozen=True, eq=False)
+class _Records:
+    """Binary records, whose numbers have the byte order ``order``."""
+
+    data: Bytes
+    element: Element
+    order: str
+    start: int
+    stop: int
+
+    def where(self, record: int) -> str:
+        return f"{self.element.name} {record}"
+
+    def codes(self, names: Sequence[str]) -> tuple[str, ...]:
+        return tuple(self.order + prop.code for prop in self.element.find_all(names))
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed(_Records):
+    """Binary records of ``stride`` bytes each.
 
     ``places`` gives, for each property, the byte within the record where its value (of a list:
     its first item) stands, and the number of items that every record has (1 for a scalar).
     """
 
-    data: Bytes
-    element: Element
-    order: str
-    start: int
-    stop: int
     stride: int
     places: dict[str, tuple[int, int]]
 
-    def where(self, record: int) -> str:
-        return f"{self.element.name} {record}"
-
-    def column(self, name: str) -> NDArray[np.generic]:
-        """The values of a scalar (count,) or of a list (count, k), a view into the file."""
-        prop = self.element.properties[self.element.index(name)]
-        dtype = np.dtype(self.order + prop.code)
-        place, length = self.places[name]
-        shape: tuple[int, ...] = (self.element.count,)
-        strides: tuple[int, ...] = (self.stride,)
-        if prop.is_list:
-            shape, strides = (*shape, length), (*strides, dtype.itemsize)
-        if not self.element.count or not length:
-            return np.empty(shape, dtype)
-        return np.ndarray(shape, dtype, self.data, self.start + place, strides)
-
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
-        """All items of a list, one record behind another, and each record's number (count,)."""
-        column = self.column(name)
-        return column.reshape(-1), np.full(len(column), column.shape[1], dtype=np.int64)
+        """The values of a property (count, k), a view into the file, and each record's number
+        (count,)."""
+        dtype = np.dtype(self.codes([name])[0])
+        place, length = self.places[name]
+        shape, strides = (self.element.count, length), (self.stride, dtype.itemsize)
+        lengths = np.broadcast_to(np.int64(length), self.element.count)
+        if not self.element.count or not length:
+            return np.empty(shape, dtype), lengths
+        return np.ndarray(shape, dtype, self.data, self.start + place, strides), lengths
 
-    def slots(self, names: Sequence[str]) -> Strided:
+    def slots(self, names: tuple[str, ...]) -> Strided:
         places = tuple(self.places[name][0] for name in names)
-        codes = _codes(self.element, self.order, names)
-        count, is_normal = self.element.count, names == NORMAL
-        return Strided(self.data, self.start, count, self.stride, places, codes, is_normal)
+        count, codes = self.element.count, self.codes(names)
+        return Strided(self.data, self.start, count, self.stride, places, codes, names == NORMAL)
 
 
-@dataclass(frozen=True)
-class Varied:
+@dataclass(frozen=True, eq=False)
+class Varied(_Records):
     """Binary records of differing size; ``starts`` (count, c) and ``lengths`` (count, c) say where
     the values of the properties in ``columns`` begin and how many there are."""
 
-    data: Bytes
-    element: Element
-    order: str
-    start: int
-    stop: int
     columns: dict[str, int]
     starts: Longs
     lengths: Longs
-
-    def where(self, record: int) -> str:
-        return f"{self.element.name} {record}"
 
     def items(self, name: str) -> tuple[NDArray[np.generic], Longs]:
         """All values of a property, one record behind another, and each record's number."""
         from msal_cli.kernels.ply_scan import gather
 
-        dtype = np.dtype(self.order + self.element.properties[self.element.index(name)].code)
+        dtype = np.dtype(self.codes([name])[0])
         k = self.columns[name]
         sizes = self.lengths[:, k] * dtype.itemsize
         packed = np.empty(int(sizes.sum()), dtype=np.uint8)
         gather(self.data, np.ascontiguousarray(self.starts[:, k]), sizes, packed)
         return packed.view(dtype), np.ascontiguousarray(self.lengths[:, k])
 
-    def column(self, name: str) -> NDArray[np.generic]:
-        """The values of a scalar (count,) as the file stores them, copied."""
-        return self.items(name)[0]
-
-    def slots(self, names: Sequence[str]) -> Scattered:
+    def slots(self, names: tuple[str, ...]) -> Scattered:
         at = tuple(np.ascontiguousarray(self.starts[:, self.columns[name]]) for name in names)
-        return Scattered(self.data, at, _codes(self.element, self.order, names), names == NORMAL)
+        return Scattered(self.data, at, self.codes(names), names == NORMAL)
 
 
 Section = Fixed | Varied | Lines
-
-
-def _codes(element: Element, order: str, names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(order + prop.code for prop in element.find_all(names))
 
 
 def find_sections(
@@ -515,7 +469,7 @@ def section_at(
         return _records(data, header, element, at, names)
     kept = kept_names(element, names)
     tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
-    lines = Lines(data, header, element, at, stop, kept, is_stream=is_stream)
+    lines = Lines(data, header, element, at, stop, kept, is_stream)
     lines.__dict__["tokens"] = tokens
     return lines
 
@@ -530,9 +484,9 @@ def _records(
         length = 1
         if prop.is_list:
             dtype = np.dtype(header.byte_order + prop.count_code)
-            field = data[at + stride : at + stride + dtype.itemsize]
+            stored = data[at + stride : at + stride + dtype.itemsize]
             # Without a first record there is nothing to measure the others by.
-            length = int(field.view(dtype)[0]) if len(field) == dtype.itemsize else 0
+            length = int(stored.view(dtype)[0]) if len(stored) == dtype.itemsize else 0
             if length < 0 or not element.count:
                 length = 0
             counts.append((stride, length, header.byte_order + prop.count_code))

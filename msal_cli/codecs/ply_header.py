@@ -11,7 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.errors import FormatError, TooLargeError, TruncatedError, UnsupportedError
+from msal_cli.errors import (
+    FormatError,
+    TooLargeError,
+    TruncatedError,
+    UnsupportedError,
+    UsageError,
+)
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -142,7 +148,6 @@ class Header:
     textures : files named by ``comment TextureFile``, as written.
     size : bytes up to and including the line end of ``end_header``.
     newline : the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``.
-    n_lines : lines of the header, ``end_header`` included.
     format_line : which line (from 0) states the encoding.
     strays : lines that say nothing that is known.
     infos : words behind ``obj_info``, by the first of them.
@@ -153,7 +158,6 @@ class Header:
     textures: tuple[str, ...]
     size: int
     newline: bytes
-    n_lines: int
     format_line: int
     strays: tuple[Stray, ...]
     infos: Mapping[str, str]
@@ -371,26 +375,47 @@ def parse_header(data: memoryview, is_whole: bool = True) -> Header:
         textures=tuple(parser.textures),
         size=size,
         newline=newline,
-        n_lines=len(lines),
         format_line=parser.format_line,
         strays=tuple(parser.strays),
         infos=parser.infos,
     )
 
 
-def retype_header(header: Header, text: bytes, encoding: str, codes: dict[int, str]) -> bytes:
-    """The header's bytes with another encoding and other types of scalar properties.
+_ENCODING_OF = {"ascii": "ascii", "binary": "binary_little_endian"}
+_CODE_OF = {"float32": "f4", "float64": "f8"}
 
-    ``text`` is the header as it stands in the file; ``codes`` maps line numbers (from 0) of
-    property lines to ``"f4"`` or ``"f8"``.  Everything else, spacing included, is kept, and a
-    type keeps its family of spelling (``double`` for ``float``, ``float64`` for ``float32``).
+
+def retype_header(
+    header: Header,
+    text: bytes,
+    encoding: str,
+    precision: str,
+    retypable: Mapping[str, Sequence[str]],
+) -> bytes:
+    """The header's bytes with another encoding and other types of numbers.
+
+    Parameters
+    ----------
+    text : the header as it stands in the file.
+    encoding : ``same``, ``ascii`` or ``binary`` (little endian).
+    precision : ``same``, ``float32`` or ``float64``, of the scalars ``retypable`` of each element.
+
+    Everything else, spacing included, is kept, and a type keeps its family of spelling
+    (``double`` for ``float``, ``float64`` for ``float32``).  Raises UsageError for another word.
     """
+    if encoding not in ("same", *_ENCODING_OF) or precision not in ("same", *_CODE_OF):
+        raise UsageError(
+            f"a PLY file cannot be written with encoding '{encoding}' and precision '{precision}'",
+            hint="encodings are same, ascii, binary; precisions same, float32, float64",
+        )
+    second_words = {header.format_line: _ENCODING_OF.get(encoding, header.encoding)}
+    for element in header.elements:
+        for prop in element.properties:
+            code = _CODE_OF.get(precision, prop.code)
+            if prop.name in retypable.get(element.name, ()) and prop.code != code:
+                second_words[prop.line] = _SPELLINGS[code][prop.type[-1].isdigit()]
     ending = b"\r" if header.newline == b"\r" else b"\n"
     lines = text.split(ending)
-    second_words = {header.format_line: encoding}
-    for line, code in codes.items():
-        is_sized = lines[line].split()[1][-1:].isdigit()
-        second_words[line] = _SPELLINGS[code][is_sized]
     for line, word in second_words.items():
         lines[line] = re.sub(rb"^(\s*\S+\s+)\S+", rb"\g<1>" + word.encode(), lines[line])
     return ending.join(lines)

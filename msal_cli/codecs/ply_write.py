@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +16,10 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_body import Lines, Section, section_at
-from msal_cli.codecs.ply_header import Header, Property, retype_header
+from msal_cli.codecs.ply_header import TYPES, Header, Property
 from msal_cli.codecs.slots import to_type
-from msal_cli.errors import ContentError, InternalError, UsageError
+from msal_cli.errors import ContentError, InternalError
 from msal_cli.storage.regular import Buffer
-
-_ENCODINGS = {"ascii": "ascii", "binary": "binary_little_endian"}
-_CODES = {"float32": "f4", "float64": "f8"}
 
 _COMMENT = re.compile(rb"[ \t]*(?:comment|obj_info)(?:\s|\Z)")
 
@@ -31,121 +27,87 @@ _CHUNK = 65_536
 """Records turned into text at a time."""
 
 
-@dataclass(frozen=True)
-class Column:
-    """The values of one property in native byte order: (count,), or for a list all items one
-    record behind another with the number of each record's items in ``lengths`` (count,)."""
+class Numbers(NamedTuple):
+    """What the records of an element hold at one place, in native byte order: all ``values`` one
+    record behind another, and how many each record has (count,); None for one each."""
 
-    property: Property
     values: NDArray[Any]
-    lengths: Longs | None
+    lengths: Longs | None = None
 
 
-class Recoding:
-    """A change of encoding and number types, and what it makes of a file.
+def recode(
+    data: Bytes,
+    old: Header,
+    new: Header,
+    text: bytes,
+    values: Mapping[tuple[str, str], Floats],
+    end: int,
+    *,
+    is_stream: bool,
+) -> bytearray:
+    """A file in another encoding or with other types of numbers.
 
-    ``encoding`` is ``same``, ``ascii`` or ``binary`` (little endian); ``precision`` is ``same``,
-    ``float32`` or ``float64``; ``is_stream`` says that the file's ascii records do not stand one
-    to a line.  Raises UsageError for any other word.
+    Parameters
+    ----------
+    data, old : the file and its header; ``end`` is the byte behind its last element, ``is_stream``
+        says that its ascii records do not stand one to a line.
+    new, text : the new header, of the same elements, and its bytes.
+    values : for (element, property), the (count,) numbers in place of the file's.
     """
-
-    def __init__(
-        self,
-        data: Bytes,
-        header: Header,
-        encoding: str,
-        precision: str,
-        retypable: Mapping[str, Sequence[str]],
-        is_stream: bool = False,
-    ) -> None:
-        if encoding not in ("same", *_ENCODINGS) or precision not in ("same", *_CODES):
-            raise UsageError(
-                f"a PLY file cannot be written with encoding '{encoding}' and precision "
-                f"'{precision}'",
-                hint="encodings are same, ascii, binary; precisions same, float32, float64",
-            )
-        self._data = data
-        self._header = header
-        self._is_stream = is_stream
-        self.encoding = _ENCODINGS.get(encoding, header.encoding)
-        self._codes: dict[int, str] = {}
-        if precision != "same":
-            self._codes = {
-                prop.line: _CODES[precision]
-                for element in header.elements
-                for prop in element.properties
-                if prop.name in retypable.get(element.name, ()) and prop.code != _CODES[precision]
-            }
-
-    @property
-    def is_same(self) -> bool:
-        """Whether nothing but values changes."""
-        return self.keeps_encoding and not self._codes
-
-    @property
-    def keeps_encoding(self) -> bool:
-        return self.encoding == self._header.encoding
-
-    def code(self, prop: Property) -> str:
-        """The numpy code with which a property is written."""
-        return self._codes.get(prop.line, prop.code)
-
-    def header(self) -> bytes:
-        text = self._data[: self._header.size].tobytes()
-        return retype_header(self._header, text, self.encoding, self._codes)
-
-    def encoded(self, values: Mapping[tuple[str, str], Floats], end: int) -> bytearray:
-        """The whole file.  ``values`` holds, for (element, property), the (count,) numbers to be
-        written in place of the file's; ``end`` is the byte behind the last element."""
-        output = bytearray(self.header())
-        at = self._header.size
-        if not self.keeps_encoding and self._header.encoding == "ascii":
-            # Binary records leave no room for comments: they become the last lines of the header.
-            lines = find_body_comments(self._data[at:end].tobytes())
-            place = output.rindex(b"end_header")
-            output[place:place] = b"".join(line + self._header.newline for line in lines)
-        for element in self._header.elements:
-            names = [prop.name for prop in element.properties]
-            section = section_at(self._data, self._header, element, at, names, self._is_stream)
-            at = section.stop
-            is_touched = any(
-                (element.name, prop.name) in values or prop.line in self._codes
-                for prop in element.properties
-            )
-            if self.keeps_encoding and not is_touched:
-                output += self._data[section.start : section.stop].data
-                continue
-            columns = [
-                self._column(section, prop, values.get((element.name, prop.name)))
-                for prop in element.properties
-            ]
-            if self.encoding == "ascii":
-                _append_text(output, columns, element.count, self._header.newline)
-            else:
-                order = ">" if self.encoding == "binary_big_endian" else "<"
-                _append_binary(output, columns, element.count, order)
-        if self.keeps_encoding:
-            output += self._data[end:].data
-        return output
-
-    def _column(self, section: Section, prop: Property, values: Floats | None) -> Column:
-        dtype = np.dtype(self.code(prop))
-        lengths: Longs | None = None
-        given: NDArray[Any]
-        if values is not None:
-            given = values
-        elif isinstance(section, Lines):
-            return _read_tokens(section, prop, dtype)
-        elif prop.is_list:
-            given, lengths = section.items(prop.name)
+    output = bytearray(text)
+    keeps_encoding = new.encoding == old.encoding
+    if not keeps_encoding and old.encoding == "ascii":
+        # Binary records leave no room for comments: they become the last lines of the header.
+        lines = find_body_comments(data[old.size : end].tobytes())
+        place = output.rindex(b"end_header")
+        output[place:place] = b"".join(line + old.newline for line in lines)
+    at = old.size
+    for element, renewed in zip(old.elements, new.elements, strict=True):
+        names = [prop.name for prop in element.properties]
+        section = section_at(data, old, element, at, names, is_stream)
+        at = section.stop
+        is_touched = renewed != element or any((element.name, name) in values for name in names)
+        if keeps_encoding and not is_touched:
+            output += data[section.start : section.stop].data
+            continue
+        columns: list[Numbers] = []
+        for prop in renewed.properties:
+            numbers = _read_numbers(section, prop, values.get((element.name, prop.name)))
+            if prop.is_list:
+                assert numbers.lengths is not None
+                columns.append(Numbers(numbers.lengths.astype(prop.count_code)))
+            columns.append(numbers)
+        if new.encoding == "ascii":
+            _append_text(output, columns, element.count, old.newline)
         else:
-            given = section.column(prop.name)
-        if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
-            column = to_type(_as_float64(given), dtype.str)
-            if dtype.kind == "f":
-                _require_all(np.isfinite(column) | ~np.isfinite(given), section, prop)
-            return Column(prop, column, lengths)
-        return Column(prop, given.astype(dtype), lengths)
+            _append_binary(output, columns, element.count, new.byte_order)
+    if keeps_encoding:
+        output += data[end:].data
+    return output
+
+
+def _read_numbers(section: Section, prop: Property, values: Floats | None) -> Numbers:
+    """The numbers of a property in its new type; ``values`` (count,) take the place of the
+    file's.
+
+    Raises FormatError for a token that is no number, ContentError (``E_RANGE``) for a number that
+    the type cannot hold.
+    """
+    dtype = np.dtype(prop.code)
+    given: NDArray[Any]
+    lengths: Longs | None = None
+    if values is not None:
+        given = values
+    elif isinstance(section, Lines):
+        given, lengths = _read_tokens(section, prop, dtype)
+    else:
+        given, lengths = section.items(prop.name)
+        given, lengths = given.reshape(-1), lengths if prop.is_list else None
+    if given.dtype.kind == "f" and dtype != given.dtype.newbyteorder("="):
+        exact, given = given, to_type(_as_float64(given), dtype.str)
+        if dtype.kind == "f":
+            _require_all(np.isfinite(given) | ~np.isfinite(exact), section, prop, lengths)
+    return Numbers(given.astype(dtype, copy=False), lengths)
 
 
 def find_body_comments(body: bytes) -> list[bytes]:
@@ -172,12 +134,8 @@ def _require_all(
     )
 
 
-def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Column:
-    """A property of an ascii element as numbers of ``dtype``.
-
-    Raises FormatError for a token that is no number, ContentError (``E_RANGE``) for one that the
-    type cannot hold.
-    """
+def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Numbers:
+    """A property of an ascii element: whole numbers of ``dtype``, others as float64."""
     from msal_cli.kernels.text import read_numbers
 
     lengths: Longs | None = None
@@ -189,18 +147,17 @@ def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Column
     values, bad = read_numbers(section.data, starts, stops)
     if bad >= 0:
         raise section.not_a_number(int(starts[bad]), "a number")
-    column: NDArray[Any]
     if dtype.kind == "f":
-        column = to_type(values, dtype.str)
-        fits = np.isfinite(column) | ~np.isfinite(values)
-    elif dtype.itemsize == 8:
+        return Numbers(values, lengths)
+    column: NDArray[Any]
+    if dtype.itemsize == 8:
         column, fits = _long_integers(section, starts, stops, dtype)
     else:
         limits = np.iinfo(dtype)
         fits = (values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)
         column = np.where(fits, values, 0.0).astype(dtype)
     _require_all(fits, section, prop, lengths)
-    return Column(prop, column, lengths)
+    return Numbers(column, lengths)
 
 
 def _long_integers(
@@ -221,76 +178,64 @@ def _long_integers(
     return column, fits
 
 
-def _append_binary(output: bytearray, columns: Sequence[Column], count: int, order: str) -> None:
+def _append_binary(output: bytearray, columns: Sequence[Numbers], count: int, order: str) -> None:
+    """Append ``count`` records whose numbers have the byte order ``order``."""
     from msal_cli.kernels.ply_scan import scatter
 
-    fields: list[tuple[NDArray[Any], Longs]] = []
-    for column in columns:
-        if column.lengths is not None:
-            counts = column.lengths.astype(order + column.property.count_code)
-            fields.append((counts, np.full(count, counts.itemsize)))
-        values = column.values.astype(order + column.values.dtype.str[1:])
-        lengths = np.ones(count, dtype=np.int64) if column.lengths is None else column.lengths
-        fields.append((values, lengths * values.itemsize))
-    sizes = sum((size for _, size in fields), np.zeros(count, dtype=np.int64))
-    ends = np.cumsum(sizes)
+    arrays = [values.astype(order + values.dtype.str[1:]) for values, _ in columns]
+    sizes = [
+        np.full(count, array.itemsize) if lengths is None else lengths * array.itemsize
+        for array, (_, lengths) in zip(arrays, columns, strict=True)
+    ]
+    ends = np.cumsum(sum(sizes, np.zeros(count, dtype=np.int64)))
     packed = np.empty(int(ends[-1]) if count else 0, dtype=np.uint8)
-    at = ends - sizes
-    for values, size in fields:
-        scatter(packed, at, size, values.view(np.uint8))
+    at = ends - np.diff(ends, prepend=0)
+    for array, size in zip(arrays, sizes, strict=True):
+        scatter(packed, at, size, array.view(np.uint8))
         at = at + size
     output += packed.data
 
 
-def _append_text(output: bytearray, columns: Sequence[Column], count: int, newline: bytes) -> None:
+def _append_text(output: bytearray, columns: Sequence[Numbers], count: int, newline: bytes) -> None:
     """Append ``count`` lines of the columns."""
     if not columns:
         return
     firsts = [
-        None if column.lengths is None else np.concatenate([[0], np.cumsum(column.lengths)])
+        np.arange(count + 1)
+        if column.lengths is None
+        else np.concatenate([[0], np.cumsum(column.lengths)])
         for column in columns
     ]
     for begin in range(0, count, _CHUNK):
         end = min(begin + _CHUNK, count)
-        part = []
-        for column, first in zip(columns, firsts, strict=True):
-            items = slice(begin, end) if first is None else slice(first[begin], first[end])
-            lengths = None if column.lengths is None else column.lengths[begin:end]
-            part.append(Column(column.property, column.values[items], lengths))
-        output += _lines_of(part, end - begin, newline).data
+        part = [
+            (column.values[first[begin] : first[end]], np.diff(first[begin : end + 1]))
+            for column, first in zip(columns, firsts, strict=True)
+        ]
+        output += _lines_of(part, newline).data
 
 
-def _lines_of(columns: Sequence[Column], count: int, newline: bytes) -> Bytes:
-    """The lines of ``count`` records as one text."""
+def _lines_of(columns: Sequence[tuple[NDArray[Any], Longs]], newline: bytes) -> Bytes:
+    """The lines of records as one text; a column is all its values and how many each record
+    has (count,)."""
     from msal_cli.kernels.ply_scan import gather
 
-    per_record = np.zeros(count, dtype=np.int64)
-    for column in columns:
-        per_record += 1 if column.lengths is None else column.lengths + 1
+    per_record = sum(lengths for _, lengths in columns)
     ends = np.cumsum(per_record)
     slot = ends - per_record
     # Tokens and the separators behind them alternate; the texts of both lie in one buffer.
-    starts = np.empty(2 * int(ends[-1]), dtype=np.int64)
-    sizes = np.empty_like(starts)
+    starts = np.zeros(2 * int(ends[-1]), dtype=np.int64)
+    sizes = np.ones_like(starts)
     texts = [np.frombuffer(b" " + newline, dtype=np.uint8)]
     size = len(texts[0])
-    for column in columns:
-        printings = [(column.values, slot)]
-        if column.lengths is not None:
-            items = np.repeat(
-                slot + 1 - (np.cumsum(column.lengths) - column.lengths), column.lengths
-            )
-            printings = [(column.lengths, slot), (column.values, items + np.arange(len(items)))]
-            slot = slot + column.lengths
-        slot = slot + 1
-        for values, slots in printings:
-            text, stops = _token_text(values)
-            sizes[2 * slots] = np.diff(stops, prepend=0)
-            starts[2 * slots] = size + stops - sizes[2 * slots]
-            texts.append(text)
-            size += len(text)
-    starts[1::2] = 0
-    sizes[1::2] = 1
+    for values, lengths in columns:
+        slots = np.repeat(slot - (np.cumsum(lengths) - lengths), lengths) + np.arange(len(values))
+        slot = slot + lengths
+        text, stops = _token_text(values)
+        sizes[2 * slots] = np.diff(stops, prepend=0)
+        starts[2 * slots] = size + stops - sizes[2 * slots]
+        texts.append(text)
+        size += len(text)
     starts[2 * ends - 1] = 1
     sizes[2 * ends - 1] = len(newline)
     packed = np.empty(int(sizes.sum()), dtype=np.uint8)
@@ -331,15 +276,16 @@ def write_ply(
     rows = np.empty(len(columns[0][2]), dtype=[(name, code) for name, code, _ in columns])
     for name, _, values in columns:
         rows[name] = values
-    is_long = int(sizes.max()) > 255
+    count_type = "uint" if int(sizes.max()) > 255 else "uchar"
     header = ["ply", "format binary_little_endian 1.0"]
     header += [f"comment {comment}" for comment in comments]
     header += [f"element vertex {len(rows)}"]
     header += [f"property {_TYPES[code]} {name}" for name, code, _ in columns]
-    header += [f"element face {len(sizes)}"]
-    header += [f"property list {'uint' if is_long else 'uchar'} int vertex_indices"]
-    head = "\n".join([*header, "end_header", ""]).encode()
-    return b"".join((head, rows.data, _face_bytes(corners, sizes, "<u4" if is_long else "u1")))
+    header += [f"element face {len(sizes)}", f"property list {count_type} int vertex_indices"]
+    lists = [Numbers(sizes.astype(TYPES[count_type])), Numbers(corners.astype(np.int32), sizes)]
+    faces = bytearray()
+    _append_binary(faces, lists, len(sizes), "<")
+    return b"".join(("\n".join([*header, "end_header", ""]).encode(), rows.data, faces))
 
 
 def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
@@ -349,19 +295,6 @@ def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
         return polygons.reshape(-1).astype(np.int64), sizes
     sizes = np.array([len(polygon) for polygon in polygons], dtype=np.int64)
     return np.concatenate(polygons).astype(np.int64), sizes
-
-
-def _face_bytes(corners: Longs, sizes: Longs, code: str) -> memoryview:
-    """Lists of corners: a count of type ``code``, then 32-bit indices."""
-    from msal_cli.kernels.ply_scan import scatter
-
-    widths = np.full(len(sizes), np.dtype(code).itemsize)
-    ends = np.cumsum(widths + 4 * sizes)
-    starts = ends - 4 * sizes
-    out = np.empty(int(ends[-1]), dtype=np.uint8)
-    scatter(out, starts - widths, widths, sizes.astype(code).view(np.uint8))
-    scatter(out, starts, 4 * sizes, corners.astype("<i4").view(np.uint8))
-    return out.data
 
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
