@@ -45,17 +45,6 @@ def test_the_same_seed_makes_the_same_scan_only(scanner):
     assert not np.array_equal(first.vertices[:9], other.vertices[:9])
 
 
-def test_grey_values_make_a_smooth_surface_and_noise_a_rough_one():
-    def roughness(**settings):
-        made = scan("ct", **settings)
-        return float((np.linalg.norm(made.vertices, axis=1) - 1.0).std()) / made.cell
-
-    quiet, white = roughness(level=0.0), roughness(level=0.1)
-    assert quiet < 0.03
-    assert 0.08 < white < 0.2
-    assert roughness(level=0.05) == pytest.approx(0.5 * white, rel=0.25)
-
-
 def test_a_camera_sees_one_side_with_an_open_border():
     made = scan("depth", 32, FINE, **QUIET, direction=(0.0, -1.0, 0.0))
     defects = prepare_mesh(made.vertices, made.faces).defects

@@ -162,48 +162,41 @@ def test_what_cannot_be_is_refused(tmp_path, refuses, files, inputs, output, opt
     refuses(words.format(tmp_path, tmp_path).split(), some, target, **options)
 
 
-class TestCollisions:
-    @posix
-    def test_case_only_twins_are_told_apart_where_the_file_system_does(self, tmp_path):
-        made(tmp_path, "in/a.ply", "in/A.ply")
+@posix
+@pytest.mark.parametrize(
+    "twins", [("a.ply", "A.ply"), ("s/x.ply", "S/y.ply"), ("\u00e9.ply", "e\u0301.ply")]
+)
+def test_case_only_twins_are_refused_where_the_file_system_tells_them_not_apart(
+    tmp_path, refuses, monkeypatch, twins
+):
+    made(tmp_path, *(f"in/{name}" for name in twins))
+    if "a.ply" in twins:
         assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out") == ["out/A.ply", "out/a.ply"]
-
-    @posix
-    @pytest.mark.parametrize(
-        "twins", [("a.ply", "A.ply"), ("s/x.ply", "S/y.ply"), ("\u00e9.ply", "e\u0301.ply")]
-    )
-    def test_and_refused_where_it_does_not(self, tmp_path, refuses, monkeypatch, twins):
-        made(tmp_path, *(f"in/{name}" for name in twins))
-        probed = []
-        monkeypatch.setattr(planning, "ignores_case", lambda folder: probed.append(folder) or True)
-        if "/" in twins[0]:
-            assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out")) == 2
-        else:
-            refuses(["case does not count"], [tmp_path / "in"], tmp_path / "out")
-            assert probed == [tmp_path]
+    probed = []
+    monkeypatch.setattr(planning, "ignores_case", lambda folder: probed.append(folder) or True)
+    if "/" in twins[0]:
+        assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out")) == 2
+    else:
+        refuses(["case does not count"], [tmp_path / "in"], tmp_path / "out")
+        assert probed == [tmp_path]
 
 
-class TestInputsAsOutputs:
-    def test_a_folder_onto_itself(self, tmp_path, refuses):
-        made(tmp_path, "in/a.ply")
-        refuses(["overwritten by its own output"], [tmp_path / "in"], tmp_path / "in")
-        assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "in", to="stl") == ["in/a.stl"]
+def test_a_folder_or_a_file_onto_itself(tmp_path, refuses, monkeypatch):
+    made(tmp_path, "in/a.ply", "sub/x")
+    refuses(["overwritten by its own output"], [tmp_path / "in"], tmp_path / "in")
+    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "in", to="stl") == ["in/a.stl"]
+    monkeypatch.chdir(tmp_path)
+    refuses(["own output", "sub/../in/a.ply"], ["in/a.ply"], "sub/../in/a.ply")
 
-    def test_a_file_onto_itself_by_another_path(self, tmp_path, refuses, monkeypatch):
-        made(tmp_path, "in/a.ply", "sub/x")
-        monkeypatch.chdir(tmp_path)
-        refuses(["own output", "sub/../in/a.ply"], ["in/a.ply"], "sub/../in/a.ply")
 
-    @posix
-    @pytest.mark.parametrize("kind", ["symbolic", "hard"])
-    def test_through_a_link(self, tmp_path, refuses, kind):
-        made(tmp_path, "in/a.ply", "out/x")
-        if kind == "hard":
-            (tmp_path / "out/a.ply").hardlink_to(tmp_path / "in/a.ply")
-        else:
-            (tmp_path / "out/a.ply").symlink_to(tmp_path / "in/a.ply")
-        refuses(["own output"], [tmp_path / "in"], tmp_path / "out", force=True)
-        refuses(["own output"], [tmp_path / "in/a.ply"], tmp_path / "out/a.ply")
+@posix
+@pytest.mark.parametrize("kind", ["symbolic", "hard"])
+def test_a_file_onto_itself_through_a_link(tmp_path, refuses, kind):
+    made(tmp_path, "in/a.ply", "out/x")
+    link = tmp_path / "out/a.ply"
+    (link.hardlink_to if kind == "hard" else link.symlink_to)(tmp_path / "in/a.ply")
+    refuses(["own output"], [tmp_path / "in"], tmp_path / "out", force=True)
+    refuses(["own output"], [tmp_path / "in/a.ply"], link)
 
 
 class TestForeignFiles:

@@ -210,90 +210,83 @@ def test_threads_are_for_several_files_and_end_with_the_iterator(tmp_path, monke
     assert not [one for one in threading.enumerate() if "ThreadPool" in one.name]
 
 
-class TestInPlace:
-    def case(self, folder, backup):
-        return Case(folder, in_place=True, backup=backup)
+def in_place(folder, backup):
+    return Case(folder, in_place=True, backup=backup)
 
-    def test_a_current_file_is_not_done_again(self, tmp_path):
-        for backup in (None, ".orig"):
-            case = self.case(tmp_path, backup)
-            case.finish()
-            assert case.state().record.status == "up-to-date"
 
-    def test_without_a_backup_a_changed_file_may_be_done(self, tmp_path):
-        case = self.case(tmp_path, None)
-        assert case.todo()
-        case.begin()
-        assert case.todo()
-        case.write("in.ply", b"denoised, perhaps")
-        record = case.state().record
-        assert (record.status, record.error.code) == ("failed", "E_CHANGED")
-        assert record.input == case.task.input
-        case.options["fresh"] = True
-        assert case.todo()
-        case.options.clear()
-        case.finish("other settings")
-        case.write("in.ply", b"something else")
-        assert case.todo()
+@pytest.mark.parametrize("backup", [None, ".orig"])
+def test_in_place_a_current_file_is_not_done_again(tmp_path, backup):
+    case = in_place(tmp_path, backup)
+    assert case.todo()
+    case.finish()
+    assert case.state().record.status == "up-to-date"
 
-    def test_a_backup_that_equals_the_file_is_no_obstacle(self, tmp_path):
-        case = self.case(tmp_path, ".orig")
-        assert case.todo()
-        case.write("in.ply.orig", b"the input")
-        assert case.todo()
 
-    @pytest.mark.parametrize("other", [b"THE INPUT", b"another size"])
-    def test_another_backup_is_an_obstacle(self, tmp_path, other):
-        case = self.case(tmp_path, ".orig")
-        case.write("in.ply.orig", other)
-        backup = case.path + ".orig"
+def test_without_a_backup_a_changed_file_may_be_done(tmp_path):
+    case = in_place(tmp_path, None)
+    case.begin()
+    assert case.todo()
+    case.write("in.ply", b"denoised, perhaps")
+    record = case.state().record
+    assert (record.status, record.error.code) == ("failed", "E_CHANGED")
+    assert record.input == case.task.input
+    case.options["fresh"] = True
+    assert case.todo()
+    case.options.clear()
+    case.finish("other settings")
+    case.write("in.ply", b"something else")
+    assert case.todo()
+
+
+@pytest.mark.parametrize("other", [b"the input", b"THE INPUT", b"another size"])
+def test_a_backup_that_is_not_the_file_is_an_obstacle(tmp_path, other):
+    case = in_place(tmp_path, ".orig")
+    backup = case.path + ".orig"
+    case.write("in.ply.orig", other)
+    if other == b"the input":
+        assert case.todo()
+    else:
         assert case.state() == resume.FileState(0, obstacle=backup)
         # What is not the size that the input had is not its backup.
         case.write("in.ply", b"before")
         case.begin()
         assert case.state() == resume.FileState(0, obstacle=backup)
+    for target in (case.path, "nothing") if os.name == "posix" else ():
+        os.remove(backup)
+        os.symlink(target, backup)
+        assert case.state().obstacle == backup
 
-    def test_a_backup_of_an_interrupted_run_is_restored(self, tmp_path):
-        case = self.case(tmp_path, ".orig")
-        case.begin()
-        case.write("in.ply.orig", b"the input")
-        for now in (b"denoised!", b"denoised, longer"):
-            case.write("in.ply", now)
-            assert case.state() == resume.FileState(0, restores=True)
-        case.entry = dataclasses.replace(case.entry, is_done=True)
-        assert case.state().obstacle
-        os.remove(case.path)
-        case.entry = dataclasses.replace(case.entry, is_done=False)
+
+def test_a_backup_of_an_interrupted_run_is_restored(tmp_path):
+    case = in_place(tmp_path, ".orig")
+    case.begin()
+    case.write("in.ply.orig", b"the input")
+    for now in (b"denoised!", b"denoised, longer"):
+        case.write("in.ply", now)
         assert case.state() == resume.FileState(0, restores=True)
+    case.entry = dataclasses.replace(case.entry, is_done=True)
+    assert case.state().obstacle
+    os.remove(case.path)
+    case.entry = dataclasses.replace(case.entry, is_done=False)
+    assert case.state() == resume.FileState(0, restores=True)
 
-    @pytest.mark.skipif(os.name != "posix", reason="links")
-    def test_a_backup_that_is_a_link_is_an_obstacle(self, tmp_path):
-        case = self.case(tmp_path, ".orig")
-        os.symlink(case.path, case.path + ".orig")
-        assert case.state().obstacle == case.path + ".orig"
-        os.remove(case.path + ".orig")
-        os.symlink("nothing", case.path + ".orig")
-        assert case.state().obstacle == case.path + ".orig"
 
-    def test_rolling_back(self, tmp_path):
-        case = self.case(tmp_path, ".orig")
-        before = FileStat.of(case.path)
-        assert resume.roll_back(case.task, before) == ""
+@pytest.mark.parametrize("backup", [None, ".orig"])
+def test_rolling_back(tmp_path, backup):
+    case = in_place(tmp_path, backup)
+    before = FileStat.of(case.path)
+    assert resume.roll_back(case.task, before) == ""
+    if backup:
         case.write("in.ply.orig", b"the input")
         assert resume.roll_back(case.task, before) == ""
         assert FileStat.of(case.path) == before
-        case.write("in.ply", b"denoised")
-        assert resume.roll_back(case.task, before) == ""
-        assert (tmp_path / "in.ply").read_bytes() == b"the input"
-
-    def test_rolling_back_without_a_backup(self, tmp_path):
-        case = self.case(tmp_path, None)
-        before = FileStat.of(case.path)
-        assert resume.roll_back(case.task, before) == ""
-        case.write("in.ply", b"denoised")
-        assert "may be denoised already" in resume.roll_back(case.task, before)
-        elsewhere = dataclasses.replace(case.task, in_place=False)
-        assert resume.roll_back(elsewhere, before) == ""
+    case.write("in.ply", b"denoised")
+    words = resume.roll_back(case.task, before)
+    if backup:
+        assert (words, (tmp_path / "in.ply").read_bytes()) == ("", b"the input")
+        return
+    assert "may be denoised already" in words
+    assert resume.roll_back(dataclasses.replace(case.task, in_place=False), before) == ""
 
 
 def test_files_are_hashed_in_blocks_until_it_is_to_stop(tmp_path, monkeypatch):

@@ -8,11 +8,8 @@ from __future__ import annotations
 import collections
 import os
 import random
-import re
 import shutil
 import signal
-import time
-from pathlib import Path
 
 import pytest
 
@@ -26,13 +23,10 @@ from tests.campaigns.runs import (
     scans_in,
     session_of,
     started,
-    wait_until,
     whole_run,
 )
 
 pytestmark = [pytest.mark.skipif(not IS_LINUX, reason="finds processes by /proc"), pytest.mark.ci]
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @pytest.fixture(scope="module")
@@ -81,47 +75,3 @@ def test_kills_cost_nothing(scans, whole, tmp_path, count):
         assert (status, whole.last_faults(output)) == (STATUS, []), (met, said)
         assert "Traceback" not in said
     print(f"\n{dict(met)}")
-
-
-def is_listening(process):
-    """Whether msal has taken its signals; while Python itself starts, Ctrl-C is its own affair."""
-    try:
-        text = Path(f"/proc/{process.pid}/status").read_text()
-    except OSError:
-        return False
-    return bool(int(re.search(r"SigCgt:\s+(\w+)", text)[1], 16) >> (signal.SIGTERM - 1) & 1)
-
-
-@pytest.mark.parametrize("count", [3, pytest.param(50, marks=pytest.mark.slow)])
-def test_signals_cost_nothing(scans, whole, tmp_path, count):
-    choice = random.Random(3)
-    output, report = tmp_path / "out", tmp_path / "reports" / "r.json"
-    slowest, met = 0.0, collections.Counter()
-    for n in range(count):
-        number = SIGNALS[n % 3]
-        # Every third run goes on from the one before.
-        if n % 3 == 0:
-            shutil.rmtree(output, ignore_errors=True)
-        words = command(scans, output, "-j", 2, "--report", report)
-        wait = moment(choice, whole, output)
-        with started(words) as process:
-            wait_until(lambda process=process: is_listening(process), process)
-            wait(process)
-            process.send_signal(number)
-            began = time.monotonic()
-            if n % 4 == 3:
-                time.sleep(0.01)
-                process.send_signal(number)
-            said = process.communicate(timeout=60)[1].decode(errors="replace")
-            slowest = max(slowest, time.monotonic() - began)
-        assert orphans_of(process.pid) == []
-        status = abs(process.returncode) + 128 * (process.returncode < 0)
-        assert status in (128 + number, STATUS), (status, said)
-        assert "Traceback" not in said and "Exception" not in said, said
-        met[status] += 1
-        assert whole.faults(output) == [], n
-        if n % 3 == 2:
-            status, _, said = ended(words)
-            assert (status, whole.last_faults(output)) == (STATUS, []), said
-    print(f"\n{count} signals: {dict(met)}; the slowest end took {slowest:.2f} s")
-    assert slowest < 2.0 or os.getloadavg()[0] > 2 * (os.cpu_count() or 1)

@@ -23,26 +23,16 @@ class Terminal(io.StringIO):
         return True
 
 
-def put_on_a_terminal(monkeypatch):
-    stream = Terminal()
-    monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setenv("TERM", "xterm")
+@pytest.mark.parametrize("name", ["", "NO_COLOR", "TERM"])
+def test_colours_on_a_terminal_unless_they_are_not_wanted(monkeypatch, name):
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "dumb" if name == "TERM" else "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
-    return stream
-
-
-def test_colours_on_a_terminal(monkeypatch):
-    terminal = put_on_a_terminal(monkeypatch)
-    talk.say("bad news", "bad")
-    assert terminal.getvalue() == "\x1b[31mbad news\x1b[0m\n"
-
-
-@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
-def test_no_colours_where_they_are_not_wanted(monkeypatch, name, value):
-    terminal = put_on_a_terminal(monkeypatch)
-    monkeypatch.setenv(name, value)
+    if name == "NO_COLOR":
+        monkeypatch.setenv(name, "1")
     talk.say_lines([Line("bad news", "bad")])
-    assert terminal.getvalue() == "bad news\n"
+    assert terminal.getvalue() == ("bad news\n" if name else "\x1b[31mbad news\x1b[0m\n")
 
 
 def test_an_error_in_words(capsys):
@@ -158,7 +148,7 @@ def test_what_is_said(capsys, verbosity, heard):
     assert all(word in line for word, line in zip(heard, said, strict=True))
 
 
-def test_everything_goes_to_the_file(tmp_path, capsys):
+def test_everything_goes_to_the_file_and_an_exception_is_traced_there_only(tmp_path, capsys):
     path = tmp_path / "msal.log"
     for _ in range(2):
         with logs.log_to_console(-1, str(path)):
@@ -166,6 +156,9 @@ def test_everything_goes_to_the_file(tmp_path, capsys):
     lines = path.read_text().splitlines()
     assert len(lines) == 8
     assert "msal.batch: detail" in lines[0]
+    with pytest.raises(ZeroDivisionError), logs.log_to_console(0, str(path)):
+        1 / 0  # noqa: B018
+    assert "ZeroDivisionError: division by zero" in path.read_text()
     assert capsys.readouterr().err == ""
 
 
@@ -195,14 +188,6 @@ def test_a_name_is_no_entry_and_no_escape(tmp_path, capsys, name):
     for text in (path.read_text(), said):
         assert "\x1b" not in text and "\u202e" not in text and "\r" not in text
         assert not any(line.lstrip().startswith(("::", "##")) for line in text.splitlines())
-
-
-def test_an_unexpected_exception_is_traced_there_only(tmp_path, capsys):
-    path = tmp_path / "msal.log"
-    with pytest.raises(ZeroDivisionError), logs.log_to_console(0, str(path)):
-        1 / 0  # noqa: B018
-    assert "ZeroDivisionError: division by zero" in path.read_text()
-    assert capsys.readouterr().err == ""
 
 
 @pytest.fixture

@@ -353,20 +353,13 @@ def along_normals():
     return ready.mesh, ready.mesh.with_vertices(vertices - ready.origin)
 
 
-def test_what_slid_within_a_plane_comes_back_exactly():
-    vertices, faces = grid(7, 6)
-    mesh = prepare_mesh(vertices, faces).mesh
+def test_what_slid_within_a_plane_comes_back_exactly_and_heights_over_it_stay():
+    mesh = prepare_mesh(*grid(7, 6)).mesh
     slid = mesh.vertices.copy()
     slid[:, :2] += np.random.default_rng(0).uniform(-0.2, 0.2, (len(slid), 2))
     assert undo_sliding(mesh, slid, "kept", "free") is slid
     assert np.abs(undo_sliding(mesh, slid, "undone", "free") - mesh.vertices).max() < 1e-15
-
-
-def test_heights_over_a_plane_stay():
-    vertices, faces = grid(7, 6)
-    mesh = prepare_mesh(vertices, faces).mesh
-    raised = mesh.vertices + [0.1, -0.05, 0.3]
-    back = undo_sliding(mesh, raised, "undone", "free")
+    back = undo_sliding(mesh, mesh.vertices + [0.1, -0.05, 0.3], "undone", "free")
     assert np.abs(back - mesh.vertices - [0.0, 0.0, 0.3]).max() < 1e-15
 
 

@@ -72,9 +72,8 @@ def test_the_umbrella_agrees_with_the_plain_twin(shape, boundary, pull):
 @BOUNDARIES
 @pytest.mark.parametrize(("alpha", "beta"), [(0.1, 0.6), (0.0, 0.5), (0.7, 0.9)])
 def test_hc_agrees_with_the_plain_twin(boundary, alpha, beta):
-    vertices, faces = SHAPES["open grid"]
-    mesh, out = run("hc", vertices, faces, boundary=boundary, alpha=alpha, beta=beta)
-    ring = rows(len(vertices), faces, boundary)
+    mesh, out = run("hc", *SHAPES["open grid"], boundary=boundary, alpha=alpha, beta=beta)
+    ring = rows(len(mesh.vertices), mesh.faces, boundary)
     assert_twin(mesh, out, hc(mesh.vertices, ring, 10, alpha, beta))
 
 

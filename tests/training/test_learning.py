@@ -16,7 +16,7 @@ from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 from training import noise_mixture, regression
 from training.noise_mixture import MIXTURE, draw_noise
-from training.samples import collect_samples, draw_estimate, draw_meshes
+from training.samples import collect_samples, draw_meshes
 from training.scans import SHARES, draw_scan
 
 SHAPES = [("torus", *torus(40, 20)), ("thin", *torus(40, 16, 3.0, 0.5))]
@@ -67,20 +67,6 @@ def test_scans_know_their_true_normals(scanner, monkeypatch):
     away = centres - 3.0 * around / np.linalg.norm(around, axis=1)[:, None]
     away /= np.linalg.norm(away, axis=1)[:, None]
     assert np.median(np.einsum("ij,ij->i", truth[has_truth], away)) > 0.97
-
-
-def test_the_noise_that_is_given_is_nearly_right_or_missing():
-    mesh = prepare_mesh(*torus(60, 30)).mesh
-    normals = mesh.vertex_normals()
-    heights = 0.2 * mesh.mean_edge_length * draw(1).standard_normal(len(normals))
-    noisy = mesh.with_vertices(mesh.vertices + heights[:, None] * normals)
-    given = [draw_estimate(noisy, mesh.vertices, draw(seed)) for seed in range(60)]
-    levels = [level for level in given if level is not None]
-    assert 10 < len(given) - len(levels) < 35
-    assert 0.16 < np.median(levels) < 0.22
-    assert max(levels) < 0.35
-    of_clean = [draw_estimate(mesh, mesh.vertices, draw(seed)) or 0.0 for seed in range(30)]
-    assert 0.0 < max(of_clean) < 0.06
 
 
 def test_samples_have_targets_along_the_axes_of_their_inputs(samples):
