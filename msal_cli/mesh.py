@@ -223,7 +223,8 @@ class PreparedMesh:
     mesh : welded, cleaned, wound one way, about ``origin``.
     origin : (3,), subtracted from the file's positions.
     vertex_map : (n_file,) int32, the mesh vertex of each file vertex, -1 for none; or
-        None where they are the same, one for one.
+        None where they are the same, one for one.  Of a mesh in random order the numbers of its
+        vertices and faces follow the surface, not the file.
     defects : what was found on the way.
     """
 
@@ -246,7 +247,7 @@ class PreparedMesh:
 
     def seam_gap(self, vertices: Floats) -> float:
         """Largest distance between file positions (n_file, 3) that were one point before."""
-        if self.vertex_map is None:
+        if self.vertex_map is None or not self.defects.welded_vertices:
             return 0.0
         from msal_cli.kernels.welding import widest_gap
 
@@ -269,6 +270,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     TooLargeError
         for more than ``MAX_FACES`` triangles.
     """
+    from msal_cli.kernels import spatial_order
     from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip
     from msal_cli.kernels.parallel import at_once, is_worth_it
     from msal_cli.kernels.welding import (
@@ -280,6 +282,10 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
 
     vertices, faces, (low, high) = _validate_arrays(vertices, faces)
     n_file = len(vertices)
+    ranks = None
+    if n_file >= spatial_order.MIN_VERTICES and spatial_order.is_random(faces):
+        extent = _require_extent(low, high)
+        vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces, low, extent)
     used = used_vertices(n_file, faces)
     first, n_welded = np.empty(0, dtype=np.int32), 0
     links = None
@@ -338,16 +344,10 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
 
     if n_unreferenced:
         low, high = bounds(vertices if n_welded else vertices[used])
-    with np.errstate(over="ignore"):
-        extent = float((high - low).max())
-    if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
-        raise ContentError(
-            f"the mesh extends over {extent:g} units, too far or too little to compute with",
-            code="E_RANGE",
-            hint="scale the mesh, or look for a stray vertex",
-        )
+    _require_extent(low, high)
     origin = (low + high) / 2.0
-    mesh = Mesh(vertices - origin, faces)
+    is_own = n_welded > 0 or ranks is not None
+    mesh = Mesh(np.subtract(vertices, origin, out=vertices if is_own else None), faces)
     mesh.__dict__["topology"] = links
     components, _, _ = at_once(
         len(vertices),
@@ -367,7 +367,22 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         unorientable_parts=unorientable,
         components=components,
     )
+    if ranks is not None:
+        vertex_map = ranks if vertex_map is None else vertex_map[ranks]
     return PreparedMesh(mesh, origin, vertex_map, defects)
+
+
+def _require_extent(low: Floats, high: Floats) -> float:
+    """The longest side of a box; ContentError for one that floats cannot compute with."""
+    with np.errstate(over="ignore"):
+        extent = float((high - low).max())
+    if not 1.0 / LARGEST_EXTENT < extent < LARGEST_EXTENT:
+        raise ContentError(
+            f"the mesh extends over {extent:g} units, too far or too little to compute with",
+            code="E_RANGE",
+            hint="scale the mesh, or look for a stray vertex",
+        )
+    return extent
 
 
 def no_faces_error() -> ContentError:

@@ -37,7 +37,6 @@ from msal_cli.storage.regular import LOOKED_AT, large_files_allowed, open_regula
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.arrays import Ints
     from msal_cli.codecs.header import Forecast
     from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.mesh import PreparedMesh
@@ -63,12 +62,6 @@ _GUESSED = 2
 
 _COUNTED = ("ply", "stl", "glb")
 """Formats whose headers have counts, or are damaged, which the reader will report."""
-
-# Bytes of memory for each vertex that a mesh in random order takes, so that pages are not read
-# again and again, and the places where its order is looked at: faces that follow one another, which
-# touch a page or two for each row of the surface, or nearly three each.
-_IN_ANY_ORDER = 90
-_PLACES, _TOGETHER, _PER_PAGE = 64, 64, 4096 // 24
 
 # Pages are mapped by up to 12 GB/s, and the rest of a limit is for what comes between two looks.
 _BETWEEN_LOOKS_S = 0.002
@@ -229,39 +222,6 @@ def _keep_to(limit: int, is_over: threading.Event) -> None:
                 array_files.let_go_of_pages()
 
 
-def require_order(faces: Ints, n_vertices: int) -> None:
-    """Refuse a mesh in random order whose arrays live in files that memory cannot keep.
-
-    Every look at a neighbour would read a page from the disk: hours.
-
-    Raises
-    ------
-    ResourceError
-        (``E_MEMORY``)
-    """
-    if not array_files.are_used():
-        return
-    room = machine.available_bytes()
-    needed = least_memory_bytes() + _IN_ANY_ORDER * n_vertices
-    if room is None or needed <= room or not _is_random(faces):
-        return
-    raise ResourceError(
-        f"the vertices of this mesh are in random order, which takes {megabytes(needed)} at any "
-        f"time, and there are {megabytes(room, rounded_up=False)}",
-        code="E_MEMORY",
-        hint=f"give it {megabytes(needed)}, or sort its vertices and faces along the surface",
-    )
-
-
-def _is_random(faces: Ints) -> bool:
-    """Whether faces that follow one another have vertices far from one another, in most places."""
-    import numpy as np
-
-    firsts = np.linspace(0, max(len(faces) - _TOGETHER, 0), _PLACES).astype(np.int64)
-    pages = [len(np.unique(faces[at : at + _TOGETHER] // _PER_PAGE)) for at in firsts]
-    return float(np.median(pages)) > _TOGETHER
-
-
 def _folder_of(output: str | None) -> str:
     """The folder of an output, or the next above that is there; else that for temporary files."""
     if output is None or is_url(output):
@@ -305,11 +265,9 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
 
 
 def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
-    """The mesh of a file, fit for computing; ContentError if it is not, ResourceError if its order
-    is random and there is not enough memory for that."""
+    """The mesh of a file, fit for computing; ContentError if it is not."""
     from msal_cli.mesh import prepare_mesh
 
-    require_order(mesh_file.faces, len(mesh_file.vertices))
     return prepare_mesh(
         mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
     )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.spatial_order import blocks
 
 _BLOCK_ROWS = 512
 
@@ -195,9 +196,11 @@ def duplicate_faces(faces: Ints) -> Flags:
 
 
 @compiled
-def _scatter(start, stop, before, after, is_used, place, origin, original, result):
+def _scatter(start, stop, before, after, is_used, place, first, last, origin, original, result):
     for i in range(start, stop):
-        k = place[i] if len(place) else np.int32(i)
+        k = np.int64(place[i]) if len(place) else np.int64(i)
+        if k >= last or (k < first and k >= 0) or (k < 0 and first > 0):
+            continue
         if k >= 0 and is_used[k]:
             x, y, z = after[k, 0], after[k, 1], after[k, 2]
             if x != before[k, 0] or y != before[k, 1] or z != before[k, 2]:
@@ -224,8 +227,9 @@ def scatter(
     """
     result = np.empty_like(original)
     place = np.empty(0, dtype=np.int32) if place is None else place
-    known = before, after, is_used, place, origin, original
-    over_ranges(_scatter, len(original), *known, result)
+    mesh = before, after, is_used, place
+    for block in blocks(len(after), after.itemsize * 3) if len(place) else [(0, len(after))]:
+        over_ranges(_scatter, len(original), *mesh, *block, origin, original, result)
     return result
 
 

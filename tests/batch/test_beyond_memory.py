@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, machine
-from msal_cli.errors import ResourceError
 from msal_cli.job import room
 from msal_cli.job.comparison import compare_files
 from msal_cli.job.inspection import inspect_file
@@ -72,29 +71,6 @@ def grid(path: Path, n: int) -> Path:
 
 
 # Order
-
-
-@linux
-@pytest.mark.parametrize(("is_shuffled", "free_mb", "is_refused"), [
-    (True, 60, True), (True, 900, False), (False, 60, False)
-])  # fmt: skip
-def test_random_order_beyond_the_memory_is_refused(
-    tmp_path, monkeypatch, is_shuffled, free_mb, is_refused
-):
-    n = 350
-    faces = np.stack([np.arange(n * n - n - 1) + k for k in (0, 1, n)], axis=1).astype(np.int32)
-    if is_shuffled:
-        draw = np.random.default_rng(1)
-        faces = draw.permutation(n * n).astype(np.int32)[faces][draw.permutation(len(faces))]
-    monkeypatch.setattr(machine, "available_bytes", lambda: free_mb * 1_000_000)
-    room.require_order(faces, n * n)
-    with array_files.arrays_in_files(str(tmp_path), 1 << 20):
-        if is_refused:
-            with pytest.raises(ResourceError, match="random order") as caught:
-                room.require_order(faces, n * n)
-            assert caught.value.code == "E_MEMORY"
-        else:
-            room.require_order(faces, n * n)
 
 
 # Files

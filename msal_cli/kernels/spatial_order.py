@@ -1,0 +1,135 @@
+"""A mesh in random order, renumbered so that what is near in space is near in memory.
+
+Every look at a neighbour waits for memory, or for a disk where arrays live in files, unless
+vertices and faces follow one another along the surface.  Most files have them so.  For the others
+sorting costs less than one pass of a filter.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.parallel import over_ranges
+
+MIN_VERTICES = 500_000
+"""Vertices below which caches hold what is looked at."""
+
+BLOCK_BYTES = 1 << 27
+"""Of an array that is read here and there, what is read in one pass over the places."""
+
+# Where the order is looked at: faces that follow one another, which touch a page or two for each
+# row of the surface, or nearly three each.
+_PLACES, _TOGETHER, _PER_PAGE = 64, 64, 4096 // 24
+
+_CELLS = 1024
+_LOW_BITS = np.uint64(0xFFFFFFFF)
+_HIGH = np.uint64(32)
+
+
+@compiled
+def _spread_bits(x):
+    """Ten bits with two zeros before each."""
+    x = (x | (x << np.uint64(16))) & np.uint64(0x030000FF)
+    x = (x | (x << np.uint64(8))) & np.uint64(0x0300F00F)
+    x = (x | (x << np.uint64(4))) & np.uint64(0x030C30C3)
+    return (x | (x << np.uint64(2))) & np.uint64(0x09249249)
+
+
+@compiled
+def _key_vertices(start, stop, vertices, low, cells_per_unit, keys):
+    """The cell of each vertex along a Morton curve, and below it the number of the vertex."""
+    for i in range(start, stop):
+        code = np.uint64(0)
+        for axis in range(3):
+            cell = (vertices[i, axis] - low[axis]) * cells_per_unit
+            bits = _spread_bits(np.uint64(min(max(cell, 0.0), 1023.0)))
+            code |= bits << np.uint64(axis)
+        keys[i] = (code << _HIGH) | np.uint64(i)
+
+
+@compiled
+def _key_faces(start, stop, faces, keys):
+    """The least corner of each face, and below it the number of the face."""
+    for f in range(start, stop):
+        least = min(faces[f, 0], faces[f, 1], faces[f, 2])
+        keys[f] = (np.uint64(least) << _HIGH) | np.uint64(f)
+
+
+@compiled
+def _rank(start, stop, keys, first, last, ranks):
+    """Of the vertices from ``first`` to ``last`` the places of their keys."""
+    for at in range(start, stop):
+        i = np.int64(keys[at] & _LOW_BITS)
+        if first <= i < last:
+            ranks[i] = at
+
+
+@compiled
+def _gather(start, stop, rows, keys, first, last, ordered):
+    """The rows in the order of ``keys``, of those from ``first`` to ``last``."""
+    for at in range(start, stop):
+        i = np.int64(keys[at] & _LOW_BITS)
+        if first <= i < last:
+            for axis in range(3):
+                ordered[at, axis] = rows[i, axis]
+
+
+@compiled
+def _renumber(start, stop, faces, ranks, first, last, renumbered):
+    """The corners of faces as ranks, of those from ``first`` to ``last``."""
+    for f in range(start, stop):
+        for k in range(3):
+            i = faces[f, k]
+            if first <= i < last:
+                renumbered[f, k] = ranks[i]
+
+
+def is_random(faces: Ints) -> bool:
+    """Whether faces that follow one another have vertices far from one another, in most places."""
+    firsts = np.linspace(0, max(len(faces) - _TOGETHER, 0), _PLACES).astype(np.int64)
+    pages = [len(np.unique(faces[at : at + _TOGETHER] // _PER_PAGE)) for at in firsts]
+    return float(np.median(pages)) > _TOGETHER
+
+
+def blocks(count: int, row_bytes: int) -> list[tuple[int, int]]:
+    """First and last of the blocks in which ``count`` rows are read here and there."""
+    step = max(BLOCK_BYTES // row_bytes, 1)
+    return [(first, min(first + step, count)) for first in range(0, count, step)]
+
+
+def sort_in_space(
+    vertices: Floats, faces: Ints, low: Floats, extent: float
+) -> tuple[Floats, Ints, Ints]:
+    """Vertices (n, 3) along a Morton curve through their box, faces (m, 3) by their first vertex,
+    and the new number (n,) of each vertex.
+
+    ``low`` (3,) is a corner of the box, and ``extent`` its longest side.
+    """
+    n, m = len(vertices), len(faces)
+    keys = np.empty(n, dtype=np.uint64)
+    over_ranges(_key_vertices, n, vertices, low, _CELLS / extent, keys)
+    # No two keys are equal: the order does not depend on how they are sorted.
+    keys.sort()
+    ranks = np.empty(n, dtype=np.int32)
+    for block in blocks(n, ranks.itemsize):
+        over_ranges(_rank, n, keys, *block, ranks)
+    vertices = _gather_rows(vertices, keys)
+    renumbered = np.empty((m, 3), dtype=np.int32)
+    for block in blocks(n, ranks.itemsize):
+        over_ranges(_renumber, m, faces, ranks, *block, renumbered)
+    keys = np.empty(m, dtype=np.uint64)
+    over_ranges(_key_faces, m, renumbered, keys)
+    keys.sort()
+    return vertices, _gather_rows(renumbered, keys), ranks
+
+
+def _gather_rows(rows: NDArray[Any], keys: NDArray[np.uint64]) -> NDArray[Any]:
+    ordered = np.empty_like(rows)
+    for block in blocks(len(rows), rows.itemsize * 3):
+        over_ranges(_gather, len(rows), rows, keys, *block, ordered)
+    return ordered
