@@ -1,4 +1,4 @@
-"""Train the noise estimate: the classifier of kinds, and the regression of rings.
+"""Train the noise estimate: the classifier of kinds, and the regressions of rings and levels.
 
     python -m training.noise -o msal_cli/analysis/noise_estimate/forests.npz
 
@@ -19,7 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate import KIND_NAMES, measured_level
+from msal_cli.analysis.noise_estimate import (
+    CORRECTED,
+    KIND_NAMES,
+    MAX_RINGS,
+    measured_level,
+)
 from training.designs import build_design, count_designs
 from training.noise_samples import NoiseSample, draw_samples
 
@@ -32,6 +37,9 @@ MAX_RINGS_KINDS = ("white", "correlated", "view", "quantised", "uneven")
 WEIGHTS = [{"none": 1.5, "uneven": 0.6}.get(name, 1.0) for name in KIND_NAMES]
 """How much samples of each kind count: what is clean must stay, and detail that is on a part of a
 design only is more frequent than noise that is."""
+
+MAX_LOG_ERROR = 3.0
+"""Samples whose level was measured still worse, by its logarithm, teach nothing about levels."""
 
 NEAR = 0.15
 """Relative error of a level that is good enough, in what is reported."""
@@ -101,26 +109,31 @@ def train(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) ->
     is_added = np.array([not sample.is_scan for sample in samples])
     has_level = (kinds > 0) & (levels > 0.0)
     has_level &= is_added | (kinds == KIND_NAMES.index("staircase"))
-    bases = find_bases(numbers, kinds, rings)
-    target = np.log(np.maximum(levels, 1e-6)) - bases
-    arrays["spreads"] = _spread_of_levels(target, kinds, has_level, report)
+    target = np.log(np.maximum(levels, 1e-6)) - find_bases(numbers, kinds)
+    has_level &= np.abs(target) < MAX_LOG_ERROR
+    arrays["spreads"] = _spread_of_levels(numbers, target, kinds, has_level, shapes, report)
+    grown = []
+    for kind in map(KIND_NAMES.index, CORRECTED):
+        some = has_level & (kinds == kind)
+        grown.append(_grow_levels(numbers[some], target[some]))
+    forests = zip(*(model._predictors for model in grown), strict=True)
+    rounds = [[trees[0] for trees in round_of_all] for round_of_all in forests]
+    starts = [float(np.squeeze(model._baseline_prediction)) for model in grown]
+    arrays |= _export("levels", rounds, np.array(starts))
 
     shared = np.isin(kinds, [KIND_NAMES.index(kind) for kind in MAX_RINGS_KINDS])
-    grown = _grow_regression(
-        numbers[shared], rings[shared].astype(np.float64), 100, "squared_error"
-    )
-    arrays |= _export(
-        "rings", grown._predictors, np.atleast_1d(np.squeeze(grown._baseline_prediction))
-    )
+    model = _grow_rings(numbers[shared], rings[shared].astype(np.float64))
+    start = np.atleast_1d(np.squeeze(model._baseline_prediction))
+    arrays |= _export("rings", model._predictors, start)
     return arrays
 
 
-def find_bases(numbers: Array, kinds: Array, rings: Array) -> Array:
-    """Logarithms of the levels (s,) by the measurement that is made for each kind."""
+def find_bases(numbers: Array, kinds: Array) -> Array:
+    """Logarithms of the levels (s,) by the measurement that is corrected for each kind."""
     result: Array = np.array(
         [
-            measured_level(some, KIND_NAMES[kind], int(n_rings)) if kind else 0.0
-            for some, kind, n_rings in zip(numbers, kinds, rings, strict=True)
+            measured_level(some, KIND_NAMES[kind], MAX_RINGS) if kind else 0.0
+            for some, kind in zip(numbers, kinds, strict=True)
         ]
     )
     return result
@@ -142,13 +155,12 @@ def _grow_classifier(numbers: Array, kinds: Array) -> Any:
     return model.fit(numbers, kinds, sample_weight=np.array(WEIGHTS)[kinds])
 
 
-def _grow_regression(numbers: Array, target: Array, rounds: int, loss: str) -> Any:
+def _grow_rings(numbers: Array, target: Array) -> Any:
     from sklearn.ensemble import HistGradientBoostingRegressor
 
     model = HistGradientBoostingRegressor(
-        loss=loss,
         learning_rate=0.08,
-        max_iter=rounds,
+        max_iter=100,
         max_leaf_nodes=20,
         min_samples_leaf=12,
         l2_regularization=1.0,
@@ -180,16 +192,42 @@ def _calibrate(numbers: Array, kinds: Array, shapes: Array, report: Any) -> floa
     return best
 
 
-def _spread_of_levels(errors: Array, kinds: Array, known: Array, report: Any) -> Array:
-    """By kind the 10th, 50th and 90th percentile of the level over the measured one (kinds, 3)."""
-    spreads = np.ones((len(KIND_NAMES), 3))
-    for kind in range(len(KIND_NAMES)):
+def _spread_of_levels(
+    numbers: Array, target: Array, kinds: Array, known: Array, shapes: Array, report: Any
+) -> Array:
+    """By kind the 10th and 90th percentile (kinds, 2) of the level over the estimated one, by trees
+    that have not seen the shape."""
+    spreads = np.ones((len(KIND_NAMES), 2))
+    for kind, name in enumerate(KIND_NAMES):
         some = known & (kinds == kind)
-        if some.sum() > 10:
-            spreads[kind] = np.exp(np.quantile(errors[some], [0.1, 0.5, 0.9]))
-            near = np.mean(np.abs(np.expm1(-errors[some])) < NEAR)
-            report(f"  {KIND_NAMES[kind]}: level near {near:.3f}, spread {spreads[kind].round(2)}")
+        off = target[some]
+        if name in CORRECTED:
+            for fold in range(FOLDS):
+                held = shapes[some] % FOLDS == fold
+                model = _grow_levels(numbers[some][~held], target[some][~held])
+                off[held] -= model.predict(numbers[some][held])
+        if len(off):
+            spreads[kind] = np.exp(np.quantile(off, [0.1, 0.9]))
+            near = np.mean(np.abs(np.expm1(-off)) < NEAR)
+            report(f"  {name}: level near {near:.3f}, spread {spreads[kind].round(2)}")
     return spreads
+
+
+def _grow_levels(numbers: Array, target: Array) -> Any:
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    model = HistGradientBoostingRegressor(
+        loss="absolute_error",
+        learning_rate=0.12,
+        max_iter=60,
+        max_leaf_nodes=10,
+        min_samples_leaf=20,
+        l2_regularization=2.0,
+        max_features=0.35,
+        early_stopping=False,
+        random_state=2,
+    )
+    return model.fit(numbers, target)
 
 
 def _export(name: str, rounds: Any, start: Array) -> Arrays:

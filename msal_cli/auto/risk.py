@@ -350,9 +350,9 @@ RELAX = 2
 """Passes that even out triangles where noise is in all directions: more hardly help, and move
 vertices from their places."""
 
-MIN_LEFT, MAX_LEFT = 0.28, 0.62
+MIN_LEFT, MAX_LEFT = 0.32, 0.7
 """Bounds of the squared error of evened triangles by Stein's lemma, in parts of the noise.  It is
-0.44 to 0.6 where noise is in all directions.  Less says that it is only along the normals, and more
+0.42 to 0.6 where noise is in all directions.  Less says that it is only along the normals, and more
 that the triangles are uneven by themselves."""
 
 RELAX_PATCH = 4_000

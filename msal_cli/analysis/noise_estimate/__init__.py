@@ -6,8 +6,8 @@ would leave there, and ``evidence`` makes numbers of it all.
 
 From these numbers boosted trees, trained by ``python -m training.noise`` on scripted shapes with
 noise of every kind and without, give a sum for each kind; the probabilities are its softmax,
-calibrated on shapes that the trees had not seen.  Another forest tells over how many rings
-neighbours share it; the level is the one measured for the kind.  Numbers are compared in single
+calibrated on shapes that the trees had not seen.  Other forests tell over how many rings
+neighbours share it, and how far the level is from the one measured for the kind.  Numbers are compared in single
 precision, so that every processor takes the same branches.
 """
 
@@ -84,6 +84,9 @@ LEVEL_OF_KIND = {
     "staircase": "steps",
 }
 """Which of the ``LEVELS`` is that of a kind."""
+
+CORRECTED = ("white", "isotropic", "correlated", "view", "outliers", "impulsive")
+"""Kinds whose measured level trees correct; steps and regions are measured as well without."""
 
 MANY_VERTICES, FEWER = 1_500, 1.6
 """Vertices below which a mesh is a design rather than a scan, and the power of their number with
@@ -221,14 +224,16 @@ class Classifier:
 
     Attributes
     ----------
-    kinds, rings : of the sums by kind, and of the number of rings.
+    kinds, rings, levels : of the sums by kind, of the number of rings, and of the logarithm of the
+        level over the measured one for each of the ``CORRECTED`` kinds.
     sharpness : by what sums are multiplied so that probabilities hold.
-    spreads : (kinds, 3) true level over the measured one: what it exceeds in nine of ten cases, in
-        half of them, and in one.
+    spreads : (kinds, 2) true level over the estimated one: what it exceeds in nine of ten cases,
+        and in one.
     """
 
     kinds: Forest
     rings: Forest
+    levels: Forest
     sharpness: float
     spreads: Floats
 
@@ -242,13 +247,15 @@ class Verdict:
     noise : probability that there is noise, 0 to 1.
     kind : the most probable kind of noise, as if there was some.
     probability : of that kind.
-    level, low, high : its level and an interval for it, mean edge lengths, as if there was some.
+    measured : its level by fits, mean edge lengths, as if there was some.
+    level, low, high : its level and an interval for it, likewise, by what trees make of that.
     rings : over how many rings neighbours share it, 0 to 4.
     """
 
     noise: float
     kind: str
     probability: float
+    measured: float
     level: float
     low: float
     high: float
@@ -267,7 +274,7 @@ def load_classifier() -> Classifier:
                 **{part: arrays[f"{name}_{part}"] for part in FOREST_ARRAYS},
                 depth=int(arrays[f"{name}_depth"]),
             )
-            for name in ("kinds", "rings")
+            for name in ("kinds", "rings", "levels")
         }
         sharpness, spreads = float(arrays["sharpness"]), arrays["spreads"]
     return Classifier(**forests, sharpness=sharpness, spreads=spreads)
@@ -296,14 +303,19 @@ def classify(numbers: Floats, possible: Container[str]) -> Verdict:
     index = KIND_NAMES.index(kind)
     shared = float(trained.rings.evaluate(numbers)[0])
     rings = min(round(shared), MAX_RINGS) if shared > MIN_SHARED else 0
-    level = math.exp(measured_level(numbers, kind, rings))
+    measured = level = measured_level(numbers, kind, rings)
+    if kind in CORRECTED:
+        level = measured_level(numbers, kind, MAX_RINGS)
+        level += float(trained.levels.evaluate(numbers)[CORRECTED.index(kind)])
+    level = math.exp(level)
     return Verdict(
         noise=1.0 - float(chances[0]),
         kind=kind,
         probability=by_kind[kind],
+        measured=math.exp(measured),
         level=level,
         low=level * min(float(trained.spreads[index, 0]), 1.0),
-        high=level * max(float(trained.spreads[index, 2]), 1.0),
+        high=level * max(float(trained.spreads[index, 1]), 1.0),
         rings=rings,
     )
 
@@ -332,19 +344,23 @@ def characterize(mesh: Mesh) -> Estimate:
     evidence = gather_evidence(mesh, white)
     verdict = classify(evidence.numbers, _possible_kinds(evidence))
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
+    measured = verdict.measured
     # What fits over one-rings see, beyond what noise that neighbours share leaves there.
-    max_seen = MAX_SEEN[min(verdict.rings, 2)] * verdict.level
+    max_seen = MAX_SEEN[min(verdict.rings, 2)] * measured
     if verdict.kind == "correlated" and white.level.mean_edges > max_seen:
-        verdict = dataclasses.replace(_with_level(verdict, white.level.mean_edges), kind="white")
-    elif not is_named and verdict.level > white.level.mean_edges:
+        measured = white.level.mean_edges
+        verdict = dataclasses.replace(_with_level(verdict, measured), kind="white")
+    elif not is_named:
         # In doubt what the finest fits see, which relief adds least to.
-        verdict = _with_level(verdict, white.level.mean_edges)
+        measured = min(measured, white.level.mean_edges)
+        verdict = _with_level(verdict, measured)
     elif verdict.kind == "view" and evidence.axis is not None and not verdict.rings:
         # Rows of a range scan slide within the surface farther than noise makes them.
-        verdict = _with_level(verdict, min(verdict.level, MAX_SLIDE * evidence.axis.level))
-    is_weak = verdict.level < NEGLIGIBLE and verdict.kind != "outliers"
-    if verdict.noise < _needed_probability(verdict, evidence) or is_weak:
-        return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), verdict)
+        measured = min(measured, MAX_SLIDE * evidence.axis.level)
+        verdict = _with_level(verdict, min(verdict.level, measured))
+    is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
+    if verdict.noise < _needed_probability(verdict, measured, evidence) or is_weak:
+        return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
     character = NoiseCharacter(
         "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
     )
@@ -412,14 +428,13 @@ def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
     return PLAIN_SHARED if is_plain else SURE_SHARED
 
 
-def _needed_probability(verdict: Verdict, evidence: Evidence) -> float:
-    """Probability of noise from which there is some.
+def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> float:
+    """Probability of noise from which there is some of that measured ``level``.
 
     A trace of noise that neighbours share is hardly seen, and relief is, once it is gone; detail on
     a part of a design is more frequent than noise on a part of a scan, what neighbours share has a
     floor where it is noise, and blocks on a grid are designs as well.
     """
-    level = verdict.level
     if verdict.kind == "view" and evidence.axis is not None:
         level = min(level, evidence.axis.best_level)
     if verdict.kind in SHARED_KINDS and level < QUIET:
@@ -439,14 +454,14 @@ def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
 
 
 def _without_noise(
-    white: WhiteEstimate, probability: float, basis: str, verdict: Verdict | None = None
+    white: WhiteEstimate, probability: float, basis: str, highest: float = 0.0
 ) -> Estimate:
-    """No noise, or less than can be seen; with a verdict that is unsure, up to its level."""
+    """No noise, or less than can be seen; where that is unsure, up to the ``highest`` level."""
     noise = dataclasses.replace(
         white.level,
         mean_edges=0.0,
         low=0.0,
-        high=0.0 if verdict is None else verdict.level,
+        high=highest,
         file_units=0.0,
         clean_edges=0.0,
         rms_edges=0.0,
@@ -454,7 +469,7 @@ def _without_noise(
         lowest=0.0,
         highest=0.0,
         character=NoiseCharacter("none", confidence=probability, basis=basis),
-        readings=_order_readings(0.0 if verdict is None else verdict.level, 1.0 - probability),
+        readings=_order_readings(highest, 1.0 - probability),
     )
     return Estimate(noise, white.middles, np.zeros(len(white.middles)))
 
