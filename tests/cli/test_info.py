@@ -51,7 +51,7 @@ def test_a_folder_is_a_table(scans):
     assert head.split() == ["file", "format", "vertices", "faces", "noise", "surface", "problems"]
     name, *cells = row.split()
     assert name.endswith("closed.ply")
-    assert cells == ["ply", "288", "576", "0.3", "closed"]
+    assert cells == ["ply", "288", "576", "0.28", "closed"]
     assert open_row.split()[5:] == ["open", "18", "boundary", "edges"]
     assert "-v" in foot
     assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")

@@ -7,8 +7,8 @@ would leave there, and ``evidence`` makes numbers of it all.
 From these numbers boosted trees, trained by ``python -m training.noise`` on scripted shapes with
 noise of every kind and without, give a sum for each kind; the probabilities are its softmax,
 calibrated on shapes that the trees had not seen.  Other forests tell over how many rings
-neighbours share it, and how far the level is from the one measured for the kind.  Numbers are compared in single
-precision, so that every processor takes the same branches.
+neighbours share it, and how far the level is from the one measured for the kind.  Numbers are
+compared in single precision, so that every processor takes the same branches.
 """
 
 from __future__ import annotations
