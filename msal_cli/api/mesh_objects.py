@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.mesh_file import fans
+from msal_cli.codecs.mesh_file import cut_polygons
 from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
 from msal_cli.job.room import to_known_error
 
@@ -216,7 +216,8 @@ def vertex_numbers(values: Any, name: str, n_vertices: int) -> Array:
 def _fan_triangles(corners: Longs, sizes: Longs) -> Longs:
     """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
     polygons of files."""
-    return corners[np.stack(fans(sizes), axis=1)]
+    triangles: Longs = corners[cut_polygons(np.arange(len(corners), dtype=np.int32), sizes)]
+    return triangles
 
 
 def _own_entries(cells: Longs) -> Longs:

@@ -197,9 +197,7 @@ class Layout:
         positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
         are triangles.
     vertices : (n, 3), where the parser has read them; the file takes them over.
-    normals : arrays of normals (g_i, 3).
-    normal_of_corner : (c,) int64, the normal that each corner uses, -1 for none; None where each
-        vertex has its own.
+    normals : arrays of normals (g_i, 3); the usual renewal takes one for each vertex.
     renew_normals : makes of the old and the new vertices each array of normals (g_i, 3), and says
         which rows changed (g_i,); None for the usual way, which knows no ``frames``.
     frames : for each array of positions, the transform (4, 4) from it to the vertices; empty where
@@ -214,7 +212,6 @@ class Layout:
     corners: Longs | Ints = field(default_factory=_empty)
     sizes: Longs | Ints = field(default_factory=_empty)
     normals: tuple[Slots, ...] = ()
-    normal_of_corner: Longs | None = None
     frames: tuple[Floats, ...] = ()
     properties: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -229,11 +226,8 @@ class Layout:
 Parse = Callable[[Buffer], Layout]
 
 
-def build_triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
-    """Triangles (m, 3), and the places of their corners among those of the polygons.
-
-    Raises ContentError for a layout that is no mesh.
-    """
+def build_triangles(layout: Layout, vertices: Floats) -> Ints:
+    """The triangles (m, 3) of the polygons; ContentError for a layout that is no mesh."""
     if not len(layout.sizes):
         raise ContentError(
             f"the file has no surface faces; it holds {layout.held or 'nothing'}",
@@ -243,8 +237,7 @@ def build_triangles(layout: Layout, vertices: Floats) -> tuple[Ints, Longs]:
     require_finite(vertices)
     corners = layout.corners.astype(np.int64, copy=False)
     require_indices(corners, len(vertices))
-    places = np.stack(fans(layout.sizes.astype(np.int64, copy=False)), axis=1)
-    return corners[places].astype(np.int32), places
+    return cut_polygons(corners.astype(np.int32), layout.sizes)
 
 
 def build_vertices(layout: Layout) -> Floats:
@@ -294,11 +287,3 @@ def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
     triangles = np.empty((int(np.maximum(sizes - 2, 0).sum()), 3), dtype=np.int32)
     ply_scan.fans(corners, np.ascontiguousarray(sizes), triangles)
     return triangles
-
-
-def fans(sizes: Longs) -> tuple[Longs, Longs, Longs]:
-    """Places among the corners of triangles that share each polygon's first corner."""
-    n_triangles = np.maximum(sizes - 2, 0)
-    first = np.repeat(np.cumsum(sizes) - sizes, n_triangles)
-    inside = np.arange(len(first)) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
-    return first, first + inside + 1, first + inside + 2

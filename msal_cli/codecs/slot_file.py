@@ -76,7 +76,7 @@ class SlotFile:
         self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
         if layout.faces is None:
-            self.faces, self._fans = build_triangles(layout, self.vertices)
+            self.faces = build_triangles(layout, self.vertices)
         else:
             self.faces = layout.faces
         self.n_polygons = len(layout.sizes) or len(self.faces)
@@ -311,13 +311,9 @@ class SlotFile:
         which rows changed."""
         from msal_cli.kernels.geometry import regroup_normals
 
-        layout = self._layout
-        arrays = [slots.values for slots in layout.normals]
+        arrays = [slots.values for slots in self._layout.normals]
         normals = np.concatenate(arrays) if len(arrays) > 1 else arrays[0]
-        entries = self.faces
-        if layout.normal_of_corner is not None:
-            entries = layout.normal_of_corner[self._fans].astype(np.int32)
-        normals, rows = regroup_normals(old, new, self.faces, entries, normals)
+        normals, rows = regroup_normals(old, new, self.faces, self.faces, normals)
         cuts = np.cumsum([len(array) for array in arrays])[:-1]
         return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
 

@@ -8,17 +8,9 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Longs
 from msal_cli.codecs.text_slots import Tokens, line_of, parse_floats
-from msal_cli.errors import (
-    CUT_SHORT,
-    EXPORT_AGAIN,
-    ContentError,
-    TooLargeError,
-    TruncatedError,
-    damaged,
-)
+from msal_cli.errors import CUT_SHORT, EXPORT_AGAIN, ContentError, TruncatedError, damaged
 from msal_cli.storage.regular import Buffer
 
-_MAX_KEYWORDS = 1_000_000
 _BLOCK = 1 << 22
 """Bytes looked at in one step, so that the temporaries stay small."""
 
@@ -94,37 +86,15 @@ class Words:
 
     def float_rows(self, first: Longs, *, unit_length: bool = False) -> Tokens:
         """Rows of three numbers, ``first`` (n,) being the first word of each."""
-        starts, stops = self.row_spans(first, 3)
+        chosen = (first[:, None] + np.arange(3)).reshape(-1)
+        starts, stops = self.starts[chosen], self.stops[chosen]
         return Tokens(self.data, starts, stops, unit_length=unit_length)
-
-    def row_spans(self, first: Longs, width: int) -> tuple[Longs, Longs]:
-        """Starts and stops (n * width,) of the words of rows whose first words are given."""
-        chosen = (first[:, None] + np.arange(width)).reshape(-1)
-        return self.starts[chosen], self.stops[chosen]
 
     def first_of_lines(self) -> Longs:
         """The first word of each line that has one."""
         first = np.ones(len(self), dtype=bool)
         first[1:] = self.lines[1:] != self.lines[:-1]
         return np.flatnonzero(first)
-
-    def keywords(self) -> list[int]:
-        """The words that begin with a letter, ``nan`` and ``inf`` being numbers.
-
-        Raises TooLargeError for more than any mesh has.
-        """
-        if not len(self):
-            return []
-        small = self.data[self.starts] | 32
-        flags: Flags = (small >= 97) & (small <= 122)
-        for i in np.flatnonzero(flags & ((small == ord("n")) | (small == ord("i")))).tolist():
-            flags[i] = self.word(i).lower() not in (b"nan", b"inf", b"infinity")
-        if np.count_nonzero(flags) > _MAX_KEYWORDS:
-            raise TooLargeError(
-                f"the file has more than {_MAX_KEYWORDS:,} words that are no numbers",
-                hint="check that it is what its name says",
-            )
-        return np.flatnonzero(flags).tolist()
 
 
 _NONE = np.zeros(0, dtype=np.int64)

@@ -27,7 +27,6 @@ _WRITERS = {
 
 
 def suffixes() -> tuple[str, ...]:
-    """The suffixes of reports that can be written."""
     return tuple(_WRITERS)
 
 

@@ -285,7 +285,6 @@ def parse_json(data: bytes, name: str, refuse: Refusal, where: str = "") -> Any:
 
 
 def read_record(kind: type[Any], data: Any, name: str, where: str, refuse: Refusal) -> Any:
-    """A record of one kind from plain data."""
     try:
         return from_data(kind, data)
     except TypeError as error:

@@ -417,7 +417,6 @@ def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[
 
 
 def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:
-    """The gates that a record breaks."""
     return [gate for gate in record.gates if gate.broken]
 
 
@@ -434,7 +433,6 @@ def gate_text(gate: GateResult) -> str:
 
 
 def mesh_text(record: MeshRecord) -> str:
-    """The size of a mesh and its defects."""
     counts = (
         vertices_text(record.vertices, record.corners),
         format_count(record.faces, "face"),

@@ -557,5 +557,4 @@ def with_gates(gates: Sequence[Gate], records: Sequence[Record]) -> list[Record]
 
 
 def is_any_broken(records: Sequence[MeshRecord] | Sequence[ComparisonRecord]) -> bool:
-    """Whether any record has a broken gate."""
     return any(gate.broken for record in records for gate in record.gates)

@@ -96,7 +96,6 @@ class InfoTable:
         self._name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - taken)))
 
     def head(self) -> Line:
-        """The names of the columns."""
         return Line(self._join("file", [name for name, _ in _COLUMNS], _LAST), "faint")
 
     def row(self, record: InfoRecord) -> Line:
@@ -119,9 +118,9 @@ class InfoTable:
         return Line(self._join(file_name(record.input), cells, problems))
 
     def foot(self) -> Line:
-        """What the figures mean."""
-        words = "(noise in mean edge lengths; -v shows all that is known of each file)"
-        return Line(words, "faint")
+        return Line(
+            "(noise in mean edge lengths; -v shows all that is known of each file)", "faint"
+        )
 
     def _join(self, name: str, cells: Sequence[str], last: str) -> str:
         parts = [pad_name(shorten_name(name, self._name_width), self._name_width)]

@@ -40,11 +40,6 @@ class Camera:
         room = 1.0 - 2.0 * MARGIN
         return room * min(width / (2.0 * self.half_width), height / (2.0 * self.half_height))
 
-    @property
-    def aspect(self) -> float:
-        """Width over height of what must be seen."""
-        return self.half_width / self.half_height
-
 
 def frame_vertices(axes: Floats, vertices: Floats) -> Camera:
     """The camera with these ``axes`` that shows all ``vertices`` (n, 3)."""
@@ -138,8 +133,8 @@ class _Stance:
 
     front: Floats
     up: Floats
-    turn_deg: float
-    tilt_deg: float
+    turn_deg: float = 0.0
+    tilt_deg: float = 0.0
 
 
 _ONE_SIDED = 0.2
@@ -173,7 +168,7 @@ def _stance(vertices: Floats, faces: Ints) -> _Stance:
     areas = np.linalg.norm(doubled, axis=1)
     total = float(areas.sum())
     if not total > 0.0 or not np.isfinite(total):
-        return _Stance(_Z, _Y, 0.0, 0.0)
+        return _Stance(_Z, _Y)
     centres = corner.mean(axis=1)
     facing = doubled.sum(axis=0) / total
     if np.linalg.norm(facing) > _ONE_SIDED:
@@ -211,7 +206,7 @@ def _one_sided(facing: Floats) -> _Stance:
     front, _, _ = _frame(facing, up)
     axis = _nearest_axis(front)
     level = front @ axis
-    return _Stance(axis if level > np.cos(np.radians(30.0)) else front, up, 0.0, 0.0)
+    return _Stance(axis if level > np.cos(np.radians(30.0)) else front, up)
 
 
 def _relief(thin: Floats, doubled: Floats, areas: Floats) -> _Stance:
@@ -223,7 +218,7 @@ def _relief(thin: Floats, doubled: Floats, areas: Floats) -> _Stance:
     front = axis if front @ axis > np.cos(np.radians(15.0)) else front
     # Up is y, but z for what faces along y, or along x.
     up = _Y if abs(front[2]) >= max(abs(front[0]), abs(front[1])) else _Z
-    return _Stance(front, up, 0.0, 0.0)
+    return _Stance(front, up)
 
 
 def _solid(centres: Floats, areas: Floats) -> _Stance:

@@ -84,12 +84,10 @@ class View:
 
     @property
     def shows_file_colours(self) -> bool:
-        """Whether meshes have the colours of their files."""
         return self.colours in ("auto", "file")
 
     @property
     def shows_deviation(self) -> bool:
-        """Whether the deviation of two meshes is shown in colours."""
         return self.colours in ("auto", "deviation")
 
 
@@ -229,12 +227,10 @@ def _rounding(scene: Scene) -> float:
 
 
 def deviation_name(scene: Scene) -> str:
-    """What the numbers of a deviation are."""
     return SIGNED if scene.is_signed else DISTANCE
 
 
 def style_of(view: View) -> Style:
-    """The colours of a view."""
     return DARK if view.style == "dark" else LIGHT
 
 
@@ -248,7 +244,9 @@ def panel(
 ) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay; see
     ``shading.shade``."""
-    tallness = min(_MAX_TALLNESS, max(_MIN_TALLNESS, 1.0 / camera.aspect))
+    tallness = min(
+        _MAX_TALLNESS, max(_MIN_TALLNESS, 1.0 / (camera.half_width / camera.half_height))
+    )
     return shade(
         mesh.vertices,
         mesh.faces,
