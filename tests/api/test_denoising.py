@@ -10,8 +10,8 @@ import pytest
 
 import msal_cli as msal
 from msal_cli.api.mesh_objects import from_arrays
-from tests.api.ply_files import positions_of, to_ply
 from tests.cli.scans import msal as run_command
+from tests.ply_files import positions_of, to_ply
 from tests.shapes import grid, noisy, torus
 
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 import msal_cli as msal
-from tests.api.ply_files import to_ply
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, open_scan
 from tests.cli.scans import msal as run_command
+from tests.ply_files import to_ply
 from tests.shapes import torus
 
 OPTIONS = {"method": "msal", "K": 0.4}

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 import msal_cli as msal
-from tests.api.ply_files import positions_of, to_ply
 from tests.cli.scans import msal as run_command
+from tests.ply_files import positions_of, to_ply
 from tests.shapes import noisy, torus
 
 CLEAN, FACES = torus(40, 20)

@@ -31,6 +31,7 @@ from msal_cli.job.settings import (
 from msal_cli.kernels import array_files
 from msal_cli.kernels.parallel import over_ranges
 from tests.cli.scans import closed_scan, folder_of, msal
+from tests.ply_files import to_ply
 
 linux = pytest.mark.skipif(not array_files.can_use_files(), reason="needs Linux")
 
@@ -63,10 +64,7 @@ def grid(path: Path, n: int) -> Path:
             np.stack((first + n, first + n + 1, first + 1), 1),
         ]
     )
-    faces = np.empty(len(corners), dtype=[("size", "u1"), ("corners", "<i4", 3)])
-    faces["size"], faces["corners"] = 3, corners
-    head = PLY.format(len(vertices), len(faces)).encode()
-    path.write_bytes(head + vertices.tobytes() + faces.tobytes())
+    path.write_bytes(to_ply(vertices, corners))
     return path
 
 

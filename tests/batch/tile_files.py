@@ -9,6 +9,7 @@ import numpy as np
 from msal_cli.codecs import open_mesh
 from msal_cli.codecs.conversion import convert
 from msal_cli.job.settings import Task
+from tests.ply_files import to_ply
 from tests.shapes import ball, noisy
 
 FORMATS = ("ply", "obj", "stl", "ply", "off", "ply", "obj", "stl", "ply")
@@ -60,13 +61,7 @@ def joined(parts):
 
 def ply(vertices, faces, code="<f4"):
     """A binary PLY with positions of this type."""
-    word = {"<f4": "float", "<f8": "double"}[code]
-    header = "ply\nformat binary_little_endian 1.0\n" + f"element vertex {len(vertices)}\n"
-    header += "".join(f"property {word} {axis}\n" for axis in "xyz")
-    header += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    rows = np.zeros(len(faces), dtype=[("n", "u1"), ("v", "<i4", 3)])
-    rows["n"], rows["v"] = 3, faces
-    return header.encode() + vertices.astype(code).tobytes() + rows.tobytes()
+    return to_ply(vertices.astype(code), faces)
 
 
 def tasks_of(folder: Path, contents) -> list[Task]:

@@ -23,27 +23,13 @@ from msal_cli.job.settings import forecast as forecast_task
 from msal_cli.storage import gzip_streams
 from tests.codecs import plain_glb, plain_ply, plain_stl, test_gltf
 from tests.job.test_pipeline import WRITERS
+from tests.ply_files import to_ply
 from tests.shapes import grid, noisy, torus
-
-
-def ply(vertices, faces, encoding="binary_little_endian"):
-    rows = np.empty(len(faces), dtype=[("n", "u1"), ("corners", "<i4", 3)])
-    rows["n"], rows["corners"] = 3, faces
-    header = (
-        f"ply\nformat {encoding} 1.0\nelement vertex {len(vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    if encoding == "ascii":
-        lines = ["{:.6f} {:.6f} {:.6f}".format(*one) for one in vertices]
-        lines += ["3 {} {} {}".format(*one) for one in faces]
-        return (header + "\n".join(lines) + "\n").encode()
-    return header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes()
 
 
 def scan(around=24, across=12):
     vertices, faces = torus(around, across)
-    return noisy(vertices, 0, 0.1 / around), faces
+    return noisy(vertices, 0, 0.1 / around).astype("<f4"), faces
 
 
 def forecast_of(data, name, **options):
@@ -51,7 +37,7 @@ def forecast_of(data, name, **options):
 
 
 def converted(to, encoding="same"):
-    opened = codecs.open_mesh(ply(*scan()), "a.ply")
+    opened = codecs.open_mesh(to_ply(*scan()), "a.ply")
     if to == "ply":
         return bytes(opened.encoded(opened.vertices, encoding, "same"))
     return bytes(convert(opened, opened.vertices, to, encoding)[0])
@@ -88,7 +74,7 @@ def test_other_formats_do_not_tell_but_their_size_does(to, encoding):
 
 def test_a_compressed_file_is_told_by_what_is_in_it():
     vertices, faces = scan(64, 32)
-    plain = ply(vertices, faces)
+    plain = to_ply(vertices, faces)
     packed = gzip_streams.compress(plain)
     assert len(packed) < LOOKED_AT
     one, two = forecast_of(plain, "a.ply"), forecast_of(packed, "a.ply.gz")
@@ -115,7 +101,7 @@ HEADER_LIES = {
 
 @pytest.mark.parametrize("lie", HEADER_LIES)
 def test_a_header_that_lies_tells_nothing(lie):
-    data = ply(*scan()).replace(*HEADER_LIES[lie])
+    data = to_ply(*scan()).replace(*HEADER_LIES[lie])
     one = forecast_of(data, "a.ply")
     assert (one.vertices, one.faces) == (None, None)
     assert BASE_BYTES < one.memory_bytes < BASE_BYTES + 10**6
@@ -154,7 +140,7 @@ def peak(path, target):
 )  # fmt: skip
 def test_the_peak_is_within_half_and_all_of_what_is_foreseen(form, around, tmp_path):
     to, _, flavour = form.partition("-")
-    data = ply(*scan(around, around // 2))
+    data = to_ply(*scan(around, around // 2))
     opened = codecs.open_mesh(data, "a.ply")
     if to != "ply":
         data = convert(opened, opened.vertices, to, flavour or "same")[0]

@@ -12,6 +12,7 @@ from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import prepare_mesh
 from tests.job.test_pipeline import settings
+from tests.ply_files import to_ply
 from tests.shapes import grid, torus
 
 ALL = methods.names()
@@ -26,25 +27,6 @@ def noisy(maker=torus):
     vertices, faces = maker()
     edge = prepare_mesh(vertices, faces).mesh.mean_edge_length
     return vertices + 0.2 * edge * random().standard_normal(vertices.shape), faces
-
-
-def ply(vertices, faces, properties=(), kind="double", encoding="binary_little_endian"):
-    """A PLY file with float vertex properties, ``{name: (n,)}``."""
-    named = dict(properties)
-    columns = np.column_stack([vertices, *named.values()])
-    header = [
-        *("ply", f"format {encoding} 1.0", f"element vertex {len(vertices)}"),
-        *(f"property {kind} {name}" for name in ("x", "y", "z", *named)),
-        *(f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""),
-    ]
-    top = "\n".join(header).encode()
-    if encoding == "ascii":
-        lines = [" ".join(f"{number:.9g}" for number in row) for row in columns]
-        lines += [f"3 {a} {b} {c}" for a, b, c in faces]
-        return top + "\n".join(lines).encode() + b"\n"
-    corners = np.zeros(len(faces), dtype=[("n", "u1"), ("f", "<i4", 3)])
-    corners["n"], corners["f"] = 3, faces
-    return top + columns.astype("<f8" if kind == "double" else "<f4").tobytes() + corners.tobytes()
 
 
 def denoised(data, **asked):
@@ -139,7 +121,7 @@ def test_a_single_precision_property_is_compared_in_single_precision():
 def test_no_vertex_of_any_method_goes_further_than_the_limit(method):
     vertices, faces = noisy()
     mesh = prepare_mesh(vertices, faces).mesh
-    data = ply(vertices, faces)
+    data = to_ply(vertices, faces)
     limit = 0.05 * mesh.mean_edge_length
     free, _ = denoised(data, method=method)
     kept, record = denoised(data, method=method, max_move="0.05e")
@@ -173,7 +155,7 @@ def test_vertices_at_one_place_stay_together():
     alone = np.arange(len(soup)).reshape(-1, 3)
     lock = np.zeros(len(soup))
     lock[0] = 1.0
-    kept, record = denoised(ply(soup, alone, {"q": lock}), max_move="0.05e", lock=("q == 1",))
+    kept, record = denoised(to_ply(soup, alone, q=lock), max_move="0.05e", lock=("q == 1",))
     assert record.seam_gap == 0.0
     assert record.locked_vertices == 1
     # All corners at the place of the pinned one.
@@ -188,7 +170,7 @@ def test_vertices_at_one_place_stay_together():
 def test_locked_vertices_keep_their_very_bytes(method, encoding):
     vertices, faces = noisy()
     quality = random().random(len(vertices))
-    data = ply(vertices, faces, {"quality": quality}, encoding=encoding)
+    data = to_ply(vertices, faces, encoding, quality=quality)
     before = codecs.open_mesh(data, "a.ply").vertices
     after, record = denoised(data, method=method, lock=("quality < 0.3",))
     is_locked = quality < 0.3
@@ -212,13 +194,13 @@ def test_neighbours_see_locked_vertices_where_they_are(method):
 
 
 def test_the_boundary_is_locked_as_boundary_fixed_does():
-    data = ply(*noisy(grid))
+    data = to_ply(*noisy(grid))
     locked, record = denoised(data, lock=("boundary",))
     fixed, _ = denoised(data, boundary="fixed")
     assert np.array_equal(locked, fixed)
     assert record.locked_vertices == record.boundary_edges > 0
     vertices, faces = noisy(grid)
-    data = ply(vertices, faces, {"q": np.arange(len(vertices))})
+    data = to_ply(vertices, faces, q=np.arange(len(vertices)))
     _, both = denoised(data, lock=("boundary", "q < 100000"))
     assert both.locked_vertices == len(vertices) > record.locked_vertices
 
@@ -226,8 +208,8 @@ def test_the_boundary_is_locked_as_boundary_fixed_does():
 def test_trust_is_the_property_over_its_largest_value():
     vertices, faces = noisy()
     quality = random().random(len(vertices)) * 255.0
-    data = ply(vertices, faces, {"quality": quality})
-    half = ply(vertices, faces, {"quality": 0.5 * quality})
+    data = to_ply(vertices, faces, quality=quality)
+    half = to_ply(vertices, faces, quality=0.5 * quality)
     whole, _ = denoised(data, weights="quality")
     halved, _ = denoised(half, weights="quality")
     plain, _ = denoised(data)
@@ -236,6 +218,6 @@ def test_trust_is_the_property_over_its_largest_value():
     negative = np.where(np.arange(len(vertices)) == 5, -3.0, quality)
     zero = np.where(np.arange(len(vertices)) == 5, 0.0, quality)
     assert np.array_equal(
-        denoised(ply(vertices, faces, {"q": negative}), weights="q")[0],
-        denoised(ply(vertices, faces, {"q": zero}), weights="q")[0],
+        denoised(to_ply(vertices, faces, q=negative), weights="q")[0],
+        denoised(to_ply(vertices, faces, q=zero), weights="q")[0],
     )

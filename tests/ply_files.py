@@ -1,11 +1,11 @@
-"""Binary PLY files made by hand, so that arrays and files hold the very same numbers."""
+"""PLY files made by hand, so that arrays and files hold the very same numbers."""
 
 from __future__ import annotations
 
 import numpy as np
 
 
-def to_ply(vertices, faces, **properties) -> bytes:
+def to_ply(vertices, faces, encoding="binary_little_endian", **properties) -> bytes:
     """Positions in their own type, float32 or float64, and double properties of vertices."""
     kind = {"f4": "float", "f8": "double"}[vertices.dtype.str[1:]]
     columns = [(name, vertices.dtype.str, kind) for name in "xyz"]
@@ -17,10 +17,15 @@ def to_ply(vertices, faces, **properties) -> bytes:
         table[name] = values
     rows = np.empty(len(faces), dtype=[("n", "u1"), ("corners", "<i4", 3)])
     rows["n"], rows["corners"] = 3, faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header = ["ply", f"format {encoding} 1.0", f"element vertex {len(vertices)}"]
     header += [f"property {kind} {name}" for name, _, kind in columns]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    return "\n".join(header).encode() + b"\n" + table.tobytes() + rows.tobytes()
+    top = "\n".join(header).encode() + b"\n"
+    if encoding == "ascii":
+        lines = [" ".join(f"{number:.9g}" for number in row) for row in table.tolist()]
+        lines += [f"3 {a} {b} {c}" for a, b, c in faces]
+        return top + "\n".join(lines).encode() + b"\n"
+    return top + table.tobytes() + rows.tobytes()
 
 
 def positions_of(data: bytes, like, n_properties: int = 0):
