@@ -181,10 +181,10 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
                 continue
             index = attributes["COLOR_0"]
             kind = scene.entry("accessors", index).get("type")
-            if kind not in ("VEC3", "VEC4"):
-                continue
-            rows = scene.find_rows(index, _GLTF_TYPES, kind, f"accessor {index!r}")
-            if rows is None:
+            is_colour = kind in ("VEC3", "VEC4")
+            where = f"accessor {index!r}"
+            rows = scene.find_rows(index, _GLTF_TYPES, kind, where) if is_colour else None
+            if rows is None or rows.count != len(shown):
                 continue
             largest = np.iinfo(rows.code).max if rows.code != "<f4" else 1.0
             shares = rows.rows(scene.data)[:, :3].astype(np.float64) / largest
@@ -194,7 +194,6 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
                 # IEC 61966-2-1
                 curve = 1.055 * value ** (1.0 / 2.4) - 0.055
                 value = np.where(value <= 0.0031308, 12.92 * value, curve)
-            if len(value) == len(shown):
-                shown, has_colours = _to_bytes(value, 255.0), True
+            shown, has_colours = _to_bytes(value, 255.0), True
         whole.append(shown)
     return np.concatenate(whole) if has_colours else None

@@ -69,9 +69,8 @@ def readable_suffixes() -> tuple[str, ...]:
 def format_of_name(name: str) -> str:
     """The format that a file name stands for, ``.gz`` disregarded; empty if none that is known."""
     stem = name[: -len(".gz")] if is_gzip_name(name) else name
-    suffix = re.search(r"\.[^./\\]*$", stem)
-    known = suffix is not None and suffix[0].lower() in readable_suffixes()
-    return suffix[0][1:].lower() if suffix and known else ""
+    suffix = re.search(r"\.([^./\\]*)$", stem)
+    return suffix[1].lower() if suffix and suffix[1].lower() in READABLE else ""
 
 
 def content_format(data: Buffer, expected: str = "", size: int | None = None) -> str:

@@ -235,12 +235,12 @@ def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
 _N_AT_ONCE = 1 << 14
 
 
-def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
-    """(h, w, 3) as JPEG; ``quality`` up to 95, more is larger and closer to the image."""
+def jpeg_bytes(image: NDArray[np.uint8]) -> bytes:
+    """(h, w, 3) uint8 as the bytes of a JPEG file."""
     from PIL import Image
 
     data = io.BytesIO()
-    Image.fromarray(image).save(data, "JPEG", quality=quality, optimize=True)
+    Image.fromarray(image).save(data, "JPEG", quality=80, optimize=True)
     return data.getvalue()
 
 
