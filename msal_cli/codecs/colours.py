@@ -181,9 +181,9 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
                 continue
             index = attributes["COLOR_0"]
             kind = scene.entry("accessors", index).get("type")
-            is_colour = kind in ("VEC3", "VEC4")
-            where = f"accessor {index!r}"
-            rows = scene.find_rows(index, _GLTF_TYPES, kind, where) if is_colour else None
+            if kind not in ("VEC3", "VEC4"):
+                continue
+            rows = scene.find_rows(index, _GLTF_TYPES, kind, f"accessor {index!r}")
             if rows is None or rows.count != len(shown):
                 continue
             largest = np.iinfo(rows.code).max if rows.code != "<f4" else 1.0
