@@ -7,14 +7,12 @@ import shutil
 import subprocess
 
 import click
-import numpy as np
 import pytest
 
 import msal_cli as msal
 from benchmarks import scanner_cases
 from msal_cli import methods
 from msal_cli.cli.main import COMMANDS, program
-from msal_cli.mesh import prepare_mesh
 from tests.scripts import ROOT, load_script
 
 DOCS = ROOT / "docs"
@@ -174,19 +172,3 @@ def test_every_figure_has_its_place_and_its_table(scripts):
         rows = [row.count("|") for row in table.splitlines()]
         assert len(rows) >= 4, name
         assert len(set(rows)) == 1, name
-
-
-def test_a_refined_sphere_is_closed_and_keeps_its_winding(scripts):
-    import trimesh
-    from paper_models import _refined
-
-    ball = trimesh.creation.icosphere(subdivisions=1)
-    points, faces = np.array(ball.vertices), np.array(ball.faces)
-    for seed in range(5):
-        chosen = np.random.default_rng(seed).random(len(faces)) < 0.3
-        finer, made = _refined(points, faces, chosen)
-        defects = prepare_mesh(finer, made.astype(np.int32)).defects
-        assert defects.boundary_edges == defects.non_manifold_edges == 0
-        assert defects.inconsistent_edges == defects.turned_faces == 0
-        assert len(made) >= len(faces) + 3 * chosen.sum()
-        assert len(finer) - len(made) / 2 == 2  # Euler's formula

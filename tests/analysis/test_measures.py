@@ -6,26 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.measures import (
-    AREA,
-    FLIPPED,
-    MOVES,
-    NAMED_LEEWAY,
-    VOLUME,
-    area_and_volume,
-    count_self_intersections,
-    displacement_statistics,
-    excessive_change,
-    folded_faces,
-    harmful_change,
-    is_negative,
-    local_scale,
-    mean_curvature,
-    measure_enclosure,
-    measure_surface_change,
-    relative_volume_change,
-    self_intersection_change,
-)
+from msal_cli.analysis import measures
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, fan, grid, torus
 
@@ -34,7 +15,7 @@ def test_displacement_by_hand():
     before = np.zeros((20, 3))
     after = before.copy()
     after[:, 0] = np.arange(20)
-    statistics = displacement_statistics(before, after)
+    statistics = measures.displacement_statistics(before, after)
     assert statistics.mean == pytest.approx(9.5)
     assert statistics.rms == pytest.approx(np.sqrt((np.arange(20) ** 2).mean()))
     assert statistics.p95 == 18.0  # the 19th of 20: 95 % of the vertices moved no farther
@@ -47,7 +28,7 @@ def test_normals_by_hand():
     vertices, faces = fan([0.0] * 4)
     vertices[0, 2] = 1.0
     tip, flat = prepare_mesh(vertices, faces).mesh, prepare_mesh(vertices * [1, 1, 0], faces).mesh
-    turned = measure_surface_change(tip, flat)
+    turned = measures.measure_surface_change(tip, flat)
     angle = np.degrees(np.arccos(1 / np.sqrt(3)))
     assert turned.mean_angular_error_deg == pytest.approx(angle)
     assert turned.max_angular_error_deg == pytest.approx(angle)
@@ -57,10 +38,10 @@ def test_normals_by_hand():
 def test_a_volume_that_is_rounding_is_none():
     flat = 8.0 * 1e-9  # the area is 4, and 4 ** 1.5 is 8
     above = np.nextafter(flat, 1.0)
-    assert is_negative(-above, 4.0) and not is_negative(-flat, 4.0)
-    assert relative_volume_change(flat, 1.0, 4.0) is None
-    assert relative_volume_change(above, 0.0, 4.0) == -1.0
-    assert relative_volume_change(-2.0, -3.0, 4.0) == 0.5
+    assert measures.is_negative(-above, 4.0) and not measures.is_negative(-flat, 4.0)
+    assert measures.relative_volume_change(flat, 1.0, 4.0) is None
+    assert measures.relative_volume_change(above, 0.0, 4.0) == -1.0
+    assert measures.relative_volume_change(-2.0, -3.0, 4.0) == 0.5
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -69,13 +50,13 @@ def test_curvature_of_a_torus(scale):
     mesh = prepare_mesh(scale * vertices, faces).mesh
     beta = np.arctan2(vertices[:, 2], np.hypot(vertices[:, 0], vertices[:, 1]) - 3.0)
     expected = (3.0 + 2.0 * np.cos(beta)) / (2.0 * (3.0 + np.cos(beta)))
-    assert scale * mean_curvature(mesh) == pytest.approx(expected, rel=0.01, abs=0.005)
+    assert scale * measures.mean_curvature(mesh) == pytest.approx(expected, rel=0.01, abs=0.005)
 
 
 def test_the_sign_follows_the_winding():
     vertices, faces = torus(40, 20)
-    outward = mean_curvature(prepare_mesh(vertices, faces).mesh)
-    inward = mean_curvature(prepare_mesh(vertices, faces[:, ::-1]).mesh)
+    outward = measures.mean_curvature(prepare_mesh(vertices, faces).mesh)
+    inward = measures.mean_curvature(prepare_mesh(vertices, faces[:, ::-1]).mesh)
     assert outward == pytest.approx(-inward, rel=1e-9)
     assert (outward > 0.0).mean() > 0.9
 
@@ -84,8 +65,11 @@ def test_sigma_by_hand():
     # Heights 1, -1, ... above the plane z = 0: mean 0, mean deviation 1, sigma 2.
     mesh = prepare_mesh(*fan([1.0, -1.0, 1.0, -1.0])).mesh
     normals = np.tile([0.0, 0.0, 1.0], (5, 1))
-    assert local_scale(mesh, normals)[0] == pytest.approx(2.0)
-    assert local_scale(prepare_mesh(*grid()).mesh, np.tile([0.0, 0.0, 1.0], (30, 1))).max() < 1e-6
+    assert measures.local_scale(mesh, normals)[0] == pytest.approx(2.0)
+    assert (
+        measures.local_scale(prepare_mesh(*grid()).mesh, np.tile([0.0, 0.0, 1.0], (30, 1))).max()
+        < 1e-6
+    )
 
 
 def test_what_is_created_is_neither_the_difference_nor_all():
@@ -96,12 +80,12 @@ def test_what_is_created_is_neither_the_difference_nor_all():
     after[30] *= -0.9
     ready = prepare_mesh(before, faces)
     moved = ready.mesh.with_vertices(after - ready.origin)
-    n_before, n_after, n_created = self_intersection_change(ready.mesh, moved)
-    assert n_before == count_self_intersections(ready.mesh) > 0
-    assert n_after == count_self_intersections(moved) > 0
+    n_before, n_after, n_created = measures.self_intersection_change(ready.mesh, moved)
+    assert n_before == measures.count_self_intersections(ready.mesh) > 0
+    assert n_after == measures.count_self_intersections(moved) > 0
     assert n_after - n_before < n_created <= n_after
     still = ready.mesh.with_vertices(ready.mesh.vertices.copy())
-    assert self_intersection_change(ready.mesh, still) == (n_before, n_before, 0)
+    assert measures.self_intersection_change(ready.mesh, still) == (n_before, n_before, 0)
 
 
 def test_faces_without_area_are_left_out():
@@ -111,12 +95,12 @@ def test_faces_without_area_are_left_out():
     ready = prepare_mesh(vertices, faces)
     assert ready.defects.degenerate_faces == 1
     # Those with an area touch along half an edge, and share a vertex only.
-    assert count_self_intersections(ready.mesh) == 1
+    assert measures.count_self_intersections(ready.mesh) == 1
 
 
 def harm_of(before, after, has_volume=True):
-    return harmful_change(
-        before, after, measure_surface_change(before, after), has_volume=has_volume
+    return measures.harmful_change(
+        before, after, measures.measure_surface_change(before, after), has_volume=has_volume
     )
 
 
@@ -129,29 +113,29 @@ def test_half_of_the_volume_is_harm_whichever_side_is_out(scale, is_harm, order)
     mesh = prepare_mesh(vertices, faces[:, ::order]).mesh
     found = harm_of(mesh, mesh.with_vertices(mesh.vertices * scale))
     assert (found is not None) == is_harm
-    assert found is None or found.code == VOLUME
+    assert found is None or found.code == measures.VOLUME
     if scale == 0.79:
         assert found.reason == "the volume changed by -50.7 %"
 
 
 def excess_of(before, after, noise, has_volume=True, leeway=1.0):
-    change = measure_surface_change(before, after)
+    change = measures.measure_surface_change(before, after)
     edge = before.mean_edge_length
     ways = np.linalg.norm(after.vertices - before.vertices, axis=1)
     p95 = float(np.quantile(ways, 0.95)) / edge
-    return excessive_change(change, edge, noise, p95, has_volume=has_volume, leeway=leeway)
+    return measures.excessive_change(change, edge, noise, p95, has_volume=has_volume, leeway=leeway)
 
 
 def test_what_noise_does_not_explain_is_harm():
     mesh = prepare_mesh(*ball()).mesh
     smaller = mesh.with_vertices(0.99 * mesh.vertices)
-    assert excess_of(mesh, smaller, 0.01).code == VOLUME
+    assert excess_of(mesh, smaller, 0.01).code == measures.VOLUME
     assert excess_of(mesh, smaller, 0.01).reason.startswith("the volume changed by -3.0 %")
     shifted = mesh.with_vertices(mesh.vertices + [0.2 * mesh.mean_edge_length, 0.0, 0.0])
-    assert excess_of(mesh, shifted, 0.01).code == MOVES
-    assert excess_of(mesh, smaller, 0.01, leeway=NAMED_LEEWAY) is None
+    assert excess_of(mesh, shifted, 0.01).code == measures.MOVES
+    assert excess_of(mesh, smaller, 0.01, leeway=measures.NAMED_LEEWAY) is None
     stretched = mesh.with_vertices(mesh.vertices * [1.05, 1.0, 1.0])
-    assert excess_of(mesh, stretched, 0.01, has_volume=False).code == AREA
+    assert excess_of(mesh, stretched, 0.01, has_volume=False).code == measures.AREA
     assert excess_of(mesh, mesh, 0.0) is None
 
 
@@ -172,11 +156,11 @@ def test_flips_on_a_smooth_mesh_are_harm():
     for vertex in inner[::25]:
         vertices[vertex, :2] += [5.0, 5.0]
     after = mesh.with_vertices(vertices)
-    n_flipped = measure_surface_change(mesh, after).flipped_faces
+    n_flipped = measures.measure_surface_change(mesh, after).flipped_faces
     assert n_flipped > 0.02 * len(mesh.faces)
     found = harm_of(mesh, after, has_volume=False)
     assert found is not None
-    assert found.code == FLIPPED
+    assert found.code == measures.FLIPPED
     assert found.reason.startswith(f"{n_flipped} of {len(mesh.faces)} faces flipped (")
 
 
@@ -184,15 +168,15 @@ def test_flips_on_a_smooth_mesh_are_harm():
 def test_unfolding_what_noise_folded_is_no_harm(level):
     clean = prepare_mesh(*ball()).mesh
     noisy = clean.with_vertices(noise.add_plain_noise(clean, "gaussian", level, seed=3))
-    assert measure_surface_change(noisy, clean).flipped_faces > 0.02 * len(clean.faces)
-    assert folded_faces(noisy) > 0
+    assert measures.measure_surface_change(noisy, clean).flipped_faces > 0.02 * len(clean.faces)
+    assert measures.folded_faces(noisy) > 0
     assert harm_of(noisy, clean) is None
 
 
 @pytest.mark.parametrize("shape", [cube, ball, torus, grid])
 def test_clean_shapes_have_no_folds_and_open_ones_no_volume_to_lose(shape):
     mesh = prepare_mesh(*shape()).mesh
-    assert folded_faces(mesh) == 0
+    assert measures.folded_faces(mesh) == 0
     assert harm_of(mesh, mesh.with_vertices(mesh.vertices * 0.1), has_volume=False) is None
 
 
@@ -211,7 +195,9 @@ def box(size, at=0.0, turned=False):
 
 
 def enclosed(ready):
-    return measure_enclosure(ready).volume(ready.mesh, area_and_volume(ready.mesh)[1])
+    return measures.measure_enclosure(ready).volume(
+        ready.mesh, measures.area_and_volume(ready.mesh)[1]
+    )
 
 
 @pytest.mark.parametrize(
@@ -234,7 +220,7 @@ def enclosed(ready):
 )
 def test_boxes_by_hand(parts, volume, turned):
     ready, counts = together(*parts)
-    found = measure_enclosure(ready)
+    found = measures.measure_enclosure(ready)
     assert enclosed(ready) == pytest.approx(volume)
     assert found.is_inside_out == any(turned)
     inward = np.zeros(sum(counts), bool) if found.inward is None else found.inward
@@ -251,7 +237,7 @@ def test_boxes_by_hand(parts, volume, turned):
 def test_an_open_surface_has_no_inside():
     vertices, faces = grid()
     ready = together(box(1.0, turned=True), (vertices + 9.0, faces))[0]
-    assert not measure_enclosure(ready).is_inside_out
+    assert not measures.measure_enclosure(ready).is_inside_out
 
 
 def test_parts_that_cancel_out_are_not_harmed_by_a_small_change():
@@ -259,8 +245,8 @@ def test_parts_that_cancel_out_are_not_harmed_by_a_small_change():
     ready = together((vertices, faces), (vertices + 9.0, faces[:, ::-1]))[0]
     mesh = ready.mesh
     after = mesh.with_vertices(mesh.vertices * [1.0, 1.0, 0.9])
-    raw = measure_surface_change(mesh, after)
-    change = measure_enclosure(ready).change(mesh, after, raw)
+    raw = measures.measure_surface_change(mesh, after)
+    change = measures.measure_enclosure(ready).change(mesh, after, raw)
     assert change.volume_after / change.volume_before == pytest.approx(0.9)
-    assert harmful_change(mesh, after, change, has_volume=True) is None
+    assert measures.harmful_change(mesh, after, change, has_volume=True) is None
     assert change.mean_angular_error_deg == raw.mean_angular_error_deg

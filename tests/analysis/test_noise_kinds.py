@@ -9,14 +9,8 @@ import pytest
 
 from benchmarks.noise_kinds import KINDS, outcomes
 from benchmarks.scan_simulation import ScannerSettings, simulate_scan
+from msal_cli.analysis import noise_estimate
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import (
-    KIND_NAMES,
-    classify,
-    estimate_noise,
-    estimate_regions,
-    load_classifier,
-)
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence
 from msal_cli.analysis.noise_estimate.fits import estimate_white
 from msal_cli.analysis.noise_estimate.level import DIRECTIONS
@@ -36,7 +30,7 @@ def smooth():
 def with_noise(mesh, kind, level=0.2, **settings):
     """A mesh with noise, and its estimate."""
     moved = mesh.with_vertices(add_noise(mesh, AddedNoise(kind, level, 4, **settings)))
-    return moved, estimate_noise(moved)
+    return moved, noise_estimate.estimate_noise(moved)
 
 
 def summarize(noise):
@@ -101,7 +95,7 @@ def test_noise_on_a_half(smooth):
     assert noise.highest * mesh.mean_edge_length == pytest.approx(
         0.2 * smooth.mean_edge_length, rel=0.15
     )
-    field = estimate_regions(mesh) / smooth.mean_edge_length
+    field = noise_estimate.estimate_regions(mesh) / smooth.mean_edge_length
     loud = smooth.vertices[:, 0] > 0.0
     assert np.median(field[loud]) == pytest.approx(0.2, rel=0.15)
     assert np.median(field[~loud]) < 0.02
@@ -131,7 +125,7 @@ def test_terraces(smooth, shape, scanner):
         direction, digits = {"direction": SLANTED}, 1e-3
     scan = simulate_scan(true, ScannerSettings(scanner, cells=48, **direction))
     mesh = prepare_mesh(scan.vertices @ turn.T, scan.faces).mesh
-    noise = estimate_noise(mesh)
+    noise = noise_estimate.estimate_noise(mesh)
     assert summarize(noise)[0] == "staircase"
     height = scan.cell * (3 if scanner == "slices" else 1)
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=digits)
@@ -145,7 +139,7 @@ def test_a_block_that_is_meshed_on_a_grid_is_clean(sizes):
     vertices, faces = box(*sizes)
     turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
     for positions in (vertices, vertices @ turn.T):
-        noise = estimate_noise(prepare_mesh(positions, faces).mesh)
+        noise = noise_estimate.estimate_noise(prepare_mesh(positions, faces).mesh)
         assert (summarize(noise)[0], noise.is_negligible) == ("none", True)
 
 
@@ -174,7 +168,7 @@ def clean_shapes():
 
 @pytest.mark.parametrize("shape", [pytest.param(shape, id=name) for name, shape in clean_shapes()])
 def test_clean_shapes_of_any_triangulation_have_none(shape):
-    noise = estimate_noise(prepare_mesh(*shape).mesh)
+    noise = noise_estimate.estimate_noise(prepare_mesh(*shape).mesh)
     assert noise.is_negligible
     assert noise.character.kind == "none"
     assert noise.character.words == ""
@@ -199,7 +193,7 @@ def test_smooth_relief_is_not_taken_for_shared_noise(bumpy):
         _, quiet = with_noise(bumpy, "gaussian-normal", level)
         assert summarize(quiet)[0] != "correlated"
         assert quiet.mean_edges < 1.2 * level
-    assert estimate_noise(bumpy).is_negligible
+    assert noise_estimate.estimate_noise(bumpy).is_negligible
 
 
 @pytest.mark.parametrize("kind", ["correlated", "view", "half", "outliers", "impulsive"])
@@ -207,11 +201,13 @@ def test_turn_place_size_and_threads_do_not_matter(smooth, kind, monkeypatch):
     monkeypatch.setenv("MSAL_THREADS", "1")
     mesh, here = with_noise(smooth, kind)
     monkeypatch.setenv("MSAL_THREADS", "2")
-    assert estimate_noise(mesh.with_vertices(mesh.vertices.copy())) == here
+    assert noise_estimate.estimate_noise(mesh.with_vertices(mesh.vertices.copy())) == here
     moved = prepare_mesh(8.0 * (mesh.vertices + [3.0, -2.0, 1.0]), mesh.faces).mesh
-    assert estimate_noise(moved).mean_edges == pytest.approx(here.mean_edges, rel=1e-6)
+    assert noise_estimate.estimate_noise(moved).mean_edges == pytest.approx(
+        here.mean_edges, rel=1e-6
+    )
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
-    there = estimate_noise(prepare_mesh(mesh.vertices @ turn.T, mesh.faces).mesh)
+    there = noise_estimate.estimate_noise(prepare_mesh(mesh.vertices @ turn.T, mesh.faces).mesh)
     assert summarize(there) == summarize(here)
     assert there.mean_edges == pytest.approx(here.mean_edges, rel=0.02)
     if here.character.axis is not None:
@@ -249,16 +245,16 @@ def white():
 
 
 def test_a_kind_that_is_not_possible_is_never_given(white):
-    assert classify(white, set(KIND_NAMES)).kind == "white"
-    others = set(KIND_NAMES) - {"white"}
-    verdict = classify(white, others)
+    assert noise_estimate.classify(white, set(noise_estimate.KIND_NAMES)).kind == "white"
+    others = set(noise_estimate.KIND_NAMES) - {"white"}
+    verdict = noise_estimate.classify(white, others)
     assert verdict.kind in others
-    assert verdict.noise == classify(white, set(KIND_NAMES)).noise
+    assert verdict.noise == noise_estimate.classify(white, set(noise_estimate.KIND_NAMES)).noise
 
 
 def test_the_numbers_are_those_that_the_trees_were_grown_on(white):
-    trained = load_classifier()
+    trained = noise_estimate.load_classifier()
     assert trained.kinds.features.max() < len(white)
-    assert len(trained.kinds.start) == len(KIND_NAMES)
+    assert len(trained.kinds.start) == len(noise_estimate.KIND_NAMES)
     assert trained.rings.features.max() < len(white)
     assert np.isfinite(white).all()

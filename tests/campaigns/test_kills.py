@@ -13,35 +13,27 @@ import signal
 
 import pytest
 
-from tests.campaigns.runs import (
-    IS_LINUX,
-    STATUS,
-    command,
-    ended,
-    moment,
-    orphans_of,
-    scans_in,
-    session_of,
-    started,
-    whole_run,
-)
+from tests.campaigns import runs
 
-pytestmark = [pytest.mark.skipif(not IS_LINUX, reason="finds processes by /proc"), pytest.mark.ci]
+pytestmark = [
+    pytest.mark.skipif(not runs.IS_LINUX, reason="finds processes by /proc"),
+    pytest.mark.ci,
+]
 
 
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory):
-    return scans_in(tmp_path_factory.mktemp("kills") / "in")
+    return runs.scans_in(tmp_path_factory.mktemp("kills") / "in")
 
 
 @pytest.fixture(scope="module")
 def whole(scans):
-    return whole_run(scans, scans.parent / "whole", "-j", 2)
+    return runs.whole_run(scans, scans.parent / "whole", "-j", 2)
 
 
 def kill(process, with_workers):
     """Kill the parent alone, or it and everything that it has started."""
-    for pid in sorted(session_of(process.pid)) if with_workers else [process.pid]:
+    for pid in sorted(runs.session_of(process.pid)) if with_workers else [process.pid]:
         try:
             os.kill(pid, signal.SIGKILL)
         except ProcessLookupError:
@@ -56,22 +48,22 @@ def test_kills_cost_nothing(scans, whole, tmp_path, count):
     met = collections.Counter()
     while met["kills"] < count:
         shutil.rmtree(output, ignore_errors=True)
-        words = command(scans, output, "-j", choice.choice([1, 1, 2]))
+        words = runs.command(scans, output, "-j", choice.choice([1, 1, 2]))
         for _ in range(choice.randint(1, 5)):
-            wait = moment(choice, whole, output)
-            with started(words) as process:
+            wait = runs.moment(choice, whole, output)
+            with runs.started(words) as process:
                 wait(process)
                 kill(process, with_workers=bool(met["kills"] % 2))
                 process.communicate()
             if process.returncode != -signal.SIGKILL:
                 break
             # A worker that is just starting notices late on a busy machine.
-            left = orphans_of(process.pid, within_s=20.0)
+            left = runs.orphans_of(process.pid, within_s=20.0)
             assert not left, f"{met}: the workers {left} live on"
             assert whole.faults(output) == [], met
             met["kills"] += 1
             met["a temporary left"] += any(output.rglob(".*.tmp"))
-        status, _, said = ended(words)
-        assert (status, whole.last_faults(output)) == (STATUS, []), (met, said)
+        status, _, said = runs.ended(words)
+        assert (status, whole.last_faults(output)) == (runs.STATUS, []), (met, said)
         assert "Traceback" not in said
     print(f"\n{dict(met)}")

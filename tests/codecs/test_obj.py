@@ -66,29 +66,6 @@ def test_forms_of_a_face(line: bytes, polygon: list[int] | None) -> None:
     assert file.warnings == ()
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        b"v 1 2 3", b"v\t1\t2\t3", b"  v  1 2.0   3e0 ", b"v 1 2 3 1.0", b"v 1 2 3 0.5 0.5 0.5",
-        b"v 1 2 3 0.5 0.5 0.5 1", b"v 1 2 3 # 4", b"v \\\n1 2\\\r\n 3", b"v +1 +2 .3e1",
-        b"v 1 2 3 0.5 red", b"\xef\xbb\xbfv 1 2 3", b"v 1 2 3\x0b", b"v 1 2 3 \\\n",
-        b"v 1.00000000000000000000000 2 3", b"v 1 2 3 #\\",
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
-def test_forms_of_a_vertex(line: bytes, end: bytes) -> None:
-    data = end.join([line, b"v 0 0 0", b"v 1 0 0", b"f 1 2 3"])
-    file = obj.read(data, "")
-    assert file.vertices[0].tolist() == [1, 2, 3]
-    assert file.faces.tolist() == [[0, 1, 2]]
-    vertices = file.vertices + [[0.5, 0, 0], [0, 0, 0], [0, 0, 0]]
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
-    assert blanked(output) == blanked(data)
-    assert obj.read(output, "").vertices[0].tolist() == [1.5, 2, 3]
-    assert tokens(output, "v")[0][1:] == tokens(data, "v")[0][1:]
-
-
 def test_normals_follow_the_faces_that_use_them() -> None:
     file = obj.read(ROOF, "roof.obj")
     vertices = file.vertices.copy()

@@ -59,41 +59,11 @@ def test_minus_zero_and_equal_values_keep_their_bytes():
     )
 
 
-def test_odd_tokens_of_unmoved_vertices_are_kept():
-    data = (
-        b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
-        b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        b"+1.50e0\t-0  .5 \n\n  1E2 007 3.\n0.10 0.20 0.30\n1 2 3\n3 0 1 2 \n"
-    )
-    mesh = ply.read(data)
-    assert mesh.vertices.tolist() == [[1.5, 0, 0.5], [100, 7, 3], [0.1, 0.2, 0.3], [1, 2, 3]]
-    vertices = mesh.vertices.copy()
-    vertices[2, 1] = 0.25
-    vertices[1, 1] = -2.0 / 3.0
-    output = bytes(mesh.replaced(vertices))
-    mesh.check(output, vertices)
-    # The extent is 100: five decimals tell 1e-7 of it apart.
-    assert output == data.replace(b"0.20", b"0.25000").replace(b"007", b"-0.66667")
-
-
 def test_a_body_that_begins_with_the_byte_of_a_line_end():
     file = plain_ply.cube(LE)
     file.elements[0].rows[0][0] = struct.unpack("<f", b"\n\r\n?")[0]
     for newline in ("\n", "\r\n", "\r"):
         assert np.array_equal(read(replace(file, newline=newline)).vertices, read(file).vertices)
-
-
-def test_trailing_bytes_are_kept_and_told():
-    mesh = read(replace(plain_ply.cube(), trailing=b"signature"))
-    assert "9 bytes" in mesh.warnings[0]
-    vertices = mesh.vertices + 1.0
-    output = mesh.replaced(vertices)
-    mesh.check(output, vertices)
-    assert bytes(output).endswith(b"signature")
-    assert not read(replace(plain_ply.cube("ascii"), trailing=b"\n \n")).warnings
-    assert (
-        "12 bytes" in read(replace(plain_ply.cube("ascii"), trailing=b"3 more words")).warnings[0]
-    )
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli import errors
+from msal_cli.job import records
 from msal_cli.job.display_names import (
     columns,
     escape_for_display,
@@ -19,34 +20,27 @@ from msal_cli.job.display_names import (
     shorten_name,
 )
 from msal_cli.job.plain_data import as_data, from_data
-from msal_cli.job.records import (
-    Displacement,
-    Failure,
-    InfoRecord,
-    MeshRecord,
-    MethodUsed,
-    Seconds,
-    Volume,
-)
 
 
 def test_a_record_survives_json():
-    record = MeshRecord(
+    record = records.MeshRecord(
         input="a.ply",
         status="written",
         output="out/a.ply",
-        volume=Volume(1.0, 0.9, -0.1, -10.0, True, ""),
-        displacement=Displacement(*[0.5] * 8, moved_vertices=3),
-        method=MethodUsed("msal", {"K": 0.5, "iterations": 4}),
-        seconds=Seconds(read=1.0, total=2.0),
+        volume=records.Volume(1.0, 0.9, -0.1, -10.0, True, ""),
+        displacement=records.Displacement(*[0.5] * 8, moved_vertices=3),
+        method=records.MethodUsed("msal", {"K": 0.5, "iterations": 4}),
+        seconds=records.Seconds(read=1.0, total=2.0),
         warnings=("one", "two"),
-        error=Failure("E_FORMAT", "broken", "mend it", "line 3"),
+        error=records.Failure("E_FORMAT", "broken", "mend it", "line 3"),
     )
-    assert from_data(MeshRecord, json.loads(json.dumps(as_data(record)))) == record
+    assert from_data(records.MeshRecord, json.loads(json.dumps(as_data(record)))) == record
     # Unknown fields of later versions are dropped.
-    assert from_data(MeshRecord, as_data(record) | {"from_the_future": 1}) == record
-    info = InfoRecord("a.ply", bounds=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), polygon_sizes={"3": 7})
-    assert from_data(InfoRecord, json.loads(json.dumps(as_data(info)))) == info
+    assert from_data(records.MeshRecord, as_data(record) | {"from_the_future": 1}) == record
+    info = records.InfoRecord(
+        "a.ply", bounds=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), polygon_sizes={"3": 7}
+    )
+    assert from_data(records.InfoRecord, json.loads(json.dumps(as_data(info)))) == info
 
 
 def all_errors(kind=errors.MsalError):

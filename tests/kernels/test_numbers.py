@@ -8,35 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from msal_cli.kernels import elementary, quantiles
 from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
-from msal_cli.kernels.elementary import (
-    MIN_ARGUMENT,
-    MIN_POWER,
-    arctangents,
-    exponentials,
-    power_of_two,
-)
-from msal_cli.kernels.quantiles import (
-    MANY,
-    MAX_FREEDOMS,
-    chi_square,
-    clusters,
-    median,
-    select_ranks,
-    student,
-)
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
 def test_it_is_that_of_numpy(values):
-    assert median(np.array(values)) == np.median(values)
+    assert quantiles.median(np.array(values)) == np.median(values)
 
 
 @pytest.mark.parametrize("odd", [0, 1])
 @pytest.mark.parametrize("kind", ["normal", "few", "equal", "wide", "tiny"])
 def test_many_numbers(kind, odd):
     rng = np.random.default_rng(odd)
-    n = MANY + odd
+    n = quantiles.MANY + odd
     values = {
         "normal": rng.normal(size=n),
         "few": rng.integers(-2, 3, n) * 1.0,
@@ -44,15 +29,15 @@ def test_many_numbers(kind, odd):
         "wide": rng.normal(size=n) * 10.0 ** rng.integers(-300, 300, n),
         "tiny": rng.integers(-3, 4, n) * 5e-324,
     }[kind]
-    assert median(values) == np.median(values)
+    assert quantiles.median(values) == np.median(values)
     ranks = (0, 1, n // 3, n - 1)
-    assert select_ranks(values, *ranks) == np.sort(values)[list(ranks)].tolist()
+    assert quantiles.select_ranks(values, *ranks) == np.sort(values)[list(ranks)].tolist()
 
 
 @pytest.mark.parametrize("count", [2, 3, 7])
 def test_equal_values_are_the_lowest_cluster(count):
-    assert clusters(np.full(5, 0.3), count).tolist() == [0] * 5
-    assert clusters(np.array([0.3]), count).tolist() == [0]
+    assert quantiles.clusters(np.full(5, 0.3), count).tolist() == [0] * 5
+    assert quantiles.clusters(np.array([0.3]), count).tolist() == [0]
 
 
 @given(
@@ -62,9 +47,9 @@ def test_equal_values_are_the_lowest_cluster(count):
 )
 def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed):
     values = np.array(values)
-    found = clusters(values, count)
+    found = quantiles.clusters(values, count)
     order = np.random.default_rng(seed).permutation(len(values))
-    assert (clusters(values[order], count) == found[order]).all()
+    assert (quantiles.clusters(values[order], count) == found[order]).all()
     present = np.unique(found)
     assert set(present) <= set(range(count))
     means = np.array([values[found == label].mean() for label in present])
@@ -74,29 +59,29 @@ def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed)
     assert (np.abs(values - own) <= nearest + 1e-9).all()
 
 
-FREEDOMS = np.arange(1, MAX_FREEDOMS + 1)
+FREEDOMS = np.arange(1, quantiles.MAX_FREEDOMS + 1)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_chi_square(share):
     exact = stats.chi2.ppf(share, FREEDOMS) / FREEDOMS
-    assert chi_square(share)[1:] == pytest.approx(exact, rel=0.006)
-    assert chi_square(share)[1:5] == pytest.approx(exact[:4], rel=1e-5)
+    assert quantiles.chi_square(share)[1:] == pytest.approx(exact, rel=0.006)
+    assert quantiles.chi_square(share)[1:5] == pytest.approx(exact[:4], rel=1e-5)
 
 
 def test_student():
     freedoms = FREEDOMS[4:].astype(float)
-    assert student(freedoms) == pytest.approx(stats.t.isf(0.005, freedoms), rel=0.01)
+    assert quantiles.student(freedoms) == pytest.approx(stats.t.isf(0.005, freedoms), rel=0.01)
 
 
 def computed(values):
     values = np.array(values, dtype=np.float64)
     scratch = np.empty(len(values))
-    exponentials(values, scratch, scratch.view(np.int64), len(values))
+    elementary.exponentials(values, scratch, scratch.view(np.int64), len(values))
     return values
 
 
-@pytest.mark.parametrize("low", [-1e-8, -1.0, -30.0, MIN_ARGUMENT])
+@pytest.mark.parametrize("low", [-1e-8, -1.0, -30.0, elementary.MIN_ARGUMENT])
 def test_within_two_ulp(low):
     values = np.random.default_rng(0).uniform(low, 0.0, 100_000)
     exact = np.exp(values)
@@ -112,15 +97,15 @@ def test_any_list_gives_what_single_numbers_give(values):
 
 
 def powers(exponents):
-    return np.array([power_of_two(float(exponent)) for exponent in exponents])
+    return np.array([elementary.power_of_two(float(exponent)) for exponent in exponents])
 
 
 def test_whole_powers_of_two_are_exact():
-    whole = np.arange(MIN_POWER, 1.0)
+    whole = np.arange(elementary.MIN_POWER, 1.0)
     assert (powers(whole) == np.ldexp(1.0, whole.astype(int))).all()
 
 
-@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, MIN_POWER])
+@pytest.mark.parametrize("low", [-1e-8, -0.5, -1.0, -30.0, elementary.MIN_POWER])
 def test_powers_of_two_are_within_two_ulp(low):
     exponents = np.random.default_rng(0).uniform(low, 0.0, 10_000)
     exact = np.exp2(exponents)
@@ -132,7 +117,7 @@ LENGTHS = st.floats(0.0, 1e6)
 
 def angles_of(numerators, denominators):
     values = np.array(numerators, dtype=np.float64)
-    arctangents(values, np.array(denominators, dtype=np.float64), len(values))
+    elementary.arctangents(values, np.array(denominators, dtype=np.float64), len(values))
     return values
 
 

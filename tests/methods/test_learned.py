@@ -15,13 +15,7 @@ from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.errors import InternalError
 from msal_cli.mesh import prepare_mesh
-from msal_cli.methods._cascade import (
-    WEIGHTS,
-    load_networks,
-    read_networks,
-    return_texture,
-    write_networks,
-)
+from msal_cli.methods import _cascade
 from msal_cli.methods.learned import resolve_noise
 from tests.methods.runs import denoise, error_deg
 from tests.shapes import ball, box, grid, torus
@@ -39,18 +33,18 @@ def smooth():
 
 
 def test_the_weights_fit_into_400_kb_and_match_their_header():
-    assert (WEIGHTS / "learned.f32").stat().st_size < 400_000
-    header = json.loads((WEIGHTS / "learned.json").read_text())
+    assert (_cascade.WEIGHTS / "learned.f32").stat().st_size < 400_000
+    header = json.loads((_cascade.WEIGHTS / "learned.json").read_text())
     sizes = [pair for sizes in header["stages"] for pair in itertools.pairwise(sizes)]
     floats = sum(b * (a + 1) for a, b in sizes)
-    assert (WEIGHTS / "learned.f32").stat().st_size == 4 * floats
-    assert len(load_networks()) == 3
+    assert (_cascade.WEIGHTS / "learned.f32").stat().st_size == 4 * floats
+    assert len(_cascade.load_networks()) == 3
 
 
 def test_networks_come_back_as_they_were_written(tmp_path):
-    networks = load_networks()
-    write_networks(tmp_path / "own.json", networks, {"trained_by": "a test"})
-    again = read_networks(tmp_path / "own.json")
+    networks = _cascade.load_networks()
+    _cascade.write_networks(tmp_path / "own.json", networks, {"trained_by": "a test"})
+    again = _cascade.read_networks(tmp_path / "own.json")
     for network, copy in zip(networks, again, strict=True):
         for layer, same in zip(network.layers, copy.layers, strict=True):
             assert (layer[0] == same[0]).all()
@@ -69,7 +63,7 @@ def test_networks_come_back_as_they_were_written(tmp_path):
 )
 def test_damaged_weights_are_refused(tmp_path, harm, words):
     path, data = tmp_path / "own.json", tmp_path / "own.f32"
-    write_networks(path, load_networks(), {})
+    _cascade.write_networks(path, _cascade.load_networks(), {})
     header, floats = json.loads(path.read_text()), data.read_bytes()
     if harm in ("cut", "too short"):
         data.write_bytes(floats[:-4])
@@ -83,7 +77,7 @@ def test_damaged_weights_are_refused(tmp_path, harm, words):
     if harm in ("missing", "no header"):
         (data if harm == "missing" else path).unlink()
     with pytest.raises(InternalError, match=words):
-        read_networks(path)
+        _cascade.read_networks(path)
 
 
 @pytest.mark.parametrize(
@@ -140,11 +134,11 @@ def test_shape_beyond_white_noise_comes_back_and_noise_does_not():
     def off(positions):
         return np.linalg.norm(positions - true.vertices, axis=1).mean() / level
 
-    assert off(return_texture(scan, true.vertices, 0.2)) < 0.05
-    assert off(return_texture(scan, flat, 0.2)) < 0.5 * off(flat)
+    assert off(_cascade.return_texture(scan, true.vertices, 0.2)) < 0.05
+    assert off(_cascade.return_texture(scan, flat, 0.2)) < 0.5 * off(flat)
     # Noise that is stronger than it is said to be, or shared by neighbours, does not come back.
     for given in (0.05, 0.5):
-        assert return_texture(scan, flat, given) is flat
+        assert _cascade.return_texture(scan, flat, given) is flat
 
 
 def test_the_noise_is_estimated_but_on_staircases(monkeypatch):

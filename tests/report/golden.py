@@ -10,24 +10,13 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from msal_cli.job.records import (
-    ChoiceMade,
-    ComparisonRecord,
-    InfoRecord,
-    MeshRecord,
-    NoiseEstimate,
-    NoiseReading,
-    Reference,
-    RunnerUp,
-    SelfIntersections,
-    Volume,
-)
+from msal_cli.job import records
 from msal_cli.report import comparison, data, facts, html, info, junit, markdown, text
 from tests.report.made import RUN, failed, gated, written
 
 FOLDER = Path(__file__).with_name("golden")
 
-NOISE = NoiseEstimate(
+NOISE = records.NoiseEstimate(
     mean_edges=0.12,
     file_units=0.03,
     low_edges=0.1,
@@ -43,15 +32,15 @@ NOISE = NoiseEstimate(
     basis="the spectrum",
     words="noise along the normals",
     unsure=True,
-    readings=(NoiseReading("noise", 0.12, 0.7), NoiseReading("texture", 0.0, 0.3)),
+    readings=(records.NoiseReading("noise", 0.12, 0.7), records.NoiseReading("texture", 0.0, 0.3)),
 )
-CHOICE = ChoiceMade(
+CHOICE = records.ChoiceMade(
     reason="noise 0.12 e; AL (3 sweeps)",
     surface="machined",
     noise_edges=0.12,
     risk_edges=0.07,
     tried=3,
-    runners_up=(RunnerUp("MSAL, 2 sweeps", 0.08),),
+    runners_up=(records.RunnerUp("MSAL, 2 sweeps", 0.08),),
     wishes={},
     repeat=("--method", "al", "--set", "iterations=3"),
     among="family",
@@ -68,13 +57,13 @@ FULL = written(
     flipped_faces=1_234,
     clamped_vertices=1,
     locked_vertices=4,
-    volume=Volume(1.0, 0.9, -0.1, -10.0, False, "open (12 boundary edges)"),
+    volume=records.Volume(1.0, 0.9, -0.1, -10.0, False, "open (12 boundary edges)"),
     gates=gated().gates,
     warnings=("colours are lost in stl (W_COLOURS)",),
-    reference=Reference(
+    reference=records.Reference(
         "truth.ply", "vertices", mean_angular_error_deg=3.456, vertex_error_percent=2.0
     ),
-    self_intersections=SelfIntersections(164, 145, 101),
+    self_intersections=records.SelfIntersections(164, 145, 101),
     sidecars=("copied a.mtl",),
 )
 RECORDS = [
@@ -84,9 +73,9 @@ RECORDS = [
     written("still.ply", status="unchanged", left_alone="noise below 0.01 e"),
     written("old.ply", status="up-to-date"),
     written("turned.ply", inside_out=True),
-    MeshRecord("rest.ply", "planned", "out/rest.ply"),
+    records.MeshRecord("rest.ply", "planned", "out/rest.ply"),
 ]
-INFO = InfoRecord(
+INFO = records.InfoRecord(
     input="scan.ply",
     format="ply",
     encoding="ascii",
@@ -113,10 +102,10 @@ INFO = InfoRecord(
     references=("a\x1b.mtl",),
     warnings=("odd",),
 )
-CLOSED = InfoRecord(
+CLOSED = records.InfoRecord(
     input="ball.ply", format="ply", closed=True, volume_valid=True, volume=3.0, inside_out=True
 )
-PAIR = ComparisonRecord(
+PAIR = records.ComparisonRecord(
     before="a.ply",
     after="b.ply",
     correspondence="vertices",
@@ -129,16 +118,16 @@ PAIR = ComparisonRecord(
     max_angular_error_deg=20.0,
     vertex_error_percent=2.5,
     displacement=FULL.displacement,
-    volume=Volume(10.0, 9.0, -1.0, -10.0, True, ""),
+    volume=records.Volume(10.0, 9.0, -1.0, -10.0, True, ""),
     volume_change_percent=-10.0,
     area_change_percent=1.25,
     flipped_faces=1_234,
     hausdorff=0.25,
     hausdorff_edges=0.5,
-    self_intersections=SelfIntersections(1, 2, None),
+    self_intersections=records.SelfIntersections(1, 2, None),
     warnings=("their windings differ",),
 )
-UNLIKE = ComparisonRecord("a.ply", "c.ply", error=failed().error)
+UNLIKE = records.ComparisonRecord("a.ply", "c.ply", error=failed().error)
 
 
 def outputs() -> Iterator[tuple[str, str]]:

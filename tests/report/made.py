@@ -11,15 +11,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from msal_cli.job.records import (
-    Displacement,
-    Failure,
-    GateResult,
-    MeshRecord,
-    MethodUsed,
-    Seconds,
-    Volume,
-)
+from msal_cli.job import records
 from msal_cli.report.data import Run
 
 TEXT = st.text(
@@ -115,27 +107,29 @@ def written(name="scan.ply", **changes):
         "components": 1,
         "boundary_edges": 0,
         "non_manifold_edges": 0,
-        "volume": Volume(10.0, 9.9734, -0.0266, -0.266, True, ""),
-        "displacement": Displacement(0.1, 0.2, 0.3, 0.4, 0.11, 0.22, 0.33, 0.44, 35000),
-        "method": MethodUsed("msal", {"iterations": 4, "K": 0.5}),
-        "seconds": Seconds(0.1, 0.2, 0.0, 0.05, 0.3, 0.1, 0.2, 0.95),
+        "volume": records.Volume(10.0, 9.9734, -0.0266, -0.266, True, ""),
+        "displacement": records.Displacement(0.1, 0.2, 0.3, 0.4, 0.11, 0.22, 0.33, 0.44, 35000),
+        "method": records.MethodUsed("msal", {"iterations": 4, "K": 0.5}),
+        "seconds": records.Seconds(0.1, 0.2, 0.0, 0.05, 0.3, 0.1, 0.2, 0.95),
     }
-    return MeshRecord(**(values | changes))
+    return records.MeshRecord(**(values | changes))
 
 
 def failed(name="bad.ply", **changes):
     """The record of a file that failed."""
-    failure = Failure("E_NONFINITE", "position is not finite", "repair it", "vertex 17")
-    return MeshRecord(**({"input": name, "status": "failed", "error": failure} | changes))
+    failure = records.Failure("E_NONFINITE", "position is not finite", "repair it", "vertex 17")
+    return records.MeshRecord(**({"input": name, "status": "failed", "error": failure} | changes))
 
 
 def gated(name="gated.ply", **changes):
     """The record of a file that was written and broke one of its two gates."""
     gates = (
-        GateResult(
+        records.GateResult(
             "abs(volume_change) > 1%", True, True, {"volume_change": -2.1}, "volume_change is -2.1%"
         ),
-        GateResult("flipped_faces > 0", False, True, {"flipped_faces": 0.0}, "flipped_faces is 0"),
+        records.GateResult(
+            "flipped_faces > 0", False, True, {"flipped_faces": 0.0}, "flipped_faces is 0"
+        ),
     )
     return written(name, **({"gates": gates} | changes))
 

@@ -14,30 +14,22 @@ from hypothesis import strategies as st
 
 from msal_cli.errors import InputError, MsalError, TooLargeError
 from msal_cli.storage import gzip_streams as streams
-from msal_cli.storage.gzip_streams import (
-    ALWAYS_EXPANDED,
-    THREAD_BYTES,
-    compress,
-    expand,
-    read_whole,
-    sha256_meanwhile,
-)
 
 
 @given(st.lists(st.binary(max_size=5000), min_size=1, max_size=4))
 def test_members_are_joined(parts):
     data = b"".join(gzip.compress(part, mtime=0) for part in parts)
-    assert expand(data, "a.ply.gz") == (b"".join(parts), True)
+    assert streams.expand(data, "a.ply.gz") == (b"".join(parts), True)
 
 
 @given(st.binary(max_size=100_000))
 def test_what_is_compressed_expands_again(data):
-    packed = compress(data)
+    packed = streams.compress(data)
     assert gzip.decompress(packed) == data
-    assert expand(packed, "x.stl.GZ") == (data, True)
+    assert streams.expand(packed, "x.stl.GZ") == (data, True)
     # It has no time, name or system.
     assert packed[:10] == b"\x1f\x8b\x08\x00\0\0\0\0\x00\xff"
-    assert packed == compress(bytearray(data)) == compress(memoryview(data))
+    assert packed == streams.compress(bytearray(data)) == streams.compress(memoryview(data))
 
 
 def _flipped(data: bytes, at: int) -> bytes:
@@ -64,7 +56,7 @@ DAMAGED = {
     "damaged data": (_flipped(PACKED, 30), "E_FORMAT"),
     "garbage behind": (PACKED + b"garbage", "E_FORMAT"),
     "garbage behind padding": (PACKED + bytes(8) + b"garbage", "E_FORMAT"),
-    "bomb": (compress(bytes(1 << 20)) * 33, "E_TOO_LARGE"),
+    "bomb": (streams.compress(bytes(1 << 20)) * 33, "E_TOO_LARGE"),
 }
 
 
@@ -72,18 +64,18 @@ DAMAGED = {
 def test_damaged_gzip(name):
     data, code = DAMAGED[name]
     with pytest.raises(InputError) as caught:
-        expand(data, "scan.ply.gz")
+        streams.expand(data, "scan.ply.gz")
     assert caught.value.code == code
     assert caught.value.hint
 
 
 def test_every_prefix_and_flip_of_a_gzip_file_is_data_or_an_error():
-    whole = compress(b"v 1 2 3\n" * 50)
+    whole = streams.compress(b"v 1 2 3\n" * 50)
     variants = [whole[:k] for k in range(len(whole))]
     variants += [_flipped(whole, k) for k in range(len(whole))]
     for variant in variants:
         try:
-            data, _ = expand(variant, "a.obj.gz")
+            data, _ = streams.expand(variant, "a.obj.gz")
         except MsalError:
             continue
         # Only the header's time, flags and system byte are not protected by the checksum.
@@ -92,41 +84,41 @@ def test_every_prefix_and_flip_of_a_gzip_file_is_data_or_an_error():
 
 def test_a_bomb_is_refused_without_being_expanded():
     resource = pytest.importorskip("resource")
-    bomb = bytes(compress(bytes(16 << 20))) * 100
+    bomb = bytes(streams.compress(bytes(16 << 20))) * 100
     limit = 24 << 20
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(TooLargeError):
-        expand(bomb, "bomb.stl.gz", limit=limit)
+        streams.expand(bomb, "bomb.stl.gz", limit=limit)
     unit = 1 if sys.platform == "darwin" else 1024
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * unit
     assert grown < 4 * limit
 
 
 def test_the_default_limit_is_a_size_that_is_always_allowed_or_a_ratio(monkeypatch):
+    assert streams.MAX_RATIO < 1000 < 16 << 20 < streams.ALWAYS_EXPANDED
     monkeypatch.setattr(streams, "ALWAYS_EXPANDED", 100_000)
-    assert len(expand(compress(bytes(100_000)), "a.gz")[0]) == 100_000
+    assert len(streams.expand(streams.compress(bytes(100_000)), "a.gz")[0]) == 100_000
     with pytest.raises(TooLargeError):
-        expand(compress(bytes(100_001)), "a.gz")
+        streams.expand(streams.compress(bytes(100_001)), "a.gz")
     # No better compressed than the ratio: any size.
     noise = random.Random(1).randbytes(300_000)
-    assert len(expand(compress(noise), "a.gz")[0]) == 300_000
-    assert streams.MAX_RATIO < 1000 < 16 << 20 < ALWAYS_EXPANDED
+    assert len(streams.expand(streams.compress(noise), "a.gz")[0]) == 300_000
 
 
 def test_reading_a_file_and_its_failures(tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(b"\x00\xff")
-    assert read_whole(path) == b"\x00\xff"
-    assert read_whole(str(path)) == b"\x00\xff"
+    assert streams.read_whole(path) == b"\x00\xff"
+    assert streams.read_whole(str(path)) == b"\x00\xff"
     for size in (0, 1, 5 << 20):
         data = bytes(size)
         path.write_bytes(data)
-        read = read_whole(path, in_large_pages=True)
+        read = streams.read_whole(path, in_large_pages=True)
         assert bytes(read) == data
         assert memoryview(read).readonly and isinstance(read, memoryview) == (size > 1)
     for bad in (tmp_path / "missing", tmp_path, "a\0b"):
         with pytest.raises(InputError) as caught:
-            read_whole(bad)
+            streams.read_whole(bad)
         assert caught.value.code == "E_READ"
         assert caught.value.path == str(bad)
 
@@ -144,13 +136,13 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch,
         return os.stat_result(status)
 
     monkeypatch.setattr(os, "fstat", smaller)
-    assert bytes(read_whole(path, in_large_pages=in_large_pages)) == b"x" * 1000
+    assert bytes(streams.read_whole(path, in_large_pages=in_large_pages)) == b"x" * 1000
 
 
-@pytest.mark.parametrize("size", [0, 1000, THREAD_BYTES, THREAD_BYTES + 1])
+@pytest.mark.parametrize("size", [0, 1000, streams.THREAD_BYTES, streams.THREAD_BYTES + 1])
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
 def test_they_are_those_of_the_bytes(size, kind):
     data = bytes(k % 251 for k in range(1000)) * (size // 1000 + 1)
     data = data[:size]
-    wait = sha256_meanwhile(kind(data))
+    wait = streams.sha256_meanwhile(kind(data))
     assert wait() == wait() == hashlib.sha256(data).hexdigest()

@@ -14,8 +14,7 @@ from msal_cli.kernels.normal_descriptors import NUMBERS, WIDE_FILTERED
 from msal_cli.kernels.normal_regression import GLOBALS, STATISTICS, count_vectors
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
-from training import noise_mixture, regression
-from training.noise_mixture import MIXTURE, draw_noise
+from training import regression
 from training.samples import collect_samples, draw_meshes
 from training.scans import SHARES, draw_scan
 
@@ -30,26 +29,6 @@ def draw(seed=0):
 def samples():
     meshes = draw_meshes(SHAPES, 3, draw())
     return meshes, collect_samples(meshes, 400, draw(1))
-
-
-def test_every_kind_of_noise_is_drawn(monkeypatch):
-    mesh = prepare_mesh(*torus(40, 20)).mesh
-    for kind in MIXTURE:
-        monkeypatch.setattr(noise_mixture, "MIXTURE", (kind,))
-        levels = []
-        for seed in range(4):
-            positions, is_white = draw_noise(mesh, draw(seed))
-            away = positions - mesh.vertices
-            assert is_white == (kind.name in ("none", "gaussian-normal"))
-            levels.append(np.sqrt((away**2).sum(axis=1).mean()) / mesh.mean_edge_length)
-        if kind.name == "none":
-            assert max(levels) == 0.0
-        elif kind.name in ("gaussian-normal", "correlated"):
-            assert 0.8 * kind.low < min(levels)
-            assert max(levels) < 1.2 * kind.high
-        else:
-            assert min(levels) > 0.0
-            assert max(levels) < 2.0
 
 
 @pytest.mark.parametrize("scanner", SHARES)

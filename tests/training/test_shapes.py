@@ -12,7 +12,7 @@ pytest.importorskip("fcpw")
 
 from manifold3d import Manifold
 
-from training import relief, shapes, solids, triangulations
+from training import solids, triangulations
 from training.connectivity import build_edges, edge_lengths, face_crosses, shape_quality, to_unit
 from training.shapes import RECIPES, Recipe, build_shape
 from training.surface import LabelledMesh, PolyhedralSurface
@@ -67,14 +67,3 @@ def test_triangulations_keep_sharp_edges_exact(notched_cube, name):
     assert gap.max() < 1e-9
     areas = np.linalg.norm(face_crosses(mesh.vertices, mesh.faces), axis=1) / 2.0
     assert areas.sum() == pytest.approx(6 * 4 - 2 * 0.25, rel=1e-9)
-
-
-def test_relief_has_its_height_and_leaves_sharp_edges(notched_cube):
-    surface = PolyhedralSurface(notched_cube)
-    plain = triangulations.make_isotropic(notched_cube, surface, 4000, np.random.default_rng(1))
-    plain = shapes.scale_to_unit_edges(plain)
-    rough = relief.apply_relief(plain, relief.make_orange_peel, 6.0, 0.5, np.random.default_rng(1))
-    shift = np.linalg.norm(rough.vertices - plain.vertices, axis=1)
-    assert 0.05 < shift.mean() < 0.4 and shift.max() < 1.0
-    on_edge = (np.abs(plain.vertices) > np.abs(plain.vertices).max() - 1e-6).sum(axis=1) >= 2
-    assert on_edge.any() and shift[on_edge].max() == 0.0
