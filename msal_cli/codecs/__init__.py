@@ -42,11 +42,11 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     if wanted == "obj":
         from msal_cli.codecs import obj
 
-        return obj.read(data, name)
+        return obj.read(data)
     if wanted == "stl":
         from msal_cli.codecs import stl
 
-        return stl.read(data, name)
+        return stl.read(data)
     if wanted in ("glb", "gltf"):
         from msal_cli.codecs import gltf
 

@@ -23,8 +23,8 @@ import functools
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.mesh_file import Layout, cut_polygons
-from msal_cli.codecs.slot_file import Change, SlotFile, require_finite_result
-from msal_cli.codecs.slots import require_range
+from msal_cli.codecs.slot_file import SlotFile, require_finite_result
+from msal_cli.codecs.slots import Change, require_range
 from msal_cli.codecs.text_slots import (
     SHORTEST,
     SHORTEST_SINGLE,
@@ -68,9 +68,6 @@ Keywords = Mapping[bytes, tuple[int, int]]
 """Keywords other than v, vt, vn and f: how often each occurs, and where first.  Of the walk's
 ``state``, see ``kernels.obj_scan``, only counts are looked at."""
 
-_T = TypeVar("_T", bound=np.generic)
-
-
 _BEGUN = re.compile(rb"[-+.\deE/\\]*")
 _WORD = re.compile(rb"(?:[ \t\v\f]|\\(?:\r\n?|\n))*+([^\s\\]*+(?:\\(?![\r\n])[^\s\\]*+)*+)")
 _NUMBER = rb"([-+]?(?:\d{1,25}(?:\.\d{0,25})?|\.\d{1,25})(?:[eE][-+]?\d{1,3})?)"
@@ -104,8 +101,8 @@ _ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-def read(data: Buffer, name: str) -> ObjFile:
-    """Open the OBJ file ``data`` (its bytes); ``name`` is there for all codecs alike.
+def read(data: Buffer) -> ObjFile:
+    """Open the OBJ file ``data`` (its bytes).
 
     Raises FormatError (binary data, a word that is no number, a statement that is too short),
     TruncatedError (empty, or the last line breaks off), ContentError (``E_NONFINITE``,
@@ -114,53 +111,29 @@ def read(data: Buffer, name: str) -> ObjFile:
     return ObjFile(data)
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, kw_only=True)
 class _ObjLayout(Layout):
-    content: Content = field(kw_only=True)
+    """``face_normals`` (m, 3) int32 are the vn of each corner, -1 for none; None where no corner
+    has one."""
+
+    face_normals: Ints | None
 
 
-def _parse_layout(data: Buffer) -> _ObjLayout:
-    content = _Reader(data).read()
-    buf = as_bytes(data)
-    normals: tuple[Statements, ...] = ()
-    if content.face_normals is not None:
-        values, at, decimals = content.normals
-        normal = Statements(
-            buf, at, decimals, 2, values=values, unit_length=True, significant=_NO_LIMIT
-        )
-        normals = (normal,)
-    values, at, decimals = content.positions
-    return _ObjLayout(
-        "ascii",
-        "text",
-        (_Positions(buf, at, decimals, 1, values=values),),
-        content.corners,
-        content.sizes,
-        faces=content.faces,
-        normals=normals,
-        renew_normals=functools.partial(_renew_normals, content),
-        properties=_name_properties(content.state, content.keywords),
-        references=_find_references(data, content.libraries),
-        warnings=_describe_warnings(
-            content.state, content.keywords, functools.partial(line_of, data)
-        ),
-        content=content,
-    )
-
-
-def _renew_normals(content: Content, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
+def _renew_normals(
+    faces: Ints, face_normals: Ints, stored: Floats, old: Floats, new: Floats
+) -> list[tuple[Floats, Flags]]:
     from msal_cli.kernels.geometry import regroup_normals
 
-    assert content.face_normals is not None
-    stored = content.normals.values
-    return [regroup_normals(old, new, content.faces, content.face_normals, stored)]
+    return [regroup_normals(old, new, faces, face_normals, stored)]
 
 
 class ObjFile(SlotFile):
     """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes."""
 
+    _layout: _ObjLayout
+
     def __init__(self, data: Buffer) -> None:
-        super().__init__(data, "obj", _parse_layout)
+        super().__init__(data, "obj", lambda data: _Reader(data).read())
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with every position (n, 3) written in a precision.
@@ -193,26 +166,31 @@ class ObjFile(SlotFile):
 
     def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
         """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""
-        assert isinstance(self._layout, _ObjLayout)
-        content = self._layout.content
-        if content.face_normals is None:
-            return ()
         from msal_cli.kernels.shared_normals import find_misfits, find_users
 
-        old, stored, faces = content.positions.values, content.normals.values, content.faces
-        users = find_users(old, faces, content.face_normals, len(stored))
+        layout, faces = self._layout, self.faces
+        if layout.face_normals is None:
+            return ()
+        old, stored = layout.positions[0].values, layout.normals[0].values
+        users = find_users(old, faces, layout.face_normals, len(stored))
         if users is None:
             return ()
         [(normals, _)] = self._new_normals(vertices)
         limit = math.radians(MISFIT_DEG)
         misfits = find_misfits(users, old, vertices, faces, stored, normals, limit)
-        face = np.repeat(np.arange(len(content.sizes)), content.sizes - 2)
-        before = len(np.unique(face[misfits.faces_before]))
-        after = len(np.unique(face[misfits.faces_after]))
-        if after <= before:
+        n_faces = len(layout.sizes)
+        face = np.repeat(np.arange(n_faces), layout.sizes - 2)
+        n_before = len(np.unique(face[misfits.faces_before]))
+        n_after = len(np.unique(face[misfits.faces_after]))
+        if n_after <= n_before:
             return ()
-        n_normals = int(misfits.entries.sum())
-        return (_misfit_warning(n_normals, before, after, len(content.sizes), MISFIT_DEG),)
+        before, after = (f"{100.0 * count / n_faces:.1f} %" for count in (n_before, n_after))
+        return (
+            f"{_counted(int(misfits.entries.sum()), 'vn is', 'vn are')} shared by faces that turned"
+            f" apart: {n_after} of {n_faces} faces ({after}) are now more than {MISFIT_DEG:.0f}"
+            f" degrees off their vn ({before} before); let the program that reads the file compute"
+            " normals, or write PLY (--to ply), which has one for each vertex",
+        )
 
 
 @dataclass(eq=False)
@@ -239,46 +217,19 @@ class _Rows(NamedTuple):
     at: Longs
     decimals: Bytes
 
-    def resized(self, n_rows: int) -> _Rows:
-        values, at, decimals = self
-        return _Rows(_resized(values, n_rows), _resized(at, n_rows), _resized(decimals, n_rows))
-
     def first(self, n_rows: int) -> _Rows:
         return _Rows(self.values[:n_rows], self.at[:n_rows], self.decimals[:n_rows])
 
 
-@dataclass(frozen=True, eq=False)
-class Content:
-    """One OBJ file, parsed.
-
-    Attributes
-    ----------
-    positions, normals : the v and the vn statements.
-    faces : (m, 3) int32, polygons cut into triangles.
-    face_normals : (m, 3) int32, the vn of each corner, -1 for none; None where no corner has one.
-    corners, sizes : (k,) and (p,) int32, the p polygons as they are in the file; ``corners`` and
-        ``faces`` share memory where all are triangles.
-    state : (N_STATE,) int64, the counts that ``kernels.obj_scan`` names.
-    keywords : every other keyword, how often it occurs, and where first.
-    libraries : (l,) int64, where the mtllib statements begin.
-    """
-
-    positions: _Rows
-    normals: _Rows
-    faces: Ints
-    face_normals: Ints | None
-    corners: Ints
-    sizes: Ints
-    state: Longs
-    keywords: Keywords
-    libraries: Longs
+def _empty_rows(n_rows: int) -> _Rows:
+    at, decimals = np.empty(n_rows, dtype=np.int64), np.empty(n_rows, dtype=np.uint8)
+    return _Rows(np.empty((n_rows, 3)), at, decimals)
 
 
-def _resized(array: NDArray[_T], n_rows: int) -> NDArray[_T]:
-    """A copy with room for ``n_rows`` rows."""
-    larger = np.empty((n_rows, *array.shape[1:]), dtype=array.dtype)
-    larger[: len(array)] = array
-    return larger
+def _enlarge(n_rows: int, *arrays: NDArray[Any]) -> None:
+    """Make room for ``n_rows`` rows in place."""
+    for array in arrays:
+        array.resize((n_rows, *array.shape[1:]), refcheck=False)
 
 
 class _Reader:
@@ -302,8 +253,7 @@ class _Reader:
                 hint="convert the mesh to binary PLY",
             )
         n_normals = min(n_normals, most) if n_normals > 1 else 0
-        none = _Rows(np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint8))
-        self._positions, self._normals = none.resized(n_vertices), none.resized(n_normals)
+        self._positions, self._normals = _empty_rows(n_vertices), _empty_rows(n_normals)
         self._n_faces = n_faces
         self._corners = np.empty(3 * n_faces, dtype=np.int32)
         self._corner_normals = np.empty(3 * n_faces if n_normals else 0, dtype=np.int32)
@@ -321,16 +271,16 @@ class _Reader:
             state[scan.AT] = 3
         return state
 
-    def read(self) -> Content:
-        state = self._state
+    def read(self) -> _ObjLayout:
+        state, buf = self._state, self._buf
         while (result := self._walk(state, _ALL)) == scan.FULL:
             self._grow()
         if result != scan.WHOLE:
             raise self._scan_error(result)
         n_vertices, n_faces = int(state[scan.VERTICES]), int(state[scan.FACES])
         n_normals, n_corners = int(state[scan.NORMALS]), int(state[scan.CORNERS])
-        positions, normals = self._positions.first(n_vertices), self._normals.first(n_normals)
         self._decide_numbers()
+        positions, normals = self._positions.first(n_vertices), self._normals.first(n_normals)
         # A normal that is none is as good as zero, which is kept and compares equal to itself.
         normals.values[~np.isfinite(normals.values).all(axis=1)] = 0.0
         corners, sizes = self._corners[:n_corners], self._sizes[:n_faces]
@@ -339,7 +289,7 @@ class _Reader:
             sizes = np.broadcast_to(np.int32(3), (n_faces,))
             del self._sizes
         keywords = {
-            self._buf[at : at + size].tobytes(): (int(count), int(at))
+            buf[at : at + size].tobytes(): (int(count), int(at))
             for _, count, at, size in self._keywords[: int(state[scan.KEYWORDS])]
         }
         self._require_whole_face()
@@ -348,17 +298,29 @@ class _Reader:
         self._require_finite(positions)
         if state[scan.LARGEST_VERTEX] >= n_vertices:
             raise self._missing_vertex_error(corners, sizes, n_vertices)
-        face_normals = None
-        corner_normals = self._corner_normals[:n_corners]
-        if n_normals and len(corner_normals):
-            if state[scan.LARGEST_NORMAL] > n_normals:
-                corner_normals[corner_normals >= n_normals] = -1
-            if (corner_normals >= 0).any():
-                face_normals = cut_polygons(corner_normals, sizes)
         faces = cut_polygons(corners, sizes)
-        libraries = self._libraries[: int(state[scan.LIBRARIES])]
-        polygons = faces, face_normals, corners, sizes
-        return Content(positions, normals, *polygons, state, keywords, libraries)
+        layout = _ObjLayout(
+            "ascii",
+            "text",
+            (_Positions(buf, positions.at, positions.decimals, 1, values=positions.values),),
+            corners,
+            sizes,
+            faces=faces,
+            properties=_name_properties(state, keywords),
+            references=_find_references(self._data, self._libraries[: int(state[scan.LIBRARIES])]),
+            warnings=_describe_warnings(state, keywords, functools.partial(line_of, self._data)),
+            face_normals=None,
+        )
+        corner_normals = self._corner_normals[:n_corners]
+        corner_normals[corner_normals >= n_normals] = -1
+        if n_normals and (corner_normals >= 0).any():
+            values, at, decimals = normals
+            entries = layout.face_normals = cut_polygons(corner_normals, sizes)
+            slots = Statements(buf, at, decimals, 2, values=values)
+            slots.unit_length, slots.significant = True, _NO_LIMIT
+            layout.normals = (slots,)
+            layout.renew_normals = functools.partial(_renew_normals, faces, entries, values)
+        return layout
 
     def _walk(self, state: Longs, n_faces: int) -> int:
         """Go on until ``n_faces`` faces are read; what ``scan`` says."""
@@ -372,20 +334,18 @@ class _Reader:
         n_faces, n_corners = int(state[scan.FACES]), int(state[scan.CORNERS])
         n_vertices, n_normals = len(self._positions.at), len(self._normals.at)
         if state[scan.UNDECIDED_ROWS] == len(self._undecided):
-            self._undecided = _resized(self._undecided, 2 * len(self._undecided))
+            _enlarge(2 * len(self._undecided), self._undecided)
         elif state[scan.VERTICES] == n_vertices:
-            self._positions = self._positions.resized(2 * n_vertices + 1)
+            _enlarge(2 * n_vertices + 1, *self._positions)
         elif n_normals and state[scan.NORMALS] == n_normals:
-            self._normals = self._normals.resized(2 * n_normals + 1)
+            _enlarge(2 * n_normals + 1, *self._normals)
         elif n_faces == len(self._sizes):
-            self._sizes = _resized(self._sizes, 2 * len(self._sizes))
+            _enlarge(2 * n_faces, self._sizes)
         else:
             # As many for each face to come as the faces so far have.
             alike = (n_corners // max(n_faces, 1) + 1) * self._n_faces
             room = max(min(alike, len(self._buf) // 2), len(self._corners) * 3 // 2 + 1)
-            self._corners = _resized(self._corners, room)
-            if len(self._corner_normals):
-                self._corner_normals = _resized(self._corner_normals, room)
+            _enlarge(room, self._corners, *[self._corner_normals] * bool(len(self._corner_normals)))
 
     def _decide_numbers(self) -> None:
         """Read the statements with numbers that need Python's ``float``."""
@@ -571,20 +531,6 @@ def _describe_warnings(
             f" {'it is' if total == 1 else 'they are'}: {shown}{', ...' * (len(unknown) > _SHOWN)}"
         )
     return tuple(warnings)
-
-
-def _misfit_warning(
-    n_normals: int, n_before: int, n_after: int, n_faces: int, limit_deg: float
-) -> str:
-    """What to say where ``n_after`` of all faces are further than a limit from a ``vn`` that they
-    share, and fewer of them were before."""
-    before, after = (f"{100.0 * count / n_faces:.1f} %" for count in (n_before, n_after))
-    return (
-        f"{_counted(n_normals, 'vn is', 'vn are')} shared by faces that turned apart: {n_after} of"
-        f" {n_faces} faces ({after}) are now more than {limit_deg:.0f} degrees off their vn"
-        f" ({before} before); let the program that reads the file compute normals, or write PLY"
-        " (--to ply), which has one for each vertex"
-    )
 
 
 def _counted(number: int, one: str, many: str) -> str:

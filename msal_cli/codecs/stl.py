@@ -56,7 +56,7 @@ _NOISE = 1e-9
 """Decimals of tiny numbers with an exponent count only down to this part of the extent."""
 
 
-def read(data: Buffer, name: str) -> StlFile | StlTextFile:
+def read(data: Buffer) -> StlFile | StlTextFile:
     """Read an STL file, binary or ascii.
 
     A file whose first kilobyte is text is ascii (see ``is_text``).  In a binary file, whatever it

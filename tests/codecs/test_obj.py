@@ -57,7 +57,7 @@ def moved(file: obj.ObjFile, seed: int = 0, share: float = 1.0, size: float = 0.
 )  # fmt: skip
 def test_forms_of_a_face(line: bytes, polygon: list[int] | None) -> None:
     head = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n"
-    file = obj.read(head + line + b"\n" + (b"4\n" if polygon is None else b"f 1 3 4\n"), "")
+    file = obj.read(head + line + b"\n" + (b"4\n" if polygon is None else b"f 1 3 4\n"))
     wanted = [0, 1, 2, 3] if polygon is None else polygon
     assert np.asarray(file.polygons()[0]).tolist() == wanted
     assert file.faces[: len(wanted) - 2].tolist() == [
@@ -67,7 +67,7 @@ def test_forms_of_a_face(line: bytes, polygon: list[int] | None) -> None:
 
 
 def test_normals_follow_the_faces_that_use_them() -> None:
-    file = obj.read(ROOF, "roof.obj")
+    file = obj.read(ROOF)
     vertices = file.vertices.copy()
     vertices[[0, 1], 2] = 1.0  # the first side becomes level, the second stays
     output = bytes(file.replaced(vertices))
@@ -88,10 +88,10 @@ def test_normals_follow_the_faces_that_use_them() -> None:
 )  # fmt: skip
 def test_as_many_decimals_as_the_extent_asks_for(scale: float, token: bytes) -> None:
     data = b"v 0 0 0\nv %r 0 0\nv 0 %r 0\nf 1 2 3\n".replace(b"%r", repr(scale).encode())
-    file = obj.read(data.replace(b".0\n", b"\n"), "")
+    file = obj.read(data.replace(b".0\n", b"\n"))
     if repr(scale).endswith(".0"):
         data = data.replace(b".0 ", b" ")
-        file = obj.read(data.replace(b".0 0\n", b" 0\n"), "")
+        file = obj.read(data.replace(b".0 0\n", b" 0\n"))
     vertices = file.vertices.copy()
     vertices[0, 2] = scale / 4
     output = bytes(file.replaced(vertices))
@@ -128,7 +128,7 @@ cstype bspline
 wibble 1 2
 V 1 2 3
 """
-    file = obj.read(data, "")
+    file = obj.read(data)
     assert file.references == (
         "a.mtl", "my scan.mtl", "c d.mtl", "./sub/e.MTL", "f.mtl", "no suffix"
     )  # fmt: skip
@@ -223,7 +223,7 @@ def _number(draw: st.DrawFn, count: int) -> bytes:
 
 @given(files(), st.integers(0, 99), st.sampled_from([0.0, 0.3, 1.0]))
 def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: float) -> None:
-    file = obj.read(data, "")
+    file = obj.read(data)
     plain = parsed(data)
     assert file.vertices.tolist() == plain.vertices
     assert file.faces.tolist() == plain.triangles()
@@ -235,7 +235,7 @@ def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: fl
     if not is_moved.any():
         assert output == data
     assert blanked(output) == blanked(data)
-    after = obj.read(output, "")
+    after = obj.read(output)
     step = 10.0 ** -max(1, len(tokens(output, "v")[0][0]))
     assert np.abs(after.vertices - vertices).max() <= max(0.5, step)
     assert (after.vertices[~is_moved] == file.vertices[~is_moved]).all()
@@ -258,7 +258,7 @@ def test_a_position_has_the_decimals_of_its_own_line() -> None:
     ring = [b"v %.3f %.3f 0" % (math.cos(k / 100), math.sin(k / 100)) for k in range(600)]
     ring[7] = b"v 0.997551000253279572 0.069942847337532768 0"
     data = b"\n".join([*ring, b"f 1 2 3"])
-    file = obj.read(data, "")
+    file = obj.read(data)
     new = bytes(file.replaced(file.vertices + 1e-4))
     words = tokens(new, "v")
     assert {len(word.partition(b".")[2]) for word in words[6]} == {7}
@@ -283,7 +283,7 @@ def test_real_files_are_read_as_trimesh_reads_them(real_data: Path) -> None:
     import trimesh
 
     for path in real_files(real_data):
-        file = obj.read(path.read_bytes(), path.name)
+        file = obj.read(path.read_bytes())
         other = trimesh.load(path, process=False, skip_materials=True)
         # Corner by corner: trimesh drops vertices without faces and splits seams.  The
         # second triangle of a quad begins at another corner there.
@@ -385,14 +385,14 @@ DAMAGED = {
 )
 def test_lines_are_counted_for_every_line_end(lines: list[bytes], place: str, end: bytes) -> None:
     with pytest.raises(InputError) as caught:
-        obj.read(end.join([*lines, b""]), "bad.obj")
+        obj.read(end.join([*lines, b""]))
     assert caught.value.where.split(",")[0] == place
 
 
 def test_claims_do_not_take_memory() -> None:
     # Counted as statements at first sight, and none of them is one.
     data = V + F + b"#" + b" v" * 300_000 + b" f" * 300_000 + b"\n"
-    file = obj.read(data, "")
+    file = obj.read(data)
     assert (len(file.vertices), len(file.faces)) == (3, 1)
     base = file.vertices.base
     assert base is not None and base.nbytes < 4 * len(data)
@@ -401,7 +401,7 @@ def test_claims_do_not_take_memory() -> None:
 @pytest.mark.parametrize("end", [b"\x1a", b"\x1a\n", b"\r\n\x1a\x1a"])
 def test_the_end_mark_of_old_systems_is_kept(end):
     data = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" + end
-    file = obj.read(data, "a.obj")
+    file = obj.read(data)
     assert len(file.warnings) == 1 and "no statement that is known" in file.warnings[0]
     vertices = file.vertices * 0.5
     output = bytes(file.replaced(vertices))

@@ -51,7 +51,7 @@ def moved(file, amount=0.25):
 
 @given(soups())
 def test_corners_are_read_exactly_in_file_order(corners):
-    file = stl.read(plain_stl.binary(corners), "a.stl")
+    file = stl.read(plain_stl.binary(corners))
     assert np.array_equal(corners_of(file), corners)
     assert len(np.unique(file.vertices, axis=0)) == len(file.vertices)
     first = np.unique(file.faces, return_index=True)[1]
@@ -72,7 +72,7 @@ def test_only_positions_and_normals_change(corners, others, attributes):
     data = plain_stl.binary(
         corners, attributes=attributes[:m], header=b"COLOR=\x01\x02\x03\xff", trailing=b"tail"
     )
-    file = stl.read(data, "a.stl")
+    file = stl.read(data)
     vertices = others[: len(file.vertices)]
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
@@ -105,7 +105,7 @@ def test_only_positions_and_normals_change(corners, others, attributes):
 def test_the_sense_of_a_stored_normal_is_kept(stored, expected):
     corners = np.array([[0, 0, 0, 1, 0, 0, 0, 1, 0]], dtype=float)
     data = plain_stl.binary(corners, normals=np.array([stored]))
-    file = stl.read(data, "a.stl")
+    file = stl.read(data)
     turned = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
     output = bytes(file.replaced(turned))
     file.check(output, turned)
@@ -116,7 +116,7 @@ def test_the_sense_of_a_stored_normal_is_kept(stored, expected):
 def test_a_normal_that_is_no_number_is_kept_bit_for_bit(bits):
     data = bytearray(plain_stl.binary(tetrahedron()))
     struct.pack_into("<I", data, 84, bits)
-    file = stl.read(bytes(data), "a.stl")
+    file = stl.read(bytes(data))
     vertices = moved(file)
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
@@ -125,7 +125,7 @@ def test_a_normal_that_is_no_number_is_kept_bit_for_bit(bits):
 
 def test_a_facet_that_loses_its_area_keeps_its_normal():
     data = plain_stl.binary(tetrahedron())
-    file = stl.read(data, "a.stl")
+    file = stl.read(data)
     vertices = file.vertices.copy()
     vertices[:3] = [[0, 0, 0], [1, 1, 1], [2, 2, 2]]
     output = bytes(file.replaced(vertices))
@@ -137,7 +137,7 @@ def test_minus_zero_that_does_not_move_keeps_its_sign():
     corners = tetrahedron()
     corners[0, 0] = -0.0
     data = plain_stl.binary(corners)
-    file = stl.read(data, "a.stl")
+    file = stl.read(data)
     vertices = file.vertices.copy()
     vertices[0, 0] = 0.0
     assert bytes(file.replaced(vertices)) == data
@@ -147,9 +147,9 @@ def test_minus_zero_that_does_not_move_keeps_its_sign():
 
 def test_a_binary_file_that_begins_with_solid_is_binary():
     data = plain_stl.binary(tetrahedron(), header=b"solid made by an exporter")
-    file = stl.read(data, "a.stl")
+    file = stl.read(data)
     assert file.encoding == "binary_little_endian"
-    longer = stl.read(data + b"\0" * 7, "a.stl")
+    longer = stl.read(data + b"\0" * 7)
     assert longer.encoding == "binary_little_endian"
     assert longer.n_polygons == 4
 
@@ -242,4 +242,4 @@ DAMAGED = {
 
 @pytest.mark.parametrize("mark", [b"\xff\xfe", b"\xfe\xff"])
 def test_a_binary_file_may_begin_like_utf_16(mark):
-    assert len(stl.read(mark + BINARY[2:], "").faces) == 4
+    assert len(stl.read(mark + BINARY[2:]).faces) == 4

@@ -19,7 +19,7 @@ NUMBER = re.compile(rb"(?<=[\s])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s]
 
 
 def read(text: str | bytes) -> stl.StlTextFile:
-    file = stl.read(text.encode() if isinstance(text, str) else text, "a.stl")
+    file = stl.read(text.encode() if isinstance(text, str) else text)
     assert file.encoding == "ascii"
     return file
 
@@ -141,13 +141,13 @@ def normal_lines(data: bytes) -> list[bytes]:
 
 def checked(data: bytes) -> tuple[stl.StlTextFile, bytes]:
     """The file, and its text with all positions moved."""
-    file = stl.read(data, "a.stl")
-    assert np.array_equal(file.vertices, stl.read(TEXT, "a.stl").vertices)
+    file = stl.read(data)
+    assert np.array_equal(file.vertices, stl.read(TEXT).vertices)
     assert bytes(file.replaced(file.vertices.copy())) == data
     vertices = file.vertices[:, [1, 2, 0]] * [0.5, 0.25, 2.0] + 0.125
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
-    assert np.array_equal(stl.read(output, "a.stl").vertices, vertices)
+    assert np.array_equal(stl.read(output).vertices, vertices)
     return file, output
 
 
@@ -184,7 +184,7 @@ def test_a_file_without_normals():
     assert file.warnings == ("4 facets have no normal, and none is added",)
     assert "facet normals" not in file.properties
     assert b"normal" not in output
-    binary = stl.read(file.encoded(file.vertices, "binary", "same"), "a.stl")
+    binary = stl.read(file.encoded(file.vertices, "binary", "same"))
     assert not binary.normals.any()
     assert np.array_equal(binary.vertices, file.vertices)
 
@@ -231,6 +231,6 @@ def test_the_shortest_facets_have_room():
     facet = b"facet outer loop vertex 0 0 0 vertex 1 0 0 vertex 0 1 0 endloop endfacet "
     data = b"solid\n" + facet * 500 + b"endsolid"
     assert len(facet) == MIN_FACET_BYTES
-    file = stl.read(data, "a.stl")
+    file = stl.read(data)
     assert len(file.faces) == 500
     assert header.of_beginning(data, len(data), "a.stl").memory_bytes
