@@ -40,7 +40,8 @@ from msal_cli.codecs.mesh_file import (
     is_usable,
     require_finite,
 )
-from msal_cli.codecs.slot_file import Change, SlotFile
+from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slots import Change
 from msal_cli.errors import (
     CUT_SHORT,
     EXPORT_AGAIN,

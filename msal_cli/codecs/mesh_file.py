@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.slots import Slots
-from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import ContentError
 from msal_cli.storage.regular import Buffer
 
@@ -178,8 +177,7 @@ class Dependent:
     text: Callable[[bytes, Sequence[Floats], Shift], bytes]
 
 
-def _empty() -> Longs:
-    return np.empty(0, dtype=np.int64)
+_NONE = np.empty(0, dtype=np.int64)
 
 
 @dataclass(eq=False)
@@ -209,8 +207,8 @@ class Layout:
     encoding: str
     precision: str
     positions: tuple[Slots, ...]
-    corners: Longs | Ints = field(default_factory=_empty)
-    sizes: Longs | Ints = field(default_factory=_empty)
+    corners: Longs | Ints = field(default_factory=lambda: _NONE)
+    sizes: Longs | Ints = field(default_factory=lambda: _NONE)
     normals: tuple[Slots, ...] = ()
     frames: tuple[Floats, ...] = ()
     properties: tuple[str, ...] = ()
@@ -224,32 +222,6 @@ class Layout:
 
 
 Parse = Callable[[Buffer], Layout]
-
-
-def build_triangles(layout: Layout, vertices: Floats) -> Ints:
-    """The triangles (m, 3) of the polygons; ContentError for a layout that is no mesh."""
-    if not len(layout.sizes):
-        raise ContentError(
-            f"the file has no surface faces; it holds {layout.held or 'nothing'}",
-            code="E_NO_FACES",
-            hint="msal denoises surfaces; extract the surface of a volume mesh first",
-        )
-    require_finite(vertices)
-    corners = layout.corners.astype(np.int64, copy=False)
-    require_indices(corners, len(vertices))
-    return cut_polygons(corners.astype(np.int32), layout.sizes)
-
-
-def build_vertices(layout: Layout) -> Floats:
-    if not layout.frames:
-        values = [slots.values for slots in layout.positions]
-        return values[0] if len(values) == 1 else np.concatenate(values)
-    return np.concatenate(
-        [
-            transform(slots.values, frame)
-            for slots, frame in zip(layout.positions, layout.frames, strict=True)
-        ]
-    )
 
 
 def require_finite(

@@ -20,6 +20,7 @@ import numpy as np
 
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
+from msal_cli.codecs.slots import number_within
 from msal_cli.codecs.text_slots import Tokens
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
@@ -178,7 +179,6 @@ def _require_sizes(sizes: Longs, words: Words, first: Longs) -> None:
 
 def _corners(words: Words, first: Longs, sizes: Longs, n_vertices: int) -> Longs:
     """The corners (c,) of faces whose numbers of corners are these words."""
-    inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    corners = words.integers(np.repeat(first + 1, sizes) + inside)
+    corners = words.integers(np.repeat(first + 1, sizes) + number_within(sizes))
     require_indices(corners, n_vertices)
     return corners

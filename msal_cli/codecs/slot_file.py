@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +18,13 @@ from msal_cli.codecs.mesh_file import (
     Dependent,
     Parse,
     Shift,
-    build_triangles,
-    build_vertices,
+    cut_polygons,
+    require_finite,
     transform,
 )
 from msal_cli.codecs.slots import (
-    Overwrite,
+    Change,
     RecordSlots,
-    Slots,
     UnitSlots,
     check_overwritten,
     overwrite,
@@ -40,7 +39,8 @@ from msal_cli.codecs.text_slots import (
     replace_statements,
     require_replaced,
 )
-from msal_cli.errors import InternalError, MsalError, UnsupportedError
+from msal_cli.codecs.tokens import require_indices
+from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
@@ -48,14 +48,6 @@ _NONE = np.zeros(0, dtype=np.int64)
 
 _NORMAL_SLACK = 1e-5
 """How far the length of a new normal may be from one."""
-
-
-class Change(NamedTuple):
-    """New ``values`` (n, k) of an array, and which of its numbers ``is_changed`` (n, k)."""
-
-    slots: Slots
-    values: Floats
-    is_changed: Flags
 
 
 class SlotFile:
@@ -76,7 +68,7 @@ class SlotFile:
         self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
         if layout.faces is None:
-            self.faces = build_triangles(layout, self.vertices)
+            self.faces = self._cut_faces()
         else:
             self.faces = layout.faces
         self.n_polygons = len(layout.sizes) or len(self.faces)
@@ -88,8 +80,25 @@ class SlotFile:
     def vertices(self) -> Floats:
         """The positions (n, 3)."""
         if self._vertices is None:
-            self._vertices = build_vertices(self._layout)
+            arrays = [slots.values for slots in self._layout.positions]
+            if frames := self._layout.frames:
+                arrays = [transform(*pair) for pair in zip(arrays, frames, strict=True)]
+            self._vertices = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
         return self._vertices
+
+    def _cut_faces(self) -> Ints:
+        """The triangles (m, 3) of the polygons; ContentError for a file that is no mesh."""
+        layout = self._layout
+        if not len(layout.sizes):
+            raise ContentError(
+                f"the file has no surface faces; it holds {layout.held or 'nothing'}",
+                code="E_NO_FACES",
+                hint="msal denoises surfaces; extract the surface of a volume mesh first",
+            )
+        require_finite(self.vertices)
+        corners = layout.corners.astype(np.int64, copy=False)
+        require_indices(corners, len(self.vertices))
+        return cut_polygons(corners.astype(np.int32), layout.sizes)
 
     def forget_vertices(self) -> None:
         """Let go of the positions: a text's are kept with it, others are read again."""
@@ -118,7 +127,7 @@ class SlotFile:
         self._require_ranges(changes)
         require_finite_result(vertices)
         if self._is_binary:
-            return overwrite(as_bytes(self._data), _overwrites(changes))
+            return overwrite(as_bytes(self._data), changes)
         patches = _patches(changes)
         if patches:
             return replace_statements(as_bytes(self._data), patches)
@@ -158,7 +167,7 @@ class SlotFile:
         require_finite_result(vertices)
         data, result = as_bytes(self._data), as_bytes(output)
         if self._is_binary or not changes:
-            check_overwritten(data, result, _overwrites(changes))
+            check_overwritten(data, result, changes)
             return
         require_unit_length(changes)
         patches = _patches(changes)
@@ -330,14 +339,6 @@ def require_finite_result(vertices: Floats) -> None:
     # Infinity and what is no number show in the sum of the extremes.
     if not math.isfinite(float(vertices.max()) + float(vertices.min())):
         raise InternalError("a new position is not finite")
-
-
-def _overwrites(changes: Sequence[Change]) -> list[Overwrite]:
-    return [
-        Overwrite(slots, values, where)
-        for slots, values, where in changes
-        if isinstance(slots, RecordSlots)
-    ]
 
 
 def _patches(changes: Sequence[Change]) -> list[Patch]:

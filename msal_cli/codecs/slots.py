@@ -8,8 +8,8 @@ numbers keep their places.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,8 +128,7 @@ def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> m
     if not (order[1:] > order[:-1]).all():
         first = (np.cumsum(sizes) - sizes)[order]
         sizes = sizes[order]
-        inside = np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        words = words[np.repeat(first, sizes) + inside]
+        words = words[np.repeat(first, sizes) + number_within(sizes)]
     return text.splice(data, starts[order], stops[order], words, np.cumsum(sizes)).data
 
 
@@ -200,7 +199,7 @@ class Strided(RecordSlots):
     ``places`` are the first bytes of the columns within a record.
     """
 
-    data: Bytes = field(repr=False)
+    data: Bytes
     start: int
     count: int
     stride: int
@@ -256,8 +255,8 @@ class Strided(RecordSlots):
 class Scattered(RecordSlots):
     """Columns of records that differ in size; ``at`` are the first bytes (n,) of each column."""
 
-    data: Bytes = field(repr=False)
-    at: tuple[Longs, ...] = field(repr=False)
+    data: Bytes
+    at: tuple[Longs, ...]
     codes: tuple[str, ...]
     whole_rows: bool = False
 
@@ -302,31 +301,31 @@ def _scatter(out: Bytes, at: Longs, numbers: NDArray[np.generic]) -> None:
         out[at + k] = rows[:, k]
 
 
-class Overwrite(NamedTuple):
-    """New ``values`` (n, k) of an array, written where ``where`` (n, k)."""
+class Change(NamedTuple):
+    """New ``values`` (n, k) of an array, and which of its numbers ``is_changed`` (n, k)."""
 
-    slots: RecordSlots
+    slots: Any
     values: Floats
-    where: Flags
+    is_changed: Flags
 
-    def parts(self) -> list[Overwrite]:
-        """The same in parts that fit a cache."""
+    def parts(self) -> list[Change]:
+        """The same of records in parts that fit a cache."""
         return [
-            Overwrite(slots, self.values[rows], self.where[rows])
+            Change(slots, self.values[rows], self.is_changed[rows])
             for slots, rows in self.slots.parts()
         ]
 
 
-def overwrite(data: Bytes, changes: Sequence[Overwrite]) -> memoryview:
-    """A copy of the file with its arrays' new numbers."""
+def overwrite(data: Bytes, changes: Sequence[Change]) -> memoryview:
+    """A copy of the file with its records' new numbers."""
     from msal_cli.kernels.parallel import over_ranges
 
     # An array of numpy's comes in large pages, where the system has such.
     copy = data.copy()
 
     def write(start: int, stop: int) -> None:
-        for slots, values, where in parts[start:stop]:
-            slots.write(copy, values, where)
+        for slots, values, is_changed in parts[start:stop]:
+            slots.write(copy, values, is_changed)
 
     for change in changes:
         parts = change.parts()
@@ -334,39 +333,42 @@ def overwrite(data: Bytes, changes: Sequence[Overwrite]) -> memoryview:
     return copy.data
 
 
-def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Overwrite]) -> None:
+def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Change]) -> None:
     """Raise InternalError unless ``result`` is ``data`` with just these numbers changed."""
     from msal_cli.kernels.parallel import over_ranges
 
-    if len(data) != len(result):
-        raise InternalError("the output is not as long as the input")
+    def require_same(start: int, stop: int, after: Bytes) -> None:
+        if not is_same(data[start:stop], after):
+            raise InternalError("the output differs from the input outside its positions")
 
     def check(start: int, stop: int) -> None:
         for group in groups[start:stop]:
             first, last = _span(group)
             restored = result[first:last].copy()
-            for slots, values, where in group:
+            for slots, values, is_changed in group:
                 is_other = slots.read(restored, first) != slots.rounded(values)[0]
-                if (is_other & where).any():
+                if (is_other & is_changed).any():
                     raise InternalError("a number of the output is not the computed one")
-                slots.restore(restored, where, first)
-            _require_same(data, restored, first, last, first)
+                slots.restore(restored, is_changed, first)
+            require_same(first, last, restored)
 
+    if len(data) != len(result):
+        raise InternalError("the output is not as long as the input")
     done = 0
     for together in _overlapping(changes):
-        groups: list[Sequence[Overwrite]] = [together]
+        groups: list[Sequence[Change]] = [together]
         if len({change.slots.span for change in together}) == 1:
             groups = list(zip(*(change.parts() for change in together), strict=True))
         over_ranges(check, len(groups), smallest=_PARTS)
         start, stop = _span(together)
-        _require_same(data, result, done, start)
+        require_same(done, start, result[done:start])
         done = stop
-    _require_same(data, result, done, len(data))
+    require_same(done, len(data), result[done:])
 
 
-def _overlapping(changes: Sequence[Overwrite]) -> Iterator[list[Overwrite]]:
+def _overlapping(changes: Sequence[Change]) -> Iterator[list[Change]]:
     """The changes in order, those together whose records hold more than one of the arrays."""
-    group: list[Overwrite] = []
+    group: list[Change] = []
     for change in sorted(changes, key=lambda change: change.slots.span):
         if group and change.slots.span[0] >= _span(group)[1]:
             yield group
@@ -376,20 +378,24 @@ def _overlapping(changes: Sequence[Overwrite]) -> Iterator[list[Overwrite]]:
         yield group
 
 
-def _span(group: Sequence[Overwrite]) -> tuple[int, int]:
+def _span(group: Sequence[Change]) -> tuple[int, int]:
     spans = [change.slots.span for change in group]
     return min(start for start, _ in spans), max(stop for _, stop in spans)
 
 
-def _require_same(data: Bytes, result: Bytes, start: int, stop: int, origin: int = 0) -> None:
-    """Raise InternalError unless bytes ``start`` to ``stop`` of the file are the same in
-    ``result``, whose first byte is byte ``origin`` of it."""
+def is_same(a: Bytes, b: Bytes) -> bool:
+    """Whether two byte strings are equal, without a temporary as large as they are."""
     from msal_cli.kernels.parallel import over_ranges
 
-    def compare(first: int, last: int) -> None:
-        for low in range(start + first * _CHUNK, min(start + last * _CHUNK, stop), _CHUNK):
-            high = min(low + _CHUNK, stop)
-            if not np.array_equal(data[low:high], result[low - origin : high - origin]):
-                raise InternalError("the output differs from the input outside its positions")
+    def compare(first: int, last: int) -> bool:
+        return all(
+            np.array_equal(a[at : at + _CHUNK], b[at : at + _CHUNK])
+            for at in range(first * _CHUNK, last * _CHUNK, _CHUNK)
+        )
 
-    over_ranges(compare, -(-(stop - start) // _CHUNK), smallest=4)
+    return len(a) == len(b) and all(over_ranges(compare, -(-len(a) // _CHUNK), smallest=4))
+
+
+def number_within(sizes: Longs) -> Longs:
+    """0, 1, 2 ... (sum of sizes,) within each of the groups of these sizes (n,)."""
+    return np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.slots import UnitSlots
+from msal_cli.codecs.slots import UnitSlots, is_same
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InternalError
 from msal_cli.storage.regular import Buffer
 
@@ -109,12 +109,13 @@ class TextSlots(UnitSlots):
     significant : digits that the file may ask for before the shortest text is written instead.
     """
 
-    data: Bytes = field(repr=False)
-    values: Floats = field(default_factory=lambda: _UNREAD, repr=False, kw_only=True)
-    unit_length: bool = field(default=False, kw_only=True)
-    significant: int = field(default=SIGNIFICANT_DIGITS, kw_only=True)
-    codes: tuple[str, ...] = field(default=(), kw_only=True)
-    whole_rows: bool = field(default=False, kw_only=True)
+    data: Bytes
+    _: KW_ONLY
+    values: Floats = field(default_factory=lambda: _UNREAD)
+    unit_length: bool = False
+    significant: int = SIGNIFICANT_DIGITS
+    codes: tuple[str, ...] = ()
+    whole_rows: bool = False
 
     def used_decimals(self) -> Bytes:
         """Decimals that each of the file's numbers, or the finest of a row, has."""
@@ -168,8 +169,8 @@ class TextSlots(UnitSlots):
 class Tokens(TextSlots):
     """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
 
-    starts: Longs = field(repr=False)
-    stops: Longs = field(repr=False)
+    starts: Longs
+    stops: Longs
     width: int = 3
 
     def __post_init__(self) -> None:
@@ -226,9 +227,6 @@ numbers have the same decimals."""
 _ROWS = 1 << 16
 """Statements of one kind that are replaced or compared at a time."""
 
-_WINDOW = 1 << 18
-"""Bytes compared at a time; what they differ in fits the cache."""
-
 
 @dataclass(eq=False)
 class Statements(TextSlots):
@@ -240,8 +238,8 @@ class Statements(TextSlots):
     used : (n,) uint8, the most decimals of each one's numbers.
     """
 
-    at: Longs = field(repr=False)
-    used: Bytes = field(repr=False)
+    at: Longs
+    used: Bytes
     skipped: int = 0
 
     def used_decimals(self) -> Bytes:
@@ -361,14 +359,6 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
             )
     if not is_same(data[done:], result[result_done:]):
         raise InternalError("the output differs from the input in more than positions and normals")
-
-
-def is_same(a: Bytes, b: Bytes) -> bool:
-    """Whether two byte strings are equal, without a temporary as large as they are."""
-    return len(a) == len(b) and all(
-        np.array_equal(a[at : at + _WINDOW], b[at : at + _WINDOW])
-        for at in range(0, len(a), _WINDOW)
-    )
 
 
 def is_interleaved(patches: Sequence[Patch]) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
-from msal_cli.codecs.slots import Slots, Strided
+from msal_cli.codecs.slots import Slots, Strided, number_within
 from msal_cli.codecs.text_slots import Tokens, line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import (
@@ -510,6 +510,6 @@ def _strip_triangles(sizes: Longs) -> Longs:
     """
     n_triangles = np.maximum(sizes - 2, 0)
     first = np.repeat(np.cumsum(sizes) - sizes, n_triangles)
-    inside = np.arange(len(first)) - np.repeat(np.cumsum(n_triangles) - n_triangles, n_triangles)
+    inside = number_within(n_triangles)
     odd, at = inside % 2, first + inside
     return np.stack([at + odd, at + 1 - odd, at + 2], axis=1)
