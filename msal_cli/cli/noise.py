@@ -167,19 +167,25 @@ def _find_targets(request: Request) -> list[tuple[str, str]]:
 
 def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | None) -> MadeFile:
     """Write one output, whole or not at all."""
+    from contextlib import nullcontext
+
     from msal_cli.cli.streams import read_stream
     from msal_cli.codecs import header
     from msal_cli.codecs.companions import list_sources
     from msal_cli.job.output import add_noise_to_file, write_output
+    from msal_cli.job.room import room_for_files
 
+    is_stream = source == STREAM
+    target = None if path == STREAM else path
     try:
-        data = read_stream() if source == STREAM else header.read_input(source, format)
-        made = add_noise_to_file(data, source, path, noise, format)
-        if path == STREAM:
-            console.put_bytes(made.output)
-        else:
-            sources = (0,) if source == STREAM else list_sources(source, data)
-            write_output(path, made.output, made.companions, sources)
+        with nullcontext() if is_stream else room_for_files((source,), format, target):
+            data = read_stream() if is_stream else header.read_input(source, format)
+            made = add_noise_to_file(data, source, path, noise, format)
+            if path == STREAM:
+                console.put_bytes(made.output)
+            else:
+                sources = (0,) if is_stream else list_sources(source, data)
+                write_output(path, made.output, made.companions, sources)
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY") from None
     return made

@@ -98,7 +98,9 @@ def scratch_of_task(task: Task, expected: Forecast, limits: Limits) -> Scratch |
     )
 
 
-def room_for_files(paths: Sequence[str], format: str | None = None) -> AbstractContextManager[None]:
+def room_for_files(
+    paths: Sequence[str], format: str | None = None, output: str | None = None
+) -> AbstractContextManager[None]:
     """Room for files that are read together; errors as of ``find_scratch``."""
     from msal_cli.codecs.header import forecast
 
@@ -106,7 +108,7 @@ def room_for_files(paths: Sequence[str], format: str | None = None) -> AbstractC
     needs = [forecast(path, format=format).memory_bytes or base for path in paths]
     needed = base + sum(need - base for need in needs)
     words = "opening this file" if len(paths) == 1 else "opening these files"
-    return use_scratch(find_scratch(words, needed))
+    return use_scratch(find_scratch(words, needed, output=output))
 
 
 def find_scratch(

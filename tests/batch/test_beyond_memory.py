@@ -68,9 +68,6 @@ def grid(path: Path, n: int) -> Path:
     return path
 
 
-# Order
-
-
 # Files
 
 
@@ -186,6 +183,17 @@ def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
     there = compare_files(str(source), str(source))
     assert there.displacement == other.displacement and there.volume == other.volume
     assert there.hausdorff is None and "does not fit into memory" in there.warnings[-1]
+
+
+@linux
+def test_noise_is_added_with_the_same_bytes(tmp_path, small, monkeypatch):
+    source = grid(tmp_path / "a.ply", 60)
+    assert msal("noise", source, "-o", tmp_path / "usual.ply").exit_code == 0
+    monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
+    # The peak is counted anew for each file.
+    assert msal("noise", source, "-o", tmp_path / "beyond.ply").exit_code == 0
+    assert array_files.count_scratch().peak_bytes > source.stat().st_size
+    assert (tmp_path / "beyond.ply").read_bytes() == (tmp_path / "usual.ply").read_bytes()
 
 
 @linux
