@@ -44,29 +44,50 @@ def normal_field(vertices: np.ndarray, faces: np.ndarray, mollify: int) -> np.nd
     return normals
 
 
+def heights_and_sigma(x, rings, normals):
+    """d of eq. (5) and sigma of eq. (4)."""
+    d, sigma = np.zeros(len(x)), np.zeros(len(x))
+    for i, ring in enumerate(rings):
+        if ring:
+            h = (x[ring] - x[i]) @ normals[i]
+            sigma[i] = 2 * np.mean(np.abs(h - np.mean(h)))
+            if sigma[i] <= 1e-9 * np.ptp(x):
+                d[i] = h.mean()  # the limit of eq. (5) for equal heights
+            else:
+                g = np.exp(-(h**2) / (2 * sigma[i] ** 2))
+                d[i] = (g * h).sum() / g.sum()
+    return d, sigma
+
+
+def quantile_above_zero(values: np.ndarray, share: float) -> float:
+    """The least value which at least ``share`` of those above zero do not exceed."""
+    above = sorted(value for value in values.tolist() if value > 0)
+    for at, value in enumerate(above):
+        if at + 1 >= share * len(above):
+            return value
+    return 0.0
+
+
 def algorithm_1(
-    v: np.ndarray, faces: np.ndarray, iterations: int, K: float | None, mollify: int
+    v: np.ndarray,
+    faces: np.ndarray,
+    iterations: int,
+    K: float | None,
+    mollify: int,
+    quantile: float = 1.0,
 ) -> np.ndarray:
-    """Algorithm 1; with K = None it is AL, tau = 1 and lambda = 0."""
-    n = normal_field(v, faces, mollify)
-    rings = one_rings(len(v), faces)
+    """Algorithm 1; with K = None it is AL, tau = 1 and lambda = 0.
+
+    A quantile below 1 makes it robust: lambda = min(1, sigma / quantile of sigma).
+    """
+    n, rings = normal_field(v, faces, mollify), one_rings(len(v), faces)
     x = v.copy()
     for j in range(iterations):
-        sigma = np.zeros(len(v))
-        d = np.zeros(len(v))
-        for i, ring in enumerate(rings):
-            if not ring:
-                continue
-            h = (x[ring] - x[i]) @ n[i]
-            sigma[i] = 2 * np.mean(np.abs(h - np.mean(h)))  # eq. (4)
-            if sigma[i] <= 1e-9 * np.ptp(v):
-                d[i] = h.mean()  # the limit of eq. (5) for equal heights
-                continue
-            g = np.exp(-(h**2) / (2 * sigma[i] ** 2))
-            d[i] = (g * h).sum() / g.sum()  # eq. (5)
+        d, sigma = heights_and_sigma(x, rings, n)
         if K is None:
             x = x + d[:, None] * n
         else:
-            lam = sigma / sigma.max() if sigma.max() > 0 else sigma  # eq. (7)
+            scale = quantile_above_zero(sigma, quantile)
+            lam = np.minimum(1, sigma / scale) if scale else sigma  # eq. (7)
             x = x + K**j * d[:, None] * n + lam[:, None] * (v - x)  # eqs. (2), (6)
     return x

@@ -20,7 +20,6 @@ from pathlib import Path
 from msal_cli.batch.schedule import Failed, Interrupt, Returned, Started, Work
 from msal_cli.batch.workers import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
-from msal_cli.job.settings import FORECAST
 from msal_cli.storage.atomic import temporary_name
 
 DEATHS = {
@@ -160,6 +159,12 @@ def is_running(pid):
 def denoise(task, settings, on_progress=None, limits=None):
     """In the place of ``pipeline.denoise_file``: upper case for lower, and deaths to order."""
     data = Path(task.input).read_bytes()
+    sha256 = hashlib.sha256(data).hexdigest()
+
+    def fail(code, input_sha256=None):
+        error = Failure(code, "made to fail")
+        return MeshRecord(task.input, "failed", input_sha256=input_sha256, error=error)
+
     for line in data.decode().splitlines():
         if line.startswith("sleep "):
             time.sleep(float(line.split()[1]))
@@ -170,25 +175,9 @@ def denoise(task, settings, on_progress=None, limits=None):
                 time.sleep(60)
         if line.startswith("fail"):
             # "fail" alone is a file that could not be read: nothing is known of its content.
-            code = (line.split() + ["E_FORMAT"])[1]
-            sha256 = hashlib.sha256(data).hexdigest() if line != "fail" else None
-            return MeshRecord(
-                input=task.input,
-                status="failed",
-                input_sha256=sha256,
-                error=Failure(code, "made to fail"),
-            )
-        if line.startswith("unseen"):
-            return MeshRecord(
-                input=task.input, status="failed", error=Failure("E_READ", "no such file")
-            )
+            return fail((line.split() + ["E_FORMAT"])[1], sha256 if line != "fail" else None)
         if line.startswith("memory"):
-            return MeshRecord(
-                input=task.input, status="failed", error=Failure("E_MEMORY", "made to fail")
-            )
-        if line.startswith("foreseen"):
-            error = Failure("E_MEMORY", "made to fail", where=FORECAST)
-            return MeshRecord(input=task.input, status="failed", error=error)
+            return fail("E_MEMORY")
         if line.startswith("die "):
             how, *once = line.split()[1:]
             mark = Path(task.input + ".died")
@@ -216,7 +205,7 @@ def denoise(task, settings, on_progress=None, limits=None):
         output=task.output,
         status="written",
         vertices=len(data),
-        input_sha256=hashlib.sha256(data).hexdigest(),
+        input_sha256=sha256,
         output_sha256=hashlib.sha256(output).hexdigest(),
     )
 

@@ -1,6 +1,6 @@
 """Whole runs of the real command over a small folder, accidents to them, and what must hold after.
 
-The folder holds meshes of several formats, one of them damaged, so that a run over it takes about a
+The folder holds small meshes, one of them damaged, so that a run over it takes about a
 second and ends with exit status 3.
 """
 
@@ -28,30 +28,18 @@ STATUS = 3
 """The exit status of an unbroken run over the folder."""
 
 
-def obj_text(vertices, faces, library):
-    """A Wavefront OBJ file as bytes; ``library`` names a file of materials."""
-    lines = [f"mtllib {library}", "usemtl clay"]
-    lines += ["v " + " ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
-    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
-    return "\n".join(lines).encode() + b"\n"
-
-
 def scans_in(folder, count=24):
-    """Fill ``folder`` with ``count`` small meshes of several formats and a damaged one."""
+    """Fill ``folder`` with ``count`` small meshes, some of them packed, and a damaged one."""
     folder.mkdir(parents=True)
     for n in range(count):
         vertices, faces = torus(8 + n % 5, 6)
-        vertices = noisy(vertices, n, 0.05)
+        data = ply_text(noisy(vertices, n, 0.05), faces)
         home = folder / ("", "a", "a/b")[n % 3]
         home.mkdir(parents=True, exist_ok=True)
-        if n % 3 == 0:
-            (home / f"{n}.obj").write_bytes(obj_text(vertices, faces, f"{n}.mtl"))
-            (home / f"{n}.mtl").write_bytes(b"newmtl clay\n")
-        elif n % 3 == 1:
-            (home / f"{n}.ply").write_bytes(ply_text(vertices, faces))
+        if n % 3 == 2:
+            (home / f"{n}.ply.gz").write_bytes(gzip.compress(data, mtime=0))
         else:
-            packed = gzip.compress(ply_text(vertices, faces), mtime=0)
-            (home / f"{n}.ply.gz").write_bytes(packed)
+            (home / f"{n}.ply").write_bytes(data)
     (folder / "a" / "damaged.ply").write_bytes(BAD_SCAN)
     return folder
 

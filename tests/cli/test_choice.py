@@ -376,11 +376,3 @@ def test_a_method_by_name_despikes_only_on_request(spiked, tmp_path):
         np.abs(vertices_of(tmp_path / name) - torus(60, 30)[0]).max() for name in ("a.ply", "b.ply")
     ]
     assert errors[1] < 0.5 * errors[0]
-
-
-def test_locked_outliers_stay(spiked, tmp_path):
-    before = vertices_of(spiked / "quiet.ply")
-    record = denoise(spiked / "quiet.ply", "-o", tmp_path / "o.ply", "--lock", "x > 0")
-    locked = before[:, 0] > 0
-    assert record["despiked"] == 20 - int(locked[SPIKED].sum())
-    assert (vertices_of(tmp_path / "o.ply")[locked] == before[locked]).all()

@@ -131,20 +131,6 @@ def test_two_files(files, name, tolerance, status):
     assert ("tolerance 1 %" in made.stderr) == (status == 4)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"{", b"[]", b'{"schema": "msal.info/1"}', b"\xff", b'{"schema": []}',
-                b'{"schema": "msal.compare/1", "records": 5}',
-                b'{"schema": "msal.compare/1", "records": [{"after": 1}]}']
-)  # fmt: skip
-def test_a_baseline_that_is_none(files, content):
-    known = files / "known.json"
-    known.write_bytes(content)
-    made = msal("compare", files / "truth.ply", files / "good.ply", "--baseline", known)
-    assert (made.exit_code, made.stdout) == (1, "")
-    assert "this is no baseline" in made.stderr
-    assert "Traceback" not in made.stderr
-
-
 @pytest.fixture
 def moved(tmp_path):
     """Two folders of three files, what was known of them, and a fourth file without a partner."""

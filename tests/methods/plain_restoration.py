@@ -1,46 +1,10 @@
-"""The robust and the Wiener schedule, vertex by vertex, in plain Python from their definitions."""
+"""The Wiener schedule, vertex by vertex, in plain Python from its definition."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from tests.paper import normal_field, one_rings
-
-
-def quantile_above_zero(values: np.ndarray, share: float) -> float:
-    """The least value which at least ``share`` of those above zero do not exceed."""
-    above = sorted(value for value in values.tolist() if value > 0)
-    for at, value in enumerate(above):
-        if at + 1 >= share * len(above):
-            return value
-    return 0.0
-
-
-def heights_and_sigma(x, rings, normals):
-    """d of eq. (5) and sigma of eq. (4)."""
-    d, sigma = np.zeros(len(x)), np.zeros(len(x))
-    for i, ring in enumerate(rings):
-        if ring:
-            h = (x[ring] - x[i]) @ normals[i]
-            sigma[i] = 2 * np.mean(np.abs(h - np.mean(h)))
-            if sigma[i] <= 1e-9 * np.ptp(x):
-                d[i] = h.mean()
-            else:
-                g = np.exp(-(h**2) / (2 * sigma[i] ** 2))
-                d[i] = (g * h).sum() / g.sum()
-    return d, sigma
-
-
-def robust(v, faces, iterations: int, K: float, quantile: float, mollify: int) -> np.ndarray:
-    """Algorithm 1 with lambda = min(1, sigma / quantile of sigma)."""
-    normals, rings = normal_field(v, faces, mollify), one_rings(len(v), faces)
-    x = v.copy()
-    for j in range(iterations):
-        d, sigma = heights_and_sigma(x, rings, normals)
-        scale = quantile_above_zero(sigma, quantile)
-        lam = np.minimum(1, sigma / scale) if scale else sigma
-        x = x + K**j * d[:, None] * normals + lam[:, None] * (v - x)
-    return x
+from tests.paper import heights_and_sigma, normal_field, one_rings
 
 
 def noise_shares(bands: int) -> list[float]:

@@ -14,6 +14,7 @@ from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.mesh import prepare_mesh
 from tests.methods import plain_restoration as plain
 from tests.methods.runs import SHAPES, denoise, scan
+from tests.paper import algorithm_1
 from tests.shapes import ball, noisy, torus
 
 
@@ -54,7 +55,7 @@ def test_lambda_stays_within_0_and_1_and_the_definition(seed, level, quantile, K
     vertices = noisy(vertices, seed, level)
     vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     result = run(vertices, faces, schedule="robust", quantile=quantile, K=K, n=3)
-    expected = plain.robust(vertices, faces, 3, K, quantile, 1)
+    expected = algorithm_1(vertices, faces, 3, K, 1, quantile)
     assert np.abs(result.vertices - expected).max() <= 1e-12 * np.ptp(vertices)
     fidelity = result.fields["fidelity"]
     assert fidelity.min() >= 0.0

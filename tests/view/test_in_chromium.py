@@ -22,16 +22,6 @@ def scene_of_two(around=48, across=24):
     return before, Mesh(vertices, faces), np.linalg.norm(before.vertices - vertices, axis=1)
 
 
-def picture():
-    from io import BytesIO
-
-    from PIL import Image
-
-    file = BytesIO()
-    Image.new("RGB", (64, 40), (200, 30, 30)).save(file, "PNG")
-    return file.getvalue()
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("pages")
@@ -203,25 +193,6 @@ def test_the_script_reads_what_was_written(pair, folder):
         assert np.array_equal(np.array(corners), faces.reshape(-1))
     scale = np.array(found[1]) / 65535 * 7.0
     assert np.allclose(scale, values)
-
-
-def test_several_scenes_wait_for_a_click(browser, tmp_path):
-    drawn = scene.encode_scene(*scene_of_two(16, 8))
-    code, looks = viewer.script(), viewer.style()
-    policy = viewer.content_policy([code], [looks])
-    boxes = [viewer.embed_scene(f"s{k}", drawn, picture=picture()) for k in range(2)]
-    (tmp_path / "two.html").write_text(
-        '<!DOCTYPE html><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        f"<style>{looks}</style>{''.join(boxes)}<script>{code}</script>"
-    )
-    browser.open(tmp_path / "two.html", state="waiting")
-    assert browser.run("document.querySelectorAll('canvas').length") == 0
-    browser.driver.find_elements("css selector", ".msal-open")[1].click()
-    states = "[...document.querySelectorAll('.msal-scene')].map((one) => one.dataset.state)"
-    browser.wait(lambda: browser.run(states) == ["waiting", "ready"])
-    assert browser.run("document.querySelectorAll('canvas').length") == 1
-    assert browser.complaints() == []
 
 
 def test_without_webgl_there_is_the_picture(browsers, folder):
