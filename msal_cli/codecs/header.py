@@ -97,50 +97,46 @@ def _believed(size: int, is_packed: bool) -> int:
 
 
 def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
-    is_whole = is_packed or len(head) >= size
-    view = memoryview(head)
+    view, is_whole = memoryview(head), is_packed or len(head) >= size
     header, error = _try(lambda: ply_header.parse_header(view, is_whole))
-    if header is None:
-        # The end of the last line may be all that was not read.
-        header, _ = _try(lambda: ply_header.parse_header(view))
+    # The end of the last line may be all that was not read.
+    header = header or _try(lambda: ply_header.parse_header(view))[0]
     if header is None:
         return Header("ply", error=error)
-    vertex, face = header.find("vertex"), header.find("face")
-    strips = header.find("tristrips") if face is None else None
-    grid = header.find("range_grid") if face is None else None
-    n_vertices = vertex.count if vertex is not None else 0
-    n_faces = face.count if face is not None else 0
+    counts = {element.name: element.count for element in header.elements}
+    n_vertices, n_faces = counts.get("vertex", 0), counts.get("face", 0)
     is_text = header.encoding == "ascii"
     flavour = "ply-ascii" if is_text else "ply"
-    most = None if is_text else header.most_bytes()
-    least = header.least_bytes() + is_text
-    if least > _believed(size, is_packed):
-        if error is None and least - is_text > size:
+    least, most = header.byte_range()
+    if least + is_text > _believed(size, is_packed):
+        if error is None and least > size:
             error = TruncatedError(
-                f"the header counts {least - is_text:,} bytes at the least, but the file has "
-                f"{size:,}",
+                f"the header counts {least:,} bytes at the least, but the file has {size:,}",
                 where=f"byte {size}",
-                hint="the file was cut short or its header counts are wrong; copy or export it "
-                "again",
+                hint=ply_header.CUT_HINT,
             )
         return Header(flavour, is_text, most_bytes=most, error=error)
-    n_triangles: int = n_faces
-    if strips is not None:
+    least += is_text
+    has_strips = "face" not in counts and "tristrips" in counts
+    n_triangles = n_faces
+    if has_strips:
         # Each item of a strip but its first two is a triangle; how many there are, only reading
         # the strips tells.
-        n_triangles = 4 * strips.count if is_packed else (size - least) // (2 if is_text else 4)
-    elif grid is not None:
+        n_triangles = (size - least) // (2 if is_text else 4)
+        n_triangles = 4 * counts["tristrips"] if is_packed else n_triangles
+    elif "face" not in counts and "range_grid" in counts:
         # Most of its samples may be empty; a vertex has two triangles.
-        n_triangles = 2 * min(grid.count, n_vertices)
-    elif face is not None and not is_text and not is_packed:
-        n_triangles = max(n_faces, _most_triangles(header, face, size - least))
-    elif face is not None and not is_text:
-        # Triangles, as nearly all scans are.
-        items = (int(prop.code[1]) for prop in face.properties if prop.is_list)
-        least += n_faces * 3 * sum(items)
-    faces = None if strips is not None else n_faces
-    counts = n_vertices, faces, n_vertices, n_triangles
-    return Header(flavour, is_text, least, most, *counts, error)
+        n_triangles = 2 * min(counts["range_grid"], n_vertices)
+    elif not is_text and (face := header.find("face")) is not None:
+        if is_packed:
+            # Triangles, as nearly all scans are.
+            items = (int(prop.code[1]) for prop in face.properties if prop.is_list)
+            least += n_faces * 3 * sum(items)
+        else:
+            n_triangles = max(n_faces, _most_triangles(header, face, size - least))
+    faces = None if has_strips else n_faces
+    shown = n_vertices, faces, n_vertices, n_triangles
+    return Header(flavour, is_text, least, most, *shown, error)
 
 
 def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: int) -> int:
@@ -156,9 +152,9 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import stl
 
     is_text = stl.is_text(head, size)
-    most, error = (None, None) if is_text else _try(lambda: stl.wanted_bytes(head, size))
-    count = int.from_bytes(head[80:84], "little")
-    least = 84 + 50 * count
+    most, error = (None, None) if is_text else _try(lambda: stl.require_bytes(head, size))
+    least = stl.wanted_bytes(head)
+    count = (least - 84) // 50
     # A text with zeros behind it is forecast as a binary file whose count is not known.
     if b"\0" in head[:1024] or (len(head) >= 84 and size == least):
         if len(head) < 84 or least > _believed(size, is_packed):
@@ -362,21 +358,10 @@ class Forecast:
     memory_bytes: int | None = None
 
 
-def forecast(
-    path: str,
-    *,
-    format: str | None = None,
-    to: str | None = None,
-    method_bytes_per_face: int = 0,
-) -> Forecast:
+def forecast(path: str, **options: Any) -> Forecast:
     """What the file at ``path`` will ask for; reads ``LOOKED_AT`` bytes at most, never raises.
 
-    Parameters
-    ----------
-    format : the format, over the name's.
-    to : the format to be written where it is another, or the same in another encoding.
-    method_bytes_per_face : what the method needs per triangle beyond what all do; see
-        ``Method.bytes_per_face``.
+    ``options`` are ``format``, ``to`` and ``method_bytes_per_face`` of ``of_beginning``.
     """
     try:
         if is_url(path):
@@ -389,15 +374,8 @@ def forecast(
                 size = max(file.seek(0, 2), len(head))
     except (OSError, ValueError, MsalError):
         return Forecast()
-    return of_beginning(
-        head,
-        size,
-        path,
-        format=format,
-        to=to,
-        method_bytes_per_face=method_bytes_per_face,
-        beside=_beside(head, path) if len(head) == size else 0,
-    )
+    beside = _beside(head, path) if len(head) == size else 0
+    return of_beginning(head, size, path, beside=beside, **options)
 
 
 def of_beginning(
@@ -410,17 +388,22 @@ def of_beginning(
     method_bytes_per_face: int = 0,
     beside: int = 0,
 ) -> Forecast:
-    """What a file of ``size`` bytes that begins with ``head`` will ask for; see ``forecast``.
+    """What a file of ``size`` bytes that begins with ``head`` will ask for.
 
-    ``beside`` are the bytes of files that hold a part of it.
+    Parameters
+    ----------
+    format : the format, over the name's.
+    to : the format to be written where it is another, or the same in another encoding.
+    method_bytes_per_face : what the method needs per triangle beyond what all do; see
+        ``Method.bytes_per_face``.
+    beside : the bytes of other files that hold a part of it.
     """
-    packed = 0
-    if head[:2] == GZIP_MAGIC:
-        packed = size
+    packed = size if head[:2] == GZIP_MAGIC else 0
+    if packed:
         head, size = expand_beginning(head, size)
-    found = format_of_name(name) if format is None else format.lower().removeprefix(".")
-    found = found or content_format(head)
-    header = read_header(found, head, size, is_packed=bool(packed), beside=beside)
+    format = format_of_name(name) if format is None else format.lower().removeprefix(".")
+    format = format or content_format(head)
+    header = read_header(format, head, size, is_packed=bool(packed), beside=beside)
     cost = _COSTS.get(header.flavour, _UNKNOWN)
     size = max(size + beside, header.least_bytes)
     n_triangles = header.n_triangles
@@ -433,7 +416,7 @@ def of_beginning(
     elif header.flavour in ("ply", "stl", "glb"):
         # Sizes alone say of these formats what they say of any.
         needed += (_PER_BYTE_OF_ANY - cost.per_byte) * size
-    return Forecast(found, header.vertices, header.faces, int(needed))
+    return Forecast(format, header.vertices, header.faces, int(needed))
 
 
 def _beside(head: bytes, path: str) -> int:

@@ -516,7 +516,7 @@ def parse(data: Buffer) -> PlyLayout:
         corners=surface.corners,
         sizes=surface.sizes,
         properties=properties_of(header, surface.grid),
-        references=header.textures,
+        references=tuple(header.textures),
         header=header,
         sections=sections,
         end=end,

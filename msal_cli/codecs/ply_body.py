@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
-from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
+from msal_cli.codecs.ply_header import CUT_HINT, NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, Tokens, line_of, number_hint
 from msal_cli.errors import FormatError, InputError, TruncatedError
@@ -36,8 +36,6 @@ _TOKEN = re.compile(rb"\S")
 
 MAX_UNUSUAL = 5_000
 """Records with numbers that are not plain, up to which each line keeps its own decimals."""
-
-CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 
 class Places(NamedTuple):
@@ -517,7 +515,7 @@ def _varied(
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, walk_binary
 
     listed = element.properties
-    least = sum(prop.least_bytes() for prop in listed)
+    least = sum(prop.byte_range()[0] for prop in listed)
     # When the count cannot be met the walk only finds where, and nothing is allocated for it.
     fits = element.count <= (len(data) - at) // least
     names = [prop.name for prop in listed if prop.name in wanted] if fits else []

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.errors import (
+    CUT_SHORT,
     FormatError,
     TooLargeError,
     TruncatedError,
@@ -21,6 +22,8 @@ from msal_cli.errors import (
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
+
+CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
 
 MAX_BYTES = 65_536
 """Longest header that is read; a file without an end to its header is not searched further."""
@@ -78,29 +81,27 @@ class Property:
     def is_list(self) -> bool:
         return bool(self.count_type)
 
-    def least_bytes(self) -> int:
-        """Bytes in a binary record at the least: of a list, its count."""
-        return int((self.count_code or self.code)[1])
-
-    def most_bytes(self) -> int:
-        """Bytes in a binary record at the most."""
+    def byte_range(self) -> tuple[int, int]:
+        """Bytes in a binary record at the least, which is a list's count, and at the most."""
+        size = int(self.code[1])
         if not self.is_list:
-            return int(self.code[1])
-        bits = 8 * int(self.count_code[1]) - (self.count_code[0] == "i")
-        return int(self.count_code[1]) + ((1 << bits) - 1) * int(self.code[1])
+            return size, size
+        count_size = int(self.count_code[1])
+        bits = 8 * count_size - (self.count_code[0] == "i")
+        return count_size, count_size + ((1 << bits) - 1) * size
 
     def __str__(self) -> str:
         kind = f"list {self.count_type} {self.type}" if self.is_list else self.type
         return f"{self.name} {kind}"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Element:
     """One ``element`` line with its properties; ``count`` is what the file claims."""
 
     name: str
     count: int
-    properties: tuple[Property, ...]
+    properties: list[Property] = field(default_factory=list)
 
     def find(self, name: str) -> Property | None:
         return next((prop for prop in self.properties if prop.name == name), None)
@@ -111,17 +112,6 @@ class Element:
     def find_all(self, names: Sequence[str]) -> list[Property]:
         """The properties of these names, which all must be there."""
         return [self.properties[self.index(name)] for name in names]
-
-    def least_bytes(self, is_text: bool) -> int:
-        """Bytes that the element takes at the least, its lists empty."""
-        if is_text:
-            # One digit and one separator for each value.
-            return 2 * self.count * len(self.properties)
-        return self.count * sum(prop.least_bytes() for prop in self.properties)
-
-    def most_bytes(self) -> int:
-        """Bytes that the element takes at the most in a binary file, its lists full."""
-        return self.count * sum(prop.most_bytes() for prop in self.properties)
 
 
 @dataclass(frozen=True)
@@ -137,43 +127,45 @@ class Stray:
     is_doubtful: bool
 
 
-@dataclass(frozen=True)
+@dataclass
 class Header:
     """A parsed header.
 
     Attributes
     ----------
-    encoding : one of ``ENCODINGS``.
-    elements : in file order.
-    textures : files named by ``comment TextureFile``, as written.
     size : bytes up to and including the line end of ``end_header``.
     newline : the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``.
-    format_line : which line (from 0) states the encoding.
+    encoding : one of ``ENCODINGS``, which line ``format_line`` (from 0) states.
+    elements : in file order.
+    textures : files named by ``comment TextureFile``, as written.
     strays : lines that say nothing that is known.
     infos : words behind ``obj_info``, by the first of them.
     """
 
-    encoding: str
-    elements: tuple[Element, ...]
-    textures: tuple[str, ...]
     size: int
     newline: bytes
-    format_line: int
-    strays: tuple[Stray, ...]
-    infos: Mapping[str, str]
+    encoding: str = ""
+    format_line: int = -1
+    elements: list[Element] = field(default_factory=list)
+    textures: list[str] = field(default_factory=list)
+    strays: list[Stray] = field(default_factory=list)
+    infos: dict[str, str] = field(default_factory=dict)
 
     def find(self, name: str) -> Element | None:
         return next((element for element in self.elements if element.name == name), None)
 
-    def least_bytes(self) -> int:
-        """Bytes that a file with this header has at the least."""
-        is_text = self.encoding == "ascii"
-        # The last value of a text needs no separator.
-        return self.size + sum(element.least_bytes(is_text) for element in self.elements) - is_text
-
-    def most_bytes(self) -> int:
-        """Bytes that the header and all elements take at the most in a binary file."""
-        return self.size + sum(element.most_bytes() for element in self.elements)
+    def byte_range(self) -> tuple[int, int | None]:
+        """Bytes that a file with this header has at the least, its lists being empty, and at the
+        most, nothing being behind its elements; None for a text, whose words have any length."""
+        records = [
+            (element.count, prop) for element in self.elements for prop in element.properties
+        ]
+        if self.encoding == "ascii":
+            # One digit and one separator for each value; the last value needs no separator.
+            return self.size + 2 * sum(count for count, _ in records) - 1, None
+        ranges = [(count, *prop.byte_range()) for count, prop in records]
+        least, most = (sum(row[0] * row[k] for row in ranges) for k in (1, 2))
+        return self.size + least, self.size + most
 
     @property
     def byte_order(self) -> str:
@@ -236,7 +228,7 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
         raise TruncatedError(
             "the file ends within its header: there is no 'end_header'",
             where=place,
-            hint="the file was cut short; copy or export it again",
+            hint=CUT_SHORT,
         )
     limit = f"{MAX_LINES} lines" if len(lines) >= MAX_LINES else f"{MAX_BYTES} bytes"
     raise TooLargeError(
@@ -247,22 +239,17 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
 
 
 class _Parser:
-    """Collects elements line by line; every method raises FormatError with the line."""
+    """Fills a header line by line; every method raises FormatError with the line."""
 
-    def __init__(self) -> None:
-        self.encoding = ""
-        self.format_line = -1
-        self.textures: list[str] = []
-        self.elements: list[Element] = []
-        self.strays: list[Stray] = []
-        self.infos: dict[str, str] = {}
+    def __init__(self, header: Header) -> None:
+        self.header = header
         self.line = 0
 
     def fail(self, message: str, hint: str = "") -> FormatError:
         return FormatError(message, where=f"line {self.line + 1}", hint=hint)
 
     def read_format(self, words: list[bytes]) -> None:
-        if self.encoding:
+        if self.header.encoding:
             raise self.fail("the header states its format twice")
         if len(words) != 3 or _decode(words[1]) not in ENCODINGS:
             raise self.fail(
@@ -276,8 +263,8 @@ class _Parser:
                 where=f"line {self.line + 1}",
                 hint="only version 1.0 exists",
             )
-        self.encoding = _decode(words[1])
-        self.format_line = self.line
+        self.header.encoding = _decode(words[1])
+        self.header.format_line = self.line
 
     def read_element(self, words: list[bytes]) -> None:
         if len(words) != 3:
@@ -289,12 +276,12 @@ class _Parser:
                 f"the count {_show(words[2])} of element {_show(words[1])} is not a whole "
                 "number from 0 up"
             )
-        if any(element.name == name for element in self.elements):
+        if any(element.name == name for element in self.header.elements):
             raise self.fail(f"the header declares element {_show(words[1])} twice")
-        self.elements.append(Element(name, int(words[2]), ()))
+        self.header.elements.append(Element(name, int(words[2])))
 
     def read_property(self, words: list[bytes]) -> None:
-        if not self.elements:
+        if not self.header.elements:
             raise self.fail("a property stands before the first element")
         is_list = len(words) > 1 and words[1] == b"list"
         if len(words) != (5 if is_list else 3):
@@ -308,11 +295,11 @@ class _Parser:
         count_type = _decode(words[2]) if is_list else ""
         if is_list and TYPES[count_type][0] == "f":
             raise self.fail(f"the count of a list cannot be of type {count_type}")
-        element = self.elements[-1]
+        element = self.header.elements[-1]
         prop = Property(_decode(words[-1]), _decode(words[-2]), count_type, self.line)
         if element.find(prop.name):
             raise self.fail(f"element '{element.name}' declares property {_show(words[-1])} twice")
-        self.elements[-1] = Element(element.name, element.count, (*element.properties, prop))
+        element.properties.append(prop)
 
     def read(self, text: bytes) -> None:
         words = text.split()
@@ -320,10 +307,10 @@ class _Parser:
             return
         if words[0] == b"obj_info":
             if len(words) == 3:
-                self.infos[_decode(words[1])] = _decode(words[2])
+                self.header.infos[_decode(words[1])] = _decode(words[2])
         elif words[0] == b"comment":
             if len(words) > 2 and words[1].lower() == b"texturefile":
-                self.textures.append(_decode(text.split(None, 2)[2].strip()))
+                self.header.textures.append(_decode(text.split(None, 2)[2].strip()))
         elif words[0] == b"format":
             self.read_format(words)
         elif words[0] == b"element":
@@ -332,7 +319,7 @@ class _Parser:
             self.read_property(words)
         elif _is_stray(text, words[0]):
             # As old versions of Blender write: "Created by Blender3D 2.43", without "comment".
-            self.strays.append(Stray(self.line + 1, _show(text), bool(self.elements)))
+            self.header.strays.append(Stray(self.line + 1, _show(text), bool(self.header.elements)))
         else:
             raise self.fail(f"the header line {_show(text)} is not understood")
 
@@ -352,33 +339,25 @@ def parse_header(data: memoryview, is_whole: bool = True) -> Header:
     """The header of the PLY file ``data`` (bytes), or of its beginning if not ``is_whole``.
 
     Lines of other words are kept among ``Header.strays``.  Raises FormatError (not PLY, or a line
-    that is damaged, with its number),
-    UnsupportedError (another version), TruncatedError (the file ends within the header) and
-    TooLargeError (no end within ``MAX_BYTES`` bytes or ``MAX_LINES`` lines).
+    that is damaged, with its number), UnsupportedError (another version), TruncatedError (the file
+    ends within the header) and TooLargeError (no end within ``MAX_BYTES`` bytes or ``MAX_LINES``
+    lines).
     """
     head = bytes(data[:MAX_BYTES])
     newline = _first_line_end(head)
     lines, size = _split(head, newline, whole=is_whole and len(head) == len(data))
-    parser = _Parser()
+    header = Header(size, newline)
+    parser = _Parser(header)
     for parser.line, text in enumerate(lines):
         if 0 < parser.line < len(lines) - 1:
             parser.read(text)
-    if not parser.encoding:
+    if not header.encoding:
         raise FormatError(
             "the header has no format line",
             where="header",
             hint="expected 'format ascii 1.0' or one of the binary formats after 'ply'",
         )
-    return Header(
-        encoding=parser.encoding,
-        elements=tuple(parser.elements),
-        textures=tuple(parser.textures),
-        size=size,
-        newline=newline,
-        format_line=parser.format_line,
-        strays=tuple(parser.strays),
-        infos=parser.infos,
-    )
+    return header
 
 
 _ENCODING_OF = {"ascii": "ascii", "binary": "binary_little_endian"}

@@ -268,37 +268,27 @@ class Scattered(RecordSlots):
         stop = max(int(at.max()) + size for at, size in zip(self.at, sizes, strict=True))
         return min(int(at.min()) for at in self.at), stop
 
+    def _bytes(self) -> Iterator[tuple[int, str, Longs]]:
+        """Columns, their types, and the places (n, size) of all bytes of their numbers."""
+        for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
+            yield k, code, at[:, None] + np.arange(np.dtype(code).itemsize)
+
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         values = np.empty((len(self.at[0]), len(self.codes)))
         with np.errstate(invalid="ignore"):
-            for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
-                values[:, k] = gather(data, at - origin, code)
+            for k, code, places in self._bytes():
+                values[:, k] = data[places - origin].view(code)[:, 0]
         return values
 
     def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
-        for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
-            chosen = where[:, k]
-            _scatter(out, at[chosen] - origin, to_type(values[chosen, k], code))
+        for k, code, places in self._bytes():
+            numbers = to_type(values[where[:, k], k], code)
+            out[places[where[:, k]] - origin] = numbers[:, None].view(np.uint8)
 
     def restore(self, out: Bytes, where: Flags, origin: int = 0) -> None:
-        for k, (at, code) in enumerate(zip(self.at, self.codes, strict=True)):
-            own = at[where[:, k]]
-            _scatter(out, own - origin, gather(self.data, own, code))
-
-
-def gather(data: Bytes, at: Longs, code: str) -> NDArray[np.generic]:
-    """The numbers (n,) of a type that begin at these bytes (n,)."""
-    dtype = np.dtype(code)
-    rows = np.empty((len(at), dtype.itemsize), dtype=np.uint8)
-    for k in range(dtype.itemsize):
-        rows[:, k] = data[at + k]
-    return rows.view(dtype)[:, 0]
-
-
-def _scatter(out: Bytes, at: Longs, numbers: NDArray[np.generic]) -> None:
-    rows = np.ascontiguousarray(numbers).view(np.uint8).reshape(len(at), numbers.itemsize)
-    for k in range(rows.shape[1]):
-        out[at + k] = rows[:, k]
+        for k, _, places in self._bytes():
+            own = places[where[:, k]]
+            out[own - origin] = self.data[own]
 
 
 class Change(NamedTuple):

@@ -18,8 +18,9 @@ from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slot_file import require_finite_result, require_shape
 from msal_cli.codecs.slots import as_float32, require_range
-from msal_cli.codecs.text_slots import line_of, number_hint
+from msal_cli.codecs.text_slots import NORMAL_DECIMALS, extent_decimals, line_of, number_hint
 from msal_cli.errors import (
+    CUT_SHORT,
     EXPORT_AGAIN,
     ContentError,
     FormatError,
@@ -51,9 +52,8 @@ _PADDING = 8
 _NAMED_SOLID = re.compile(
     rb"\s*solid[ \t][^\r\n]*[\r\n]\s*facet\s+(?:normal|outer)\s", re.IGNORECASE
 )
-_NORMAL_DECIMALS = 6
-_NOISE = 1e-9
-"""Decimals of tiny numbers with an exponent count only down to this part of the extent."""
+_FINER = 2
+"""Decimals that those of tiny numbers with an exponent may be beyond what the extent needs."""
 
 
 def read(data: Buffer) -> StlFile | StlTextFile:
@@ -80,38 +80,36 @@ def read(data: Buffer) -> StlFile | StlTextFile:
         scan, numbers = _scan_text(data)
         vertices, faces, _ = weld_corners(numbers[:, 3:])
         return StlTextFile(data, scan, vertices, np.ascontiguousarray(numbers[:, :3]), faces)
-    n_trailing = size - wanted_bytes(head, size)
+    n_trailing = size - require_bytes(head, size)
     count = (size - n_trailing - _FIRST_FACET) // FACET.itemsize
     _check_count(count, n_trailing)
     facets = _facets(data, count)
     vertices, faces, bad = weld_corners(facets["corners"])
     if bad >= 0:
         raise _not_finite(bad, int(np.isfinite(facets["corners"][bad]).argmin()) // 3)
-    return StlFile(data, vertices, faces, _list_properties(head, facets), n_trailing)
+    return StlFile(data, vertices, faces, n_trailing)
 
 
-def wanted_bytes(head: bytes, size: int) -> int:
-    """The bytes that a binary file of ``size`` bytes that begins with ``head`` should have.
+def wanted_bytes(head: bytes) -> int:
+    """The bytes that a binary file that begins with ``head`` should have by its count."""
+    return _FIRST_FACET + FACET.itemsize * int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
 
-    Raises FormatError for text of another kind and TruncatedError for a file that has fewer.
-    """
-    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
-    wanted = _FIRST_FACET + FACET.itemsize * count
-    if size < _FIRST_FACET:
-        raise TruncatedError(
-            f"the file has {size} bytes; a binary STL file has at least {_FIRST_FACET}",
-            where=f"byte {size}",
-            hint="the file was cut short; copy or export it again",
-        )
-    if size < wanted:
-        whole = (size - _FIRST_FACET) // FACET.itemsize
-        raise TruncatedError(
+
+def require_bytes(head: bytes, size: int) -> int:
+    """The bytes that a binary file should have; TruncatedError for a file of fewer."""
+    wanted = wanted_bytes(head)
+    if size >= max(wanted, _FIRST_FACET):
+        return wanted
+    message = f"the file has {size} bytes; a binary STL file has at least {_FIRST_FACET}"
+    hint = CUT_SHORT
+    if size >= _FIRST_FACET:
+        count, n_whole = ((n - _FIRST_FACET) // FACET.itemsize for n in (wanted, size))
+        message = (
             f"the header counts {count} facets, which take {wanted} bytes, but the file has "
-            f"{size}: {whole} whole facets",
-            where=f"byte {size}",
-            hint="the file was cut short, or is not STL; copy or export it again",
+            f"{size}: {n_whole} whole facets"
         )
-    return wanted
+        hint = "the file was cut short, or is not STL; copy or export it again"
+    raise TruncatedError(message, where=f"byte {size}", hint=hint)
 
 
 def is_text(head: bytes, size: int) -> bool:
@@ -124,8 +122,7 @@ def is_text(head: bytes, size: int) -> bool:
     shown = head[:-_PADDING] + head[-_PADDING:].rstrip(b"\0\x1a")
     if bool(shown) and not any(c < 32 and c not in b"\t\n\v\f\r" for c in shown):
         return True
-    count = int.from_bytes(head[HEADER_BYTES:_FIRST_FACET], "little")
-    return size != _FIRST_FACET + FACET.itemsize * count and _NAMED_SOLID.match(head) is not None
+    return size != wanted_bytes(head) and _NAMED_SOLID.match(head) is not None
 
 
 def _check_count(n_facets: int, n_trailing: int = 0) -> None:
@@ -161,9 +158,8 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
 
-def _list_properties(head: bytes, facets: NDArray[np.void]) -> tuple[str, ...]:
-    """What a binary file that begins with ``head`` has besides positions."""
-    header = head[:HEADER_BYTES]
+def _list_properties(header: bytes, facets: NDArray[np.void]) -> tuple[str, ...]:
+    """What a binary file has besides positions."""
     # Neither zero nor minus zero; most files tell in the first part.
     parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
     is_there = {
@@ -179,7 +175,8 @@ def _list_properties(head: bytes, facets: NDArray[np.void]) -> tuple[str, ...]:
 class _FacetFile:
     """An STL file; see ``codecs.mesh_file.MeshFile``.
 
-    ``vertices`` are the different positions of corners, in order of appearance.
+    ``vertices`` are the different positions of corners, in order of appearance; ``name`` is what
+    the file calls its mesh.
     """
 
     format = "stl"
@@ -188,8 +185,8 @@ class _FacetFile:
     properties: tuple[str, ...]
     warnings: tuple[str, ...]
 
-    def __init__(self, data: Buffer, vertices: Floats, faces: Ints) -> None:
-        self.data = data
+    def __init__(self, data: Buffer, vertices: Floats, faces: Ints, name: str) -> None:
+        self.data, self._name = data, name
         self.vertices, self.faces = vertices, faces
         self.n_polygons = len(faces)
         self.merged_vertices = faces.size - len(vertices)
@@ -197,11 +194,6 @@ class _FacetFile:
     @property
     def normals(self) -> Floats:
         """The stored facet normals (m, 3), as they are."""
-        raise NotImplementedError
-
-    @property
-    def _name(self) -> str:
-        """What the file calls its mesh."""
         raise NotImplementedError
 
     def polygons(self) -> Ints:
@@ -258,16 +250,11 @@ class StlFile(_FacetFile):
     encoding = "binary_little_endian"
     precision = "float32"
 
-    def __init__(
-        self,
-        data: Buffer,
-        vertices: Floats,
-        faces: Ints,
-        properties: tuple[str, ...],
-        n_trailing: int,
-    ) -> None:
-        super().__init__(data, vertices, faces)
-        self.properties = properties
+    def __init__(self, data: Buffer, vertices: Floats, faces: Ints, n_trailing: int) -> None:
+        header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
+        name = header.split(b"\0")[0].decode("ascii", "replace")
+        super().__init__(data, vertices, faces, name)
+        self.properties = _list_properties(header, _facets(data, len(faces)))
         self.warnings = ()
         self._end = _FIRST_FACET + FACET.itemsize * len(faces)
         if n_trailing:
@@ -281,11 +268,6 @@ class StlFile(_FacetFile):
     def normals(self) -> Floats:
         with np.errstate(invalid="ignore"):  # a signalling NaN
             return _facets(self.data, self.n_polygons)["normal"].astype(np.float64)
-
-    @property
-    def _name(self) -> str:
-        header = bytes(memoryview(self.data).cast("B")[:HEADER_BYTES])
-        return header.split(b"\0")[0].decode("ascii", "replace")
 
     def replaced(self, vertices: Floats) -> Buffer:
         require_shape(vertices, self.vertices)
@@ -319,7 +301,6 @@ class StlFile(_FacetFile):
         return output.data
 
     def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced."""
         from msal_cli.kernels import stl_facets
         from msal_cli.kernels.parallel import over_ranges
 
@@ -444,7 +425,7 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> Inpu
         return TruncatedError(
             f"the text ends within a solid, after {facet} whole facets",
             where=where,
-            hint="the file was cut short; copy or export it again",
+            hint=CUT_SHORT,
         )
     if status == stl_facets.TOO_LONG:
         return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
@@ -468,9 +449,8 @@ class StlTextFile(_FacetFile):
     def __init__(
         self, data: Buffer, scan: _Scan, vertices: Floats, normals: Floats, faces: Ints
     ) -> None:
-        super().__init__(data, vertices, faces)
-        self._normals = normals
-        self._scan = scan
+        super().__init__(data, vertices, faces, scan.names[0])
+        self._stored_normals, self._scan = normals, scan
         self.properties = (
             *(("facet normals",) * (scan.n_bare != len(faces))),
             *((f"{scan.n_solids} solids",) * (scan.n_solids > 1)),
@@ -488,11 +468,7 @@ class StlTextFile(_FacetFile):
 
     @property
     def normals(self) -> Floats:
-        return self._normals
-
-    @property
-    def _name(self) -> str:
-        return self._scan.names[0]
+        return self._stored_normals
 
     def _decimals(self) -> tuple[int, int]:
         """Digits behind the point for normals and for corners: never fewer than the file has.
@@ -503,12 +479,10 @@ class StlTextFile(_FacetFile):
         from msal_cli.kernels.numbers import MAX_DECIMALS
 
         plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
-        span = self.vertices.max(axis=0) - self.vertices.min(axis=0)
-        extent = max(float(np.sqrt((span * span).sum())), 1e-300)
-        needed = int(np.ceil(-np.log10(extent * 1e-7)))
-        meant = int(np.ceil(-np.log10(extent * _NOISE)))
-        normal = max(plain_normal, min(exponent_normal, 9), _NORMAL_DECIMALS)
-        corner = max(plain, min(exponent, meant), needed, 0)
+        needed = extent_decimals(self.vertices)
+        needed = MAX_DECIMALS if needed is None else needed
+        normal = max(plain_normal, min(exponent_normal, 9), NORMAL_DECIMALS)
+        corner = max(plain, min(exponent, needed + _FINER), needed, 0)
         return min(normal, MAX_DECIMALS), min(corner, MAX_DECIMALS)
 
     def _changes(self, vertices: Floats) -> tuple[Floats, Flags]:
@@ -548,8 +522,8 @@ class StlTextFile(_FacetFile):
     def _write_shortest(self, starts: Longs, numbers: Floats) -> bytes:
         """The text with tokens replaced by the shortest text of numbers of any size."""
         view = memoryview(self.data).cast("B")
-        pieces: list[bytes | memoryview] = []
         copied = 0
+        pieces: list[bytes | memoryview] = []
         for start, number in zip(starts.tolist(), numbers.tolist(), strict=True):
             pieces += [view[copied:start], repr(number).encode()]
             copied = start + len(_token_at(view, start))
