@@ -1,9 +1,9 @@
-"""Many files on a Dask cluster, a few files a task.
+"""Many files on a Dask cluster, each as a task.
 
 What a file does to the process that works on it (a segfault, memory that runs out) must not cost
-the Dask worker, so the files of a task are done by a ``WorkerPool`` of one process.  Dask gives a
-task to another worker when one dies, and gives up (``KilledWorker``) when several did; then its
-files go out again at the end, one by one.
+the Dask worker, so the task is done by a ``WorkerPool`` of one process.  Dask gives a task to
+another worker when one dies, and gives up (``KilledWorker``) when several did; then the file is
+tried again at the end, alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from msal_cli.errors import ResourceError, UsageError, install_hint
 from msal_cli.storage.atomic import sweep, sweep_after, temporary_name
 from msal_cli.version import __version__
 
-MAX_FILES_PER_TASK = 16
 _CONNECT_S = 10.0
 _PATIENCE_S = 60.0
 _BETWEEN_CHECKS_S = 0.2
@@ -48,7 +47,7 @@ class DaskEngine:
         self._scheduler = scheduler
         self._inbox: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
         self._client: Any = None
-        self._submitted: dict[Any, list[int]] = {}
+        self._submitted: dict[Any, int] = {}
         # Lost with their workers, as others may have been beside them: they go last, one by one.
         self._suspects: list[int] = []
         self._tries: collections.Counter[int] = collections.Counter()
@@ -72,13 +71,16 @@ class DaskEngine:
             self._connect()
             _log.info("waiting for workers at the Dask scheduler %s", self._scheduler)
             started = time.monotonic()
-            while not (n_threads := self._count_threads()):
+            while not self._has_workers():
                 if self._is_interrupted:
                     raise Interrupt
                 self._require_patience(started)
                 time.sleep(_BETWEEN_CHECKS_S)
             self._check_workers((*probes, os.path.join(os.getcwd(), "")))
-            self._submit_all(n_threads)
+            weights = self._work.weights
+            # Large files first, so that none is left to run alone at the end.
+            for index in sorted(self._work.tasks, key=lambda index: -weights.get(index, 0)):
+                self._submit(index)
             yield from self._run()
         finally:
             self._close()
@@ -105,13 +107,12 @@ class DaskEngine:
                 hint="`dask scheduler` prints its address when it starts",
             ) from error
 
-    def _count_threads(self) -> int:
-        """Threads of all workers; 0 if the scheduler does not answer."""
+    def _has_workers(self) -> bool:
         try:
-            return sum(self._client.nthreads().values())
+            return bool(self._client.nthreads())
         except (OSError, TimeoutError) as error:
             _log.debug("the scheduler does not answer: %s", error)
-            return 0
+            return False
 
     def _require_patience(self, since: float) -> None:
         if (waited := time.monotonic() - since) > _PATIENCE_S:
@@ -152,18 +153,7 @@ class DaskEngine:
 
     # Work
 
-    def _submit_all(self, n_threads: int) -> None:
-        """Hand out the large files singly and first, and then the others."""
-        weights = self._work.weights
-        large = sorted(weights.keys() & self._work.tasks.keys(), key=weights.__getitem__)
-        small = sorted(self._work.tasks.keys() - weights.keys())
-        n_each = max(1, min(MAX_FILES_PER_TASK, len(small) // (4 * n_threads)))
-        for index in reversed(large):
-            self._submit([index])
-        for start in range(0, len(small), n_each):
-            self._submit(small[start : start + n_each])
-
-    def _submit(self, indices: list[int]) -> None:
+    def _submit(self, index: int) -> None:
         # Sent by value, and all else as bytes: the scheduler need not have msal.
         def msal(version: str, payload: bytes) -> bytes:
             from msal_cli.batch.dask import denoise_in_child
@@ -172,10 +162,9 @@ class DaskEngine:
 
         work = self._work
         common = (os.getcwd(), work.function, work.common)
-        tasks = {index: work.tasks[index] for index in indices}
-        payload = pickle.dumps((common, work.limits, work.retries, tasks))
+        payload = pickle.dumps((common, work.limits, work.retries, index, work.tasks[index]))
         future = self._client.submit(msal, __version__, payload, pure=False)
-        self._submitted[future] = indices
+        self._submitted[future] = index
         future.add_done_callback(self._note_end)
 
     def _note_end(self, future: Any) -> None:
@@ -191,7 +180,7 @@ class DaskEngine:
         seen_workers = looked = time.monotonic()
         while (self._submitted or self._suspects) and not self._is_stopped:
             if not self._submitted:
-                self._submit([self._suspects.pop()])
+                self._submit(self._suspects.pop())
             if self._is_interrupted:
                 raise Interrupt
             try:
@@ -199,30 +188,30 @@ class DaskEngine:
             except queue.Empty:
                 now = time.monotonic()
                 if now - looked > 5 * _BETWEEN_CHECKS_S:
-                    seen_workers = now if self._count_threads() else seen_workers
+                    seen_workers = now if self._has_workers() else seen_workers
                     looked = now
                     self._require_patience(seen_workers)
                 continue
-            messages = self._handle_answer(self._submitted.pop(future), answer)
-            if messages:
-                yield [part for each in messages for part in (Started(each.index), each)]
+            if (end := self._handle_answer(self._submitted.pop(future), answer)) is not None:
+                yield [Started(end.index), end]
 
-    def _handle_answer(self, indices: list[int], answer: Any) -> list[Message]:
+    def _handle_answer(self, index: int, answer: Any) -> Returned | Failed | None:
+        """How a task has ended; None if it is to be tried again."""
         if isinstance(answer, bytes):
-            messages: list[Message] = pickle.loads(answer)
-            return messages
+            end: Returned | Failed = pickle.loads(answer)
+            return end
         if isinstance(answer, ResourceError):
             raise answer
         if type(answer).__name__ != "KilledWorker":
             raise ResourceError(
                 f"Dask cannot go on: {type(answer).__name__}: {answer}", hint=_GOES_ON
             )
-        self._tries.update(indices)
-        if len(indices) > 1 or self._tries[indices[0]] <= self._work.retries:
-            self._suspects += indices
-            return []
+        self._tries[index] += 1
+        if self._tries[index] <= max(1, self._work.retries):
+            self._suspects.append(index)
+            return None
         hint = "a library broke on this file, or the machines ran out of memory"
-        return [Failed(indices[0], "crash", "Dask workers died while at work on it", hint)]
+        return Failed(index, "crash", "Dask workers died while at work on it", hint)
 
     def _close(self) -> None:
         """Take back what has not been done, and close the connection; two seconds at most."""
@@ -245,7 +234,7 @@ def not_installed() -> UsageError:
 
 
 def denoise_in_child(version: str, payload: bytes) -> bytes:
-    """Do some files in a child process of this Dask worker; pickled messages about their ends.
+    """Do a file in a child process of this Dask worker; the pickled message about its end.
 
     Raises ResourceError if this worker has another version of msal.
     """
@@ -257,15 +246,15 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
             f"the Dask worker at {worker.address} has msal {__version__}, and here is {version}",
             hint=_GOES_ON,
         )
-    common, limits, retries, tasks = pickle.loads(payload)
-
-    def clean_up(pid: int, index: int) -> None:
-        folders = output_folders([tasks[index]])
-        sweep_after(pid, [Path(common[0], folder) for folder in folders])
-
-    # A worker does as many files at the same time as it has threads.
+    common, limits, retries, index, task = pickle.loads(payload)
+    folders = [Path(common[0], folder) for folder in output_folders([task])]
     work = Work(
-        dict(tasks), run_in_folder, common, limits=limits, retries=retries, on_death=clean_up
+        {index: task},
+        run_in_folder,
+        common,
+        limits=limits,
+        retries=retries,
+        on_death=lambda pid, index: sweep_after(pid, folders),
     )
     pool = WorkerPool(work)
     key, is_over = worker.get_current_task(), threading.Event()
@@ -279,15 +268,16 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
                 return
 
     threading.Thread(target=end_if_unwanted, daemon=True).start()
-    messages: list[Message] = []
+    end = None
     try:
-        for batch in pool.batches():
-            messages += [each for each in batch if isinstance(each, Returned | Failed)]
+        for messages in pool.batches():
+            for message in messages:
+                end = message if isinstance(message, Returned | Failed) else end
     except Interrupt:
         pass
     finally:
         is_over.set()
-    return pickle.dumps(messages)
+    return pickle.dumps(end)
 
 
 def run_in_folder(
