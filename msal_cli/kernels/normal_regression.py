@@ -353,35 +353,37 @@ class NormalDescriber:
         self._axes = np.empty(9 * m, dtype=np.float32)
         self._records = np.empty((m, int(RECORD)), dtype=np.float32)
 
+    def lay_marks(self, normals: Floats, areas: Floats) -> None:
+        """Take the normals (m, 3) and areas (m,) that the next descriptors are of; zero normals
+        where there is none."""
+        around = self.around
+        rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
+        per_area = 1.0 / (float(areas.mean()) or 1.0)
+        of = normals.reshape(-1), areas, per_area, *rows
+        over_ranges(_fill_marks, len(normals), *of, self._marks)
+
     def describe(
-        self,
-        normals: Floats,
-        areas: Floats,
-        centroids: Floats,
-        heights: Floats,
-        earlier: tuple[Floats, Floats] | None = None,
+        self, points: Floats, heights: Floats, earlier: tuple[Floats, Floats] | None = None
     ) -> Descriptors:
-        """The descriptors for one stage.
+        """The descriptors for one stage, of the faces that ``lay_marks`` got.
 
         Parameters
         ----------
-        normals, areas, centroids : (m, 3), (m,), (m, 3); zero normals where there is none.
+        points : (3 m + 1,), their centroids, ``centroid_points``.
         heights : (n, 4) of the vertices, ``measure_ripples``.
         earlier : the scanned normals and those of the stage before, (m, 3) each, for a later
             stage.
         """
-        m, around = len(normals), self.around
+        around = self.around
         table, numbers, records = self._table, self._numbers, self._records
-        given = self.evidence.normals, self.evidence.statistics
-        rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
-        units = _find_units(centroids, around.ring_start, around.ring)
-        per_area = 1.0 / (float(areas.mean()) or 1.0)
-        over_ranges(_fill_marks, m, normals.reshape(-1), areas, per_area, *rows, self._marks)
+        m, given = len(table), (self.evidence.normals, self.evidence.statistics)
+        units = _find_units(points[:-1].reshape(-1, 3), around.ring_start, around.ring)
         unit = float(units.mean()) or 1.0
-        per_reach = 1.0 / (WIDE * np.where(units > 0.0, units, unit))
+        per_reach = np.where(units > 0.0, units, unit)
+        np.multiply(per_reach, WIDE, out=per_reach)
+        np.divide(1.0, per_reach, out=per_reach)
         near = around.near_start.view(np.uint64), around.near.view(np.uint32)
-        # One more number: kernels read four coordinates where a point has three.
-        of = np.append(centroids, 0.0), self._marks, per_reach, *near
+        of = points, self._marks, per_reach, *near
         made = table.reshape(-1), numbers.reshape(-1), self._axes
         over_ranges(describe, m, *of, *made)
         scanned, before = earlier or (np.empty((0, 3)), np.empty((0, 3)))

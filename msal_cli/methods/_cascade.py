@@ -18,7 +18,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.errors import InternalError
-from msal_cli.kernels.faces import face_centroids, face_rings
+from msal_cli.kernels.faces import centroid_points, face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
@@ -83,12 +83,15 @@ class Cascade:
             rings = face_rings(mesh.faces, mesh.topology, "edge")
             centroids = face_centroids(mesh.vertices, mesh.faces)
             self._describer = NormalDescriber(mesh.faces, centroids, *rings, self.evidence)
-        normals, areas = face_normals_and_areas(positions, mesh.faces)
-        centroids = face_centroids(positions, mesh.faces)
+            del rings, centroids
         at_vertices = mesh.with_vertices(positions).vertex_normals()
         heights = measure_ripples(positions, at_vertices, mesh.topology)
+        # What is not given a name is gone before the next array is there.
+        del at_vertices
+        self._describer.lay_marks(*face_normals_and_areas(positions, mesh.faces))
+        points = centroid_points(positions, mesh.faces)
         before = None if earlier is None else (self.scanned, earlier)
-        return self._describer.describe(normals, areas, centroids, heights, before)
+        return self._describer.describe(points, heights, before)
 
     def release(self) -> None:
         """Give the memory of the descriptors back; the next ones take it again."""

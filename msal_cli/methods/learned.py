@@ -42,13 +42,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from msal_cli.arrays import Floats
 from msal_cli.mesh import Mesh
 from msal_cli.methods._cascade import Cascade, load_networks, return_texture
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
 
-BYTES_PER_FACE = 880
+BYTES_PER_FACE = 845
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 MIN_KNOWN = 0.03
@@ -102,15 +103,20 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     noise, is_white = resolve_noise(mesh, parameters.noise)
     is_returned = is_white if parameters.texture == "auto" else parameters.texture == "returned"
     cascade = Cascade(mesh, parameters.boundary, noise, is_returned)
-    normals = None
+    normals: Floats | None = None
     timer.start_sweeps()
     networks = load_networks()
     for done in range(1, stages + 1):
         network = networks[min(done, len(networks)) - 1]
-        normals = cascade.describe(positions, normals).predict(network)
+        descriptors = cascade.describe(positions, normals)
+        # They have all of the normals before that counts.
+        normals = None
+        normals = descriptors.predict(network)
+        del descriptors
         if done < stages:
             positions = cascade.fit(positions, normals, STAGE_PASSES)
         else:
+            cascade.release()
             positions = cascade.fit(mesh.vertices, normals, parameters.vertex_iterations)
         on_sweep(done, stages)
     assert normals is not None

@@ -16,7 +16,7 @@ from msal_cli.kernels import (
 )
 from msal_cli.kernels import vectors as small_vectors
 from msal_cli.kernels.compiled import Kernel
-from msal_cli.kernels.faces import face_centroids, face_rings
+from msal_cli.kernels.faces import centroid_points, face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
@@ -54,12 +54,13 @@ def same_evidence(mesh):
 
 
 def described(mesh, earlier=None, make_evidence=same_evidence):
-    normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
     rings = face_rings(mesh.faces, mesh.topology, "edge")
     describer = NormalDescriber(mesh.faces, centroids, *rings, make_evidence(mesh))
+    describer.lay_marks(*face_normals_and_areas(mesh.vertices, mesh.faces))
+    points = centroid_points(mesh.vertices, mesh.faces)
     heights = measure_ripples(mesh.vertices, mesh.vertex_normals(), mesh.topology)
-    return describer.describe(normals, areas, centroids, heights, earlier), describer.around
+    return describer.describe(points, heights, earlier), describer.around
 
 
 def numbers_of(descriptors):
