@@ -245,7 +245,7 @@ class _BatchRun:
         received: list[int] = []
         tasks = {index: self.plan.tasks[index] for index in todo}
         with interrupts.catch_signals(interrupts.raise_for):
-            budget = estimate_memory(tasks, self.settings, self.limits)
+            weights, light_bytes, budget_bytes = estimate_memory(tasks, self.settings, self.limits)
         work = Work(
             tasks,
             denoise_in_worker,
@@ -257,10 +257,10 @@ class _BatchRun:
             on_loss=lambda index: self._journal.roll_back(index) if self._journal else "",
             limits=self.limits,
             retries=self.retries,
-            weights=budget.large,
-            light_bytes=budget.light,
+            weights=weights,
+            light_bytes=light_bytes,
             # A number of jobs set by the user replaces the budget.
-            budget_bytes=budget.total if self.jobs is None else None,
+            budget_bytes=budget_bytes if self.jobs is None else None,
             reports_first=self.stop_after_failures is not None,
         )
         engine = (self.engine or WorkerPool)(work)

@@ -96,26 +96,6 @@ Event = Started | Progress | Finished
 OnEvent = Callable[[Event], None]
 
 
-class Losses:
-    """The tasks that were lost with their workers: how often each, and why the last time."""
-
-    def __init__(self, retries: int) -> None:
-        self._retries = retries
-        self._counts: collections.Counter[int] = collections.Counter()
-        self.reasons: dict[int, str] = {}
-
-    def add(self, index: int, cause: str, reason: str, hint: str) -> Retried | Failed:
-        """Count one more loss; whether the task is tried again or failed."""
-        self._counts[index] += 1
-        tries = self._counts[index]
-        if tries <= self._retries:
-            self.reasons[index] = reason
-            return Retried(index, reason)
-        if tries > 1:
-            reason += ", as at the first try" if tries == 2 else f" ({tries} tries)"
-        return Failed(index, cause, reason, hint)
-
-
 class Interrupt(Exception):  # noqa: N818 - it is a message, not a fault
     """Raised by ``Engine.batches`` after ``Engine.interrupt``, when all work is given up."""
 
@@ -193,25 +173,23 @@ class TaskQueue:
     def __init__(
         self,
         tasks: Iterable[int],
-        *,
         weights: Mapping[int, int] | None = None,
         light_bytes: int = 0,
         budget_bytes: int | None = None,
     ) -> None:
-        self._weights = dict(weights or {})
+        self._weights = weights or {}
         self._light_bytes = light_bytes
         self._budget = budget_bytes
-        indices = list(tasks)
-        heavy = [index for index in indices if index in self._weights]
-        heavy.sort(key=lambda index: -self._weights[index])
-        self._exclusive = collections.deque(filter(self._fits_with_no_other, heavy))
-        self._heavy = collections.deque(heavy[len(self._exclusive) :])
-        self._light = collections.deque(index for index in indices if index not in self._weights)
+        self._light: collections.deque[int] = collections.deque()
+        self._heavy: collections.deque[int] = collections.deque()
+        for index in tasks:
+            (self._heavy if index in self._weights else self._light).append(index)
+        self._heavy = collections.deque(sorted(self._heavy, key=lambda index: -self.weight(index)))
         self._retries: collections.deque[int] = collections.deque()
 
     def __len__(self) -> int:
         """How many tasks wait for their first try."""
-        return len(self._exclusive) + len(self._heavy) + len(self._light)
+        return len(self._heavy) + len(self._light)
 
     @property
     def is_empty(self) -> bool:
@@ -220,8 +198,8 @@ class TaskQueue:
 
     def drop(self) -> None:
         """Give up the tasks that wait for their first try."""
-        for queue in (self._exclusive, self._heavy, self._light):
-            queue.clear()
+        self._heavy.clear()
+        self._light.clear()
 
     def weight(self, index: int) -> int:
         """Bytes that a task is expected to need."""
@@ -233,24 +211,22 @@ class TaskQueue:
 
     def put_back(self, index: int, *, is_retry: bool = False) -> None:
         """A task that was taken did not reach its worker: it is next again."""
-        if is_retry:
-            self._retries.appendleft(index)
-        elif index not in self._weights:
-            self._light.appendleft(index)
-        elif self._fits_with_no_other(index):
-            self._exclusive.appendleft(index)
-        else:
-            self._heavy.appendleft(index)
+        waiting = self._heavy if index in self._weights else self._light
+        (self._retries if is_retry else waiting).appendleft(index)
 
     @property
     def is_next_exclusive(self) -> bool:
         """Whether the next task must have the whole machine: it fits beside no other, or it was
         lost once, and the first try may have failed because memory ran out."""
-        return bool(self._exclusive) or (not len(self) and bool(self._retries))
+        if not len(self):
+            return bool(self._retries)
+        if not self._heavy or self._budget is None:
+            return False
+        return self.weight(self._heavy[0]) + self._light_bytes > self._budget
 
     def pop_exclusive(self) -> int:
         """Take the task that must be alone."""
-        return (self._exclusive or self._retries).popleft()
+        return (self._heavy or self._retries).popleft()
 
     def pop(self, current: Iterable[int], idle_bytes: int) -> int | None:
         """Take a task that may run beside the ``current`` ones; None if none may now.
@@ -279,22 +255,12 @@ class TaskQueue:
             return None
         return self._light if self._light and fits(self._light[0]) else None
 
-    def _fits_with_no_other(self, index: int) -> bool:
-        return self._budget is not None and self.weight(index) + self._light_bytes > self._budget
 
-
-@dataclass(frozen=True)
-class MemoryBudget:
-    """Bytes expected for each ``large`` file and for any other (``light``), and the ``total`` that
-    all current ones may need; None where that is not known."""
-
-    large: Mapping[int, int]
-    light: int
-    total: int | None
-
-
-def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limits) -> MemoryBudget:
-    """What all tasks need, and what there is; for 10,000 small files that costs one stat each."""
+def estimate_memory(
+    tasks: Mapping[int, Task], settings: Settings, limits: Limits
+) -> tuple[dict[int, int], int, int | None]:
+    """Bytes expected for each large file and for any other, and those that all current ones may
+    need together, None where that is not known; for 10,000 small files that costs one stat each."""
 
     def limited(n_bytes: int) -> int:
         return n_bytes if limits.memory_bytes is None else min(n_bytes, limits.memory_bytes)
@@ -315,4 +281,4 @@ def estimate_memory(tasks: Mapping[int, Task], settings: Settings, limits: Limit
             large[index] = limited(forecast(task, settings).memory_bytes or 0)
     light = limited(least_memory_bytes() + int(per_byte * largest_light))
     available = available_bytes()
-    return MemoryBudget(large, light, None if available is None else int(_SHARE * available))
+    return large, light, None if available is None else int(_SHARE * available)

@@ -36,7 +36,6 @@ from typing import TYPE_CHECKING, Any
 from msal_cli.batch.schedule import (
     Failed,
     Interrupt,
-    Losses,
     Message,
     Progress,
     Retried,
@@ -89,6 +88,10 @@ _log = logging.getLogger("msal.batch")
 
 _LENGTH = struct.Struct("<Q")
 
+# A worker is replaced after so many files, or once its memory has grown so much since the first.
+_FILES_PER_WORKER = 1000
+_GROWTH_BYTES = 512 << 20
+
 # More often is a waste of both processes' time, and the stages of a file that is done sooner are
 # nothing to see.
 _BETWEEN_PROGRESS_S = 0.05
@@ -99,35 +102,16 @@ _STACK_BYTES = 8 << 20
 
 
 class WorkerPool:
-    """Does many tasks in worker processes; the parameters beside ``work`` are:
+    """Does many tasks in worker processes."""
 
-    files_per_worker : a worker is replaced after so many tasks.
-    growth_bytes : ... or once it uses so much more memory than after its first task.
-    """
-
-    def __init__(
-        self,
-        work: Work,
-        *,
-        files_per_worker: int = 1000,
-        growth_bytes: int = 512 << 20,
-    ) -> None:
+    def __init__(self, work: Work) -> None:
         self._work = work
-        self._tasks = work.tasks
         self._limits = work.limits
-        self._assignment = Assignment(
-            work.function, work.common, _log.getEffectiveLevel(), work.limits.memory_bytes
-        )
         self._jobs = max(1, min(work.jobs, len(work.tasks)))
-        self._files_per_worker = files_per_worker
-        self._growth_bytes = growth_bytes
-        self._queue = TaskQueue(
-            work.tasks,
-            weights=work.weights,
-            light_bytes=work.light_bytes,
-            budget_bytes=work.budget_bytes,
-        )
-        self._losses = Losses(work.retries)
+        self._queue = TaskQueue(work.tasks, work.weights, work.light_bytes, work.budget_bytes)
+        # Of tasks that were lost with their workers: how often each, and why the last time.
+        self._n_losses: collections.Counter[int] = collections.Counter()
+        self._reasons: dict[int, str] = {}
         self._warnings: set[tuple[str, str]] = set()
         self._workers: list[WorkerProcess] = []
         self._inbox: Inbox = queue.SimpleQueue()
@@ -229,9 +213,9 @@ class WorkerPool:
 
     def _send_task(self, worker: WorkerProcess, index: int) -> list[Message]:
         worker.kills_before = oom_kills()
-        if not worker.send((index, self._tasks[index])):
+        if not worker.send((index, self._work.tasks[index])):
             # It died idle; the task never reached it, and the message about its end follows.
-            self._queue.put_back(index, is_retry=index in self._losses.reasons)
+            self._queue.put_back(index, is_retry=index in self._reasons)
             worker.is_dismissed = True
             return []
         worker.current_task = index
@@ -297,7 +281,7 @@ class WorkerPool:
         elif kind == "returned":
             index, result, resident = rest
             self._finish(worker, resident)
-            return [Returned(index, result, self._losses.reasons.get(index, ""))]
+            return [Returned(index, result, self._reasons.get(index, ""))]
         elif kind == "raised":
             index, reason = rest
             self._finish(worker, 0)
@@ -323,10 +307,8 @@ class WorkerPool:
         worker.n_done += 1
         worker.resident_bytes = resident
         worker.first_bytes = worker.first_bytes or resident
-        if (
-            worker.n_done >= self._files_per_worker
-            or resident - worker.first_bytes > self._growth_bytes
-        ):
+        has_grown = resident - worker.first_bytes > _GROWTH_BYTES
+        if worker.n_done >= _FILES_PER_WORKER or has_grown:
             worker.dismiss()
 
     # Losses
@@ -363,11 +345,8 @@ class WorkerPool:
                 "run fewer jobs at once, or on a machine with more memory",
             )
         printed = any(map(_OUT_OF_MEMORY.search, worker.last_lines))
-        if (
-            self._limits.memory_bytes is not None
-            and code != -9
-            and (worker.is_near_limit or printed)
-        ):
+        is_limited = self._limits.memory_bytes is not None
+        if is_limited and code != -9 and (worker.is_near_limit or printed):
             return "memory", *self._out_of_memory(
                 f"the worker {describe_exit(code)} because memory ran out"
             )
@@ -398,15 +377,23 @@ class WorkerPool:
         objection = self._work.on_loss(index)
         if objection:
             return [Failed(index, "changed", f"{objection}; {reason}", hint)]
-        outcome = self._losses.add(index, cause, reason, hint)
-        if isinstance(outcome, Retried):
+        self._n_losses[index] += 1
+        n_tries = self._n_losses[index]
+        if n_tries <= self._work.retries:
+            self._reasons[index] = reason
             self._queue.retry(index)
-        return [outcome]
+            return [Retried(index, reason)]
+        if n_tries > 1:
+            reason += ", as at the first try" if n_tries == 2 else f" ({n_tries} tries)"
+        return [Failed(index, cause, reason, hint)]
 
     # Starting and ending processes
 
     def _start(self, cores: int) -> WorkerProcess:
-        worker = start_worker(self._assignment, cores, self._inbox)
+        work = self._work
+        limit = self._limits.memory_bytes
+        assignment = Assignment(work.function, work.common, _log.getEffectiveLevel(), limit)
+        worker = start_worker(assignment, cores, self._inbox)
         worker.deadline = time.monotonic() + _READY_WITHIN_S
         self._workers.append(worker)
         return worker
@@ -417,17 +404,13 @@ class WorkerPool:
             worker.dismiss()
         messages: list[Message] = []
         deadline = time.monotonic() + _GONE_WITHIN_S
-        while self._workers:
-            try:
+        with contextlib.suppress(queue.Empty):
+            while self._workers:
                 sender, message = self._inbox.get(timeout=max(0.0, deadline - time.monotonic()))
-            except queue.Empty:
-                break
-            if sender is None:
-                continue
-            if message[0] == "gone":
-                self._remove(sender)
-            elif message[0] == "returned":
-                messages += self._handle_message(sender, message)
+                if sender is not None and message[0] == "gone":
+                    self._remove(sender)
+                elif sender is not None and message[0] == "returned":
+                    messages += self._handle_message(sender, message)
         return messages
 
     def _end(self) -> None:
@@ -564,18 +547,16 @@ def start_worker(assignment: Assignment, cores: int, inbox: Inbox) -> WorkerProc
             hint="there may not be enough memory, or too many processes",
         ) from None
     worker = WorkerProcess(process, process.pid, cores)
-    output_reader = threading.Thread(target=_read_output, args=(worker,), daemon=True)
-    message_reader = threading.Thread(
-        target=_read_messages, args=(worker, output_reader, inbox), daemon=True
-    )
-    for thread in (output_reader, message_reader):
-        worker.readers.append(thread)
+    printing = threading.Thread(target=_read_output, args=(worker,), daemon=True)
+    answers = threading.Thread(target=_read_messages, args=(worker, printing, inbox), daemon=True)
+    worker.readers += [printing, answers]
+    for thread in worker.readers:
         thread.start()
     worker.send(assignment)
     return worker
 
 
-def _read_messages(worker: WorkerProcess, output_reader: threading.Thread, inbox: Inbox) -> None:
+def _read_messages(worker: WorkerProcess, printing: threading.Thread, inbox: Inbox) -> None:
     handle = worker.process.stdout.fileno()  # type: ignore[union-attr]
     try:
         while True:
@@ -583,7 +564,7 @@ def _read_messages(worker: WorkerProcess, output_reader: threading.Thread, inbox
     except (EOFError, OSError):
         code = worker.process.wait()
         # What it printed last is worth a moment, but a grandchild may hold that pipe for ever.
-        output_reader.join(0.5)
+        printing.join(0.5)
         inbox.put((worker, ("gone", code)))
 
 
@@ -600,8 +581,7 @@ def _read_output(worker: WorkerProcess) -> None:
 
 @dataclass(frozen=True)
 class Assignment:
-    """The first message to a worker: ``function(task, common, on_progress)`` is its work, and
-    ``memory_bytes`` what it may use for it."""
+    """The first message to a worker: ``function(task, common, on_progress)`` is its work."""
 
     function: Callable[[Any, Any, Callable[[str, int, int], None]], Any]
     common: Any
@@ -657,19 +637,19 @@ def serve() -> None:
         _load_libraries()
         threading.Thread(target=_watch_memory, args=(limit, outgoing), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
-    threading.Thread(target=_receive, args=(orders, tasks), daemon=True).start()
+
+    def receive() -> None:
+        # The whole process ends, even in the middle of a task, with the parent.
+        try:
+            while True:
+                tasks.put(read_message(orders))
+        except EOFError:
+            os._exit(0)
+
+    threading.Thread(target=receive, daemon=True).start()
     outgoing.send("ready", os.getpid())
     while True:
         _do(assignment, *tasks.get(), outgoing)
-
-
-def _receive(orders: int, tasks: queue.SimpleQueue[tuple[int, Any]]) -> None:
-    """Pass tasks on; end the whole process, even in the middle of a task, with the parent."""
-    while True:
-        try:
-            tasks.put(read_message(orders))
-        except EOFError:
-            os._exit(0)
 
 
 class _Outgoing:

@@ -44,11 +44,11 @@ def die(how):
     raise AssertionError(how)
 
 
-def pool(tasks, *, files_per_worker=1000, growth_bytes=512 << 20, **options):
+def pool(tasks, **options):
     """A pool for tasks of `work`, two at once if nothing else is said."""
     tasks = tasks if isinstance(tasks, dict) else dict(enumerate(tasks))
-    orders = Work(tasks, work, options.pop("common", None), **({"jobs": 2, "cores": 2} | options))
-    return WorkerPool(orders, files_per_worker=files_per_worker, growth_bytes=growth_bytes)
+    options = {"jobs": 2, "cores": 2, "common": None} | options
+    return WorkerPool(Work(tasks, work, **options))
 
 
 def heard(some):

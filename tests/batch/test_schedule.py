@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from msal_cli.batch.schedule import Failed, Losses, Retried, TaskQueue
+from msal_cli.batch.schedule import TaskQueue
 from msal_cli.batch.workers import describe_exit
 from msal_cli.machine import is_alive, start_time
 from msal_cli.storage.atomic import is_own, sweep, sweep_after, temporary_name
@@ -45,18 +45,6 @@ def test_small_ones_do_not_keep_a_large_one_waiting_for_ever():
     schedule.put_back(0)
     assert schedule.pop([1, 2], 0) is None
     assert schedule.pop([2], 0) == 0
-
-
-@pytest.mark.parametrize("retries", [0, 1, 3])
-def test_a_lost_task_is_retried_so_often_and_then_failed(retries):
-    losses = Losses(retries)
-    for _ in range(retries):
-        assert losses.add(7, "crash", "it died", "hint") == Retried(7, "it died")
-        assert losses.reasons == {7: "it died"}
-    ending = {0: "", 1: ", as at the first try", 3: " (4 tries)"}[retries]
-    assert losses.add(7, "crash", "it died", "hint") == Failed(
-        7, "crash", "it died" + ending, "hint"
-    )
 
 
 def test_a_retried_task_waits_for_all_others_and_goes_alone():

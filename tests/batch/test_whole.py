@@ -13,6 +13,7 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.batch import run as running
+from msal_cli.batch import workers
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
@@ -109,12 +110,7 @@ def test_two_thousand_files_in_one_worker_do_not_grow_it(scans, monkeypatch):
 
     monkeypatch.setattr(WorkerPool, "_finish", watched)
     monkeypatch.setattr(running, "usable_cores", lambda: 1)
-    real_init = WorkerPool.__init__
-    monkeypatch.setattr(
-        WorkerPool,
-        "__init__",
-        lambda crew, *a, **o: real_init(crew, *a, files_per_worker=10**6, **o),
-    )
+    monkeypatch.setattr(workers, "_FILES_PER_WORKER", 10**6)
     run(plan_of(scans), settings())
     assert len(sizes) > 2000
     growth = np.mean(sizes[-100:]) / np.mean(sizes[200:300]) - 1.0

@@ -137,16 +137,27 @@ def test_prints_of_a_library_reach_neither_the_protocol_nor_our_output(capfd, ca
     assert any("yyy" in record.getMessage() for record in caplog.records)
 
 
+@pytest.mark.parametrize(
+    ("retries", "end"), [(0, ""), (1, ", as at the first try"), (2, " (3 tries)")]
+)
+def test_a_lost_task_is_retried_so_often_and_then_failed(retries, end):
+    messages = heard(pool([("exit", 0)], jobs=1, retries=retries))
+    assert [one.index for one in messages if isinstance(one, Retried)] == [0] * retries
+    assert lost(messages)[0].reason == f"the worker ended with exit status 3{end}"
+
+
 class TestReplacement:
-    def test_after_a_number_of_files(self):
-        pids = results(heard(pool([("pid", 0)] * 7, jobs=1, files_per_worker=3)))
+    def test_after_a_number_of_files(self, monkeypatch):
+        monkeypatch.setattr(workers, "_FILES_PER_WORKER", 3)
+        pids = results(heard(pool([("pid", 0)] * 7, jobs=1)))
         assert pids[0] == pids[2] != pids[3] == pids[5] != pids[6]
 
     @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is not told")
-    def test_when_memory_has_grown(self):
+    def test_when_memory_has_grown(self, monkeypatch):
         megabyte = 1 << 20
         tasks = [("grow", 0), *[("grow", 30 * megabyte)] * 3, *[("grow", 0)] * 2]
-        pids = results(heard(pool(tasks, jobs=1, growth_bytes=70 * megabyte)))
+        monkeypatch.setattr(workers, "_GROWTH_BYTES", 70 * megabyte)
+        pids = results(heard(pool(tasks, jobs=1)))
         assert pids[0] == pids[3] != pids[4] == pids[5]
 
 
