@@ -97,8 +97,8 @@ class Element:
         return self.start + found.start(group), self.start + found.end(group)
 
 
-def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
-    """The root of an XML file, or of its beginning up to the byte ``stop``.
+def parse_tree(data: Buffer, stop: int | None) -> Element:
+    """The root of an XML file, or of its beginning up to the byte ``stop``, if there is one.
 
     Entities are refused, so that nothing expands; no other file is opened, whatever is named.
 
@@ -167,7 +167,7 @@ def parse_tree(data: Buffer, what: str, stop: int | None = None) -> Element:
         # They name the parser, so that nothing would be freed before long.
         parser.StartElementHandler = parser.EndElementHandler = None
     if root is None:
-        raise damaged(f"there is no {what} in the file")
+        raise damaged("there is no VTKFile in the file")
     return root
 
 
@@ -422,7 +422,7 @@ def _parse(format: str, data: Buffer) -> Layout:
     TooLargeError for an array that expands to more than any mesh does.
     """
     appended = _APPENDED.search(data)
-    root = parse_tree(data, "VTKFile", appended.start() if appended else None)
+    root = parse_tree(data, appended.start() if appended else None)
     kind = root.attributes.get("type", "")
     if root.name != "VTKFile" or not kind:
         raise damaged("the file is no VTKFile", "line 1")

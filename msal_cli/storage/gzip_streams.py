@@ -114,18 +114,11 @@ def is_gzip_name(name: str) -> bool:
     return name.lower().endswith(GZIP_SUFFIX)
 
 
-def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, bool]:
+def expand(data: Buffer, name: str) -> tuple[Buffer, bool]:
     """The content of a file that may be compressed with gzip, and whether it was.
 
-    A file counts as compressed if its name ends in ``.gz`` or its bytes begin like gzip's; all
-    members of a file with several are joined.  Nothing beyond ``limit`` bytes is ever expanded.
-
-    Parameters
-    ----------
-    data : the file's bytes; returned as they are where they are not compressed.
-    name : the file's name.
-    limit : the most bytes to expand to; by default ``ALWAYS_EXPANDED`` or ``MAX_RATIO`` times
-        the compressed bytes read so far, whichever is more, and half of the machine's memory.
+    A file counts as compressed if its ``name`` ends in ``.gz`` or its bytes begin like gzip's; all
+    members of a file with several are joined.  Others are returned as they are.
 
     Raises
     ------
@@ -134,7 +127,8 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
     TruncatedError
         if it ends early.
     TooLargeError
-        if it would expand beyond the limit.
+        if it would expand to more than ``ALWAYS_EXPANDED`` or ``MAX_RATIO`` times the compressed
+        bytes read so far, whichever is more, or half of the machine's memory.
     """
     view = memoryview(data).cast("B")
     if bytes(view[:2]) != GZIP_MAGIC:
@@ -147,7 +141,7 @@ def expand(data: Buffer, name: str, limit: int | None = None) -> tuple[Buffer, b
             where="byte 0",
             hint="rename the file, or compress it",
         )
-    pieces = _expand_pieces(view, limit)
+    pieces = _expand_pieces(view)
     # A library would copy what is no ``bytes``.
     return (_gather(pieces) if isinstance(data, memoryview) else b"".join(pieces)), True
 
@@ -165,8 +159,8 @@ def _gather(pieces: Iterable[bytes]) -> memoryview:
     return room[:size].data.toreadonly()
 
 
-def _expand_pieces(data: memoryview, limit: int | None) -> Iterator[bytes]:
-    """What gzip's members expand to, piece by piece; errors and ``limit`` as in ``expand``."""
+def _expand_pieces(data: memoryview) -> Iterator[bytes]:
+    """What gzip's members expand to, piece by piece; errors as in ``expand``."""
     size = len(data)
     expanded = 0
     position = 0
@@ -195,7 +189,7 @@ def _expand_pieces(data: memoryview, limit: int | None) -> Iterator[bytes]:
                 )
             # A bomb is known by its first pieces.
             allowed = max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part)))
-            allowed = min(largest_bytes(), allowed) if limit is None else limit
+            allowed = min(largest_bytes(), allowed)
             try:
                 text = member.decompress(part, max(allowed - expanded, 0) + 1)
             except zlib.error as failure:

@@ -18,7 +18,7 @@ from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
 from msal_cli.view.panels import png_bytes
 from msal_cli.view.pictures import Scene, View
-from msal_cli.view.scene import MAX_FACES, EncodedScene, encode_scene
+from msal_cli.view.scene import EncodedScene, encode_scene
 from msal_cli.view.viewer import asset, content_policy, escape
 
 Rows = list[tuple[str, ...]]
@@ -33,9 +33,8 @@ STILL_SIZE = 560
 """Pixels in the width of each panel of the picture in a page, at most."""
 
 
-def page_of(scene: Scene, view: View, command: str, *, max_faces: int = MAX_FACES) -> bytes:
-    """The page of a scene, seen at the start as in ``view``; meshes of more than ``max_faces``
-    are decimated.
+def page_of(scene: Scene, view: View, command: str) -> bytes:
+    """The page of a scene, seen at the start as in ``view``; large meshes are decimated.
 
     ``command`` is what made the page, for its readers.  A picture of the scene is in the page too,
     for where there is no WebGL and for print, so always on white.
@@ -51,7 +50,6 @@ def page_of(scene: Scene, view: View, command: str, *, max_faces: int = MAX_FACE
         ends=None if scale is None else (scale.low, scale.high),
         view=pictures.camera_of(scene, view).axes,
         colours=colours,
-        max_faces=max_faces,
     )
     code = viewer.script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
     looks = viewer.style() + asset(__file__, "page.css")
