@@ -101,16 +101,6 @@ _ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-def read(data: Buffer) -> ObjFile:
-    """Open the OBJ file ``data`` (its bytes).
-
-    Raises FormatError (binary data, a word that is no number, a statement that is too short),
-    TruncatedError (empty, or the last line breaks off), ContentError (``E_NONFINITE``,
-    ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
-    """
-    return ObjFile(data)
-
-
 @dataclass(eq=False, kw_only=True)
 class _ObjLayout(Layout):
     """``face_normals`` (m, 3) int32 are the vn of each corner, -1 for none; None where no corner
@@ -128,7 +118,12 @@ def _renew_normals(
 
 
 class ObjFile(SlotFile):
-    """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes."""
+    """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes.
+
+    Raises FormatError (binary data, a word that is no number, a statement that is too short),
+    TruncatedError (empty, or the last line breaks off), ContentError (``E_NONFINITE``,
+    ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
+    """
 
     _layout: _ObjLayout
 
@@ -191,6 +186,9 @@ class ObjFile(SlotFile):
             f" degrees off their vn ({before} before); let the program that reads the file compute"
             " normals, or write PLY (--to ply), which has one for each vertex",
         )
+
+
+read = ObjFile
 
 
 @dataclass(eq=False)

@@ -45,6 +45,9 @@ GRID = "range_grid"
 MAX_SPACINGS = 4.0
 """Longest edge that joins two samples, in median edge lengths."""
 
+_FIRST, _SECOND = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
+"""The triangles of four corners along the diagonal of the first, and of the second corner."""
+
 
 def grid_shape(header: Header, grid: Element) -> tuple[int, int]:
     """Rows and columns of the grid; FormatError where the header does not give them."""
@@ -84,12 +87,10 @@ def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
     is_there = corners >= 0
     n_there = is_there.sum(axis=1)
     pairs = np.full((len(corners), 2, 3), -1, dtype=np.int32)
-    a, b, c, d = corners[n_there == 4].T
-    with np.errstate(over="ignore"):
-        is_first = _squared(vertices[c] - vertices[a]) < _squared(vertices[d] - vertices[b])
-    along_first = np.stack([a, b, c, a, c, d], axis=1)
-    along_second = np.stack([a, b, d, b, c, d], axis=1)
-    pairs[n_there == 4] = np.where(is_first[:, None], along_first, along_second).reshape(-1, 2, 3)
+    whole = corners[n_there == 4]
+    diagonals = _squares(vertices, whole[:, :2], whole[:, 2:])
+    is_first = (diagonals[:, 0] < diagonals[:, 1])[:, None, None]
+    pairs[n_there == 4] = np.where(is_first, whole[:, _FIRST], whole[:, _SECOND])
     # From the corner behind the missing one on.
     of_three = n_there == 3
     missing = np.argmin(is_there[of_three], axis=1)
@@ -104,16 +105,17 @@ def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
             hint="the scan has no surface; check num_rows and num_cols",
             code="E_NO_FACES",
         )
+    squares = _squares(vertices, triangles, np.roll(triangles, 1, axis=1))
     with np.errstate(over="ignore"):
-        squares = np.stack(
-            [_squared(vertices[triangles[:, k]] - vertices[triangles[:, k - 1]]) for k in range(3)]
-        )
         longest = MAX_SPACINGS**2 * np.median(squares)
-    return np.ascontiguousarray(triangles[squares.max(axis=0) <= longest])
+    return np.ascontiguousarray(triangles[squares.max(axis=1) <= longest])
 
 
-def _squared(edges: Floats) -> Floats:
-    squares: Floats = (edges * edges).sum(axis=1)
+def _squares(vertices: Floats, starts: Ints, stops: Ints) -> Floats:
+    """The squared lengths of edges between vertices of these numbers, all (n, k)."""
+    with np.errstate(over="ignore"):
+        edges = vertices[stops] - vertices[starts]
+        squares: Floats = (edges * edges).sum(axis=2)
     return squares
 
 
@@ -403,21 +405,6 @@ def properties_of(header: Header, grid: Ints | None = None) -> tuple[str, ...]:
     return tuple(carried)
 
 
-def check_strays(header: Header, n_behind: int) -> None:
-    """Raise FormatError for a stray line among the elements where ``n_behind`` bytes are left.
-
-    If such a line had declared an element or a property, the data would not end where they do.
-    """
-    for stray in header.strays:
-        if stray.is_doubtful and n_behind:
-            raise FormatError(
-                f"the header line {stray.text} is not understood, and {n_behind} bytes are left "
-                "behind the last element",
-                where=f"line {stray.line}",
-                hint="make it a comment if it is one, or export the file again",
-            )
-
-
 def warnings_of(header: Header, vertex: Element) -> tuple[str, ...]:
     """What a user should know of the header."""
     warnings: list[str] = []
@@ -444,21 +431,6 @@ def warnings_of(header: Header, vertex: Element) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-_STREAM_WARNING = (
-    "the records do not stand one to a line: they are read as a stream of words, and the lines kept"
-)
-
-
-def read(data: Buffer) -> PlyFile:
-    """Open the PLY file ``data`` (its bytes).
-
-    Raises FormatError (not PLY, or a line, type or value that breaks the format),
-    TruncatedError (fewer bytes or lines than the counts promise), ContentError (``E_NONFINITE``,
-    ``E_INDEX``, ``E_NO_FACES``), UnsupportedError and TooLargeError, each with the place.
-    """
-    return PlyFile(data)
-
-
 @dataclass(eq=False, kw_only=True)
 class PlyLayout(Layout):
     """What the parser makes of a PLY file.
@@ -467,15 +439,13 @@ class PlyLayout(Layout):
     ----------
     sections : the elements by name; ``end`` is the byte behind the last one.
     normal_elements : those that the arrays of normals belong to.
-    n_polygons : faces, and triangles of strips or of a range grid, whose samples are ``grid``.
     """
 
     header: Header
     sections: Mapping[str, Section] = field(repr=False)
     end: int
     normal_elements: tuple[str, ...]
-    n_polygons: int
-    grid: Ints | None
+    surface: Surface
 
     @property
     def is_stream(self) -> bool:
@@ -485,7 +455,7 @@ class PlyLayout(Layout):
 
 
 def parse(data: Buffer) -> PlyLayout:
-    """Find the positions, normals and faces of a PLY file; errors as in ``read``."""
+    """Find the positions, normals and faces of a PLY file; errors as of ``PlyFile``."""
     content = as_bytes(memoryview(data).cast("B"))
     header = parse_header(memoryview(data).cast("B"))
     vertex = vertex_element(header)
@@ -504,7 +474,15 @@ def parse(data: Buffer) -> PlyLayout:
         normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
-    check_strays(header, n_behind)
+    for stray in header.strays:
+        # Had such a line declared an element or a property, the data would not end where they do.
+        if stray.is_doubtful and n_behind:
+            raise FormatError(
+                f"the header line {stray.text} is not understood, and {n_behind} bytes are left "
+                "behind the last element",
+                where=f"line {stray.line}",
+                hint="make it a comment if it is one, or export the file again",
+            )
     layout = PlyLayout(
         encoding=header.encoding,
         precision=precision_of(header, vertex),
@@ -521,12 +499,14 @@ def parse(data: Buffer) -> PlyLayout:
         sections=sections,
         end=end,
         normal_elements=tuple(normals),
-        n_polygons=len(surface.lengths) + surface.n_strip_triangles,
-        grid=surface.grid,
+        surface=surface,
     )
     warnings = [*warnings_of(header, vertex), *surface.warnings]
     if layout.is_stream:
-        warnings.append(_STREAM_WARNING)
+        warnings.append(
+            "the records do not stand one to a line: they are read as a stream of words, and the "
+            "lines kept"
+        )
     if n_behind:
         warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
     layout.warnings = tuple(warnings)
@@ -554,14 +534,19 @@ class PlyFile(SlotFile):
     ``precision`` is the type of the coordinates: ``float32`` (also when mixed with double, since
     the coarsest one limits), ``float64``, ``text`` in ascii, or ``integer``.  Whole-number
     coordinates are rounded to the nearest whole number, halves to the even one.
+
+    Raises FormatError (not PLY, or a line, type or value that breaks the format),
+    TruncatedError (fewer bytes or lines than the counts promise), ContentError (``E_NONFINITE``,
+    ``E_INDEX``, ``E_NO_FACES``), UnsupportedError and TooLargeError, each with the place.
     """
 
     _layout: PlyLayout
 
     def __init__(self, data: Buffer) -> None:
         super().__init__(data, "ply", parse)
-        self.n_polygons = self._layout.n_polygons
-        self.grid = self._layout.grid
+        surface = self._layout.surface
+        self.n_polygons = len(surface.lengths) + surface.n_strip_triangles
+        self.grid = surface.grid
 
     def vertex_scalars(self) -> dict[str, str]:
         """The scalar properties of the vertices and numpy's codes of their types."""
@@ -629,3 +614,6 @@ class PlyFile(SlotFile):
         from msal_cli.codecs.ply_write import recode
 
         return recode(data, old, header, text, values, layout.end, is_stream=layout.is_stream)
+
+
+read = PlyFile
