@@ -524,8 +524,14 @@ class GltfFile(SceneFile):
         changed = self._changed(data)
         companions: dict[str, Companion] = {}
         uris = {}
-        for number, name in self._new_names(path, changed).items():
-            old_name = self.names[number]
+        stem, new_stem = _stem(self._path), _stem(path)
+        renamed: dict[str, str] = {}
+        for number, old_name in self.names.items():
+            name = old_name
+            is_own = Path(name).name == f"{stem}.bin" and stem == new_stem
+            if number in changed and not is_own:
+                count = f"_{len(renamed)}" if renamed else ""
+                name = renamed.setdefault(name, f"{new_stem}{count}.bin")
             is_input = _is_same(folder / name, own.parent / old_name)
             if number not in self.spans or (is_input and number not in changed):
                 continue
@@ -541,19 +547,6 @@ class GltfFile(SceneFile):
             if name != old_name:
                 uris[number] = quote(name)
         return _replace_uris(output, uris), tuple(companions.values())
-
-    def _new_names(self, path: str, changed: set[int]) -> dict[int, str]:
-        """The names of the buffers' files beside an output at ``path``."""
-        stem, new_stem = _stem(self._path), _stem(path)
-        names: dict[int, str] = {}
-        renamed: dict[str, str] = {}
-        for number, name in self.names.items():
-            is_own = Path(name).name == f"{stem}.bin" and stem == new_stem
-            if number in changed and not is_own:
-                count = f"_{len(renamed)}" if renamed else ""
-                name = renamed.setdefault(name, f"{new_stem}{count}.bin")
-            names[number] = name
-        return names
 
 
 def _replace_uris(text: Buffer, uris: dict[int, str]) -> Buffer:
