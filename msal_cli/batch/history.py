@@ -21,6 +21,7 @@ from msal_cli.batch.manifest import (
     read_views,
 )
 from msal_cli.batch.shard import Shard
+from msal_cli.job.plain_data import from_data
 from msal_cli.job.records import MeshRecord
 from msal_cli.version import __version__
 
@@ -173,22 +174,12 @@ def _parse_runs(view: LogView) -> list[RunEntry]:
 
 def _parse_start(data: Mapping[str, Any], last_at: int) -> RunEntry:
     """A run from its first line, as if it had ended with its last entry."""
-    shard, settings, at = data.get("shard"), data["settings"], int(data["at"])
-    if not isinstance(settings, dict):
-        raise TypeError("settings")
-    return RunEntry(
-        version=str(data["version"]),
-        command=tuple(str(word) for word in data["command"]),
-        settings=settings,
-        started=str(data["started"]),
-        shard=None if shard is None else Shard(int(shard[0]), int(shard[1])),
-        pid=int(data["pid"]),
-        host=str(data["host"]),
-        files=int(data["files"]),
-        at=at,
-        finished=iso_timestamp(last_at) if last_at > at else str(data["started"]),
-        seconds=max(0, last_at - at) / 1e9,
+    shard, at = data["shard"], int(data["at"])
+    entry: RunEntry = from_data(
+        RunEntry, {**data, "shard": shard and {"number": shard[0], "count": shard[1]}}
     )
+    finished = iso_timestamp(last_at) if last_at > at else entry.started
+    return replace(entry, finished=finished, seconds=max(0, last_at - at) / 1e9)
 
 
 def _row(entry: ManifestEntry, place: str) -> FileRow:

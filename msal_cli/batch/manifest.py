@@ -36,7 +36,7 @@ import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -79,10 +79,6 @@ _MAX_FAILURES = 10
 # Parsing the records, which are rarely needed, would take half of the time of reading.
 _USUAL_DONE = re.compile(
     rb'(\{"kind":"done",.*?),"record":\{.*\},"at":([1-9]\d{0,29})\}', re.DOTALL
-)
-
-_USUAL_NAME = re.compile(
-    rb'\{"kind":"(?:done|intent)","name":("(?:[^"\\]|\\.)*"),"format":1,.*\}$', re.DOTALL
 )
 
 _log = logging.getLogger("msal.batch")
@@ -240,9 +236,7 @@ def parse_line(line: bytes, span: LineSpan | None = None) -> ManifestEntry | str
         # Without the record where that can be left out: in a string the quotes would have
         # backslashes, so this is where it begins.
         usual = _USUAL_DONE.fullmatch(line)
-        data = json.loads(usual[1] + b"}" if usual else line) | (
-            {"at": int(usual[2])} if usual else {}
-        )
+        data = json.loads(b'%b,"at":%b}' % usual.groups() if usual else line)
         kind = data["kind"]
         if kind not in _ENTRY_KINDS or data.get("format", FORMAT) != FORMAT:
             return kind if kind in RUN_KINDS else None
@@ -315,12 +309,7 @@ def done_line(
 
 
 def _version_fields(version: FileStat | ObjectMark | None, sha256: str | None) -> dict[str, Any]:
-    fields: dict[str, Any] = {"sha256": sha256 or ""}
-    if isinstance(version, ObjectMark):
-        fields |= {"size": version.size, "tag": version.tag}
-    elif version is not None:
-        fields |= {"size": version.size, "mtime_ns": version.mtime_ns}
-    return fields
+    return {"sha256": sha256 or ""} | ({} if version is None else asdict(version))
 
 
 def encode_line(data: Mapping[str, Any]) -> bytes:
@@ -374,8 +363,8 @@ class Manifest:
         some = list(lines)
         if not some:
             return
-        self._newest = at = max(time.time_ns(), self._newest + 1)
-        encoded = [encode_line({**line, "at": at}) for line in some]
+        self._newest = max(time.time_ns(), self._newest + 1)
+        encoded = [encode_line({**line, "at": self._newest}) for line in some]
         self._write_lines(encoded, at_once=any(line["kind"] == "intent" for line in some))
 
     def open(self) -> None:
@@ -614,16 +603,7 @@ def read_views(place: str) -> list[LogView]:
 
 def read_output_names(place: str) -> frozenset[str]:
     """Every output that some run wrote or began to write; OutputError if that cannot be read."""
-    if is_url(place):
-        return frozenset(name for view in read_views(place) for name in view.entries)
-    names = set()
-    for path in list_manifests(place):
-        for line, _ in read_lines(path):
-            if usual := _USUAL_NAME.match(line):
-                names.add(json.loads(usual[1]))
-            elif isinstance(entry := parse_line(line), ManifestEntry):
-                names.add(entry.name)
-    return frozenset(names)
+    return frozenset(name for view in read_views(place) for name in view.entries)
 
 
 def open_manifest(place: str, shard: Shard | None = None) -> Manifest:

@@ -6,11 +6,11 @@ import hashlib
 import json
 import os
 import stat
-import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from msal_cli.batch.history import RunEntry
@@ -107,7 +107,7 @@ def file_states(
     An output is current if input, output, settings and version are those of the manifest: files
     are read and hashed, their times are never trusted.  Closing the iterator stops the reading.
     """
-    is_stopped = threading.Event()
+    is_stopped = Event()
     check = _FreshnessCheck(plan, manifests, settings, is_stopped)
     indices = range(len(plan.tasks))
     n_read = sum(plan.tasks[index].in_place or check.entry(index) is not None for index in indices)
@@ -127,22 +127,12 @@ def file_states(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def states_of_set(states: Iterable[FileState]) -> Iterator[FileState]:
-    """The states of the files of a tile set: if one is to be denoised, all are."""
-    every = list(states)
-    if all(state.record is not None for state in every):
-        return iter(every)
-    return (FileState(state.index) for state in every)
-
-
-@dataclass
 class _FreshnessCheck:
-    plan: Plan
-    manifests: Mapping[str, Manifest]
-    settings: str
-    is_stopped: threading.Event
-
-    def __post_init__(self) -> None:
+    def __init__(
+        self, plan: Plan, manifests: Mapping[str, Manifest], settings: str, is_stopped: Event
+    ) -> None:
+        self.plan, self.manifests, self.settings = plan, manifests, settings
+        self.is_stopped = is_stopped
         self._methods: dict[str, MethodUsed] = {}
 
     def entry(self, index: int) -> ManifestEntry | None:
@@ -294,10 +284,15 @@ class Journal:
         todo: list[int] = []
         restored: list[int] = []
         obstacles: list[str] = []
-        with closing(
-            file_states(self._plan, self.manifests, self._hash, threads=self._cores)
-        ) as states:
-            for state in states_of_set(states) if self._plan.is_set else states:
+        checks = file_states(self._plan, self.manifests, self._hash, threads=self._cores)
+        with closing(checks):
+            states: Iterable[FileState] = checks
+            if self._plan.is_set:
+                # If one file is to be denoised, all are.
+                states = list(checks)
+                if any(state.record is None for state in states):
+                    states = [FileState(state.index) for state in states]
+            for state in states:
                 if state.obstacle:
                     obstacles.append(state.obstacle)
                 elif state.record is not None:
