@@ -89,21 +89,22 @@ class Member:
         return self.record.vertices or 0
 
 
+@dataclass(eq=False)
 class JoinedMesh:
     """The vertices (n, 3) and faces (m, 3) of several files behind one another, with ``properties``
     (n,) of the vertices by name."""
 
-    merged_vertices = 0
-
-    def __init__(self, vertices: Floats, faces: Ints, properties: Mapping[str, Floats]) -> None:
-        self.vertices, self.faces, self._properties = vertices, faces, properties
+    vertices: Floats
+    faces: Ints
+    properties: Mapping[str, Floats]
+    merged_vertices: int = 0
 
     def forget_vertices(self) -> None:
         """Keep them: they cannot be read again in little time."""
 
     def vertex_property(self, name: str) -> Floats:
         """A number of each vertex (n,)."""
-        return self._properties[name]
+        return self.properties[name]
 
 
 def denoise_set(
@@ -346,10 +347,13 @@ class _SetRun:
             is_open = np.isnan(agreed[first]).any(axis=1)
             agreed[first[is_open]] = points[is_open]
             share = member.n_vertices / starts[-1]
-            record = _add_seconds(record, (member.record.seconds, 1.0), (joint.seconds, share))
-            peak = max(record.peak_memory_bytes or 0, joint.peak_memory_bytes or 0) or None
+            peak = joint.peak_memory_bytes or 0
+            assert record.seconds and member.record.seconds and joint.seconds
             self._records[member.index] = replace(
-                record, tile_set=parts[place], peak_memory_bytes=peak
+                record,
+                tile_set=parts[place],
+                seconds=_add_seconds(record.seconds, member.record.seconds, joint.seconds, share),
+                peak_memory_bytes=max(record.peak_memory_bytes or 0, peak) or None,
             )
         self._record_gaps(shared, written, is_single, joint.warnings)
 
@@ -438,8 +442,9 @@ class _SetRun:
         gaps[np.isnan(written).any(axis=1) & shared.is_shared] = np.nan
         failed = sorted(i for i, record in self._records.items() if record.status == "failed")
         for index in set(failed) & self._earlier.parts.keys():
-            part = self._earlier.parts[index]
-            self._records[index] = replace(self._records[index], tile_set=part)
+            self._records[index] = replace(
+                self._records[index], tile_set=self._earlier.parts[index]
+            )
         names = [self._tasks[index].relative for index in failed] + list(self._earlier.absent)
         notes = [f"the tile set: {warning}" for warning in warnings]
         for place, member in enumerate(self._members):
@@ -480,16 +485,15 @@ def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[
     return notes
 
 
-def _add_seconds(record: MeshRecord, *others: tuple[Seconds | None, float]) -> MeshRecord:
-    """A record whose seconds have those of other work added, each times a share of it."""
-    if record.seconds is None:
-        return record
-    sums = {
-        stage.name: getattr(record.seconds, stage.name)
-        + sum(share * getattr(more, stage.name) for more, share in others if more is not None)
-        for stage in fields(Seconds)
-    }
-    return replace(record, seconds=Seconds(**sums))
+def _add_seconds(own: Seconds, scan: Seconds, joint: Seconds, share: float) -> Seconds:
+    """The seconds of writing a file, those of reading it first, and its share of the joint work."""
+    names = [stage.name for stage in fields(Seconds)]
+    return Seconds(
+        **{
+            name: getattr(own, name) + getattr(scan, name) + share * getattr(joint, name)
+            for name in names
+        }
+    )
 
 
 def _read_points(

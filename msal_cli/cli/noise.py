@@ -16,7 +16,6 @@ from msal_cli.job.display_names import escape_for_display
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
-    from msal_cli.job.output import MadeFile
 
 # Those of added_noise.KINDS, whose module imports numpy; a test compares them.
 _KINDS = (
@@ -127,7 +126,7 @@ def command(request: Request) -> int:
         try:
             # A signal must not leave a temporary file.
             with interrupts.catch_signals(interrupts.raise_for):
-                made = _make_noisy_file(source, path, noise, format)
+                description, warnings = _make_noisy_file(source, path, noise, format)
         except MsalError as error:
             if STREAM in (source, path):
                 raise
@@ -137,8 +136,8 @@ def command(request: Request) -> int:
             continue
         if not request.quiet:
             name = file_name(path)
-            console.say(f"{name}: {escape_for_display(made.description)}")
-            for warning in made.warnings:
+            console.say(f"{name}: {escape_for_display(description)}")
+            for warning in warnings:
                 console.say(f"warning: {name}: {escape_for_display(warning)}")
     return console.status_of_files(len(targets), n_failed)
 
@@ -165,8 +164,10 @@ def _find_targets(request: Request) -> list[tuple[str, str]]:
     return [(task.input, task.output) for task in tasks]
 
 
-def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | None) -> MadeFile:
-    """Write one output, whole or not at all."""
+def _make_noisy_file(
+    source: str, path: str, noise: AddedNoise, format: str | None
+) -> tuple[str, tuple[str, ...]]:
+    """Write one output, whole or not at all; what it is in words, and warnings."""
     from contextlib import nullcontext
 
     from msal_cli.cli.streams import read_stream
@@ -180,15 +181,15 @@ def _make_noisy_file(source: str, path: str, noise: AddedNoise, format: str | No
     try:
         with nullcontext() if is_stream else room_for_files((source,), format, target):
             data = read_stream() if is_stream else header.read_input(source, format)
-            made = add_noise_to_file(data, source, path, noise, format)
+            made, description, warnings = add_noise_to_file(data, source, path, noise, format)
             if path == STREAM:
-                console.put_bytes(made.output)
+                console.put_bytes(made.data)
             else:
                 sources = (0,) if is_stream else list_sources(source, data)
-                write_output(path, made.output, made.companions, sources)
+                write_output(path, made.data, made.companions, sources)
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY") from None
-    return made
+    return description, warnings
 
 
 def _build_noise(request: Request) -> AddedNoise:

@@ -45,17 +45,6 @@ class Output:
     losses: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class MadeFile:
-    """An output of ``msal noise``: its bytes, what it is in words, and files that hold a part of
-    it."""
-
-    output: Buffer
-    description: str
-    warnings: tuple[str, ...] = ()
-    companions: tuple[Companion, ...] = ()
-
-
 def build_output(
     mesh_file: MeshFile, vertices: Floats, settings: Settings, path: str | None, source: Source
 ) -> Output:
@@ -208,18 +197,16 @@ def write_output(
 
 def add_noise_to_file(
     data: Buffer, name: str, target: str, noise: AddedNoise, format: str | None = None
-) -> MadeFile:
-    """The output for the bytes of the input ``name``.
+) -> tuple[Output, str, tuple[str, ...]]:
+    """The output for the bytes of the input ``name``, what it is in words, and warnings.
 
     ``target`` is the output's name, which must be of the same format; ``-`` has none.
     """
     import numpy as np
 
-    from msal_cli import codecs
     from msal_cli.analysis.added_noise import add_noise
     from msal_cli.codecs import detection
     from msal_cli.job.room import open_mesh, prepare_mesh
-    from msal_cli.storage import gzip_streams
 
     mesh_file, is_compressed = open_mesh(data, name, format)
     wanted = detection.format_of_name(target)
@@ -237,28 +224,20 @@ def add_noise_to_file(
     original = mesh_file.vertices
     vertices = ready.to_file_vertices(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
-    compress = target.lower().endswith(".gz") if target != "-" else is_compressed
-    is_kept = not n_moved and compress == is_compressed
-    if n_moved:
-        try:
-            output = mesh_file.replaced(vertices)
-        except MsalError as error:
-            if error.code == "E_RANGE":
-                error.hint = "choose a lower --level: this file's numbers are near their limit"
-            raise
-        mesh_file.check(output, vertices)
-    else:
-        output = data if is_kept else gzip_streams.expand(data, name)[0]
-    path = None if target == "-" else target
-    output, companions = codecs.with_companions(mesh_file, output, vertices, path)
-    output = gzip_streams.compress(output) if compress and not is_kept else output
+    path, source = None if target == "-" else target, Source(data, name, is_compressed)
+    try:
+        made = build_output(mesh_file, vertices, Settings("noise"), path, source)
+    except MsalError as error:
+        if error.code == "E_RANGE":
+            error.hint = "choose a lower --level: this file's numbers are near their limit"
+        raise
     settings = noise.describe()
     description = (
         f"{noise.kind} noise of {noise.level:g} mean edge lengths "
         f"({noise.level * ready.mesh.mean_edge_length:.4g}), {settings + ', ' if settings else ''}"
         f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}"
     )
-    return MadeFile(output, description, mesh_file.warnings, companions)
+    return made, description, mesh_file.warnings
 
 
 def read_weights(mesh_file: Surface, ready: PreparedMesh, name: str) -> Floats:
