@@ -104,10 +104,8 @@ def discover_inputs(
     (see `Patterns`); a file is kept if some ``include`` (where there is any) and no
     ``exclude`` matches.
 
-    Raises
-    ------
-    UsageError : an input does not exist or is neither file nor folder; a folder cannot be listed.
-    NothingMatched : nothing is left.
+    Raises UsageError if an input does not exist or is neither file nor folder, or a folder cannot
+    be listed, and NothingMatched if nothing is left.
     """
     included, excluded = Patterns(include), Patterns(exclude)
     output = None if output is None else urls.normalize_url(output)

@@ -54,10 +54,8 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
 
     ``shard`` shares the folder with the other shards of the same N.
 
-    Raises
-    ------
-    UsageError : another run has locked the folder (code ``E_LOCKED``); the message has its process.
-    OutputError : a lock file cannot be opened.
+    Raises UsageError (``E_LOCKED``), which names the process, if another run has locked the folder,
+    and OutputError if a lock file cannot be opened.
     """
 
     def __init__(self, folder: str, shard: Shard | None = None) -> None:

@@ -108,11 +108,9 @@ def build_plan(
     ``fresh`` does every file again, ``retry_failed`` those that failed before.  With ``is_set`` the
     files are those of a tile set.
 
-    Raises
-    ------
-    UsageError : ``output`` is called like a file of no known format, or like one file for several
-        inputs; two inputs have one output; an output is an input, a folder, lies outside the
-        output folder or would replace a file that is not ours; options contradict each other.
+    Raises UsageError if ``output`` is called like a file of no known format, or like one file for
+    several inputs; if two inputs have one output; if an output is an input, a folder, lies outside
+    the output folder or would replace a file that is not ours; if options contradict each other.
     """
     output = None if output is None else urls.normalize_url(output)
     manifest_dirs: Sequence[str | None]

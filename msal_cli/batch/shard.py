@@ -57,9 +57,7 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     (array jobs) or Kubernetes (indexed jobs).  Where these have no N, as in Kubernetes, it comes
     from ``auto/N`` or from the variable MSAL_SHARDS.
 
-    Raises
-    ------
-    UsageError : it is none of these; there are no such variables; they contradict one another.
+    Raises UsageError if it is none of these, or variables are missing or contradict one another.
     """
     first, slash, last = text.partition("/")
     if first != "auto":

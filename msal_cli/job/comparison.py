@@ -147,10 +147,7 @@ def compare_meshes(
     measured too, as far as the library for them is installed; ``with_intersections`` counts the
     faces of each that intersect each other.
 
-    Raises
-    ------
-    ContentError
-        if one of them is no mesh to compute with.
+    Raises ContentError if one of them is no mesh to compute with.
     """
     from msal_cli.analysis import surface_distance
     from msal_cli.analysis.measures import count_self_intersections

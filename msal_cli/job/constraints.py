@@ -63,10 +63,7 @@ def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
     unit : its unit, one of ``UNIT_NAMES``.
     file_unit : the unit of the file's coordinates, one of ``METRES``.
 
-    Raises
-    ------
-    UsageError
-        if the file's unit is not known, or the length is too long for a double.
+    Raises UsageError if the file's unit is not known, or the length is too long for a double.
     """
     if file_unit is None:
         raise UsageError(
@@ -211,10 +208,8 @@ def build_constraints(
 
     ``pinned`` (n_file,) are vertices that stay whatever the options say.
 
-    Raises
-    ------
-    InputError
-        if the file has no such property (``E_PROPERTY``), or one that means nothing as trust.
+    Raises InputError if the file has no such property (``E_PROPERTY``), or one that means nothing
+    as trust.
     """
     import numpy as np
 

@@ -52,12 +52,8 @@ def build_output(
 
     ``path`` is where it is to be written; None for a pipe.
 
-    Raises
-    ------
-    LossError
-        where another format would lose something, and ``settings`` are strict.
-    InternalError
-        where the output does not hold what it should.
+    Raises LossError if ``settings`` are strict and another format would lose something, and
+    InternalError if the output does not hold what it should.
     """
     from msal_cli import codecs
     from msal_cli.codecs import conversion, detection

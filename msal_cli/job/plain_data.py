@@ -99,10 +99,7 @@ def value_at(record: Any, path: str) -> Any:
 def from_data(kind: type[Any], data: Any) -> Any:
     """The record that ``as_data`` made ``data`` from; unknown fields are dropped.
 
-    Raises
-    ------
-    TypeError
-        if a field is missing, or has a value of another type.
+    Raises TypeError if a field is missing, or has a value of another type.
     """
     if not isinstance(data, dict):
         raise TypeError(f"{kind.__name__} cannot be {type(data).__name__}")

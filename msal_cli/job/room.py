@@ -124,12 +124,8 @@ def find_scratch(
     A limit set by the user replaces what the machine has left.  ``is_guess``: the work may need
     much less.
 
-    Raises
-    ------
-    ResourceError
-        (``E_MEMORY``) where they fit nowhere; ``where`` is ``FORECAST``.
-    OutputError
-        where the folder has no space for them.
+    Raises ResourceError (``E_MEMORY`` with ``where`` ``FORECAST``) if they fit nowhere, and
+    OutputError if the folder has no space for them.
     """
     limit = limits.memory_bytes
     room = machine.available_bytes() if limit is None else limit
@@ -181,10 +177,7 @@ def are_arrays_in_files() -> bool:
 def use_scratch(scratch: Scratch | None) -> Iterator[None]:
     """Have large arrays live in files; nothing where they fit into memory.
 
-    Raises
-    ------
-    OutputError
-        where the folder cannot be used, or its disk is full.
+    Raises OutputError where the folder cannot be used, or its disk is full.
     """
     if scratch is None:
         yield

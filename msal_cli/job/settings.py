@@ -230,10 +230,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
         its ``parameters`` (assignments), ``intersections`` and ``unit``.  Other names are ignored.
     as_options : messages name options; by default arguments.
 
-    Raises
-    ------
-    UsageError
-        for values that are not allowed, or do not go together.
+    Raises UsageError for values that are not allowed, or do not go together.
     """
 
     def label(name: str) -> str:
@@ -290,10 +287,8 @@ def _choose_method(
 def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dict[str, Any]:
     """Every parameter of ``method``, with those that the user gave in their place.
 
-    Raises
-    ------
-    UsageError
-        for an unknown name, a value that is not allowed, or one parameter with two values.
+    Raises UsageError for an unknown name, a value that is not allowed, or one parameter with two
+    values.
     """
     values: dict[str, Any] = {}
     labels: dict[str, str] = {}
