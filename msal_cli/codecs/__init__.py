@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.codecs.detection import resolve_format
-from msal_cli.codecs.mesh_file import HasVertexProperties, MeshFile, Surface
+from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.regular import Buffer
 
@@ -99,10 +99,12 @@ def vertex_property(mesh_file: Surface, name: str) -> NDArray[np.float64]:
     UnsupportedError
         for a format other than PLY.
     """
-    if not isinstance(mesh_file, HasVertexProperties):
+    read = getattr(mesh_file, "vertex_property", None)
+    if read is None:
         format = getattr(mesh_file, "format", "")
         raise UnsupportedError(
             f"vertex properties such as {name!r} are read from PLY, not from {format.upper()}",
             hint="give a PLY, or leave out for this file what names a property",
         )
-    return mesh_file.vertex_property(name)
+    values: NDArray[np.float64] = read(name)
+    return values

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,16 +41,6 @@ class Surface(Protocol):
 
     def forget_vertices(self) -> None:
         """Let go of ``vertices`` where they can be read again in little time."""
-        ...
-
-
-@runtime_checkable
-class HasVertexProperties(Protocol):
-    """A mesh with more numbers at its vertices than positions."""
-
-    def vertex_property(self, name: str) -> NDArray[np.float64]:
-        """The scalar property ``name`` of the vertices, (n,); InputError (``E_PROPERTY``) if there
-        is none."""
         ...
 
 

@@ -92,7 +92,8 @@ _DISPLAY = frozenset(
     b"bevel c_interp d_interp lod maplib shadow_obj trace_obj ctech stech mtllib call csh".split()
 )
 
-_CONTINUED = re.compile(rb"\\(\r\n|\r|\n)")
+_CONTINUED = re.compile(rb"\\(?:\r\n|\r|\n)")
+_LINE = re.compile(rb"(?:[^\r\n\\]++|\\(?:\r\n|\r|\n)?+)*+")
 _LIBRARY = re.compile(r"\S.*?\.mtl(?=\s|$)|\S.*", re.IGNORECASE)
 _SHOWN = 3
 
@@ -290,12 +291,7 @@ class _Reader:
             buf[at : at + size].tobytes(): (int(count), int(at))
             for _, count, at, size in self._keywords[: int(state[scan.KEYWORDS])]
         }
-        self._require_whole_face()
-        if not n_vertices or not n_faces:
-            raise _no_faces_error(n_vertices, int(state[scan.SHORT]), keywords)
-        self._require_finite(positions)
-        if state[scan.LARGEST_VERTEX] >= n_vertices:
-            raise self._missing_vertex_error(corners, sizes, n_vertices)
+        self._require_mesh(positions, corners, sizes, keywords)
         faces = cut_polygons(corners, sizes)
         layout = _ObjLayout(
             "ascii",
@@ -403,19 +399,21 @@ class _Reader:
         rest = bytes(self._buf[at : at + (1 << 16)])
         return at + len(rest) == len(self._buf) and not (b"\n" in rest or b"\r" in rest)
 
-    def _require_whole_face(self) -> None:
-        """Raise where the last line is a face that breaks off."""
-        last_short = int(self._state[scan.LAST_SHORT_AT])
-        if self._state[scan.SHORT] and self._is_last_line(last_short):
+    def _require_mesh(
+        self, positions: _Rows, corners: Ints, sizes: Ints, keywords: Keywords
+    ) -> None:
+        """Raise unless the faces are whole, and of finite positions that are there."""
+        state, n_vertices = self._state, len(positions.at)
+        last_short = int(state[scan.LAST_SHORT_AT])
+        if state[scan.SHORT] and self._is_last_line(last_short):
             # A face that lost its last corners and its line end did not lose them on purpose.
             raise TruncatedError(
                 "the last line breaks off: its face has fewer than three corners",
                 where=self._place(last_short),
                 hint="copy or export the file again",
             )
-
-    def _require_finite(self, positions: _Rows) -> None:
-        """Raise where a position is not finite."""
+        if not n_vertices or not len(sizes):
+            raise _no_faces_error(n_vertices, int(state[scan.SHORT]), keywords)
         finite = np.isfinite(positions.values)
         if not finite.all():
             bad = int(np.argmin(finite.all(axis=1)))
@@ -425,6 +423,8 @@ class _Reader:
                 hint="remove the vertex and its faces, or export the file again",
                 code="E_NONFINITE",
             )
+        if state[scan.LARGEST_VERTEX] >= n_vertices:
+            raise self._missing_vertex_error(corners, sizes, n_vertices)
 
     def _missing_vertex_error(self, corners: Ints, sizes: Ints, n_vertices: int) -> ContentError:
         """The error for a face that names a vertex that the whole file does not have."""
@@ -463,25 +463,13 @@ def _find_references(data: Buffer, libraries: Longs) -> tuple[str, ...]:
     A name may hold blanks: it ends with ``.mtl``, or with the line.
     """
     names: dict[str, None] = {}
-    view = memoryview(data)
-    for at in libraries:
-        for name in _LIBRARY.findall(_argument(view, int(at), b"mtllib")):
+    for at in libraries.tolist():
+        line = _LINE.match(memoryview(data), at)
+        assert line is not None  # it may be empty
+        text = _CONTINUED.sub(b" ", line[0])[len("mtllib") :].decode("utf-8", "surrogateescape")
+        for name in _LIBRARY.findall(text.strip()):
             names[name.strip().strip('"')] = None
     return tuple(name for name in names if name)
-
-
-def _argument(view: memoryview, at: int, keyword: bytes) -> str:
-    """What stands behind the keyword at ``at``, continued lines joined."""
-    size = 1 << 10
-    while True:
-        text = _CONTINUED.sub(b" ", bytes(view[at : at + size]))
-        line = re.match(rb"[^\r\n]*", text)
-        assert line is not None
-        # A backslash in the last bytes looked at may continue the line.
-        if at + size >= len(view) or line.end() < len(text) - 1:
-            break
-        size *= 2
-    return line[0][len(keyword) :].decode("utf-8", "surrogateescape").strip()
 
 
 def _describe_warnings(

@@ -49,7 +49,35 @@ class Places(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class Part:
+    """An element whose records begin at byte ``start``."""
+
+    data: Bytes
+    header: Header
+    element: Element
+    start: int
+
+    def where(self, record: int) -> str:
+        return f"{self.element.name} {record}"
+
+    def can_hold(self) -> bool:
+        """Whether the bytes from ``start`` on can hold the element as text."""
+        # A value is at least one digit and one separator; only the file's last one has none.
+        n_values = len(self.element.properties) * self.element.count
+        return 2 * n_values <= len(self.data) - self.start + 1
+
+    def kept_names(self, wanted: Sequence[str]) -> tuple[str, ...]:
+        """The ``wanted`` properties that the element has, in file order."""
+        return tuple(prop.name for prop in self.element.properties if prop.name in wanted)
+
+    def codes(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Numpy's types of properties in binary records."""
+        order = self.header.byte_order
+        return tuple(order + prop.code for prop in self.element.find_all(names))
+
+
+@dataclass(frozen=True, eq=False)
+class Lines(Part):
     """Ascii records, one to a line, or if ``is_stream`` on whatever lines.
 
     Attributes
@@ -63,10 +91,6 @@ class Lines:
         each record's (count,).
     """
 
-    data: Bytes
-    header: Header
-    element: Element
-    start: int
     stop: int
     kept: tuple[str, ...]
     is_stream: bool = False
@@ -77,8 +101,7 @@ class Lines:
     @functools.cached_property
     def tokens(self) -> Places:
         """The places of all words of the properties ``kept``."""
-        places = self.header, self.element, self.start, self.kept, self.is_stream
-        return _find_tokens(self.data, *places)[0]
+        return _find_tokens(self, self.kept, self.is_stream)[0]
 
     def where(self, record: int) -> str:
         line = line_of(self.data, int(self.tokens.starts[record, 0]))
@@ -165,22 +188,20 @@ class Lines:
         return starts, stops, lengths
 
 
-def _plain_lines(
-    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
-) -> Lines | None:
+def _plain_lines(part: Part, wanted: Sequence[str]) -> Lines | None:
     """The section of an element whose records are plain and of scalars, or of one list among
     properties that are not wanted; None for others."""
-    if not element.properties or not element.count or not can_hold(data, element, at):
+    properties = part.element.properties
+    if not properties or not part.element.count or not part.can_hold():
         return None
-    read = _read_lists if any(prop.is_list for prop in element.properties) else _read_scalars
-    return read(data, header, element, at, kept_names(element, wanted))
+    read = _read_lists if any(prop.is_list for prop in properties) else _read_scalars
+    return read(part, part.kept_names(wanted))
 
 
-def _read_scalars(
-    data: Bytes, header: Header, element: Element, at: int, kept: tuple[str, ...]
-) -> Lines | None:
+def _read_scalars(part: Part, kept: tuple[str, ...]) -> Lines | None:
     from msal_cli.kernels.ply_scan import WHOLE, read_scalars
 
+    element = part.element
     names = [prop.name for prop in element.properties]
     together: list[tuple[str, ...]] = [
         group
@@ -192,8 +213,8 @@ def _read_scalars(
     first_at = np.empty((len(together), element.count), dtype=np.int64)
     decimals = np.empty((len(together), element.count), dtype=np.uint8)
     stop, n_unusual, status = read_scalars(
-        data,
-        at,
+        part.data,
+        part.start,
         element.count,
         np.array([kept.index(name) if name in kept else -1 for name in names]),
         np.array([group_of.get(name, -1) for name in names]),
@@ -204,23 +225,22 @@ def _read_scalars(
     if status != WHOLE or n_unusual > MAX_UNUSUAL:
         return None
     statements = dict(zip(together, zip(first_at, decimals, strict=True), strict=True))
-    return Lines(data, header, element, at, int(stop), kept, False, values, statements)
+    return Lines(**vars(part), stop=int(stop), kept=kept, scalars=values, statements=statements)
 
 
-def _read_lists(
-    data: Bytes, header: Header, element: Element, start: int, kept: tuple[str, ...]
-) -> Lines | None:
+def _read_lists(part: Part, kept: tuple[str, ...]) -> Lines | None:
     from msal_cli.kernels.ply_scan import FULL, WHOLE, read_lists
 
+    data, element = part.data, part.element
     if len(kept) > 1 or not all(prop.is_list for prop in element.find_all(kept)):
         return None
     is_list = np.array([prop.is_list for prop in element.properties])
     which = element.index(kept[0]) if kept else -1
     # An item is one digit and one blank at the least.
-    most = (len(data) - start) // 2 + 1
+    most = (len(data) - part.start) // 2 + 1
     items = np.empty(min(3 * element.count, most) if kept else 0, dtype=np.int32)
     lengths = np.empty(element.count if kept else 0, dtype=np.int32)
-    done, at, n_items = 0, start, 0
+    done, at, n_items = 0, part.start, 0
     while True:
         done, at, n_items, status = read_lists(
             data, at, done, element.count, is_list, which, items, n_items, lengths
@@ -238,7 +258,7 @@ def _read_lists(
         # One number instead of one for each record.
         lengths = np.broadcast_to(lengths[:1].copy(), lengths.shape)
     plain_list = items[:n_items], lengths
-    return Lines(data, header, element, start, int(at), kept, plain_list=plain_list)
+    return Lines(**vars(part), stop=int(at), kept=kept, plain_list=plain_list)
 
 
 def _read_stream(
@@ -251,20 +271,19 @@ def _read_stream(
     do not look at line ends.  Without them a missing token shows only at the end.  So the elements
     must take all tokens, and each begin on a line of its own where there are several lines.
     """
-    filled = [element for element in header.elements if element.count and element.properties]
-    if not filled or not all(can_hold(data, element, header.size) for element in filled):
-        return None
-    if not data[header.size :].all():
+    parts = [Part(data, header, element, header.size) for element in header.elements]
+    filled = [part for part in parts if part.element.count and part.element.properties]
+    if not filled or not all(part.can_hold() for part in filled) or not data[header.size :].all():
         return None
     sections: dict[str, Section] = {}
     gaps: list[Bytes] = []
     at = header.size
     for element in header.elements:
         try:
-            sections[element.name] = section_at(data, header, element, at, wanted(element), True)
+            section = section_at(Part(data, header, element, at), wanted(element), is_stream=True)
         except InputError:
             return None
-        stop = sections[element.name].stop
+        sections[element.name], stop = section, section.stop
         if stop > at:
             first = _TOKEN.search(data.data, at)
             gaps.append(data[at : first.start() if first else stop])
@@ -278,39 +297,22 @@ def _has_line_end(part: Bytes) -> bool:
     return bool(((part == 10) | (part == 13)).any())
 
 
-def kept_names(element: Element, wanted: Sequence[str]) -> tuple[str, ...]:
-    """The ``wanted`` properties that the element has, in file order."""
-    return tuple(prop.name for prop in element.properties if prop.name in wanted)
-
-
-def can_hold(data: Bytes, element: Element, at: int) -> bool:
-    """Whether the bytes from ``at`` on can hold the element."""
-    # A value is at least one digit and one separator; only the file's last one has none.
-    return 2 * len(element.properties) * element.count <= len(data) - at + 1
-
-
-def _find_tokens(
-    data: Bytes,
-    header: Header,
-    element: Element,
-    at: int,
-    kept: Sequence[str],
-    is_stream: bool,
-) -> tuple[Places, int]:
+def _find_tokens(part: Part, kept: Sequence[str], is_stream: bool) -> tuple[Places, int]:
     """The places of the tokens of the properties ``kept``, and the end of the element's last."""
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, WHOLE, walk_text
 
-    names = kept if can_hold(data, element, at) else ()
+    data, header, element = part.data, part.header, part.element
+    names = kept if part.can_hold() else ()
     shape = (element.count if names else 0, len(names))
     columns = {name: k for k, name in enumerate(names)}
     starts, stops, lengths = (np.empty(shape, dtype=np.int64) for _ in range(3))
     tokens = Places(columns, starts, stops, lengths)
     listed = element.properties
     if not listed or not element.count:
-        return tokens, at
+        return tokens, part.start
     records, stop, status = walk_text(
         data,
-        at,
+        part.start,
         min(element.count, len(data) + 1),
         is_stream,
         np.array([prop.is_list for prop in listed]),
@@ -347,30 +349,14 @@ def _find_tokens(
 
 
 @dataclass(frozen=True, eq=False)
-class _Records:
-    """Binary records, whose numbers have the byte order ``order``."""
-
-    data: Bytes
-    element: Element
-    order: str
-    start: int
-    stop: int
-
-    def where(self, record: int) -> str:
-        return f"{self.element.name} {record}"
-
-    def codes(self, names: Sequence[str]) -> tuple[str, ...]:
-        return tuple(self.order + prop.code for prop in self.element.find_all(names))
-
-
-@dataclass(frozen=True, eq=False)
-class Fixed(_Records):
+class Fixed(Part):
     """Binary records of ``stride`` bytes each.
 
     ``places`` gives, for each property, the byte within the record where its value (of a list:
     its first item) stands, and the number of items that every record has (1 for a scalar).
     """
 
+    stop: int
     stride: int
     places: dict[str, tuple[int, int]]
 
@@ -392,10 +378,11 @@ class Fixed(_Records):
 
 
 @dataclass(frozen=True, eq=False)
-class Varied(_Records):
+class Varied(Part):
     """Binary records of differing size; ``starts`` (count, c) and ``lengths`` (count, c) say where
     the values of the properties in ``columns`` begin and how many there are."""
 
+    stop: int
     columns: dict[str, int]
     starts: Longs
     lengths: Longs
@@ -434,10 +421,9 @@ def find_sections(
     at = header.size
     try:
         for element in header.elements:
-            names = wanted(element)
-            plain = _plain_lines(data, header, element, at, names) if is_text else None
-            section = plain or section_at(data, header, element, at, names)
-            sections[element.name] = section
+            part, names = Part(data, header, element, at), wanted(element)
+            plain = _plain_lines(part, names) if is_text else None
+            section = sections[element.name] = plain or section_at(part, names)
             at = section.stop
             if element.name == last:
                 break
@@ -449,51 +435,43 @@ def find_sections(
     return sections, at
 
 
-def section_at(
-    data: Bytes,
-    header: Header,
-    element: Element,
-    at: int,
-    names: Sequence[str],
-    is_stream: bool = False,
-) -> Section:
-    """The section of one element that begins at byte ``at``; its ascii records are one to a line,
-    unless ``is_stream``.
+def section_at(part: Part, names: Sequence[str], *, is_stream: bool = False) -> Section:
+    """The section of one element; its ascii records are one to a line, unless ``is_stream``.
 
     ``names`` are the properties whose places are to be kept where that costs memory.
     Errors as in ``find_sections``.
     """
-    if header.encoding != "ascii":
-        return _records(data, header, element, at, names)
-    kept = kept_names(element, names)
-    tokens, stop = _find_tokens(data, header, element, at, kept, is_stream)
-    lines = Lines(data, header, element, at, stop, kept, is_stream)
+    if part.header.encoding != "ascii":
+        return _records(part, names)
+    kept = part.kept_names(names)
+    tokens, stop = _find_tokens(part, kept, is_stream)
+    lines = Lines(**vars(part), stop=stop, kept=kept, is_stream=is_stream)
     lines.__dict__["tokens"] = tokens
     return lines
 
 
-def _records(
-    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
-) -> Section:
+def _records(part: Part, wanted: Sequence[str]) -> Section:
+    data, element, at = part.data, part.element, part.start
+    order = part.header.byte_order
     places: dict[str, tuple[int, int]] = {}
     counts: list[tuple[int, int, str]] = []
     stride = 0
     for prop in element.properties:
         length = 1
         if prop.is_list:
-            dtype = np.dtype(header.byte_order + prop.count_code)
+            dtype = np.dtype(order + prop.count_code)
             stored = data[at + stride : at + stride + dtype.itemsize]
             # Without a first record there is nothing to measure the others by.
             length = int(stored.view(dtype)[0]) if len(stored) == dtype.itemsize else 0
             if length < 0 or not element.count:
                 length = 0
-            counts.append((stride, length, header.byte_order + prop.count_code))
+            counts.append((stride, length, order + prop.count_code))
             stride += dtype.itemsize
         places[prop.name] = (stride, length)
         stride += length * np.dtype(prop.code).itemsize
     size = element.count * stride
     if size <= len(data) - at:
-        fixed = Fixed(data, element, header.byte_order, at, at + size, stride, places)
+        fixed = Fixed(**vars(part), stop=at + size, stride=stride, places=places)
         if not element.count or all(
             (np.ndarray((element.count,), code, data, at + place, (stride,)) == length).all()
             for place, length, code in counts
@@ -503,39 +481,37 @@ def _records(
         n_bytes = len(data) - at
         raise TruncatedError(
             f"the file ends within element '{element.name}': {size - n_bytes} bytes are missing",
-            where=f"{element.name} {n_bytes // stride}",
+            where=part.where(n_bytes // stride),
             hint=CUT_HINT,
         )
-    return _varied(data, header, element, at, wanted)
+    return _varied(part, wanted)
 
 
-def _varied(
-    data: Bytes, header: Header, element: Element, at: int, wanted: Sequence[str]
-) -> Section:
+def _varied(part: Part, wanted: Sequence[str]) -> Section:
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, walk_binary
 
-    listed = element.properties
+    data, element, listed = part.data, part.element, part.element.properties
     least = sum(prop.byte_range()[0] for prop in listed)
     # When the count cannot be met the walk only finds where, and nothing is allocated for it.
-    fits = element.count <= (len(data) - at) // least
-    names = [prop.name for prop in listed if prop.name in wanted] if fits else []
+    fits = element.count <= (len(data) - part.start) // least
+    names = part.kept_names(wanted) if fits else ()
     columns = {name: k for k, name in enumerate(names)}
     shape = (element.count if names else 0, len(names))
     starts = np.empty(shape, dtype=np.int64)
     lengths = np.empty(shape, dtype=np.int64)
     records, stop, status, which, items, size = walk_binary(
         data,
-        at,
+        part.start,
         min(element.count, len(data) + 1),
         np.array([np.dtype(prop.code).itemsize for prop in listed]),
         np.array([np.dtype(prop.count_code).itemsize if prop.is_list else 0 for prop in listed]),
         np.array([prop.count_code.startswith("i") for prop in listed]),
-        header.byte_order == ">",
+        part.header.byte_order == ">",
         np.array([columns.get(prop.name, -1) for prop in listed]),
         starts,
         lengths,
     )
-    place = f"{element.name} {records}"
+    place = part.where(records)
     if status == BAD_COUNT:
         raise FormatError(
             f"the list '{element.properties[which].name}' of {place} has a negative count",
@@ -550,4 +526,4 @@ def _varied(
             where=place,
             hint=CUT_HINT,
         )
-    return Varied(data, element, header.byte_order, at, stop, columns, starts, lengths)
+    return Varied(**vars(part), stop=stop, columns=columns, starts=starts, lengths=lengths)

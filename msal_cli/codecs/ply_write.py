@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.codecs.ply_body import Lines, Section, section_at
+from msal_cli.codecs.ply_body import Lines, Part, Section, section_at
 from msal_cli.codecs.ply_header import TYPES, Header, Property
 from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError, InternalError
@@ -64,7 +64,7 @@ def recode(
     at = old.size
     for element, renewed in zip(old.elements, new.elements, strict=True):
         names = [prop.name for prop in element.properties]
-        section = section_at(data, old, element, at, names, is_stream)
+        section = section_at(Part(data, old, element, at), names, is_stream=is_stream)
         at = section.stop
         is_touched = renewed != element or any((element.name, name) in values for name in names)
         if keeps_encoding and not is_touched:

@@ -184,11 +184,8 @@ class RecordSlots(Slots):
 
     def rounded(self, values: Floats) -> tuple[Floats, float]:
         result = np.empty(values.shape)
-        if len(set(self.codes)) == 1:
-            result[:] = to_type(values, self.codes[0])
-        else:
-            for k, code in enumerate(self.codes):
-                result[:, k] = to_type(values[:, k], code)
+        for k, code in enumerate(self.codes):
+            result[:, k] = to_type(values[:, k], code)
         return result, 0.0
 
 

@@ -365,35 +365,27 @@ def is_interleaved(patches: Sequence[Patch]) -> bool:
     """Whether statements of different patches take turns more than ``MAX_TURNS`` times."""
     if len(patches) == 1:
         return False
-    n_turns, last = 0, -1
-    for spans in _rows_in_order(patches):
-        order = np.argsort(np.concatenate([patch.slots.at[rows] for _, patch, rows in spans]))
-        sizes = [rows.stop - rows.start for _, _, rows in spans]
-        owners = np.repeat([which for which, _, _ in spans], sizes)[order]
-        n_turns += int(np.count_nonzero(np.diff(owners, prepend=last)))
-        last = owners[-1]
-    return n_turns > MAX_TURNS
-
-
-def _rows_in_order(patches: Sequence[Patch]) -> Iterator[list[tuple[int, Patch, slice]]]:
-    """The statements in the order of the file, as rows of each patch, a block at a time."""
     at = [patch.slots.at for patch in patches]
-    firsts = np.unique(np.concatenate([starts[::_ROWS] for starts in at]))
-    cuts = [np.append(np.searchsorted(starts, firsts), len(starts)).tolist() for starts in at]
-    for k in range(len(firsts)):
-        rows = [slice(cut[k], cut[k + 1]) for cut in cuts]
-        yield [(i, patches[i], part) for i, part in enumerate(rows) if part.start < part.stop]
+    owners = np.repeat(np.arange(len(at)), [len(starts) for starts in at])
+    order = np.argsort(np.concatenate(at), kind="stable")
+    return 1 + int(np.count_nonzero(np.diff(owners[order]))) > MAX_TURNS
 
 
 def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
     """The statements in the order of the file, a block at a time."""
-    for spans in _rows_in_order(patches):
+    at = [patch.slots.at for patch in patches]
+    firsts = np.unique(np.concatenate([starts[::_ROWS] for starts in at]))
+    cuts = [np.append(np.searchsorted(starts, firsts), len(starts)).tolist() for starts in at]
+    for k in range(len(firsts)):
         blocks = []
-        for _, (slots, values, decimals, is_changed), rows in spans:
+        for (slots, values, decimals, is_changed), cut in zip(patches, cuts, strict=True):
+            rows = slice(cut[k], cut[k + 1])
             old = slots.values[rows]
             if is_changed is not None:
                 old = np.where(is_changed[rows], np.nan, values[rows])
-            blocks.append(_Block(slots.at[rows] + slots.skipped, old, values[rows], decimals[rows]))
+            if len(old):
+                begins = slots.at[rows] + slots.skipped
+                blocks.append(_Block(begins, old, values[rows], decimals[rows]))
         block = blocks[0]
         if len(blocks) > 1:
             order = np.argsort(np.concatenate([block.begins for block in blocks]), kind="stable")
