@@ -383,7 +383,7 @@ class NormalDescriber:
         np.multiply(per_reach, WIDE, out=per_reach)
         np.divide(1.0, per_reach, out=per_reach)
         near = around.near_start.view(np.uint64), around.near.view(np.uint32)
-        of = points, self._marks, per_reach, *near
+        of: tuple[NDArray[Any], ...] = (points, self._marks, per_reach, *near)
         made = table.reshape(-1), numbers.reshape(-1), self._axes
         over_ranges(describe, m, *of, *made)
         scanned, before = earlier or (np.empty((0, 3)), np.empty((0, 3)))

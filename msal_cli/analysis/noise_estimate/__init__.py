@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Container
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,6 +123,10 @@ it is: 0.5 over one ring, 0.10 to 0.17 over two, on 21 shapes; white noise on re
 FACING, MIN_GAIN = 0.6, 0.05
 """Mean squared cosine of the normals to an axis that a mesh faces as a whole, and by how much an
 axis explains better what is left over, where it does not."""
+
+SURE_STEPS = 0.95
+"""Probability of depths in steps from which they are that whatever an axis explains, which texture
+hides."""
 
 MAX_SLIDE = 1.6
 """Level of noise along an axis, by how far vertices slide along it, over that by what fits leave:
@@ -287,8 +291,9 @@ def measured_level(numbers: Floats, kind: str, rings: int) -> float:
     return value if value > MISSING else float(numbers[LEVELS.index("white")])
 
 
-def classify(numbers: Floats, possible: Container[str]) -> Verdict:
-    """What the numbers (k,) of a mesh say, if its noise is of a ``possible`` kind."""
+def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
+    """What the numbers (k,) of a mesh say; its noise is of no kind that is less probable than
+    ``least`` has it."""
     trained = load_classifier()
     sums = trained.sharpness * trained.kinds.evaluate(numbers)
     sums[0] -= FEWER * min(float(numbers[SIZE]) - math.log(MANY_VERTICES), 0.0)
@@ -297,7 +302,7 @@ def classify(numbers: Floats, possible: Container[str]) -> Verdict:
     by_kind = {
         name: float(chance)
         for name, chance in zip(KIND_NAMES, chances, strict=True)
-        if name != "none" and name in possible
+        if name != "none" and chance >= least[name]
     }
     kind = max(by_kind, key=lambda name: by_kind[name])
     index = KIND_NAMES.index(kind)
@@ -342,7 +347,7 @@ def characterize(mesh: Mesh) -> Estimate:
     if np.count_nonzero(mesh.topology.has_ring) < MIN_VERTICES:
         return _without_noise(white, 1.0, "few vertices")
     evidence = gather_evidence(mesh, white)
-    verdict = classify(evidence.numbers, _possible_kinds(evidence))
+    verdict = classify(evidence.numbers, _least_probabilities(evidence))
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
     measured = verdict.measured
     # What fits over one-rings see, beyond what noise that neighbours share leaves there.
@@ -474,20 +479,21 @@ def _without_noise(
     return Estimate(noise, white.middles, np.zeros(len(white.middles)))
 
 
-def _possible_kinds(evidence: Evidence) -> set[str]:
-    """Kinds of which everything is known that describes them."""
+def _least_probabilities(evidence: Evidence) -> dict[str, float]:
+    """From which probability each kind is possible: above 1 where what describes it is missing."""
     steps = evidence.steps
     has_depths = steps.axis is not None and steps.along_gain > MIN_GAIN
     if steps.axis is not None and not has_depths:
         # Rows of a range scan are in steps within the surface, which the mesh does not face.
         has_depths = float(((evidence.survey.normals @ steps.axis) ** 2).mean()) > FACING
-    is_possible = {
+    is_known = {
         "view": evidence.axis is not None,
-        "quantised": has_depths,
         "staircase": steps.n_axes == 3,
         "uneven": evidence.differences is not None,
     }
-    return {kind for kind in KIND_NAMES if is_possible.get(kind, True)}
+    least = {kind: 0.0 if is_known.get(kind, True) else math.inf for kind in KIND_NAMES}
+    least["quantised"] = math.inf if steps.axis is None else 0.0 if has_depths else SURE_STEPS
+    return least
 
 
 def _describe_kind(evidence: Evidence, verdict: Verdict, tail: float) -> dict[str, Any]:
