@@ -64,6 +64,21 @@ class Plan:
 
         return any(map(objects.is_in_process, paths))
 
+    def select_shard(self, shard: Shard) -> Plan:
+        """The part of a checked plan that ``shard`` is to do; it may be empty."""
+        part = self.select(
+            index for index, task in enumerate(self.tasks) if shard.has(task.relative)
+        )
+        return replace(part, shard=shard, whole=self)
+
+    def select(self, indices: Iterable[int]) -> Plan:
+        """The plan of some of the tasks."""
+        kept = tuple(indices)
+        tasks = tuple(self.tasks[index] for index in kept)
+        return replace(
+            self, tasks=tasks, manifest_dirs=tuple(self.manifest_dirs[index] for index in kept)
+        )
+
     def manifest_key(self, index: int) -> str:
         """The name by which the manifest knows a task: its output below the folder, with ``/``."""
         place, output = self.manifest_dirs[index], self.tasks[index].output
@@ -134,7 +149,7 @@ def build_plan(
         manifest_dirs = [output] * len(tasks)
     plan = Plan(tuple(tasks), tuple(manifest_dirs), fresh, retry_failed, is_set=is_set)
     if len(plan.tasks) > 1:
-        plan = _subset(plan, _distinct_tasks(plan.tasks))
+        plan = plan.select(_distinct_tasks(plan.tasks))
         _refuse_collisions(plan.tasks)
     _check_outputs(plan.tasks)
     if output is not None and manifest_dirs[:1] != [None]:
@@ -145,21 +160,6 @@ def build_plan(
         if not force:
             _refuse_foreign_files(plan, output)
     return plan
-
-
-def select_shard(plan: Plan, shard: Shard) -> Plan:
-    """The part of a checked plan that ``shard`` is to do; it may be empty."""
-    kept = (index for index, task in enumerate(plan.tasks) if shard.has(task.relative))
-    return replace(_subset(plan, kept), shard=shard, whole=plan)
-
-
-def _subset(plan: Plan, indices: Iterable[int]) -> Plan:
-    kept = tuple(indices)
-    return replace(
-        plan,
-        tasks=tuple(plan.tasks[index] for index in kept),
-        manifest_dirs=tuple(plan.manifest_dirs[index] for index in kept),
-    )
 
 
 def _check_in_place(

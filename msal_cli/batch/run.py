@@ -218,16 +218,11 @@ class _BatchRun:
             for index in todo:
                 task = self.plan.tasks[index]
                 self.on_event(Started(index))
-                try:
-                    record = self.denoise(
-                        task,
-                        self.settings,
-                        lambda stage, n, total: self.on_event(Progress(0, stage, n, total)),
-                    )
-                except Exception as error:
-                    _log.exception("internal error at %r", task.input)
-                    failed = Failed(index, "exception", f"{type(error).__name__}: {error}")
-                    record = self._unfinished_record(index, failed)
+                record = self.denoise(
+                    task,
+                    self.settings,
+                    lambda stage, n, total: self.on_event(Progress(0, stage, n, total)),
+                )
                 self._finish({index: record})
                 if self._failure is not None:
                     return

@@ -108,17 +108,18 @@ class _Session:
 
     def _build_plan(self, settings: Settings) -> Plan:
         from msal_cli.batch.inputs import discover_inputs
-        from msal_cli.batch.plan import select_shard
-        from msal_cli.batch.shard import parse_shard
 
-        request = self._request
-        shard = None if request.shard is None else parse_shard(request.shard, os.environ)
+        request, shard = self._request, None
+        if request.shard is not None:
+            from msal_cli.batch.shard import parse_shard
+
+            shard = parse_shard(request.shard, os.environ)
         found = discover_inputs(
             request.inputs, request.include, request.exclude, output=request.output
         )
         # Everything is checked first, so that each shard refuses what a whole run would.
         everything = plan_files(request, settings, found)
-        return everything if shard is None else select_shard(everything, shard)
+        return everything if shard is None else everything.select_shard(shard)
 
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
         from msal_cli.cli import progress

@@ -13,7 +13,7 @@ import click
 
 from msal_cli.errors import UsageError
 from msal_cli.job.constraints import METRES
-from msal_cli.job.settings import SELF_INTERSECTIONS, parse_format
+from msal_cli.job.settings import SELF_INTERSECTIONS, parse_input_format
 from msal_cli.storage import urls
 
 STREAM = "-"
@@ -146,11 +146,7 @@ def parse_direction(text: str) -> tuple[float, float, float]:
 
 def resolve_format(text: str | None) -> str | None:
     """The format of ``--format`` without a leading dot; UsageError if it cannot be read."""
-    if text is None:
-        return None
-    from msal_cli.codecs.detection import readable_suffixes
-
-    return parse_format(text, "--format", readable_suffixes())
+    return None if text is None else parse_input_format(text)
 
 
 def parse_assignment(text: str) -> tuple[str, str, str]:

@@ -99,13 +99,10 @@ def denoise_copy(
     """
     run = FileRun(task.relative, settings, on_progress, limits)
     try:
-        from msal_cli.codecs import header
         from msal_cli.storage import atomic
 
         with run.room(task):
-            with run.stage("read"):
-                data = header.read_input(task.input, settings.format)
-            made = run.denoise(data, None)
+            made = run.denoise(run.read(task), None)
             with run.stage("write"):
                 atomic.write_whole(task.output, [made.data])
         return run.finish(None)

@@ -190,7 +190,8 @@ def _field_names(value: Sequence[str], label: str, unit: str | None) -> tuple[st
     return check_names(value)
 
 
-def _input_format(value: str, label: str, unit: str | None) -> str:
+def parse_input_format(value: str, label: str = "--format", unit: str | None = None) -> str:
+    """A format that can be read, without a leading dot; UsageError for any other."""
     from msal_cli.codecs.detection import readable_suffixes
 
     return parse_format(value, label, readable_suffixes())
@@ -211,7 +212,7 @@ _CHECKS: dict[str, Check | None] = {
     "encoding": _word_of(Encoding),
     "precision": _word_of(Precision),
     "strict": None,
-    "format": _input_format,
+    "format": parse_input_format,
     "fields": _field_names,
     "tile_set": None,
 }

@@ -17,7 +17,7 @@ import msal_cli
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import build_plan, select_shard
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.batch.shard import Shard, parse_shard
@@ -392,7 +392,7 @@ def test_only_what_may_go_away_by_itself_is_tried_again(folders):
 class TestShards:
     def ran(self, folders, text, settings=SETTINGS, **options):
         return ran(
-            folders, settings, select_shard(plan_of(folders), parse_shard(text, {})), **options
+            folders, settings, plan_of(folders).select_shard(parse_shard(text, {})), **options
         )
 
     def test_whoever_did_it_it_is_done(self, folders):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.batch.inputs import DiscoveredInput
-from msal_cli.batch.plan import build_plan, select_shard
+from msal_cli.batch.plan import build_plan
 from msal_cli.batch.shard import MAX_SHARDS, Shard, parse_shard, stable_hash
 from msal_cli.errors import UsageError
 
@@ -35,15 +35,15 @@ def test_the_hash_is_the_one_that_is_documented():
 def test_a_part_of_a_plan_keeps_the_order_and_knows_the_whole():
     found = [DiscoveredInput(f"in/{n}.ply", f"{n}.ply", "in") for n in range(40)]
     plan = build_plan(found, "out")
-    parts = [select_shard(plan, Shard(number, 3)) for number in (1, 2, 3)]
+    parts = [plan.select_shard(Shard(number, 3)) for number in (1, 2, 3)]
     assert {task for one in parts for task in one.tasks} == set(plan.tasks)
     assert sum(len(one.tasks) for one in parts) == 40
     for one in parts:
         places = [plan.tasks.index(task) for task in one.tasks]
         assert places == sorted(places) and len(one.manifest_dirs) == len(one.tasks)
         assert one.whole is plan and one.folders() == ["out"]
-    empty = select_shard(
-        plan, next(Shard(k, 1000) for k in range(1, 1001) if not Shard(k, 1000).has("x"))
+    empty = plan.select_shard(
+        next(Shard(k, 1000) for k in range(1, 1001) if not Shard(k, 1000).has("x"))
     )
     assert empty.folders() == ["out"]
 
