@@ -40,8 +40,6 @@ def write_companions(
     OutputError
         with code ``E_SIDECAR`` if another file has the place; ``E_WRITE`` if writing fails.
     """
-    if not companions:
-        return ()
     folder = Path(output_path).parent
     earlier: set[str] = set()
     if os.path.isfile(output_path):

@@ -167,8 +167,7 @@ class Package:
                     other = self.archive.find(use.path)
                     if other is None:
                         raise self._missing(member.name, use, f"the part {use.path[:200]!r}")
-                    if other.name not in self.models:
-                        waiting.append(other)
+                    waiting.append(other)
         root = next(iter(self.models.values()))
         for name, model in self.models.items():
             if model.unit != root.unit:

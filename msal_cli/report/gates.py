@@ -155,7 +155,7 @@ def quantities(kind: Hashable) -> Mapping[str, Quantity]:
     found = {}
     for name, (paths, unit) in SHORT_NAMES.items():
         there = tuple(path for path in paths if path in fields)
-        if there and name not in fields:
+        if there:
             found[name] = Quantity(name, there, unit or fields[there[0]])
     return found | {name: Quantity(name, (name,), unit) for name, unit in fields.items()}
 
