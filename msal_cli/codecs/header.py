@@ -72,14 +72,6 @@ def read_header(
     ``is_packed`` is set where the file is compressed, so that its size is a guess; ``beside`` are
     the bytes of other files that hold a part of it.
     """
-    readers: dict[str, Callable[[], Header]] = {
-        "ply": lambda: _read_ply(head, size, is_packed),
-        "stl": lambda: _read_stl(head, size, is_packed),
-        "glb": lambda: _read_glb(head, size, is_packed),
-        "vtk": lambda: Header("vtk-ascii" if _VTK_TEXT.match(head) else "vtk"),
-    }
-    if beside:
-        readers["gltf"] = lambda: Header("glb", **_count_scene(head, size + beside))
     try:
         refuse_utf16(head)
         if format == "obj":
@@ -87,7 +79,16 @@ def read_header(
 
             refuse_binary(head)
             return Header("obj", is_text=True)
-        return readers[format]() if format in readers else Header(format)
+        if format == "ply":
+            return _read_ply(head, size, is_packed)
+        if format == "stl":
+            return _read_stl(head, size, is_packed)
+        if format == "glb":
+            return _read_glb(head, size, is_packed)
+        if format == "gltf" and beside:
+            return Header("glb", **_count_scene(head, size + beside))
+        is_vtk_text = format == "vtk" and _VTK_TEXT.match(head)
+        return Header("vtk-ascii" if is_vtk_text else format)
     except MsalError as error:
         return Header(format, error=error)
 

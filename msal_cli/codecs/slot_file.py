@@ -161,15 +161,19 @@ class SlotFile:
         return self.replaced(vertices)
 
     def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced, and
-        the normals of what moved."""
         changes = self._changes(vertices)
         require_finite_result(vertices)
         data, result = as_bytes(self._data), as_bytes(output)
         if self._is_binary or not changes:
             check_overwritten(data, result, changes)
             return
-        require_unit_length(changes)
+        for slots, values, is_changed in changes:
+            if isinstance(slots, TextSlots) and slots.unit_length:
+                lengths = np.sqrt((values * values).sum(axis=1))
+                is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_changed.any(axis=1)
+                if is_wrong.any():
+                    where = f"normal {np.argmax(is_wrong) + 1}"
+                    raise InternalError("a new normal is not of unit length", where=where)
         patches = _patches(changes)
         if patches:
             require_replaced(data, result, patches)
@@ -363,18 +367,6 @@ def _patches(changes: Sequence[Change]) -> list[Patch]:
         patch._replace(decimals=np.full(len(patch.values), patch.slots.decimals, dtype=np.uint8))
         for patch in patches
     ]
-
-
-def require_unit_length(changes: Sequence[Change]) -> None:
-    """Raise InternalError where a new normal is not of unit length."""
-    for slots, values, is_changed in changes:
-        if isinstance(slots, TextSlots) and slots.unit_length:
-            lengths = np.sqrt((values * values).sum(axis=1))
-            is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_changed.any(axis=1)
-            if is_wrong.any():
-                raise InternalError(
-                    "a new normal is not of unit length", where=f"normal {np.argmax(is_wrong) + 1}"
-                )
 
 
 def _span(dependent: Dependent) -> tuple[Longs, Longs]:

@@ -158,20 +158,6 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
 
-def _list_properties(header: bytes, facets: NDArray[np.void]) -> tuple[str, ...]:
-    """What a binary file has besides positions."""
-    # Neither zero nor minus zero; most files tell in the first part.
-    parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
-    is_there = {
-        "facet normals": any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts),
-        "facet attribute words": facets["attribute"].any(),
-        "colour in the header": b"COLOR=" in header,
-        "material in the header": b"MATERIAL=" in header,
-        "header text": header.strip(b"\0 "),
-    }
-    return tuple(name for name, has_it in is_there.items() if has_it)
-
-
 class _FacetFile:
     """An STL file; see ``codecs.mesh_file.MeshFile``.
 
@@ -254,7 +240,17 @@ class StlFile(_FacetFile):
         header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
         name = header.split(b"\0")[0].decode("ascii", "replace")
         super().__init__(data, vertices, faces, name)
-        self.properties = _list_properties(header, _facets(data, len(faces)))
+        facets = _facets(data, len(faces))
+        # Neither zero nor minus zero; most files tell in the first part.
+        parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
+        is_there = {
+            "facet normals": any((part.view("<u4") & 0x7FFFFFFF).any() for part in parts),
+            "facet attribute words": facets["attribute"].any(),
+            "colour in the header": b"COLOR=" in header,
+            "material in the header": b"MATERIAL=" in header,
+            "header text": header.strip(b"\0 "),
+        }
+        self.properties = tuple(name for name, has_it in is_there.items() if has_it)
         self.warnings = ()
         self._end = _FIRST_FACET + FACET.itemsize * len(faces)
         if n_trailing:
