@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,15 +63,6 @@ _SHARED_FIELDS = (
 )
 _ROUNDING = {"text": 0, "integer": 0, "float32": 1}
 """Precisions that round positions more than double precision, the coarsest first."""
-
-
-@dataclass(frozen=True)
-class EarlierRuns:
-    """What earlier runs have found of files that may be missing now: by the number of a task, and,
-    of files that belonged to the set and are no longer among the tasks, by name."""
-
-    parts: Mapping[int, TileSetPart] = field(default_factory=dict)
-    absent: Mapping[str, TileSetPart] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,17 +122,16 @@ def denoise_set(
     def clean() -> None:
         sweep_after(os.getpid(), output_folders(plan.tasks))
 
-    earlier = read_earlier(plan, manifests or {})
+    run = _SetRun(plan, settings, manifests or {}, on_step, limits)
     with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
-        return _SetRun(plan.tasks, settings, on_step, limits, earlier).denoise(max_failures)
+        return run.denoise(max_failures)
 
 
 def survey_set(
     plan: Plan, settings: Settings, manifests: Mapping[str, Manifest] | None = None
 ) -> dict[int, MeshRecord]:
     """What a set holds, without denoising it: records with ``tile_set``, or failures."""
-    earlier = read_earlier(plan, manifests or {})
-    return _SetRun(plan.tasks, settings, lambda *step: None, NO_LIMITS, earlier).survey()
+    return _SetRun(plan, settings, manifests or {}).survey()
 
 
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
@@ -151,42 +141,34 @@ def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
     return base + sum(max(0, need - base) for need in needs)
 
 
-def read_earlier(plan: Plan, manifests: Mapping[str, Manifest]) -> EarlierRuns:
-    """What the manifests say of the files of a set and, unless all is to be done afresh, of files
-    that belonged to it and are gone."""
-    parts: dict[int, TileSetPart] = {}
-    absent: dict[str, TileSetPart] = {}
-    keys = {
-        plan.manifest_key(index): index
-        for index, folder in enumerate(plan.manifest_dirs)
-        if folder is not None
-    }
-    for manifest in manifests.values():
-        for name in sorted(manifest.names()):
-            entry = manifest.get(name)
-            record = None if entry is None else entry.record()
-            if record is None or record.tile_set is None:
-                continue
-            if name in keys:
-                parts[keys[name]] = record.tile_set
-            elif not plan.fresh:
-                absent[record.input] = record.tile_set
-    return EarlierRuns(parts, absent)
-
-
 class _SetRun:
     """One set on its way; a *place* is the number of a file among those that could be read."""
 
     def __init__(
         self,
-        tasks: Sequence[Task],
+        plan: Plan,
         settings: Settings,
-        on_step: OnStep,
-        limits: Limits,
-        earlier: EarlierRuns,
+        manifests: Mapping[str, Manifest],
+        on_step: OnStep = lambda index, stage, done, total: None,
+        limits: Limits = NO_LIMITS,
     ) -> None:
-        self._tasks, self._settings = tasks, settings
-        self._on_step, self._limits, self._earlier = on_step, limits, earlier
+        self._tasks, self._settings = plan.tasks, settings
+        self._on_step, self._limits = on_step, limits
+        # What earlier runs found of these files, by the numbers of tasks, and, unless all is to be
+        # done afresh, of files that belonged to the set and are gone, by name.
+        self._earlier: dict[int, TileSetPart] = {}
+        self._gone: dict[str, TileSetPart] = {}
+        keys = {plan.manifest_key(i): i for i, place in enumerate(plan.manifest_dirs) if place}
+        for manifest in manifests.values():
+            for name in sorted(manifest.names()):
+                entry = manifest.get(name)
+                record = None if entry is None else entry.record()
+                if record is None or record.tile_set is None:
+                    continue
+                if name in keys:
+                    self._earlier[keys[name]] = record.tile_set
+                elif not plan.fresh:
+                    self._gone[record.input] = record.tile_set
         self._members: list[Member] = []
         # Vertices (n, 3), faces (m, 3) and properties of each member, until they are joined.
         self._arrays: list[tuple[Floats, Ints, dict[str, Floats]]] = []
@@ -217,8 +199,7 @@ class _SetRun:
             raise
         except Exception as error:
             # The set fails as a whole: every file that has no failure of its own has this one.
-            known = to_known_error(error, "the tile set")
-            failure = Failure(known.code, known.message, known.hint, known.where)
+            failure = Failure.of(to_known_error(error, "the tile set"))
             for index, task in enumerate(self._tasks):
                 if index not in self._records:
                     start = start_record(task.input, self._settings)
@@ -267,8 +248,8 @@ class _SetRun:
 
         Where an earlier run has read it they lie within its bounds; else any may be its.
         """
-        parts = [self._earlier.parts.get(index) for index in self._records]
-        parts += self._earlier.absent.values()
+        parts = [self._earlier.get(index) for index in self._records]
+        parts += self._gone.values()
         if not parts:
             return None
         if None in parts:
@@ -441,11 +422,9 @@ class _SetRun:
         gaps = shared.distances(written)
         gaps[np.isnan(written).any(axis=1) & shared.is_shared] = np.nan
         failed = sorted(i for i, record in self._records.items() if record.status == "failed")
-        for index in set(failed) & self._earlier.parts.keys():
-            self._records[index] = replace(
-                self._records[index], tile_set=self._earlier.parts[index]
-            )
-        names = [self._tasks[index].relative for index in failed] + list(self._earlier.absent)
+        for index in set(failed) & self._earlier.keys():
+            self._records[index] = replace(self._records[index], tile_set=self._earlier[index])
+        names = [self._tasks[index].relative for index in failed] + list(self._gone)
         notes = [f"the tile set: {warning}" for warning in warnings]
         for place, member in enumerate(self._members):
             record = self._records[member.index]

@@ -239,8 +239,7 @@ def denoise_stream(
     except UsageError:
         raise
     except MsalError as error:
-        failure = Failure(error.code, error.message, error.hint, error.where)
-        return replace(record, status="failed", output=None, error=failure)
+        return replace(record, status="failed", output=None, error=Failure.of(error))
 
 
 def _denoise_in_worker(

@@ -198,8 +198,7 @@ class _Watch:
                 for file in files:
                     yield from self._plan([file])
                 return
-            failure = Failure(error.code, error.message, error.hint or "")
-            record = MeshRecord(files[0].path, "failed", None, error=failure)
+            record = MeshRecord(files[0].path, "failed", None, error=Failure.of(error))
             self._count(files[0].relative, record)
         else:
             yield plan

@@ -37,9 +37,7 @@ def inspect_file(
             data = header.read_input(path, format)
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
-        known = to_known_error(error, path)
-        failure = Failure(known.code, known.message, known.hint, known.where)
-        return InfoRecord(input=path, error=failure)
+        return InfoRecord(input=path, error=Failure.of(to_known_error(error, path)))
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:

@@ -183,8 +183,7 @@ class FileRun:
 
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        known = to_known_error(error, self._record.input)
-        failure = Failure(known.code, known.message, known.hint, known.where)
+        failure = Failure.of(to_known_error(error, self._record.input))
         return self._close_record(status="failed", error=failure)
 
     # The way of a file

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from msal_cli.errors import MsalError
 from msal_cli.job.plain_data import ScreenRepr, about, known, required
 
 SCHEMA = "msal.report/1"
@@ -233,6 +234,11 @@ class Failure:
     message: str = required("what is wrong, one sentence")
     hint: str = known("what to do about it; may be empty", "")
     where: str = known("place in the file, such as a vertex or a line; may be empty", "")
+
+    @classmethod
+    def of(cls, error: MsalError) -> Failure:
+        """What a record says of an error."""
+        return cls(error.code, error.message, error.hint, error.where)
 
 
 @dataclass(frozen=True, slots=True)

@@ -339,8 +339,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         refuse_faces(expected.faces, limits)
         scratch = scratch_of_task(task, expected, limits)
     except MsalError as error:
-        failure = Failure(error.code, error.message, error.hint, error.where)
-        return replace(record, status="failed", output=None, error=failure)
+        return replace(record, status="failed", output=None, error=Failure.of(error))
     seconds = None
     if n is not None:
         seconds = _expected_seconds(n, settings)
