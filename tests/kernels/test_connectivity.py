@@ -139,6 +139,14 @@ def test_corners_are_numbered_in_order_of_appearance(corners):
     assert not np.signbit(vertices[vertices == 0.0]).any()
 
 
+@pytest.mark.parametrize("facet", [0, 255, 256, 999])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_the_first_facet_that_is_not_finite_is_reported(wrong, facet):
+    corners = np.zeros((1000, 9))
+    corners[facet, 8] = corners[999, 0] = wrong
+    assert weld_corners(corners)[2] == facet
+
+
 @given(
     st.lists(st.sampled_from([0.0, -0.0, 1.0, 1e-300, np.nextafter(1.0, 2)]), min_size=9),
     st.integers(0, 5),
@@ -163,7 +171,7 @@ def test_pairs_are_numbered_in_order_of_appearance(pairs):
     assert first.tolist() == [pairs.index(pair) for pair in order]
 
 
-@pytest.mark.parametrize("share", [0.001, 0.5, 1.0])
+@pytest.mark.parametrize("share", [0.001, 0.5, 0.9, 1.0])
 def test_everything_grows_where_more_is_found_than_usual(share):
     # A closed surface has a sixth as many vertices as corners; these have up to all of them.
     rng = np.random.default_rng(1)
