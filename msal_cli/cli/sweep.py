@@ -78,6 +78,7 @@ def command(request: Request) -> int:
     from msal_cli.auto.risk import estimate_errors
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import open_mesh_file, open_surface, surface_of
+    from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
     from msal_cli.view import sweep
     from msal_cli.view.panels import png_bytes
@@ -93,28 +94,29 @@ def command(request: Request) -> int:
     options.check_threads_variable()
     fixed = _parse_fixed(request.assignments)
     grid = sweep.grid(methods.find(request.method), request.rows, request.columns, fixed)
-    mesh_file = open_mesh_file(source, format)
-    truth = None if reference is None else open_surface(reference, format)
-    on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
     done = []
     filters: list[Filter] = []
     # The picture is the result, even if nothing reads the numbers.
     lost: BrokenPipeError | None = None
-    for cell, mesh, filter in _results(on, grid, mesh_file):
-        done.append((cell, sweep.draw_grid(on, mesh, view)))
-        filters.append(filter)
-        if not request.as_json and not request.quiet and lost is None:
-            try:
-                console.put(_describe_cell(cell))
-                console.flush()
-            except BrokenPipeError as error:
-                lost = error
-    errors = estimate_errors(on.ready.mesh, filters) or repeat(None)
-    done = [
-        (replace(cell, risk_edges=error), image)
-        for (cell, image), error in zip(done, errors, strict=False)
-    ]
-    atomic.write_whole(output, png_bytes(sweep.sheet(on, grid, done, view)), sources=[source])
+    with room_for_files((source,), format):
+        mesh_file = open_mesh_file(source, format)
+        truth = None if reference is None else open_surface(reference, format)
+        on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
+        for cell, mesh, filter in _results(on, grid, mesh_file):
+            done.append((cell, sweep.draw_grid(on, mesh, view)))
+            filters.append(filter)
+            if not request.as_json and not request.quiet and lost is None:
+                try:
+                    console.put(_describe_cell(cell))
+                    console.flush()
+                except BrokenPipeError as error:
+                    lost = error
+        errors = estimate_errors(on.ready.mesh, filters) or repeat(None)
+        done = [
+            (replace(cell, risk_edges=error), image)
+            for (cell, image), error in zip(done, errors, strict=False)
+        ]
+        atomic.write_whole(output, png_bytes(sweep.sheet(on, grid, done, view)), sources=[source])
     try:
         if lost is not None:
             raise lost

@@ -197,6 +197,18 @@ def test_noise_is_added_with_the_same_bytes(tmp_path, small, monkeypatch):
 
 
 @linux
+def test_a_sweep_draws_the_same_picture(tmp_path, monkeypatch):
+    source = grid(tmp_path / "a.ply", 60)
+    sweep = ("sweep", source, "--columns", "K=0.3,0.6", "--size", "64", "-o")
+    assert msal(*sweep, tmp_path / "usual.png").exit_code == 0
+    monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
+    # The peak is counted anew for each file.
+    assert msal(*sweep, tmp_path / "beyond.png").exit_code == 0
+    assert array_files.count_scratch().peak_bytes > source.stat().st_size
+    assert (tmp_path / "beyond.png").read_bytes() == (tmp_path / "usual.png").read_bytes()
+
+
+@linux
 def test_a_disk_that_is_full_is_an_error_and_leaves_nothing(tmp_path):
     import resource
 
