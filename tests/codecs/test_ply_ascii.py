@@ -78,6 +78,20 @@ def test_both_walks_read_and_write_the_same(
         assert plain == outcome(data, seed)
 
 
+def test_a_normal_that_stays_keeps_its_spelling(monkeypatch):
+    names = ("double x", "double y", "double z", "double nx", "double ny", "double nz")
+    rows = "0 0 0 0 -0.0 1.00\n1 0 0 0 -0.0 1.00\n0 1 0 0 -0.0 1.00"
+    expected = [b"0 -0.0 1.00"] * 3
+    for is_slow in (False, True):
+        if is_slow:
+            monkeypatch.setattr(ply_body, "_plain_lines", lambda *_: None)
+        file = ply.read(vertices_of(*names, rows=rows))
+        lines = bytes(file.replaced(file.vertices * [[2.0, 1.0, 1.0]])).splitlines()
+        vertices = lines[lines.index(b"end_header") + 1 :][:3]
+        assert [line.split(b" ", 3)[3] for line in vertices] == expected
+        assert vertices[1].startswith(b"2")
+
+
 def vertices_of(*properties: str, rows: str) -> bytes:
     """An ascii PLY file of three vertices and one triangle."""
     head = [
