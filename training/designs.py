@@ -306,7 +306,7 @@ def make_assembly(g: Generator) -> Triangles:
     points, faces = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
     for _ in range(int(g.integers(2, 5))):
         some, theirs = makers[int(g.integers(len(makers)))](g)
-        if len(theirs) > 30_000:
+        if not 0 < len(theirs) <= 30_000:
             continue
         some = some / max(float(np.ptp(some, axis=0).max()), 1e-9) * float(g.uniform(0.2, 1.0))
         for _ in range(int(g.integers(1, 3))):

@@ -12,7 +12,7 @@ pytest.importorskip("fcpw")
 
 from manifold3d import Manifold
 
-from training import solids, triangulations
+from training import designs, solids, triangulations
 from training.connectivity import build_edges, edge_lengths, face_crosses, shape_quality, to_unit
 from training.shapes import RECIPES, Recipe, build_shape
 from training.surface import LabelledMesh, PolyhedralSurface
@@ -67,3 +67,12 @@ def test_triangulations_keep_sharp_edges_exact(notched_cube, name):
     assert gap.max() < 1e-9
     areas = np.linalg.norm(face_crosses(mesh.vertices, mesh.faces), axis=1) / 2.0
     assert areas.sum() == pytest.approx(6 * 4 - 2 * 0.25, rel=1e-9)
+
+
+def test_an_assembly_leaves_out_designs_without_faces(monkeypatch):
+    triangle = np.eye(3), np.array([[0, 1, 2]])
+    nothing = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
+    parts = iter([triangle, nothing, triangle, nothing])
+    monkeypatch.setattr(designs, "MAKERS", {lambda _: next(parts): 1.0})
+    points, faces = designs.make_assembly(np.random.default_rng(1))
+    assert len(points) and sorted(faces.reshape(-1)) == list(range(len(points)))
