@@ -221,3 +221,12 @@ def test_trust_is_the_property_over_its_largest_value():
         denoised(to_ply(vertices, faces, q=negative), weights="q")[0],
         denoised(to_ply(vertices, faces, q=zero), weights="q")[0],
     )
+
+
+def test_pinned_vertices_go_back_whatever_a_method_gives():
+    mesh = prepare_mesh(*grid(5)).mesh
+    held = np.arange(len(mesh.vertices)) % 3 == 0
+    moved, n_cut = constraints.Constraints(mesh, held, None).apply(mesh.vertices + 1.0)
+    assert n_cut == 0
+    assert (moved[held] == mesh.vertices[held]).all()
+    assert (moved[~held] == mesh.vertices[~held] + 1.0).all()

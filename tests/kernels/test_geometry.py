@@ -5,10 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.geometry import (
+    ANGLES,
+    COMPARED,
+    FLIPPED,
+    LARGEST_ANGLE,
     face_normals,
     face_normals_and_areas,
     normals_and_flat_faces,
     regroup_normals,
+    surface_figures,
     vertex_normals,
 )
 from msal_cli.mesh import prepare_mesh
@@ -111,3 +116,23 @@ def test_entries_shared_by_corners():
     none = np.full_like(faces, -1)
     _, changed = regroup_normals(vertices, moved, faces, none, np.array([[0.0, 0.0, 1.0]]))
     assert not changed.any()
+
+
+def test_faces_without_a_normal_before_or_after_have_no_angle():
+    # One face turns by 60 degrees; the corners of the other are in a line.
+    before = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]], dtype=float)
+    after = before.copy()
+    after[2] = [0.0, 0.5, np.sqrt(0.75)]
+    faces = np.array([[0, 1, 2], [0, 1, 3]], dtype=np.int32)
+    for vertices in ((before, after), (after, before)):
+        figures = surface_figures(*vertices, faces)
+        assert figures[COMPARED] == 1 and figures[FLIPPED] == 0
+        np.testing.assert_allclose(figures[[ANGLES, LARGEST_ANGLE]], np.pi / 3.0, rtol=1e-12)
+    # A face becomes a line, or a line a face.
+    after[2] = [-1.0, 0.0, 0.0]
+    for vertices in ((before, after), (after, before)):
+        figures = surface_figures(*vertices, faces[:1])
+        assert figures[[COMPARED, FLIPPED, ANGLES, LARGEST_ANGLE]].tolist() == [0, 0, 0, 0]
+    after[2] = [0.0, -1.0, 0.0]
+    figures = surface_figures(before, after, faces)
+    assert figures[COMPARED] == figures[FLIPPED] == 1
