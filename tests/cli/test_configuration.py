@@ -122,7 +122,7 @@ def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
         ("[denoise]\nlog-file = 'x.log'", ("log-file", "--config")),
         ("[denoise]\nscratch = '.'", ("scratch", "--config")),
         ("[denoise]\nreport = '../x.csv'", ("leads out of the folder",)),
-        ("[denoise]\noutput = '/tmp/x'", ("leads out of the folder",)),
+        ("[denoise]\noutput = '/elsewhere/x'", ("leads out of the folder",)),
         ('[denoise]\nreport = "a\\u0000.csv"', ("[denoise] report", "u0000")),
         ("[denoise]\nreport = 's3://evil/r.csv'", ("leads out of the folder",)),
     ],
