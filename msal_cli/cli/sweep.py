@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 SCHEMA = "msal.sweep/1"
 
+_CHOICES = {"plain": Settings(ADAPTIVE), "auto": Settings(AUTO)}
+"""What msal chooses by itself, by the name that the picture gives it."""
+
 
 @grouped_command(
     "sweep",
@@ -89,7 +92,8 @@ def command(request: Request) -> int:
         raise UsageError(f"-o {output}: the picture is called NAME.png", hint="give it that suffix")
     if STREAM in (source, reference):
         raise UsageError("FILE is a file", hint="write the stream to a file first")
-    refuse_target(output, "the picture", [source] if reference is None else [source, reference])
+    names = [source] if reference is None else [source, reference]
+    refuse_target(output, "the picture", names)
     format = options.resolve_format(request.format)
     options.check_threads_variable()
     fixed = _parse_fixed(request.assignments)
@@ -98,7 +102,7 @@ def command(request: Request) -> int:
     filters: list[Filter] = []
     # The picture is the result, even if nothing reads the numbers.
     lost: BrokenPipeError | None = None
-    with room_for_files((source,), format):
+    with room_for_files(names, format, output, replace(_CHOICES["auto"], format=format)):
         mesh_file = open_mesh_file(source, format)
         truth = None if reference is None else open_surface(reference, format)
         on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
@@ -134,14 +138,13 @@ def command(request: Request) -> int:
 def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh, Filter]]:
     """Each result with what made it: the cells of the grid, then the choices."""
     from msal_cli import methods
-    from msal_cli.auto import NONE, Wishes
+    from msal_cli.auto import NONE
     from msal_cli.job.pipeline import FileRun
     from msal_cli.view import sweep
 
     for cell, mesh in sweep.cells(on, grid):
         yield cell, mesh, (grid.method, grid.method.validate({**grid.fixed, **cell.parameters}))
-    chosen = {"plain": Settings(ADAPTIVE), "auto": Settings(AUTO, asdict(Wishes()))}
-    for choice, settings in chosen.items():
+    for choice, settings in _CHOICES.items():
         run = FileRun(on.name, settings, None, NO_LIMITS)
         cell, mesh = sweep.choice_cell(on, choice, run.move_vertices(mesh_file))
         used = run.finish(None).method

@@ -277,11 +277,11 @@ class SlotFile:
         renewed = self._new_normals(vertices)
         for slots, (values, rows) in zip(self._layout.normals, renewed, strict=True):
             is_changed = np.broadcast_to(rows[:, None], values.shape)
-            if isinstance(slots, TextSlots) or not slots.whole_rows:
-                # A text keeps its spelling of a number that stays the same, as of -0.
-                is_changed = is_changed & (values != slots.values)
             if not slots.whole_rows:
-                is_changed = is_changed & ~np.isnan(slots.values)
+                is_changed = is_changed & (values != slots.values) & ~np.isnan(slots.values)
+            elif isinstance(slots, TextSlots):
+                # A number that stays the same keeps its spelling, as -0 does.
+                is_changed = is_changed & (values != slots.values)
             changes.append(Change(slots, values, is_changed))
         return changes
 

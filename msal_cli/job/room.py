@@ -99,15 +99,24 @@ def scratch_of_task(task: Task, expected: Forecast, limits: Limits) -> Scratch |
 
 
 def room_for_files(
-    paths: Sequence[str], format: str | None = None, output: str | None = None
+    paths: Sequence[str],
+    format: str | None = None,
+    output: str | None = None,
+    settings: Settings | None = None,
 ) -> AbstractContextManager[None]:
-    """Room for files that are read together; errors as of ``find_scratch``."""
-    from msal_cli.codecs.header import forecast
+    """Room for files that are read together; errors as of ``find_scratch``.
+
+    ``settings``: those by which the first of them is denoised, too.
+    """
+    from msal_cli.codecs import header
 
     base = least_memory_bytes()
-    needs = [forecast(path, format=format).memory_bytes or base for path in paths]
-    needed = base + sum(need - base for need in needs)
+    needs = [header.forecast(path, format=format).memory_bytes or base for path in paths]
     words = "opening this file" if len(paths) == 1 else "opening these files"
+    if settings is not None:
+        needs[0] = forecast(Task(paths[0], output or "", paths[0]), settings).memory_bytes or base
+        words = "denoising this file"
+    needed = base + sum(need - base for need in needs)
     return use_scratch(find_scratch(words, needed, output=output))
 
 
