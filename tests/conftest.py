@@ -40,6 +40,15 @@ def run_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr("msal_cli.batch.workers.WorkerPool", InProcess)
 
 
+@pytest.fixture
+def empty_store() -> None:
+    """The store ``memory://``, with nothing in it."""
+    from fsspec.implementations.memory import MemoryFileSystem
+
+    MemoryFileSystem.store.clear()
+    MemoryFileSystem.pseudo_dirs[:] = [""]
+
+
 @pytest.fixture(autouse=True)
 def default_logger() -> Iterator[None]:
     """Undo what a command that a test ran in this process has set for its log."""

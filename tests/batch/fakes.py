@@ -156,6 +156,14 @@ def is_running(pid):
     return text.rpartition(")")[2].split()[0] not in "ZX"
 
 
+def are_gone(pids, within_s=2.0):
+    """Wait for the end of processes; whether all have ended by then."""
+    deadline = time.monotonic() + within_s
+    while any(map(is_running, pids)) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return not any(map(is_running, pids))
+
+
 def denoise(task, settings, on_progress=None, limits=None):
     """In the place of ``pipeline.denoise_file``: upper case for lower, and deaths to order."""
     data = Path(task.input).read_bytes()

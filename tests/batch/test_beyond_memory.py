@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msal_cli import codecs, machine
+from msal_cli import machine
 from msal_cli.job import room
 from msal_cli.job.comparison import compare_files
 from msal_cli.job.inspection import inspect_file
@@ -30,41 +30,32 @@ from msal_cli.job.settings import (
 )
 from msal_cli.kernels import array_files
 from msal_cli.kernels.parallel import over_ranges
+from tests.batch.tile_files import cut, mixed, read
 from tests.cli.scans import closed_scan, folder_of, msal
+from tests.files import tree
 from tests.ply_files import to_ply
+from tests.shapes import grid
 
 linux = pytest.mark.skipif(not array_files.can_use_files(), reason="needs Linux")
-
-PLY = (
-    "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\n"
-    "property float y\nproperty float z\nelement face {}\n"
-    "property list uchar int vertex_indices\nend_header\n"
-)
 
 
 def sparse(path: Path, n_vertices: int, n_faces: int) -> Path:
     """A binary PLY file of as many triangles as its header says, that takes no room on the disk."""
-    header = PLY.format(n_vertices, n_faces).encode()
+    header = to_ply(np.empty((0, 3), "<f4"), np.empty((0, 3)))
+    header = header.replace(b"vertex 0", b"vertex %d" % n_vertices)
+    header = header.replace(b"face 0", b"face %d" % n_faces)
     with path.open("wb") as file:
         file.write(header)
         file.truncate(len(header) + 12 * n_vertices + 13 * n_faces)
     return path
 
 
-def grid(path: Path, n: int) -> Path:
+def waves(path: Path, n: int) -> Path:
     """A noisy surface of n by n vertices, as a binary PLY."""
-    rng = np.random.default_rng(3)
-    row, column = np.divmod(np.arange(n * n), n)
-    height = n / 20 * np.sin(row / n * 6) + 0.2 * rng.standard_normal(n * n)
-    vertices = np.stack((row, column, height), axis=1).astype("<f4")
-    first = np.flatnonzero((row < n - 1) & (column < n - 1))
-    corners = np.concatenate(
-        [
-            np.stack((first, first + n, first + 1), 1),
-            np.stack((first + n, first + n + 1, first + 1), 1),
-        ]
-    )
-    path.write_bytes(to_ply(vertices, corners))
+    vertices, faces = grid(n, n)
+    noise = np.random.default_rng(3).standard_normal(n * n)
+    vertices[:, 2] = n / 20 * np.sin(vertices[:, 1] / n * 6) + 0.3 * noise
+    path.write_bytes(to_ply(vertices.astype("<f4"), faces))
     return path
 
 
@@ -108,10 +99,6 @@ def test_arrays_of_all_threads_live_in_files_without_a_name(tmp_path):
     assert handler_of(np.ones(5000)) == "default_allocator"
 
 
-def files_of(folder: Path) -> dict[str, bytes]:
-    return {one.name: one.read_bytes() for one in folder.iterdir() if one.name[0] != "."}
-
-
 def forget_peak(folder: Path) -> None:
     """Have no arrays in files, from which on the peak is counted anew."""
     with array_files.arrays_in_files(str(folder), 1 << 40):
@@ -141,7 +128,7 @@ def same_bytes(source: Path, settings: Settings, tmp_path: Path) -> None:
     before = array_files.count_scratch().current_bytes
     done = denoise_file(task, settings, limits=limits_for(task, settings))
     assert (done.error, done.status) == (None, "written")
-    assert files_of(beyond) == files_of(usual)
+    assert tree(beyond) == tree(usual)
     scratch = array_files.count_scratch()
     assert scratch.peak_bytes > source.stat().st_size
     # Tables that are read once may stay.
@@ -151,13 +138,13 @@ def same_bytes(source: Path, settings: Settings, tmp_path: Path) -> None:
 @linux
 @pytest.mark.parametrize("name", SETTINGS)
 def test_every_way_of_denoising_gives_the_same_bytes(name, tmp_path, small):
-    same_bytes(grid(tmp_path / "a.ply", 30 if name == "auto" else 60), SETTINGS[name], tmp_path)
+    same_bytes(waves(tmp_path / "a.ply", 30 if name == "auto" else 60), SETTINGS[name], tmp_path)
 
 
 @linux
 @pytest.mark.parametrize("name", ["a.obj", "a.stl", "a.off", "a.vtk", "a.ply.gz"])
 def test_every_format_gives_the_same_bytes(name, tmp_path, small):
-    source = grid(tmp_path / "a.ply", 60)
+    source = waves(tmp_path / "a.ply", 60)
     whole = Task(str(source), str(tmp_path / "in" / name), name)
     assert denoise_file(whole, Settings("taubin")).error is None
     same_bytes(tmp_path / "in" / name, Settings("msal"), tmp_path)
@@ -167,22 +154,20 @@ def test_every_format_gives_the_same_bytes(name, tmp_path, small):
 def test_a_tile_set_gives_the_same_bytes(tmp_path, small):
     folder = tmp_path / "in"
     folder.mkdir()
-    mesh = codecs.open_mesh(grid(tmp_path / "a.ply", 60).read_bytes(), "a.ply")
-    for number, is_part in enumerate((mesh.faces[:, 0] < 1800, mesh.faces[:, 0] >= 1800)):
-        used, corners = np.unique(mesh.faces[is_part], return_inverse=True)
-        text = [f"v {x} {y} {z}" for x, y, z in mesh.vertices[used].tolist()]
-        text += [f"f {a} {b} {c}" for a, b, c in (corners.reshape(-1, 3) + 1).tolist()]
-        (folder / f"{number}.obj").write_text("\n".join(text))
+    mesh = read(waves(tmp_path / "a.ply", 60))
+    parts = cut(mesh.vertices, mesh.faces, mesh.faces[:, 0] >= 1800)
+    for name, data in mixed(parts).items():
+        (folder / name).write_bytes(data)
     for name, limit in (("usual", ()), ("beyond", ("--memory-limit", "53M"))):
         options = ("-o", tmp_path / name, "--tile-set", "--method", "msal", *limit)
         assert msal("denoise", folder, *options).exit_code == 0
-    assert files_of(tmp_path / "beyond") == files_of(tmp_path / "usual")
+    assert tree(tmp_path / "beyond") == tree(tmp_path / "usual")
     assert array_files.count_scratch().peak_bytes
 
 
 @linux
 def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
-    source = grid(tmp_path / "a.ply", 60)
+    source = waves(tmp_path / "a.ply", 60)
     usual = inspect_file(str(source))
     other = compare_files(str(source), str(source))
     monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
@@ -194,7 +179,7 @@ def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
 
 @linux
 def test_noise_is_added_with_the_same_bytes(tmp_path, small, monkeypatch):
-    source = grid(tmp_path / "a.ply", 60)
+    source = waves(tmp_path / "a.ply", 60)
     assert msal("noise", source, "-o", tmp_path / "usual.ply").exit_code == 0
     monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
     forget_peak(tmp_path)
@@ -205,7 +190,7 @@ def test_noise_is_added_with_the_same_bytes(tmp_path, small, monkeypatch):
 
 @linux
 def test_a_sweep_draws_the_same_picture(tmp_path, monkeypatch):
-    source = grid(tmp_path / "a.ply", 60)
+    source = waves(tmp_path / "a.ply", 60)
     sweep = ("sweep", source, "--columns", "K=0.3,0.6", "--size", "64", "--reference", source, "-o")
     assert msal(*sweep, tmp_path / "usual.png").exit_code == 0
     # As much as one of the files takes: the other is counted, too.
@@ -221,7 +206,7 @@ def test_a_sweep_draws_the_same_picture(tmp_path, monkeypatch):
 def test_a_disk_that_is_full_is_an_error_and_leaves_nothing(tmp_path):
     import resource
 
-    source = grid(tmp_path / "a.ply", 330)
+    source = waves(tmp_path / "a.ply", 330)
     command = [sys.executable, "-m", "msal_cli", "denoise", str(source), "-o", "out/a.ply"]
     made = subprocess.run(
         [*command, "--memory-limit", "62M", "--method", "msal", "--scratch", str(tmp_path)],

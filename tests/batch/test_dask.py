@@ -26,8 +26,9 @@ from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
 from tests.batch.test_run import fill, statuses
-from tests.batch.test_whole import obj, outputs
+from tests.batch.test_whole import obj
 from tests.cli.scans import msal
+from tests.files import tree
 
 pytestmark = pytest.mark.ci
 
@@ -109,8 +110,8 @@ def test_files_and_records_are_those_of_one_process(folder, cluster):
     events = []
     engine = partial(DaskEngine, scheduler=cluster.scheduler_address)
     there = run(plan_of("there"), settings, engine=engine, on_event=events.append)
-    assert outputs(folder / "there") == outputs(folder / "here")
-    assert len(outputs(folder / "there")) == 7
+    assert tree(folder / "there") == tree(folder / "here")
+    assert len(tree(folder / "there")) == 7
 
     def timeless(record):
         output = record.output and Path(record.output).name
@@ -130,7 +131,7 @@ def test_what_breaks_a_process_costs_its_file_and_no_dask_worker(folder, cluster
     assert codes == {"03": "E_CRASH", "07": "E_CRASH", "09": "E_INTERNAL"}
     assert "SIGSEGV" in records[3].error.message
     assert "second try" in records[5].warnings[0]
-    assert set(outputs(folder / "out")) == {f"{n:02}.ply" for n in range(12) if n not in (3, 7, 9)}
+    assert set(tree(folder / "out")) == {f"{n:02}.ply" for n in range(12) if n not in (3, 7, 9)}
     assert workers_of(cluster) == before
 
 
@@ -154,7 +155,7 @@ def test_a_dask_worker_killed_in_the_middle_costs_nothing(folder, cluster):
 
     records = ran(cluster, on_event=on_event)
     assert killed and statuses(records) == ["written"] * 16
-    assert len(outputs(folder / "out")) == 16
+    assert len(tree(folder / "out")) == 16
 
 
 @posix
@@ -165,7 +166,7 @@ def test_a_file_that_kills_dask_workers_is_found_and_is_one_row(folder, cluster)
     assert [Path(one.input).stem for one in records if one.status != "written"] == ["04"]
     assert records[4].error.code == "E_CRASH"
     assert "died while at work on it" in records[4].error.message
-    assert len(outputs(folder / "out")) == 9
+    assert len(tree(folder / "out")) == 9
     assert [path.name for path in folder.joinpath("in").glob("*.died")] == ["04.ply.died"]
 
 
@@ -197,7 +198,7 @@ def test_refusals_before_any_work(folder, cluster, monkeypatch, lack):
         assert "msal-cli[dask]" in result.stderr
         # That would look for msal itself on an index.
         assert "pip install 'msal-cli" not in result.stderr
-    assert outputs(folder / "out") == {}
+    assert tree(folder / "out") == {}
 
 
 @posix

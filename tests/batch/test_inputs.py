@@ -13,15 +13,9 @@ from hypothesis import strategies as st
 from msal_cli.batch.inputs import NothingMatched, Patterns, discover_inputs
 from msal_cli.errors import UsageError
 from msal_cli.storage.atomic import temporary_name
+from tests.files import make_files
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
-
-
-def made(folder, *names):
-    for name in names:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("x")
 
 
 def relatives(*inputs, **options):
@@ -29,14 +23,14 @@ def relatives(*inputs, **options):
 
 
 def test_a_file_is_taken_whatever_its_name(tmp_path):
-    made(tmp_path, "scan.xyz", ".hidden")
+    make_files(tmp_path, "scan.xyz", ".hidden")
     (one, other) = discover_inputs([str(tmp_path / "scan.xyz"), str(tmp_path / ".hidden")])
     assert (one.path, one.relative, one.root) == (str(tmp_path / "scan.xyz"), "scan.xyz", "")
     assert other.relative == ".hidden"
 
 
 def test_a_folder_is_searched_in_the_order_of_names(tmp_path):
-    made(tmp_path, "b.ply", "a/z.obj", "a/y/x.ply", "c.txt", "a.ply", "B.ply")
+    make_files(tmp_path, "b.ply", "a/z.obj", "a/y/x.ply", "c.txt", "a.ply", "B.ply")
     some = discover_inputs([str(tmp_path)])
     assert [one.relative for one in some] == ["B.ply", "a/y/x.ply", "a/z.obj", "a.ply", "b.ply"]
     assert all(Path(one.path) == tmp_path / one.relative for one in some)
@@ -44,13 +38,15 @@ def test_a_folder_is_searched_in_the_order_of_names(tmp_path):
 
 
 def test_hidden_files_and_our_own_are_passed_over(tmp_path):
-    made(tmp_path, "a.ply", ".b.ply", ".git/c.ply", ".msal-manifest.jsonl", temporary_name("d.ply"))
+    make_files(
+        tmp_path, "a.ply", ".b.ply", ".git/c.ply", ".msal-manifest.jsonl", temporary_name("d.ply")
+    )
     assert relatives(tmp_path) == ["a.ply"]
     assert relatives(f"{tmp_path}/.*") == [".b.ply", ".git/c.ply"]
 
 
 def test_a_folder_named_by_dots_is_known_by_its_real_name(tmp_path, monkeypatch):
-    made(tmp_path, "one/a.ply", "two/a.ply")
+    make_files(tmp_path, "one/a.ply", "two/a.ply")
     monkeypatch.chdir(tmp_path / "one")
     assert relatives(".", "../two") == ["one/a.ply", "two/a.ply"]
     assert discover_inputs(["."])[0].path == "a.ply"
@@ -69,7 +65,7 @@ def test_a_missing_input_is_named(tmp_path):
 
 
 def test_nothing_matched_is_a_signal_of_its_own(tmp_path):
-    made(tmp_path, "a.txt")
+    make_files(tmp_path, "a.txt")
     for inputs in ([tmp_path], [f"{tmp_path}/*.ply"], [f"{tmp_path}/no/*.ply"]):
         with pytest.raises(NothingMatched) as caught:
             relatives(*inputs)
@@ -79,7 +75,7 @@ def test_nothing_matched_is_a_signal_of_its_own(tmp_path):
 
 
 def test_an_input_without_files_is_a_warning_only_beside_others(tmp_path, caplog):
-    made(tmp_path, "full/a.ply", "empty/b.txt")
+    make_files(tmp_path, "full/a.ply", "empty/b.txt")
     relatives(tmp_path / "full", tmp_path / "empty")
     assert [one.getMessage() for one in caplog.records] == [
         f"no mesh file is selected by the input {str(tmp_path / 'empty')!r}"
@@ -91,7 +87,7 @@ def test_an_input_without_files_is_a_warning_only_beside_others(tmp_path, caplog
 
 
 def test_include_and_exclude_look_at_path_and_name(tmp_path):
-    made(tmp_path, "a.ply", "left/b.ply", "left/old/c.ply", "right/d.obj")
+    make_files(tmp_path, "a.ply", "left/b.ply", "left/old/c.ply", "right/d.obj")
     assert relatives(tmp_path, include=["left/**"]) == ["left/b.ply", "left/old/c.ply"]
     assert relatives(tmp_path, include=["*.obj", "a.*"]) == ["a.ply", "right/d.obj"]
     assert relatives(tmp_path, exclude=["old"]) == ["a.ply", "left/b.ply", "right/d.obj"]
@@ -100,18 +96,18 @@ def test_include_and_exclude_look_at_path_and_name(tmp_path):
 
 class TestGlobs:
     def test_a_pattern_is_relative_to_its_fixed_part(self, tmp_path):
-        made(tmp_path, "s/one/a.ply", "s/two/b.ply", "s/c.ply", "s/one/d.txt")
+        make_files(tmp_path, "s/one/a.ply", "s/two/b.ply", "s/c.ply", "s/one/d.txt")
         assert relatives(f"{tmp_path}/s/*.ply") == ["c.ply"]
         assert relatives(f"{tmp_path}/s/*/*.ply") == ["one/a.ply", "two/b.ply"]
         assert relatives(f"{tmp_path}/s/**/*.ply") == ["c.ply", "one/a.ply", "two/b.ply"]
         assert relatives(f"{tmp_path}/*/one/a.ply") == ["s/one/a.ply"]
 
     def test_a_folder_that_matches_is_searched(self, tmp_path):
-        made(tmp_path, "s/one/deep/a.ply", "s/two/b.ply", "s/two/b.txt")
+        make_files(tmp_path, "s/one/deep/a.ply", "s/two/b.ply", "s/two/b.txt")
         assert relatives(f"{tmp_path}/s/*") == ["one/deep/a.ply", "two/b.ply"]
 
     def test_a_literal_name_is_that_file(self, tmp_path):
-        made(tmp_path, "a[1].ply", "a1.ply")
+        make_files(tmp_path, "a[1].ply", "a1.ply")
         assert relatives(f"{tmp_path}/a[1].ply") == ["a[1].ply"]
         (tmp_path / "a[1].ply").unlink()
         assert relatives(f"{tmp_path}/a[1].ply") == ["a1.ply"]
@@ -120,14 +116,14 @@ class TestGlobs:
 @posix
 class TestLinks:
     def test_links_within_are_followed_and_links_out_are_not(self, tmp_path):
-        made(tmp_path, "in/real/a.ply", "out/b.ply")
+        make_files(tmp_path, "in/real/a.ply", "out/b.ply")
         (tmp_path / "in/alias").symlink_to("real")
         (tmp_path / "in/away").symlink_to(tmp_path / "out")
         (tmp_path / "in/dots").symlink_to("../out")
         assert relatives(tmp_path / "in") == ["alias/a.ply", "real/a.ply"]
 
     def test_a_link_that_leads_out_is_named(self, tmp_path, caplog):
-        made(tmp_path, "in/a.ply", "out/b.ply")
+        make_files(tmp_path, "in/a.ply", "out/b.ply")
         (tmp_path / "in/round").symlink_to(".")
         (tmp_path / "in/again").symlink_to("round")
         relatives(tmp_path / "in")
@@ -143,14 +139,14 @@ class TestLinks:
         assert caplog.messages == []
 
     def test_loops_end(self, tmp_path):
-        made(tmp_path, "in/a/b/x.ply")
+        make_files(tmp_path, "in/a/b/x.ply")
         (tmp_path / "in/a/b/up").symlink_to("..")
         (tmp_path / "in/a/top").symlink_to(tmp_path / "in")
         (tmp_path / "in/self").symlink_to("self")
         assert relatives(tmp_path / "in") == ["a/b/x.ply"]
 
     def test_a_linked_file_is_an_input_and_a_broken_one_is_not_lost(self, tmp_path):
-        made(tmp_path, "store/a.ply")
+        make_files(tmp_path, "store/a.ply")
         (tmp_path / "in").mkdir()
         (tmp_path / "in/a.ply").symlink_to(tmp_path / "store/a.ply")
         (tmp_path / "in/gone.ply").symlink_to("nowhere")
@@ -163,7 +159,7 @@ class TestLinks:
 @posix
 class TestOddTrees:
     def test_special_files_are_passed_over(self, tmp_path):
-        made(tmp_path, "a.ply")
+        make_files(tmp_path, "a.ply")
         os.mkfifo(tmp_path / "fifo.ply")
         with socket.socket(socket.AF_UNIX) as server:
             server.bind(str(tmp_path / "s.ply"))
@@ -173,7 +169,7 @@ class TestOddTrees:
             relatives(tmp_path / "fifo.ply")
 
     def test_a_folder_that_the_system_refuses_to_list_is_not_skipped(self, tmp_path, monkeypatch):
-        made(tmp_path, "a.ply", "locked/b.ply")
+        make_files(tmp_path, "a.ply", "locked/b.ply")
         real = os.scandir
 
         def refusing(path):
@@ -189,7 +185,7 @@ class TestOddTrees:
 
 class TestOutputInside:
     def test_an_output_folder_in_the_input_is_not_searched(self, tmp_path):
-        made(tmp_path, "a.ply", "out/a.ply", "out/sub/b.ply", "outer/c.ply")
+        make_files(tmp_path, "a.ply", "out/a.ply", "out/sub/b.ply", "outer/c.ply")
         assert relatives(tmp_path, output=str(tmp_path / "out")) == ["a.ply", "outer/c.ply"]
         assert relatives(f"{tmp_path}/**/*.ply", output=f"{tmp_path}/./out/") == [
             "a.ply",
@@ -198,7 +194,7 @@ class TestOutputInside:
 
     @posix
     def test_nor_through_a_link(self, tmp_path):
-        made(tmp_path, "a.ply", "out/sub/b.ply")
+        make_files(tmp_path, "a.ply", "out/sub/b.ply")
         (tmp_path / "alias").symlink_to("out")
         (tmp_path / "inner").symlink_to("out/sub")
         assert relatives(tmp_path, output=str(tmp_path / "out")) == ["a.ply"]

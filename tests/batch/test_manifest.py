@@ -17,15 +17,13 @@ from msal_cli.batch.manifest import (
     FileStat,
     FolderManifest,
     done_line,
-    encode_line,
     intent_line,
-    parse_line,
     read_output_names,
 )
 from msal_cli.batch.resume import hash_settings
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
-from msal_cli.job.records import MeshRecord, ObjectMark, Volume
+from msal_cli.job.records import MeshRecord, Volume
 from msal_cli.job.settings import Settings
 
 SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
@@ -259,20 +257,3 @@ class TestSettingsHash:
         # The files of a tile set.
         hashes += [hash_settings(SETTINGS, names) for names in (["a"], ["a", "b"])]
         assert len({hash_settings(SETTINGS), *hashes}) == len(changes) + 4
-
-
-def test_an_object_in_a_store_is_known_by_size_and_tag(tmp_path):
-    record = MeshRecord(
-        input="s3://scans/a.ply",
-        status="written",
-        output="s3://out/a.ply",
-        input_sha256="1" * 64,
-        output_sha256="2" * 64,
-        input_object=ObjectMark(10, "in"),
-        output_object=ObjectMark(20, "out"),
-    )
-    line = encode_line(done_line("a.ply", "settings", record, record.input))
-    entry = parse_line(line)
-    assert entry.input_version == ObjectMark(10, "in")
-    assert entry.output_version == ObjectMark(20, "out")
-    assert entry.record() == record

@@ -13,15 +13,9 @@ from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.errors import UsageError
+from tests.files import make_files
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
-
-
-def made(folder, *names):
-    for name in names:
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("x")
 
 
 def planned(inputs, output, **options):
@@ -59,7 +53,7 @@ def refuses(tmp_path):
 
 
 def test_a_folder_is_mirrored(tmp_path):
-    made(tmp_path, "in/a.ply", "in/b/c.obj.gz")
+    make_files(tmp_path, "in/a.ply", "in/b/c.obj.gz")
     plan = planned([tmp_path / "in"], tmp_path / "out")
     assert [task.output for task in plan.tasks] == [
         str(tmp_path / "out/a.ply"),
@@ -71,7 +65,7 @@ def test_a_folder_is_mirrored(tmp_path):
 
 
 def test_to_changes_the_suffix_and_keeps_gz(tmp_path):
-    made(tmp_path, "in/a.ply", "in/c.obj.gz")
+    make_files(tmp_path, "in/a.ply", "in/c.obj.gz")
     assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out", to="stl") == [
         "out/a.stl",
         "out/c.stl.gz",
@@ -92,7 +86,7 @@ def test_to_changes_the_suffix_and_keeps_gz(tmp_path):
     ],
 )
 def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, expected):
-    made(tmp_path, "in/a.ply", *existing)
+    make_files(tmp_path, "in/a.ply", *existing)
     plan = planned([tmp_path / "in/a.ply"], f"{tmp_path}/{output}")
     assert plan.tasks[0].output == f"{tmp_path}/{expected}"
     assert (plan.manifest_dirs[0] is None) == (not expected.endswith("/a.ply"))
@@ -100,32 +94,32 @@ def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, ex
 
 @pytest.mark.parametrize("names", [("in/a.ply",), ("in/a.ply", "in/b.ply")])
 def test_a_folder_into_what_is_called_like_a_file(tmp_path, refuses, names):
-    made(tmp_path, *names)
+    make_files(tmp_path, *names)
     hint = refuses(["called like one mesh file"], [tmp_path / "in"], tmp_path / "out.ply").hint
     assert f"{tmp_path}/out.ply/" in hint
     expected = [name.replace("in/", "out.ply/") for name in names]
     assert outputs(tmp_path, [tmp_path / "in"], f"{tmp_path}/out.ply/") == expected
     # What is a folder already need not be called one.
-    made(tmp_path, "out.ply/x")
+    make_files(tmp_path, "out.ply/x")
     assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.ply") == expected
 
 
 @pytest.mark.parametrize("output", ["y.stp", "y.gz", "y.stp.gz"])
 def test_an_unknown_suffix_of_a_single_output_is_refused(tmp_path, refuses, output):
-    made(tmp_path, "in/a.ply")
+    make_files(tmp_path, "in/a.ply")
     error = refuses(["no mesh format", "ply, obj, stl"], [tmp_path / "in/a.ply"], output)
     assert f"{output}/" in error.hint
     # Also over a file that is there; a folder may be called so.
-    made(tmp_path, output)
+    make_files(tmp_path, output)
     refuses(["no mesh format"], [tmp_path / "in/a.ply"], tmp_path / output)
     folder = f"{tmp_path}/new-{output}/"
     assert outputs(tmp_path, [tmp_path / "in/a.ply"], folder) == [f"new-{output}/a.ply"]
-    made(tmp_path, "b.stp/x")
+    make_files(tmp_path, "b.stp/x")
     assert outputs(tmp_path, [tmp_path / "in/a.ply"], tmp_path / "b.stp") == ["b.stp/a.ply"]
 
 
 def test_the_word_to_must_not_contradict_the_output(tmp_path, refuses):
-    made(tmp_path, "a.ply")
+    make_files(tmp_path, "a.ply")
     refuses(["--to obj", "b.stl"], [tmp_path / "a.ply"], tmp_path / "b.stl", to="obj")
     assert outputs(tmp_path, [tmp_path / "a.ply"], tmp_path / "b.STL", to="stl") == ["b.STL"]
 
@@ -156,7 +150,7 @@ def test_the_word_to_must_not_contradict_the_output(tmp_path, refuses):
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, refuses, files, inputs, output, options, words):
-    made(tmp_path, *files.split())
+    make_files(tmp_path, *files.split())
     some = [tmp_path / one for one in inputs.split()]
     target = None if output is None else tmp_path / output
     refuses(words.format(tmp_path, tmp_path).split(), some, target, **options)
@@ -169,7 +163,7 @@ def test_what_cannot_be_is_refused(tmp_path, refuses, files, inputs, output, opt
 def test_case_only_twins_are_refused_where_the_file_system_tells_them_not_apart(
     tmp_path, refuses, monkeypatch, twins
 ):
-    made(tmp_path, *(f"in/{name}" for name in twins))
+    make_files(tmp_path, *(f"in/{name}" for name in twins))
     if "a.ply" in twins:
         assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out") == ["out/A.ply", "out/a.ply"]
     probed = []
@@ -182,7 +176,7 @@ def test_case_only_twins_are_refused_where_the_file_system_tells_them_not_apart(
 
 
 def test_a_folder_or_a_file_onto_itself(tmp_path, refuses, monkeypatch):
-    made(tmp_path, "in/a.ply", "sub/x")
+    make_files(tmp_path, "in/a.ply", "sub/x")
     refuses(["overwritten by its own output"], [tmp_path / "in"], tmp_path / "in")
     assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "in", to="stl") == ["in/a.stl"]
     monkeypatch.chdir(tmp_path)
@@ -192,7 +186,7 @@ def test_a_folder_or_a_file_onto_itself(tmp_path, refuses, monkeypatch):
 @posix
 @pytest.mark.parametrize("kind", ["symbolic", "hard"])
 def test_a_file_onto_itself_through_a_link(tmp_path, refuses, kind):
-    made(tmp_path, "in/a.ply", "out/x")
+    make_files(tmp_path, "in/a.ply", "out/x")
     link = tmp_path / "out/a.ply"
     (link.hardlink_to if kind == "hard" else link.symlink_to)(tmp_path / "in/a.ply")
     refuses(["own output"], [tmp_path / "in"], tmp_path / "out", force=True)
@@ -201,15 +195,15 @@ def test_a_file_onto_itself_through_a_link(tmp_path, refuses, kind):
 
 class TestForeignFiles:
     def test_a_file_that_no_run_wrote_is_not_overwritten(self, tmp_path, refuses):
-        made(tmp_path, *(f"in/{name}.ply" for name in "abcde"))
-        made(tmp_path, *(f"out/{name}.ply" for name in "abcde"))
+        make_files(tmp_path, *(f"in/{name}.ply" for name in "abcde"))
+        make_files(tmp_path, *(f"out/{name}.ply" for name in "abcde"))
         error = refuses(["a.ply", "and 2 more"], [tmp_path / "in"], tmp_path / "out")
         assert "--force" in error.hint
         assert len(outputs(tmp_path, [tmp_path / "in"], tmp_path / "out", force=True)) == 5
 
     @pytest.mark.parametrize("kind", ["intent", "done"])
     def test_a_file_of_an_earlier_run_may_be(self, tmp_path, refuses, kind):
-        made(tmp_path, "in/a.ply", "in/b.ply", "out/a.ply", "out/b.ply")
+        make_files(tmp_path, "in/a.ply", "in/b.ply", "out/a.ply", "out/b.ply")
         line = {"kind": kind, "name": "a.ply", "format": 1, "settings": "", "status": "written"}
         line |= {"input": {"sha256": ""}, "output": None, "record": {}}
         (tmp_path / "out" / NAME).write_text(json.dumps(line) + "\n")
@@ -222,7 +216,7 @@ class TestForeignFiles:
 class TestPlacesThatCannotBe:
     @pytest.mark.parametrize("relative", ["../a.ply", "b/../../a.ply", "/etc/a.ply"])
     def test_a_relative_path_that_climbs(self, tmp_path, relative):
-        made(tmp_path, "a.ply")
+        make_files(tmp_path, "a.ply")
         with pytest.raises(UsageError, match="no path below"):
             build_plan(
                 [DiscoveredInput(str(tmp_path / "a.ply"), relative, str(tmp_path))],
@@ -231,7 +225,7 @@ class TestPlacesThatCannotBe:
 
     @posix
     def test_a_link_that_leads_out_of_the_output_folder(self, tmp_path, refuses):
-        made(tmp_path, "in/b/a.ply", "out/x", "elsewhere/y")
+        make_files(tmp_path, "in/b/a.ply", "out/x", "elsewhere/y")
         (tmp_path / "out/b").symlink_to(tmp_path / "elsewhere")
         refuses(["leave the output folder", "elsewhere"], [tmp_path / "in"], tmp_path / "out")
         (tmp_path / "link").symlink_to("elsewhere")
@@ -240,7 +234,7 @@ class TestPlacesThatCannotBe:
 
 class TestInPlace:
     def test_the_output_is_the_input(self, tmp_path):
-        made(tmp_path, "in/a.ply", "in/b/c.ply")
+        make_files(tmp_path, "in/a.ply", "in/b/c.ply")
         plan = planned([tmp_path / "in"], None, in_place=True)
         assert all(task.in_place and task.input == task.output for task in plan.tasks)
         assert [task.backup for task in plan.tasks] == [".orig", ".orig"]
@@ -249,7 +243,7 @@ class TestInPlace:
         assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
 
     def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):
-        made(tmp_path, "a.ply")
+        make_files(tmp_path, "a.ply")
         one = [tmp_path / "a.ply"]
         refuses(["both given"], one, tmp_path / "out", in_place=True)
         refuses(["change the format"], one, None, in_place=True, to="obj")
@@ -260,7 +254,7 @@ class TestInPlace:
 
     @posix
     def test_a_link_stays_a_link_and_counts_once(self, tmp_path):
-        made(tmp_path, "in/a.ply", "in/real/b.ply")
+        make_files(tmp_path, "in/a.ply", "in/real/b.ply")
         (tmp_path / "in/b.ply").symlink_to("a.ply")
         (tmp_path / "in/alias").symlink_to("real")
         plan = planned([tmp_path / "in"], None, in_place=True)
@@ -271,7 +265,7 @@ class TestInPlace:
 
     @posix
     def test_a_file_out_of_the_tree_is_not_changed_through_a_link(self, tmp_path, refuses):
-        made(tmp_path, "in/a.ply", "store/b.ply")
+        make_files(tmp_path, "in/a.ply", "store/b.ply")
         (tmp_path / "in/b.ply").symlink_to(tmp_path / "store/b.ply")
         refuses(["leads out of", "store"], [tmp_path / "in"], None, in_place=True)
         named = planned([tmp_path / "in/b.ply"], None, in_place=True)

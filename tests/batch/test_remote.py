@@ -20,16 +20,9 @@ from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
+pytestmark = pytest.mark.usefixtures("empty_store")
 
 NAMES = ("a/0.obj", "a/b/1.obj", "2.obj")
-
-
-@pytest.fixture(autouse=True)
-def empty_store():
-    from fsspec.implementations.memory import MemoryFileSystem
-
-    MemoryFileSystem.store.clear()
-    MemoryFileSystem.pseudo_dirs[:] = [""]
 
 
 @pytest.fixture
@@ -60,11 +53,12 @@ def outputs(folder="memory://out"):
     }
 
 
-def expected(**given):
-    told = {}
-    for n, name in enumerate(NAMES):
-        told[name] = bytes(denoise_bytes(obj(n).encode(), name, settings(**given))[0])
-    return told
+def expected(names=NAMES):
+    """What each object becomes."""
+    return {
+        name: bytes(denoise_bytes(obj(n).encode(), name, settings())[0])
+        for n, name in enumerate(names)
+    }
 
 
 def paths(*inputs, **options):

@@ -11,11 +11,10 @@ import threading
 
 import pytest
 
-from msal_cli import methods
-from msal_cli.job.pipeline import denoise_bytes
-from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import list_objects, read_whole, write_whole
+from tests.batch import test_remote
+from tests.batch.test_remote import outputs
 from tests.batch.test_whole import obj
 from tests.cli.scans import MSAL, msal
 
@@ -114,19 +113,7 @@ def server():
 
 @pytest.fixture(scope="module")
 def expected():
-    settings = Settings("msal", methods.find("msal").validate({}))
-    return {
-        name: bytes(denoise_bytes(obj(n).encode(), name, settings)[0])
-        for n, name in enumerate(NAMES)
-    }
-
-
-def outputs(folder):
-    return {
-        name: read_whole(f"{folder}/{name}")
-        for name in list_objects(folder)
-        if not name.startswith(".")
-    }
+    return test_remote.expected(NAMES)
 
 
 def run(*arguments):

@@ -214,14 +214,6 @@ def in_place(folder, backup):
     return Case(folder, in_place=True, backup=backup)
 
 
-@pytest.mark.parametrize("backup", [None, ".orig"])
-def test_in_place_a_current_file_is_not_done_again(tmp_path, backup):
-    case = in_place(tmp_path, backup)
-    assert case.todo()
-    case.finish()
-    assert case.state().record.status == "up-to-date"
-
-
 def test_without_a_backup_a_changed_file_may_be_done(tmp_path):
     case = in_place(tmp_path, None)
     case.begin()

@@ -26,6 +26,7 @@ from msal_cli.job import room
 from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
+from tests.files import tree
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 SETTINGS = Settings("fake", {"n": 1})
@@ -63,14 +64,6 @@ def statuses(records):
     return [record.status for record in records]
 
 
-def tree(folder):
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.startswith(".msal-")
-    }
-
-
 def tried(folders):
     """A list that grows by the names of files that are begun, and the callback that feeds it."""
     names = []
@@ -88,15 +81,10 @@ def test_records_come_in_the_order_of_the_plan_whatever_finishes_first(folders):
     records = ran(folders, on_event=events.append, **WORKERS)
     assert [Path(record.input).stem for record in records] == [f"{n:02}" for n in range(6)]
     assert statuses(records) == ["written"] * 6
-    finished = [event.index for event in events if isinstance(event, Finished)]
-    assert sorted(finished) == list(range(6)) and finished != sorted(finished)
+    finished = [(event.index, event.record) for event in events if isinstance(event, Finished)]
+    in_order = sorted(finished, key=lambda pair: pair[0])
+    assert in_order == list(enumerate(records)) != finished
     assert {event.index for event in events if isinstance(event, Progress)} == set(range(6))
-    assert [
-        event.record
-        for event in sorted(
-            (one for one in events if isinstance(one, Finished)), key=lambda one: one.index
-        )
-    ] == records
     assert set(tree(folders / "out")) == {f"{n:02}.ply" for n in range(6)}
 
 
@@ -280,10 +268,7 @@ class TestInterrupts:
             process.stdout.read()
             status = process.wait(timeout=10)
             taken = time.monotonic() - started
-        deadline = time.monotonic() + 2.0
-        while any(fakes.is_running(pid) for pid in workers) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        assert workers and not any(fakes.is_running(pid) for pid in workers)
+        assert workers and fakes.are_gone(workers)
         return status, taken
 
     @pytest.mark.parametrize(

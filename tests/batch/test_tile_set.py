@@ -23,6 +23,7 @@ from tests.batch.tile_files import (
     read,
     tasks_of,
 )
+from tests.ply_files import to_ply
 
 MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
 
@@ -160,15 +161,11 @@ def test_a_file_that_changes_meanwhile_fails(tmp_path):
 
 
 def test_locks_and_trust_come_from_all_files(tmp_path):
-    def with_trust(data, n):
-        header, _, rest = data.partition(b"end_header\n")
-        header = header.replace(b"property float z\n", b"property float z\nproperty float trust\n")
-        rows = np.frombuffer(rest[: 12 * n], "<f4").reshape(n, 3)
-        trust = np.full((n, 1), 0.5, "<f4")
-        return header + b"end_header\n" + np.hstack([rows, trust]).tobytes() + rest[12 * n :]
-
     parts = in_tiles(*noisy_terrain(), 2)
-    contents = {f"{i}.ply": with_trust(ply(*part), len(part[0])) for i, part in enumerate(parts)}
+    contents = {
+        f"{i}.ply": to_ply(vertices.astype("<f4"), faces, trust=np.full(len(vertices), 0.5))
+        for i, (vertices, faces) in enumerate(parts)
+    }
     tasks = tasks_of(tmp_path, contents)
     records = denoise_set(tasks, replace(MSAL, lock=("trust > 0.2",), weights="trust"))
     assert [one.status for one in records] == ["unchanged"] * 4, records[0].error

@@ -20,6 +20,7 @@ from msal_cli.batch.run import run
 from msal_cli.batch.workers import WorkerPool
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
+from tests.files import tree
 from tests.shapes import noisy, torus
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -51,14 +52,6 @@ def plan_of(scans, output="out", **options):
     return build_plan(discover_inputs([str(scans)], output=target), target, **options)
 
 
-def outputs(folder):
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and not path.name.startswith(".msal-")
-    }
-
-
 def test_any_number_of_jobs_writes_the_bytes_that_one_file_alone_would_get(scans):
     (scans / "bad.obj").write_text("v 1 2\nf 1 2 3\n")
     alone = {}
@@ -71,7 +64,7 @@ def test_any_number_of_jobs_writes_the_bytes_that_one_file_alone_would_get(scans
         records = run(plan_of(scans, f"out{jobs}"), settings(), jobs=jobs)
         failed = [record for record in records if record.status == "failed"]
         assert [Path(record.input).name for record in failed] == ["bad.obj"]
-        assert outputs(scans.parent / f"out{jobs}") == alone
+        assert tree(scans.parent / f"out{jobs}") == alone
 
 
 @pytest.mark.ci
@@ -87,7 +80,7 @@ def test_four_shards_at_once_write_what_one_run_writes(scans):
     ]
     # The shard with the bad file ends with 3, or with 1 if that is all it has.
     assert sorted(one.wait() for one in shards) in ([0, 0, 0, 3], [0, 0, 0, 1])
-    assert outputs(scans.parent / "out") == outputs(scans.parent / "one") != {}
+    assert tree(scans.parent / "out") == tree(scans.parent / "one") != {}
     names = [path.name for path in (scans.parent / "out").glob(".msal-*")]
     assert sorted(names) == [f".msal-manifest-{k}-of-4.jsonl" for k in range(1, 5)]
     records = run(plan_of(scans), settings())

@@ -10,7 +10,7 @@ from msal_cli.codecs import open_mesh
 from msal_cli.codecs.conversion import convert
 from msal_cli.job.settings import Task
 from tests.ply_files import to_ply
-from tests.shapes import ball, noisy
+from tests.shapes import ball, grid, noisy
 
 FORMATS = ("ply", "obj", "stl", "ply", "off", "ply", "obj", "stl", "ply")
 
@@ -24,13 +24,10 @@ def noisy_ball(single=True, level=0.01):
 
 def noisy_terrain(rows=25, columns=25):
     """A noisy open height field, in single precision."""
-    y, x = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-    z = np.sin(x / 4) + np.cos(y / 5) + np.random.default_rng(5).normal(0, 0.06, x.shape)
-    corner = (y * columns + x)[:-1, :-1].reshape(-1)
-    lower = np.stack([corner, corner + 1, corner + columns + 1], axis=1)
-    upper = np.stack([corner, corner + columns + 1, corner + columns], axis=1)
-    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    faces = np.concatenate([lower, upper]).astype(np.int32)
+    vertices, faces = grid(rows, columns)
+    x, y, _ = vertices.T
+    noise = np.random.default_rng(5).normal(0, 0.06, len(x))
+    vertices[:, 2] = np.sin(x / 4) + np.cos(y / 5) + noise
     return vertices.astype(np.float32).astype(np.float64), faces
 
 

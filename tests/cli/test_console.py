@@ -15,12 +15,8 @@ from msal_cli.cli import console as talk
 from msal_cli.errors import ContentError, OutputError
 from msal_cli.report.facts import Line
 from tests.cli.scans import BAD_SCAN, msal
+from tests.files import Terminal
 from tests.report.made import HOSTILE_NAMES
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
 
 
 @pytest.mark.parametrize("name", ["", "NO_COLOR", "TERM"])

@@ -232,15 +232,6 @@ def test_a_stream_that_is_interrupted(tmp_path, signum, status):
     assert made == (status, "msal: interrupted\n")
 
 
-@POSIX
-def test_a_closed_standard_output(tmp_path):
-    scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
-    command = " ".join(f"'{one}'" for one in (*MSAL, "info", scan))
-    made = subprocess.run(["sh", "-c", f"{command} >&-"], capture_output=True, check=False)
-    assert made.returncode == 1
-    assert b"standard output is closed" in made.stderr
-
-
 def end_of(code):
     code += "\nfrom msal_cli.cli.main import main\nmain()"
     return subprocess.run(

@@ -15,14 +15,10 @@ from msal_cli.cli import console as talk
 from msal_cli.cli import progress
 from msal_cli.job.settings import Task
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of
+from tests.files import Terminal
 from tests.report.made import failed, written
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
 
 
 def on_a_terminal(monkeypatch):

@@ -102,22 +102,6 @@ def test_materials_that_are_no_files_of_the_folder(place, kind):
     assert [path.name for path in (place / "out").rglob("*") if path.is_file()] == ["a.obj"]
 
 
-def test_a_backup_that_is_a_link_is_never_put_in_place(place):
-    """A hostile manifest says that a run was killed while it replaced the scan."""
-    from msal_cli.batch.manifest import NAME, encode_line, intent_line
-
-    folder_of(place / "in", scan=closed_scan())
-    secret = place / "secret"
-    secret.write_bytes(b"the key is 1234")
-    (place / "in/scan.ply.orig").symlink_to(secret)
-    line = intent_line("scan.ply", str(secret)) | {"at": 1}
-    (place / "in" / NAME).write_bytes(encode_line(line))
-    made = msal("denoise", "in", "--in-place", "-j", "1")
-    assert made.exit_code == 2
-    assert "backup" in made.stderr
-    assert (place / "in/scan.ply").read_bytes() == closed_scan()
-
-
 @pytest.fixture
 def scan(tmp_path):
     path = folder_of(tmp_path, scan=closed_scan()) / "scan.ply"

@@ -18,6 +18,7 @@ from msal_cli.cli.streams import Stream, choose_format, copy_stream, find_stream
 from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError, UsageError
 from msal_cli.storage import regular
 from tests.cli.scans import MSAL, closed_scan, folder_of, msal, msal_on, process, record_of
+from tests.files import Terminal
 
 SCAN = closed_scan()
 
@@ -194,10 +195,6 @@ def test_wrong_use(scan, tmp_path, arguments, words):
 
 
 def test_a_mesh_does_not_go_to_a_terminal_unasked(monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
     monkeypatch.setattr(sys, "stdout", Terminal())
     with pytest.raises(UsageError, match="would go to the terminal"):
         find_stream(("-",), None)

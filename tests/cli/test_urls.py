@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from msal_cli.storage import urls
+from msal_cli.storage.objects import read_whole, write_whole
 from tests.cli.scans import closed_scan, msal, msal_on
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
@@ -53,22 +54,15 @@ def test_file_urls_are_paths(tmp_path):
     assert (tmp_path / "out/b.ply").is_file()
 
 
-def test_reports_may_go_to_a_store(tmp_path):
-    from fsspec.implementations.memory import MemoryFileSystem
-
-    MemoryFileSystem.store.clear()
+def test_reports_may_go_to_a_store(tmp_path, empty_store):
     (tmp_path / "a.ply").write_bytes(closed_scan())
     report = "memory://reports/r.json"
-    assert (
-        msal("denoise", tmp_path / "a.ply", "-o", "memory://o/", "--report", report).exit_code == 0
-    )
-    assert b'"written"' in MemoryFileSystem.store["/reports/r.json"].getvalue()
-    MemoryFileSystem.store.clear()
+    told = msal("denoise", tmp_path / "a.ply", "-o", "memory://o/", "--report", report)
+    assert told.exit_code == 0
+    assert b'"written"' in read_whole(report)
 
 
-def test_pipes_may_come_from_a_store_and_go_to_one():
-    from msal_cli.storage.objects import read_whole, write_whole
-
+def test_pipes_may_come_from_a_store_and_go_to_one(empty_store):
     write_whole("memory://p/a.ply", closed_scan())
     told = msal("denoise", "memory://p/a.ply", "-o", "-")
     assert told.exit_code == 0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
 
 
 @pytest.fixture
@@ -108,10 +108,7 @@ def test_standard_output_takes_a_picture(scans):
     ],
 )
 def test_what_cannot_be_done_is_said(scans, monkeypatch, arguments, status, said):
-    (scans / "points.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
-        "property float z\nend_header\n0 0 0\n"
-    )
+    folder_of(scans, points=ply_text([(0.0, 0.0, 0.0)], []))
     before = (scans / "a.ply").read_bytes()
     monkeypatch.chdir(scans)
     made = msal("view", *arguments)

@@ -14,6 +14,7 @@ import pytest
 
 from msal_cli.batch.lock import FolderLock
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
+from tests.files import tree
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 QUICK = ("--settle", "0.2s", "-n", "1")
@@ -36,14 +37,6 @@ def later(action, after_s=0.3):
     return timer
 
 
-def outputs(folder):
-    return {
-        one.relative_to(folder).as_posix(): one.read_bytes()
-        for one in sorted(folder.rglob("*"))
-        if one.is_file() and not one.name.startswith(".msal-")
-    }
-
-
 def done_lines(out):
     lines = map(json.loads, (out / ".msal-manifest.jsonl").read_text("utf-8").splitlines())
     return [one for one in lines if one["kind"] == "done"]
@@ -60,7 +53,7 @@ def test_outputs_and_records_are_those_of_denoise_and_each_command_knows_the_oth
     assert "sub/b.ply -> " in made.stderr
     assert made.stderr.count("E_INDEX") == 1
     assert msal("denoise", inbox, "-o", other, "-n", "1").exit_code == 3
-    assert outputs(out) == outputs(other)
+    assert tree(out) == tree(other)
     keys = ("name", "settings", "status", "input", "output")
     ours, theirs = (
         sorted(
@@ -122,12 +115,12 @@ def test_a_signal_leaves_whole_files_and_no_lock_and_the_next_watch_does_the_res
     assert "msal: interrupted" in words and "goes on from here" in words
     n_done = len(done_lines(out))
     assert n_done >= 2
-    assert len(outputs(out)) in (n_done, n_done + 1)
+    assert len(tree(out)) in (n_done, n_done + 1)
     with FolderLock(str(out)):
         pass
     assert watch(inbox).exit_code == 0
-    assert len(outputs(out)) == 10
-    assert {len(one) for one in outputs(out).values()} != {0}
+    assert len(tree(out)) == 10
+    assert {len(one) for one in tree(out).values()} != {0}
     assert len({one["name"] for one in done_lines(out)}) == 10
 
 
@@ -172,7 +165,7 @@ def test_a_file_written_slowly_is_taken_once_and_whole(inbox):
     made = watch(inbox, "--settle", "0.5s", idle="1s")
     assert made.exit_code == 0, made.stderr
     assert made.stderr.count(" -> ") == 1
-    assert list(outputs(inbox.parent / "out")) == ["slow.ply"]
+    assert list(tree(inbox.parent / "out")) == ["slow.ply"]
 
 
 def test_an_empty_folder(inbox):

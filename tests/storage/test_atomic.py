@@ -218,15 +218,6 @@ def test_write_new_never_replaces(tmp_path, monkeypatch, has_links):
     assert names(tmp_path) == ["tex.png"]
 
 
-def test_the_name_that_writing_uses_is_the_one_that_sweeping_knows():
-    for name in ("a.ply", "x" * 255, ""):
-        made = writing.temporary_name(name)
-        assert temporaries.is_own(made) and len(os.fsencode(made)) <= writing.MAX_NAME_BYTES
-        found = temporaries._TEMPORARY.fullmatch(made)
-        assert int(found["pid"]) == os.getpid()
-        assert found["machine"] == temporaries.machine_tag()
-
-
 def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):
     path = tmp_path / "a.ply"
     path.write_bytes(b"old")

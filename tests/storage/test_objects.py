@@ -19,14 +19,7 @@ from msal_cli.storage import regular
 from msal_cli.storage.objects import Mark, list_objects, mark, read_whole, write_whole
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
-
-
-@pytest.fixture(autouse=True)
-def empty_store():
-    from fsspec.implementations.memory import MemoryFileSystem
-
-    MemoryFileSystem.store.clear()
-    MemoryFileSystem.pseudo_dirs[:] = [""]
+pytestmark = pytest.mark.usefixtures("empty_store")
 
 
 class Refusing:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import re
-from pathlib import Path
 
 import pytest
 
 from msal_cli.errors import OutputError
 from msal_cli.storage import sidecars
 from msal_cli.storage.sidecars import carry
+from tests.files import tree
 
 posix = pytest.mark.skipif(os.name != "posix", reason="links")
 
@@ -29,14 +29,6 @@ def scene(tmp_path):
     for k, name in enumerate(("colour map.png", "bump.png", "back.png")):
         (folder / "tex" / name).write_bytes(bytes([k]) * 100)
     return folder / "mesh.obj", tmp_path / "out" / "mesh.obj"
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 def expected_beside(source):
