@@ -148,12 +148,17 @@ def work(task, common, on_progress):
 HOARD = []
 
 
+def living_processes():
+    """The process, its parent and its session (numbers) of each that is alive, by /proc."""
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, parent, _, session = path.read_text().rpartition(")")[2].split()[:4]
+            if state not in "ZX":
+                yield int(path.parent.name), int(parent), int(session)
+
+
 def is_running(pid):
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return False
-    return text.rpartition(")")[2].split()[0] not in "ZX"
+    return any(pid == living for living, *_ in living_processes())
 
 
 def are_gone(pids, within_s=2.0):

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,6 @@ from msal_cli import methods
 from msal_cli.batch import dask as dask_engine
 from msal_cli.batch.dask import DaskEngine
 from msal_cli.batch.inputs import discover_inputs
-from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Finished, Started
@@ -27,6 +25,7 @@ from tests.batch import fakes
 from tests.batch.conftest import ROOT
 from tests.batch.test_run import fill, statuses
 from tests.batch.test_whole import obj
+from tests.campaigns import runs
 from tests.cli.scans import msal
 from tests.files import tree
 
@@ -216,15 +215,10 @@ def test_a_signal_keeps_what_is_done(folder, cluster, number, status):
     command = [sys.executable, "-m", "msal_cli", "denoise", "in", "-o", "out", "--engine", "dask"]
     command += ["--scheduler", cluster.scheduler_address, "--set", "iterations=1000"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    manifest = folder / "out" / NAME
     with subprocess.Popen(
         command, stderr=subprocess.PIPE, env=environment, start_new_session=True
     ) as process:
-        deadline = time.monotonic() + 120
-        while time.monotonic() < deadline and process.poll() is None:
-            if manifest.exists() and manifest.read_bytes().count(b'"kind":"done"') >= 4:
-                break
-            time.sleep(0.02)
+        runs.wait_until(lambda: len(runs.noted(folder / "out")) >= 4, process, within_s=120.0)
         process.send_signal(number)
         assert process.wait(timeout=20) == status
         said = process.stderr.read().decode()

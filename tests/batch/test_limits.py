@@ -10,14 +10,12 @@ import sys
 import pytest
 
 from msal_cli.batch import workers
-from msal_cli.batch.inputs import discover_inputs
-from msal_cli.batch.plan import build_plan
-from msal_cli.batch.run import _warn_of_memory, run
+from msal_cli.batch.run import _warn_of_memory
 from msal_cli.batch.schedule import Failed, Retried, Started
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import Limits, Settings
-from tests.batch import fakes
+from msal_cli.job.settings import Limits
+from tests.batch import fakes, test_run
 from tests.batch.fakes import lost, results
 from tests.batch.test_whole import obj
 from tests.cli.scans import msal
@@ -121,13 +119,9 @@ class TestMemory:
 
 def ran(folder, texts, *, in_place=False, backup=".orig", **options):
     (folder / "in").mkdir(exist_ok=True)
-    for name, text in texts.items():
-        (folder / f"in/{name}.ply").write_text(text)
-    output = None if in_place else str(folder / "out")
-    some = discover_inputs([str(folder / "in")], output=output)
-    plan = build_plan(some, output, in_place=in_place,
-                 backup=backup if in_place else None)  # fmt: skip
-    return run(plan, Settings("fake"), denoise=fakes.denoise, **({"jobs": 1} | options))
+    test_run.fill(folder, 0, **texts)
+    plan = test_run.plan_of(folder, in_place=in_place, backup=backup if in_place else None)
+    return test_run.ran(folder, plan=plan, **({"engine": None, "jobs": 1} | options))
 
 
 class TestRun:

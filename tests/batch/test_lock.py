@@ -44,6 +44,10 @@ def holder(tmp_path):
         yield process
 
 
+def unsupported(handle, **how):
+    raise OSError(38, "Function not implemented")
+
+
 def test_the_second_is_told_who_is_first(tmp_path, holder):
     with pytest.raises(UsageError) as caught:
         FolderLock(str(tmp_path))
@@ -67,9 +71,6 @@ class TestWithoutLocks:
 
     @pytest.fixture(autouse=True)
     def no_locks(self, monkeypatch):
-        def unsupported(handle, **how):
-            raise OSError(38, "Function not implemented")
-
         monkeypatch.setattr(lock, "_flock", unsupported)
 
     def test_a_living_holder_counts(self, tmp_path, caplog):
@@ -115,10 +116,6 @@ class TestShards:
             real = lock._flock
             monkeypatch.setattr(lock, "_flock", lambda handle, **how: real(handle))
         elif request.param == "no locks":
-
-            def unsupported(handle, **how):
-                raise OSError(38, "Function not implemented")
-
             monkeypatch.setattr(lock, "_flock", unsupported)
         return request.param
 

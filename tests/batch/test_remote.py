@@ -18,6 +18,7 @@ from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.test_whole import obj
+from tests.files import tree
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 pytestmark = pytest.mark.usefixtures("empty_store")
@@ -140,10 +141,7 @@ def test_odd_names_leave_neither_the_prefix_nor_the_folder(tmp_path):
     assert sorted(outputs()) == sorted(told)
     folder = tmp_path / "deep/out"
     assert {record.status for record in denoised(output=str(folder))} == {"written"}
-    here = [
-        path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.obj") if path.is_file()
-    ]
-    assert sorted(here) == sorted(f"deep/out/{name}" for name in told)
+    assert sorted(tree(tmp_path)) == sorted(f"deep/out/{name}" for name in told)
     assert {record.status for record in denoised(output=str(folder))} == {"up-to-date"}
 
 

@@ -14,7 +14,7 @@ import pytest
 from msal_cli.batch.schedule import TaskQueue
 from msal_cli.batch.workers import describe_exit
 from msal_cli.machine import is_alive, start_time
-from msal_cli.storage.atomic import is_own, sweep, sweep_after, temporary_name
+from msal_cli.storage.atomic import MAX_NAME_BYTES, is_own, sweep, sweep_after, temporary_name
 
 
 def order(schedule, at_once=1):
@@ -98,6 +98,7 @@ def test_names_of_our_own():
     assert is_own(".msal-manifest.jsonl") and is_own(".msal-lock")
     assert not is_own("a.ply") and not is_own(".a.ply") and not is_own("a.msal-1-2.tmp")
     assert temporary_name("a") != temporary_name("a")
+    assert len(os.fsencode(temporary_name("x" * 255))) <= MAX_NAME_BYTES
 
 
 def test_what_the_dead_left_goes(tmp_path, dead):

@@ -35,17 +35,8 @@ def know_strangers():
 
 def children():
     """Living child processes of this one that came with the test."""
-    own = str(os.getpid())
-    found = []
-    for folder in Path("/proc").iterdir():
-        if folder.name.isdigit():
-            try:
-                fields = (folder / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue
-            if fields[1] == own and fields[0] != "Z":
-                found.append(int(folder.name))
-    return [one for one in found if one not in STRANGERS]
+    own = {pid for pid, parent, _ in fakes.living_processes() if parent == os.getpid()}
+    return sorted(own - STRANGERS)
 
 
 def test_every_task_is_done_once_and_workers_are_gone_afterwards():

@@ -9,18 +9,17 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
-import os
 import random
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 from msal_cli.batch.lock import NAME as LOCK
 from msal_cli.batch.manifest import NAME as MANIFEST
 from msal_cli.storage.atomic import is_own
+from tests.batch.fakes import living_processes
 from tests.cli.scans import BAD_SCAN, MSAL, ply_text
 from tests.shapes import noisy, torus
 
@@ -70,19 +69,7 @@ def ended(words, **options):
 
 def session_of(pid):
     """The living processes of the session that process ``pid`` began, itself included."""
-    found = []
-    for entry in os.scandir("/proc"):
-        if not entry.name.isdigit():
-            continue
-        try:
-            state, _, _, session = (
-                Path(entry.path, "stat").read_text().rpartition(")")[2].split()[:4]
-            )
-        except OSError:
-            continue
-        if int(session) == pid and state not in "ZX":
-            found.append(int(entry.name))
-    return found
+    return [child for child, _, session in living_processes() if session == pid]
 
 
 def orphans_of(pid, within_s=2.0):

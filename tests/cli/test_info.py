@@ -111,6 +111,14 @@ def swept(sweep_scans, *options):
     return made.stdout, np.asarray(Image.open(sweep_scans / "g.png"))
 
 
+def compared(sweep_scans, *words):
+    """What a command for a.ply with the output OUT makes, compared with a.ply."""
+    output = sweep_scans / "made.ply"
+    made = msal(*(output if word == "OUT" else word for word in words), "--force")
+    assert made.exit_code == 0, made.stderr
+    return json.loads(msal("compare", sweep_scans / "a.ply", output, "--json").stdout)
+
+
 def test_every_pair_is_a_cell(sweep_scans):
     words, image = swept(sweep_scans)
     assert len(words.splitlines()) == 16 + 3
@@ -131,10 +139,7 @@ def test_the_commands_make_what_the_numbers_say(sweep_scans):
     for cell in data["cells"]:
         command = shlex.split(cell["command"])
         assert command[:2] == ["msal", "denoise"]
-        output = sweep_scans / "made.ply"
-        made = msal(*(str(output) if word == "OUT" else word for word in command[1:]), "--force")
-        assert made.exit_code == 0, made.stderr
-        told = json.loads(msal("compare", sweep_scans / "a.ply", output, "--json").stdout)
+        told = compared(sweep_scans, *command[1:])
         # The file has six decimals.
         moved = pytest.approx(told["displacement"]["mean"], rel=1e-3)
         assert cell["mean_displacement"] == moved
@@ -148,13 +153,7 @@ def test_what_msal_chooses_is_shown_and_the_nearest_is_named(sweep_scans):
     plain, auto = data["choices"]
     assert plain["command"].endswith("-o OUT") and auto["command"].endswith("-o OUT --auto")
     for cell, words in ((plain, ()), (auto, ("--auto",))):
-        made = msal(
-            "denoise", sweep_scans / "a.ply", "-o", sweep_scans / "made.ply", "--force", *words
-        )
-        assert made.exit_code == 0
-        told = json.loads(
-            msal("compare", sweep_scans / "a.ply", sweep_scans / "made.ply", "--json").stdout
-        )
+        told = compared(sweep_scans, "denoise", sweep_scans / "a.ply", "-o", "OUT", *words)
         assert cell["mean_displacement"] == pytest.approx(told["displacement"]["mean"], rel=1e-3)
     risks = {cell["command"]: cell["risk_edges"] for cell in data["cells"] + data["choices"]}
     assert data["nearest"] == min(risks, key=risks.get)
@@ -189,13 +188,7 @@ def test_what_cannot_be_tried_is_said(sweep_scans, monkeypatch, options, said):
 
 
 def test_a_reference_must_have_the_same_faces(sweep_scans):
-    made = msal(
-        "sweep",
-        sweep_scans / "a.ply",
-        "-o",
-        sweep_scans / "g.png",
-        "--reference",
-        sweep_scans / "open.ply",
-    )
+    words = ("sweep", sweep_scans / "a.ply", "-o", sweep_scans / "g.png", "--reference")
+    made = msal(*words, sweep_scans / "open.ply")
     assert made.exit_code == 1
     assert "open.ply" in made.stderr and "same vertices and faces" in made.stderr

@@ -12,6 +12,7 @@ import time
 import pytest
 
 from msal_cli import methods
+from tests.campaigns import runs
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, ply_text, process
 from tests.shapes import noisy, torus
 
@@ -159,24 +160,14 @@ def test_an_output_that_cannot_be_written_is_fatal(tmp_path, command):
 
 def interrupted(arguments, signum, ready, folder):
     """Send a signal once ``ready`` holds; status and standard error."""
-    running = subprocess.Popen(
-        [*MSAL, *map(str, arguments)],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stdin=subprocess.PIPE,
-        cwd=folder,
-        # Tests that run in the background have SIGINT ignored, and so would the child.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
-    try:
-        deadline = time.monotonic() + 60
-        while not ready() and running.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.02)
-        running.send_signal(signum)
-        said = running.communicate(timeout=60)[1].decode()
-    finally:
-        running.kill()
-        running.wait()
+    words = [*MSAL, *map(str, arguments)]
+    with runs.started(words, stdin=subprocess.PIPE, cwd=folder) as running:
+        try:
+            runs.wait_until(ready, running)
+            running.send_signal(signum)
+            said = running.communicate(timeout=60)[1].decode()
+        finally:
+            running.kill()
     return running.returncode, said
 
 

@@ -9,6 +9,7 @@ import pytest
 from msal_cli.cli import report_files
 from msal_cli.errors import UsageError
 from tests.cli.scans import closed_scan, folder_of, msal, open_scan
+from tests.files import tree
 from tests.time_limit import time_limit
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
@@ -160,14 +161,6 @@ def project(tmp_path, monkeypatch):
     return tmp_path
 
 
-def contents(folder):
-    return {
-        path: path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "pipe.csv"
-    }
-
-
 @pytest.mark.parametrize(
     "words",
     [
@@ -185,10 +178,10 @@ def contents(folder):
     ],
 )
 def test_what_would_be_replaced_is_refused_before_any_work(project, words):
-    before = contents(project)
+    before = tree(project, has_own=True)
     made = msal(*words)
     assert made.exit_code == 2, made.stderr
-    assert contents(project) == before
+    assert tree(project, has_own=True) == before
 
 
 def test_a_report_does_not_replace_the_log_of_its_run(project):
@@ -235,10 +228,10 @@ def test_a_found_file_writes_nothing_outside_nor_over_others(project, text, word
     (project / "out").mkdir()
     (project / "out/notes.md").write_text("precious")
     (project / "msal.toml").write_text(f"[denoise]\nmethod = 'al'\n{text}\n")
-    before = contents(project)
+    before = tree(project, has_own=True)
     made = msal("denoise", *words)
     assert (made.exit_code, message in made.stderr) == (2, True), made.stderr
-    assert contents(project) == before
+    assert tree(project, has_own=True) == before
 
 
 @pytest.mark.parametrize("words", [("view", "in/a.ply"), ("sweep", "in/a.ply")])
