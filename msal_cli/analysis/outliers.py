@@ -51,6 +51,10 @@ APART = 6.0
 """Ways of the outliers, in the median, over the noise of all others, from which that is so: those
 of impulsive noise on many vertices are its tail, and a filter that knows of them does better."""
 
+MIN_ALIGNED, ALIGNED_SHARE = 3, 0.5
+"""How many outliers, and what share of them, with exactly the same coordinate are points of a
+design: corners of its long thin faces."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
@@ -149,7 +153,10 @@ class _Search:
             self._move(wrong, mesh.vertices[wrong])
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
-        are_clear = self._are_off_noise(are_certain, count / n_used)
+        are_designed = _count_aligned(mesh.vertices[self.flags]) >= max(
+            MIN_ALIGNED, ALIGNED_SHARE * count
+        )
+        are_clear = not are_designed and self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
     def _are_off_noise(self, are_certain: bool, share: float) -> bool:
@@ -216,3 +223,9 @@ class _Search:
         self.positions[which] = targets
         self.noise = None
         self._score(outliers.mark_two_rings(which, self.mesh.topology))
+
+
+def _count_aligned(points: Floats) -> int:
+    """How many points (k, 3) have the same coordinate along one axis of the file."""
+    counts = [np.unique(points[:, axis], return_counts=True)[1] for axis in range(3)]
+    return max((int(count.max()) for count in counts if len(count)), default=0)

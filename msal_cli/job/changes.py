@@ -163,6 +163,9 @@ def measure(
     harm = harmful_change(before, after, surface, has_volume=not objection)
     if harm is None and known is not None:
         level = max(known.high_edges or 0.0, known.rms_edges or 0.0, known.mean_edges)
+        if known.step_edges:
+            # Steps tell the level exactly, and no vertex was moved by more than half of one.
+            level = known.mean_edges
         ways, change = statistics, surface
         if despiked is not None:
             used = before.topology.has_ring

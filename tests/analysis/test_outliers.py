@@ -108,6 +108,20 @@ def test_outliers_are_found_and_brought_back(shape, level, share):
     assert errors[hits].mean() < 0.25 + level
 
 
+@pytest.mark.parametrize(("spread", "is_clear"), [(0.0, False), (0.1, True)])
+def test_outliers_in_one_plane_of_a_design_are_not_clear(spread, is_clear):
+    mesh = prepare_mesh(*box(20, 20, 20)).mesh
+    vertices, top = mesh.vertices.copy(), mesh.vertices[:, 2].max()
+    rows = np.isin(vertices[:, :2], [-6.0, -2.0, 2.0, 6.0]).all(axis=1)
+    planted = np.flatnonzero(rows & (vertices[:, 2] == top))
+    heights = 2.0 + spread * np.arange(len(planted))
+    vertices[planted, 2] += heights * mesh.mean_edge_length
+    found = find_outliers(mesh.with_vertices(vertices))
+    assert len(planted) == 16
+    assert found.flags[planted].all()
+    assert found.are_clear == is_clear
+
+
 @pytest.mark.parametrize(
     ("kind", "level"),
     [

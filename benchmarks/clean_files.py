@@ -1,0 +1,136 @@
+"""What msal changes on clean files of others, and what it sees once noise is added to them.
+
+    python -m benchmarks.clean_files FOLDER [--most N]
+
+FOLDER holds models that have no noise, in any of the formats.  A file passes if ``msal denoise``
+moves it by less than 0.01 mean edge lengths in the mean and 0.1 at most, and turns its normals by
+less than 0.5 degrees in the mean.  Then noise is added to up to N files, at most ``PER_FOLDER`` of
+a folder, for many are variants of one design.  docs/noise.md has the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import ground_truth, machine
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
+from msal_cli.errors import MsalError
+from msal_cli.mesh import Mesh
+
+MAX_MEAN, MAX_MOVE, MAX_TURN = 0.01, 0.1, 0.5
+"""Mean and largest move, mean edge lengths, and mean angle of the normals, degrees, of a pass."""
+
+MIN_VERTICES, MAX_VERTICES, LARGE = 400, 40_000, 1_500
+"""Vertices of the meshes that get noise, and from which one counts as large."""
+
+PER_FOLDER = 24
+
+SEED = 1
+KINDS = {
+    "clean": None,
+    "white 0.05": AddedNoise("gaussian-normal", 0.05, SEED),
+    "white 0.1": AddedNoise("gaussian-normal", 0.1, SEED),
+    "white 0.25": AddedNoise("gaussian-normal", 0.25, SEED),
+    "shared over 2 rings 0.15": AddedNoise("correlated", 0.15, SEED, rings=2),
+    "view, 1 ring, 0.15": AddedNoise("view", 0.15, SEED, rings=1),
+    "quantised 0.3": AddedNoise("quantised", 0.1, SEED, step=0.3),
+}
+
+
+def read_records(folder: Path, options: list[str]) -> list[dict[str, Any]]:
+    """The records of the files in ``folder`` after ``msal denoise`` with ``options``."""
+    with tempfile.TemporaryDirectory() as target:
+        report = Path(target) / "report.json"
+        command = [sys.executable, "-m", "msal_cli", "denoise", str(folder), "--quiet", *options]
+        command += ["-o", f"{target}/denoised", "--report", str(report)]
+        subprocess.run(command, stderr=subprocess.DEVNULL, check=False)
+        records: list[dict[str, Any]] = json.loads(report.read_text())["records"]
+    return [record for record in records if record["status"] != "failed"]
+
+
+def passes(record: dict[str, Any]) -> bool:
+    """Whether a file is as it was, or nearly so."""
+    if record["status"] == "unchanged":
+        return True
+    moves, turn = record["displacement"], record["normal_change"]["mean_deg"]
+    is_still = moves["mean_edges"] < MAX_MEAN and moves["max_edges"] < MAX_MOVE
+    return is_still and turn < MAX_TURN
+
+
+def write_changes(label: str, records: list[dict[str, Any]]) -> str:
+    """How many files passed, and what happened to the others."""
+    failed = [record for record in records if not passes(record)]
+    lines = [f"{label}: {len(records) - len(failed):,} of {len(records):,} files pass"]
+    for record in failed:
+        moves, noise = record["displacement"], record["noise_estimate"]
+        lines.append(
+            f"    {Path(record['input']).name}: moves {moves['mean_edges']:.3f} e, at most "
+            f"{moves['max_edges']:.2g} e, normals {record['normal_change']['mean_deg']:.1f} "
+            f"degrees; {record['choice']['reason']} ({noise['kind']})"
+        )
+    return "\n".join(lines)
+
+
+def meshes(folder: Path, most: int) -> Iterator[Mesh]:
+    """Up to ``most`` meshes in ``folder`` that are neither small nor large."""
+    counts: Counter[Path] = Counter()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        if counts[path.parent] >= PER_FOLDER or counts.total() >= most:
+            continue
+        try:
+            mesh = ground_truth.opened(path)
+        except (MsalError, ValueError):
+            continue
+        if MIN_VERTICES <= np.count_nonzero(mesh.topology.has_ring) <= MAX_VERTICES:
+            counts[path.parent] += 1
+            yield mesh
+
+
+def write_estimates(found: list[tuple[str, bool, NoiseLevel]]) -> str:
+    """How many meshes are said to have noise, by what was added and by size."""
+    lines = ["| added, e | small | large | unsure | kinds |", "|---|--:|--:|--:|---|"]
+    for kind in KINDS:
+        among = [(is_large, noise) for name, is_large, noise in found if name == kind]
+        cells = []
+        for size in (False, True):
+            noisy = [not noise.is_negligible for is_large, noise in among if is_large == size]
+            cells.append(f"{np.mean(noisy):.1%} of {len(noisy)}" if noisy else "-")
+        unsure = np.mean([noise.is_unsure for _, noise in among])
+        kinds = Counter(noise.character.kind for _, noise in among).most_common(3)
+        words = ", ".join(f"{name} {count}" for name, count in kinds)
+        lines.append(f"| {kind} | {cells[0]} | {cells[1]} | {unsure:.0%} | {words} |")
+    return "\n".join(lines)
+
+
+def main(words: list[str] | None = None) -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--most", type=int, default=1_000)
+    arguments = parser.parse_args(words)
+    print(machine.line(), end="\n\n")
+    for label, options in (("plain command", []), ("--auto", ["--auto"])):
+        print(write_changes(label, read_records(arguments.folder, options)), end="\n\n")
+    found = [
+        (kind, len(mesh.vertices) >= LARGE, estimate_noise(noisy))
+        for mesh in meshes(arguments.folder, arguments.most)
+        for kind, noise in KINDS.items()
+        for noisy in [mesh if noise is None else mesh.with_vertices(add_noise(mesh, noise))]
+    ]
+    print(write_estimates(found))
+
+
+if __name__ == "__main__":
+    np.seterr(all="ignore")
+    main()
