@@ -77,6 +77,9 @@ MARGIN = 0.15
 usual one: one probe scatters by 0.1, and what the learned filter makes is not the truth."""
 
 
+MILD = 3
+"""How many of the linear filters are tried on white noise: wider ones blur."""
+
 STRONG = 0.25
 """Mean edge lengths of noise from which ``--auto`` comes much nearer to the truth on any
 surface."""
@@ -172,15 +175,17 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
     runs = CandidateRuns(part, model, count, edges)
     is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
     is_rough = not is_drawn and surface_kind(runs.result(ROBUST_LEARNED)) == TEXTURED
-    candidates = _candidates(case, noise, is_drawn)
+    candidates = _candidates(case, noise, is_unsure, is_drawn)
     total = len(candidates) * (2 if is_drawn else 1) + 1
-    shares = np.ones(len(candidates))
+    shares, weights = np.ones(len(candidates)), np.ones((1, len(candidates)))
     judge: SteinRisk | None = None
     if is_drawn:
         judge = runs.by_stein(candidates, runs.result(candidates[0]).vertices, PROBES)
         risk = judge.risk()
         places, tilts = risk.log_errors(FLOOR)
         errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * model.height(part.judged)
+        if case.levels:
+            places, tilts, weights = _rate_by_level(case, part, judge, model)
     else:
         pilots = [ROBUST_LEARNED, LINEAR[0]] if is_rough else [ROBUST_LEARNED]
         true = runs.positions(pilots, np.full(len(pilots), 1.0 / len(pilots)))
@@ -201,9 +206,9 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
         return _keep_input(noise, f"{what}; every setting would add more error than it takes away")
     errors = errors / mesh.mean_edge_length
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
-    weights = np.ones(1) if judge is None else _weights(case, part, judge, order[0])
+    best = order[0]
     choice = _build_choice(
-        case, noise, what, candidates[order[0]], weights, float(shares[order[0]])
+        case, noise, what, candidates[best], weights[:, best], float(shares[best])
     )
     return dataclasses.replace(
         choice,
@@ -231,20 +236,35 @@ def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
     return forecast_seconds(n_vertices)
 
 
-def _weights(case: _Case, part: Part, judge: SteinRisk, at: int) -> Floats:
-    """How much of a setting is best at each level of local noise, by Stein's lemma."""
-    weights = []
-    for judged in level_masks(part, case.local, case.levels) if case.levels else ():
+def _rate_by_level(
+    case: _Case, part: Part, judge: SteinRisk, model: NoiseModel
+) -> tuple[Floats, Floats, Floats]:
+    """Logarithms of the squared errors of positions and slopes of every setting (k,), with as much
+    of it as is best at each level of local noise; and these weights (levels, k)."""
+    squares, rows, total = [], [], 0.0
+    for judged in level_masks(part, case.local, case.levels):
+        risk = judge.risk(judged)
+        moved = np.maximum(np.diag(risk.positions.gram), FLOOR)
+        row = np.clip(risk.positions.gain / moved, 0.0, 1.0).round(2)
         if judged.sum() < MIN_JUDGED:
-            weights.append(1.0)
-            continue
-        some = judge.risk(judged).of([at]).positions
-        best = float(some.gain[0] / max(some.gram[0, 0], FLOOR))
-        weights.append(round(min(max(best, 0.0), 1.0), 2))
-    return np.array(weights) if any(weights) else np.ones(1)
+            row = np.ones_like(row)
+        energy = float(judged.sum()) * model.variance(judged)
+        total += energy
+        rows.append(row)
+        squares.append(
+            [
+                energy * (1.0 - 2.0 * row * part_risk.gain + row**2 * np.diag(part_risk.gram))
+                for part_risk in (risk.positions, risk.slopes)
+            ]
+        )
+    places, tilts = np.log(np.maximum(np.sum(squares, axis=0) / total, FLOOR))
+    weights = np.array(rows)
+    # A setting that is best nowhere is taken as a whole, and its error says so.
+    weights[:, ~weights.any(axis=0)] = 1.0
+    return places, tilts, weights
 
 
-def _candidates(case: _Case, noise: NoiseLevel, is_drawn: bool) -> list[Candidate]:
+def _candidates(case: _Case, noise: NoiseLevel, is_unsure: bool, is_drawn: bool) -> list[Candidate]:
     """What is tried, the usual one first; with trust, and where weak noise may be relief, only what
     has a data term."""
     mesh = case.mesh
@@ -253,10 +273,11 @@ def _candidates(case: _Case, noise: NoiseLevel, is_drawn: bool) -> list[Candidat
     if mesh.trust is not None or (not is_drawn and is_like_relief and case.edges < WEAK):
         return found
     found.append(SINGLE_SWEEP)
-    if is_drawn:
+    if is_unsure or (is_drawn and case.edges < WEAK):
         return found
     is_small = len(mesh.vertices) <= SMALL
-    return found + [candidate for candidate in LINEAR if is_small or candidate.cost <= MAX_COST]
+    linear = LINEAR[:MILD] if is_drawn else LINEAR
+    return found + [candidate for candidate in linear if is_small or candidate.cost <= MAX_COST]
 
 
 def _keep_input(noise: NoiseLevel, why: str) -> Choice:
