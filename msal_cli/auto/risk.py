@@ -350,10 +350,10 @@ RELAX = 2
 """Passes that even out triangles where noise is in all directions: more hardly help, and move
 vertices from their places."""
 
-MIN_LEFT, MAX_LEFT = 0.32, 0.7
+MIN_LEFT, MAX_LEFT = 0.32, 0.8
 """Bounds of the squared error of evened triangles by Stein's lemma, in parts of the noise.  It is
-0.42 to 0.6 where noise is in all directions.  Less says that it is only along the normals, and more
-that the triangles are uneven by themselves."""
+0.42 to 0.66 where noise is in all directions.  Less says that it is only along the normals, where
+it is 0.93 and more, or that the triangles are uneven by themselves."""
 
 RELAX_PATCH = 4_000
 """Vertices on which that is judged."""
