@@ -42,7 +42,7 @@ from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
 from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
 from msal_cli.auto.search import forecast_seconds
 from msal_cli.auto.wishes import FAMILY, NONE, Choice
-from msal_cli.methods._triangles import even_out
+from msal_cli.methods._sliding import even_out
 
 if TYPE_CHECKING:
     from msal_cli.auto.wishes import OnStep

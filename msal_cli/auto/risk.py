@@ -39,7 +39,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED
 from msal_cli.auto.noise_model import ISOTROPIC, build_model
 from msal_cli.auto.sample_patch import select_patch
-from msal_cli.methods._triangles import even_out
+from msal_cli.methods._sliding import even_out
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

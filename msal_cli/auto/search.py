@@ -77,7 +77,7 @@ from msal_cli.auto.sample_patch import (
 )
 from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.mesh import Mesh
-from msal_cli.methods._triangles import even_out
+from msal_cli.methods._sliding import even_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The sideways motion of vertices that are fitted to normals: kept, or undone."""
+"""Motion within the surface: that of a fit to normals undone, and triangles evened out."""
 
 from __future__ import annotations
 
@@ -90,3 +90,32 @@ def measure_second_umbrella(mesh: Mesh) -> tuple[float, float]:
         return 0.0, 0.0
     # Medians of |x| and of the length of (x, y) for standard normal numbers.
     return median(np.abs(along[inner])) / 0.6745, median(across[inner]) / 1.1774
+
+
+EVEN_STEP = 0.5
+"""Share of the way to the mean of the neighbours, within the surface."""
+
+EVEN_MOLLIFY = 3
+"""Passes that average the normals of the tangent planes."""
+
+
+def even_out(mesh: Mesh, passes: int) -> Mesh:
+    """The mesh with each vertex ``passes`` times half of the way to the mean of its one-ring,
+    within the tangent plane of its averaged normal.
+
+    Noise in all directions makes jagged triangles, across which normals err whatever the heights
+    are.  Heights along the normal stay as they are, and so do vertices at open edges.
+    """
+    from msal_cli.kernels.geometry import slide
+
+    if not passes:
+        return mesh
+    links = mesh.topology
+    normals = mesh.vertex_normals("uniform", EVEN_MOLLIFY)
+    free = links.has_ring & ~links.boundary
+    if mesh.fixed_vertices is not None:
+        free &= ~mesh.fixed_vertices
+    positions = mesh.vertices
+    for _ in range(passes):
+        positions = slide(positions, normals, free, EVEN_STEP, *links.one_ring)
+    return mesh.with_vertices(positions)

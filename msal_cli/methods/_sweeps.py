@@ -1,4 +1,4 @@
-"""What the methods of equation (2) share: their parameters, the schedule, and the run."""
+"""What the methods of equation (2) share: parameters, operators, the schedule, and the run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.operators import AnisotropicLaplacian, Operator
+from msal_cli.kernels.operators import (
+    DEVIATIONS,
+    WEIGHTS,
+    AnisotropicLaplacian,
+    Operator,
+    RobustLaplacian,
+)
 from msal_cli.kernels.sweeps import (
     Constant,
     Multiscale,
@@ -284,3 +290,42 @@ def _restore(
     pull = found.returned if mesh.trust is None else mesh.trust * found.returned
     share = found.share if mesh.trust is None else mesh.trust * found.share
     return SweepResult(move_back(smooth, normals, pull), share)
+
+
+@dataclass(frozen=True)
+class HeightParameters(NormalParameters):
+    """Parameters of the anisotropic Laplacian and its variants."""
+
+    weights: str = parameter(
+        "gauss",
+        "how the weight of a neighbour falls with its height: to nothing at a height (tukey), "
+        "to almost nothing (gauss), slowly (lorentz, huber), or not at all (none)",
+        choices=WEIGHTS,
+    )
+    deviation: str = parameter(
+        "mean",
+        "scale of the heights: 2 mean or 1.4826 median absolute deviations; the median keeps "
+        "sharper edges under weak noise, and leaves strong noise in place",
+        choices=DEVIATIONS,
+    )
+
+
+def height_operator(
+    mesh: Mesh, parameters: HeightParameters, scaling: str = "none", time_step: float = 0.0
+) -> Operator:
+    """The operator of eq. (5) with the chosen weights and scales.
+
+    ``scaling`` is that of section 4.3, with ``time_step`` in squared file units.
+    """
+    chosen = (parameters.weights, parameters.deviation, scaling)
+    if chosen == ("gauss", "mean", "none"):
+        return anisotropic_laplacian(mesh, parameters)
+    return RobustLaplacian(
+        mesh.vertex_normals(parameters.normals, parameters.mollify),
+        mesh.faces,
+        mesh.topology,
+        free_vertices(mesh, parameters.boundary),
+        mesh.mean_edge_length,
+        *chosen,
+        time_step,
+    )

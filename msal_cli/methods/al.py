@@ -43,8 +43,7 @@ from dataclasses import dataclass
 from msal_cli.kernels.operators import SCALINGS
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._heights import HeightParameters, height_operator
-from msal_cli.methods._sweeps import ScheduledParameters, run
+from msal_cli.methods._sweeps import HeightParameters, ScheduledParameters, height_operator, run
 
 
 @dataclass(frozen=True)

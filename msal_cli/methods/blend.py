@@ -42,7 +42,7 @@ from msal_cli.analysis.noise_estimate import local_levels
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
-from msal_cli.methods._triangles import even_out
+from msal_cli.methods._sliding import even_out
 
 BYTES_PER_FACE = 875
 """Memory with ``learned``, the member that needs most; see ``Method``."""

@@ -39,10 +39,11 @@ from dataclasses import dataclass
 from msal_cli.kernels.sweeps import Multiscale, Schedule, Wiener
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._heights import HeightParameters, height_operator
 from msal_cli.methods._sweeps import (
+    HeightParameters,
     ScheduleTraits,
     caution_parameter,
+    height_operator,
     noise_parameter,
     quantile_parameter,
     run,

@@ -16,7 +16,7 @@ from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Settings, method_bytes_per_face
 from msal_cli.mesh import prepare_mesh
-from msal_cli.methods._triangles import even_out
+from msal_cli.methods._sliding import even_out
 from msal_cli.methods.blend import (
     KEPT_PER_FACE,
     MAX_MEMBERS,
