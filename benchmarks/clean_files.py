@@ -11,6 +11,7 @@ a folder, for many are variants of one design.  docs/noise.md has the figures.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import subprocess
 import sys
@@ -24,7 +25,7 @@ import numpy as np
 
 from benchmarks import ground_truth, machine
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.errors import MsalError
 from msal_cli.mesh import Mesh
 
@@ -113,8 +114,31 @@ def write_estimates(found: list[tuple[str, bool, NoiseLevel]]) -> str:
     return "\n".join(lines)
 
 
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97, 1.01)
+"""Bounds of the probabilities that are counted together."""
+
+
+def write_calibration(found: list[tuple[str, bool, NoiseLevel]]) -> str:
+    """How often there is noise, by the probability that is said, with clean meshes as frequent as
+    all others together."""
+    lines = ["| probability of noise | cases | noisy |", "|---|--:|--:|"]
+    said = [
+        (reading.probability, kind == "clean")
+        for kind, _, noise in found
+        for reading in noise.readings
+        if reading.kind == NOISE
+    ]
+    for low, high in itertools.pairwise(BINS):
+        among = [is_clean for probability, is_clean in said if low <= probability < high]
+        n_clean = sum(among)
+        noisy = (len(among) - n_clean) / (len(KINDS) - 1)
+        share = f"{noisy / (noisy + n_clean):.0%}" if among else "-"
+        lines.append(f"| {low:g} to {min(high, 1.0):g} | {len(among)} | {share} |")
+    return "\n".join(lines)
+
+
 def main(words: list[str] | None = None) -> None:
-    """Print both tables."""
+    """Print all tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--most", type=int, default=1_000)
@@ -128,7 +152,7 @@ def main(words: list[str] | None = None) -> None:
         for kind, noise in KINDS.items()
         for noisy in [mesh if noise is None else mesh.with_vertices(add_noise(mesh, noise))]
     ]
-    print(write_estimates(found))
+    print(f"{write_estimates(found)}\n\n{write_calibration(found)}")
 
 
 if __name__ == "__main__":

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
-from benchmarks import auto_seconds, batch, large_file, measured, small_file, stages
+from benchmarks import auto_seconds, batch, clean_files, large_file, measured, small_file, stages
 
 PEER = ["--peers", "meshio_mean", "--peers-python", sys.executable]
 
@@ -30,6 +31,7 @@ def test_a_run_is_measured():
     assert "nonsuch" in measured.run(["nonsuch"], is_pinned=False).fault
 
 
+SAMPLES = Path(__file__).resolve().parents[1] / "sample_meshes"
 ONE_RUN = ["--repeats", "1", "--folder", "."]
 SCRIPTS = {
     large_file: (
@@ -55,6 +57,10 @@ SCRIPTS = {
         [r".*6 scans.*", r"\| \*\*msal\*\* \| \d.*"]
         + [r"\| meshio and numpy \| \d.* \| 6 files \|"]
         + [r"\| meshio and numpy, a process per file \| \d.* \| 1 files \|"],
+    ),
+    clean_files: (
+        [str(SAMPLES), "--most", "1"],
+        [r"plain command: 8 of 16 files pass", r"\| clean \| .*", r"\| 0\.97 to 1 \| .*"],
     ),
 }
 """By script its options, and lines that it prints."""
