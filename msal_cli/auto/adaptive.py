@@ -196,10 +196,17 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
         # What is farther from the truth than the input, in either measure, would be harm.
         scores = np.where(np.maximum(places, tilts) > 0.0, np.inf, scores)
     if judge is not None and is_unsure:
-        gram = np.diag(risk.positions.gram)
-        shares = np.array([hedge(*pair) for pair in zip(risk.positions.gain, gram, strict=True)])
-        if_noise = 1.0 - 2.0 * shares * risk.positions.gain + shares**2 * gram
-        scores = np.log(np.maximum(np.maximum(if_noise, shares**2 * gram), FLOOR))
+        measures = (risk.positions, risk.slopes)
+        shares = np.min(
+            [
+                [hedge(*pair) for pair in zip(some.gain, np.diag(some.gram), strict=True)]
+                for some in measures
+            ],
+            axis=0,
+        )
+        moved = shares**2 * np.diag(risk.positions.gram)
+        if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
+        scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
     scores[0] -= MARGIN
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:

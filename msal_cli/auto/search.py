@@ -287,13 +287,6 @@ class _Search:
                 row[kept] = np.where(some >= MIN_WEIGHT, some, 0.0)
         return rows
 
-    def _hedge(self, risks: Sequence[Risk], weights: Floats) -> float:
-        """The share of a blend that is not much worse if there is only texture."""
-        counted = [risk.positions for risk in risks if risk.importance > 0.0]
-        gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
-        moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
-        return hedge(gain, moved)
-
     def _strengthen(
         self, study: CandidateRuns, members: Sequence[Candidate], rows: Floats, strength: float
     ) -> tuple[list[Candidate], Floats]:
@@ -442,7 +435,7 @@ class _Search:
         risks = _risks(judges)
         weights = self._settle(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
-        share = wished_share(self.wishes) * (self._hedge(risks, weights) if self.is_unsure else 1.0)
+        share = wished_share(self.wishes) * (_hedge(risks, weights) if self.is_unsure else 1.0)
         # Only the smooth shape is wanted: farther, whatever the filters make of more noise.
         strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
         is_strengthened = strength > 0.0 and bool(rows.any())
@@ -487,6 +480,17 @@ class _Search:
     def _finish(self) -> None:
         if self._on_step is not None:
             self._on_step(self._total, self._total)
+
+
+def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
+    """The share of a blend that is not much worse if there is only texture, in either measure."""
+    shares = []
+    for measure in ("positions", "slopes"):
+        counted = [getattr(risk, measure) for risk in risks if risk.importance > 0.0]
+        gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
+        moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
+        shares.append(hedge(gain, moved))
+    return min(shares)
 
 
 def _risks(

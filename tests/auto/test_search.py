@@ -17,6 +17,7 @@ from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import NONE, Wishes, search
 from msal_cli.auto.candidates import CANDIDATES
+from msal_cli.auto.risk import Quadratic, Risk
 from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -430,3 +431,10 @@ def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
     choice = chosen(mesh, budget=1.05, strength=1.0)
     assert choice.method == "al" and choice.tried == left.tried
     assert choice.parameters["noise"] > 1.15 * estimate_noise(mesh).mean_edges
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_hedge_is_the_smaller_share_of_positions_and_slopes(order):
+    mild, strong = Quadratic(np.eye(1), np.ones(1)), Quadratic(4.0 * np.eye(1), 2.0 * np.ones(1))
+    risk = Risk(*(mild, strong)[::order], drift=np.zeros(1))
+    assert search._hedge([risk], np.ones(1)) == 0.25
