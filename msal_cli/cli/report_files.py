@@ -89,12 +89,18 @@ def write(
     without_pictures : leave them out of pages, where a run is to end soon.
     quiet : show no bar while pictures are made.
     """
-    if not names:
-        return
     first: OutputError | None = None
     # Pages take longest: after Ctrl-C the other reports are there.
     pages = {name for name in names if name.lower().endswith(".html")}
+    pictures: Gallery | None = None
     for name in sorted(names, key=pages.__contains__):
+        if name in pages and pictures is None and not without_pictures:
+            from msal_cli.cli import progress
+            from msal_cli.report.gallery import build_gallery
+
+            backup = DEFAULT_BACKUP if backup is None else backup
+            with progress.picture_bar(quiet=quiet) as on_file:
+                pictures = build_gallery(records, backup=backup, on_file=on_file)
         try:
             if is_step_summary(name):
                 _append_to_summary(name, run, records)
@@ -102,10 +108,7 @@ def write(
             if name in pages:
                 from msal_cli.report import html
 
-                pictures = html.EMPTY_GALLERY
-                if not without_pictures:
-                    pictures = _draw_pictures(name, records, backup, quiet)
-                data = html.render(run, records, pictures)
+                data = html.render(run, records, pictures or html.EMPTY_GALLERY)
             else:
                 data = report.writer(name, has_all_columns=csv_columns == "all")(run, records)
             # A signal must not leave a temporary file, which no later run would remove.
@@ -115,33 +118,6 @@ def write(
             first = first or error
     if first is not None:
         raise first
-
-
-def _draw_pictures(
-    page: str, records: Sequence[MeshRecord], backup: str | None, quiet: bool
-) -> Gallery:
-    """The pictures of a page; they are kept beside a local one for the next time."""
-    import time
-
-    from msal_cli.cli import progress
-    from msal_cli.report import gallery
-    from msal_cli.report.facts import format_count, seconds_text
-
-    begun = time.monotonic()
-    archive = "" if is_url(page) else gallery.cache_path(page)
-    cache = gallery.PictureCache(archive)
-    backup = DEFAULT_BACKUP if backup is None else backup
-    with progress.picture_bar(quiet=quiet) as on_file:
-        pictures = gallery.build_gallery(records, backup=backup, on_file=on_file, cache=cache)
-    if cache.n_drawn and not quiet:
-        files = format_count(cache.n_drawn, "file")
-        console.say(f"pictures of {files} in {seconds_text(time.monotonic() - begun)}")
-    data = cache.to_bytes() if archive else None
-    if data is not None:
-        # It saves time, and no page is worth less without it.
-        with suppress(OutputError), interrupts.catch_signals(interrupts.raise_for):
-            write_output(archive, data)
-    return pictures
 
 
 _LOG_LINE = rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} "

@@ -8,13 +8,11 @@ the worst files come first, and what the bounds cost is said on the page.
 from __future__ import annotations
 
 import hashlib
-import io
 import logging
 import math
 import os
 import statistics
 import time
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -29,10 +27,9 @@ from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
-from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
 from msal_cli.view.colours import coloured_surface_of
-from msal_cli.view.panels import jpeg_bytes, png_bytes
+from msal_cli.view.panels import jpeg_bytes
 from msal_cli.view.scene import encode_scene
 from msal_cli.view.shading import Image, Style, shade
 
@@ -44,73 +41,6 @@ _SHADES = 24
 _STANDARD_RANGE = 0.5
 # Below this, in mean edge lengths, nothing moved but the last digits.
 _ROUNDING_EDGES = 1e-9
-
-_MAX_CACHE_BYTES = 64_000_000
-"""A larger file is no cache."""
-
-_CACHED_NAMES = ("before.jpg", "after.jpg", "deviation.jpg", "scene.html")
-
-
-def cache_path(report: str) -> str:
-    """The archive of a page's pictures; a hidden file beside it."""
-    folder, name = os.path.split(report)
-    return os.path.join(folder, f".{name}.pictures.zip")
-
-
-class PictureCache:
-    """Pictures of an earlier page, kept in an archive beside it: a rerun draws only new ones.
-
-    They are found by hashes of the input, of the output and of how they are drawn: a file that is
-    denoised again with another result gets other pictures.  What is not found or added is dropped.
-    """
-
-    def __init__(self, path: str = "") -> None:
-        self.n_drawn = 0
-        self._old: dict[str, bytes] = {}
-        self._new: dict[str, bytes] = {}
-        try:
-            if path and os.path.getsize(path) <= _MAX_CACHE_BYTES:
-                with zipfile.ZipFile(path) as archive:
-                    self._old = {name: archive.read(name) for name in archive.namelist()}
-        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError):
-            self._old = {}
-
-    def find(self, key: str) -> tuple[Pictures, str] | None:
-        """The pictures and the scene (empty if there is none) of a key."""
-        names = [f"{key}/{name}" for name in _CACHED_NAMES]
-        before, after, deviation, scene = parts = [self._old.get(name, b"") for name in names]
-        if not key or not before:
-            return None
-        self._new |= dict(zip(names, parts, strict=True))
-        return Pictures(before, after, deviation or None), scene.decode()
-
-    def add(self, key: str, drawn: Pictures, scene: str) -> None:
-        """Keep new pictures."""
-        self.n_drawn += 1
-        for name, part in zip(_CACHED_NAMES, (*drawn, scene.encode()), strict=True):
-            if key:
-                self._new[f"{key}/{name}"] = part or b""
-
-    def to_bytes(self) -> bytes | None:
-        """The archive; None if it is as it was."""
-        if self._new == self._old:
-            return None
-        buffer = io.BytesIO()
-        with zipfile.ZipFile(buffer, "w") as archive:
-            for name, data in self._new.items():
-                # Without the time, the same pictures are the same bytes.
-                archive.writestr(zipfile.ZipInfo(name), data)
-        return buffer.getvalue()
-
-
-def _picture_key(record: MeshRecord, reach: float, scene: str) -> str:
-    """The key of a file's pictures; empty where its bytes are not known.  ``scene`` is the name
-    of its scene on the page, or empty."""
-    if record.input_sha256 is None or record.output_sha256 is None:
-        return ""
-    drawn = (__version__, record.input_sha256, record.output_sha256, f"{reach:g}")
-    shown = (record.input, scene) if scene else ()
-    return hashlib.sha256("\0".join((*drawn, *shown)).encode("utf-8", "replace")).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -126,24 +56,25 @@ class Bounds:
     faces: int = 1_000_000
     scenes: int = 5
     scene_faces: int = 100_000
-    picture_bytes: int = 18_000_000
+    picture_bytes: int = 14_000_000
+
+
+BOUNDS = Bounds()
 
 
 def build_gallery(
     records: Sequence[MeshRecord],
     *,
     backup: str = DEFAULT_BACKUP,
-    bounds: Bounds | None = None,
+    bounds: Bounds = BOUNDS,
     on_file: Callable[[int, int], None] | None = None,
-    cache: PictureCache | None = None,
 ) -> Gallery:
     """Pictures of as many files as the bounds allow, and scenes of the worst.
 
     Never raises for a file's fault.  ``backup`` is the suffix of the originals of files that were
     denoised in place.  ``on_file`` is called before each file with the number of those done
-    and of all.  What ``cache`` has is not drawn again.
+    and of all.
     """
-    bounds, cache = bounds or Bounds(), cache or PictureCache()
     numbers = {id(record): at for at, record in enumerate(records)}
     reach = _reach(records)
     end = time.monotonic() + bounds.seconds
@@ -161,28 +92,25 @@ def build_gallery(
     for done, record in enumerate(candidates):
         if on_file is not None:
             on_file(done, len(candidates))
+        is_over = time.monotonic() > end or n_bytes > bounds.picture_bytes
+        if is_over or (record.triangles or record.faces or 0) > bounds.faces:
+            n_left += 1
+            continue
         at = numbers[id(record)]
-        scene_key = f"scene{at}" if len(scenes) < bounds.scenes else ""
-        key = _picture_key(record, reach, scene_key)
-        drawn = cache.find(key) if n_bytes <= bounds.picture_bytes else None
+        key = f"scene{at}" if len(scenes) < bounds.scenes else ""
+        try:
+            drawn = _draw(record, backup, bounds, reach, key)
+        except Exception:
+            # A picture is an extra: whatever keeps it from being made keeps back no report.
+            log.info("%s: no picture", record.input, exc_info=True)
+            continue
         if drawn is None:
-            is_over = time.monotonic() > end or n_bytes > bounds.picture_bytes
-            if is_over or (record.triangles or record.faces or 0) > bounds.faces:
-                n_left += 1
-                continue
-            try:
-                drawn = _draw(record, backup, bounds, reach, scene_key)
-            except Exception:
-                # A picture is an extra: whatever keeps it from being made keeps back no report.
-                log.info("%s: no picture", record.input, exc_info=True)
-            if drawn is None:
-                continue
-            cache.add(key, *drawn)
+            continue
         images[at], scene = drawn
+        n_bytes += sum(len(part or b"") for part in images[at])
         if scene:
             scenes[at] = scene
             is_decimated |= (record.triangles or 0) > bounds.scene_faces
-        n_bytes += sum(len(part or b"") for part in images[at])
     remarks = []
     if n_left:
         remarks.append(
@@ -195,14 +123,7 @@ def build_gallery(
             f"In 3D, meshes of more than {bounds.scene_faces:,} faces are decimated; the figures "
             "are those of the full meshes."
         )
-    return Gallery(
-        pictures=images,
-        scenes=scenes,
-        legend=_draw_legend(reach),
-        script=viewer.script() if scenes else "",
-        style=viewer.style() if scenes else "",
-        remarks=tuple(remarks),
-    )
+    return Gallery(images, scenes, _draw_legend(reach), tuple(remarks))
 
 
 def _draw(
@@ -249,8 +170,7 @@ def _draw(
         colours=scene.colours,
         max_faces=bounds.scene_faces,
     )
-    max_colours = None if scene.painted(1) is None else 256
-    poster = png_bytes(image(scene.after, scene.painted(1), "paint", _POSTER), max_colours)
+    poster = jpeg_bytes(image(scene.after, scene.painted(1), "paint", _POSTER))
     name = f"{record.input}, after"
     return shown, viewer.embed_scene(key, data, picture=poster, description=name, starts="click")
 

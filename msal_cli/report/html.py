@@ -1,8 +1,7 @@
 """The HTML report: one page for a whole run, which needs no network and no other file.
 
 Totals, what failed, histograms, the worst files in 3D, and a table of all files with their pictures
-that can be sorted and filtered.  The page stays below ``MAX_BYTES``: pictures of the files that
-are not among the worst are left out first, then scenes, and the page says so.
+that can be sorted and filtered.
 
 A content security policy lets the browser run only the scripts and the styles that were written
 here, and load nothing.  What comes from outside, names of files mostly, is escaped in two places:
@@ -43,10 +42,8 @@ from msal_cli.report.facts import (
     total_facts,
     worst_first,
 )
+from msal_cli.view import viewer
 from msal_cli.view.viewer import asset, content_policy, escape, to_base64
-
-MAX_BYTES = 25_000_000
-"""Bytes of the largest page, as far as the figures of the files alone leave room."""
 
 STATIC_ROWS = 100
 """Rows in the page itself, for readers without scripts."""
@@ -67,7 +64,7 @@ class Pictures(NamedTuple):
 class Gallery:
     """Pictures and scenes by the number of the record, as far as there are any.
 
-    ``scenes`` are elements of HTML, which ``script`` (behind them) and ``style`` bring to life;
+    ``scenes`` are elements of ``viewer.embed_scene``;
     ``legend`` are elements that say what the colours of all deviations mean.
     ``remarks`` say in words what was left out, and why.
     """
@@ -75,8 +72,6 @@ class Gallery:
     pictures: Mapping[int, Pictures] = field(default_factory=dict)
     scenes: Mapping[int, str] = field(default_factory=dict)
     legend: str = ""
-    script: str = ""
-    style: str = ""
     remarks: tuple[str, ...] = ()
 
 
@@ -86,33 +81,15 @@ Column = dict[str, str]
 Row = dict[str, Any]
 
 
-def render(
-    run: Run,
-    records: Sequence[MeshRecord],
-    gallery: Gallery = EMPTY_GALLERY,
-    *,
-    max_bytes: int = MAX_BYTES,
-) -> bytes:
+def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GALLERY) -> bytes:
     """The page as UTF-8."""
     numbers = {id(record): at for at, record in enumerate(records)}
     worst = worst_first(records)
     order = [numbers[id(record)] for record in worst]
     columns, data = build_table(worst)
-    rows = _json(data)
-    static = "".join(_static_row(columns, row) for row in data[:STATIC_ROWS])
-    # What surrounds it takes some 50 kB.
-    room = max_bytes - len(rows) - len(static) - 200_000 - len(gallery.script)
-    scenes = _fit_scenes(order, gallery.scenes, room // 2)
-    room -= sum(map(len, scenes.values()))
-    pictures, n_dropped = _fit_pictures(order, gallery.pictures, room)
-    remarks = list(gallery.remarks)
-    if n_dropped:
-        remarks.append(
-            f"Pictures of {n_dropped:,} files that are not among the worst were left out, "
-            f"to keep this page below {max_bytes / 1e6:.0f} MB."
-        )
-    scripts = ([gallery.script] if scenes else []) + [asset(__file__, "report.js")]
-    styles = ([gallery.style] if scenes else []) + [asset(__file__, "report.css")]
+    pictures = [_pictures(gallery.pictures.get(at)) for at in order]
+    scripts = ([viewer.script()] if gallery.scenes else []) + [asset(__file__, "report.js")]
+    styles = ([viewer.style()] if gallery.scenes else []) + [asset(__file__, "report.css")]
     n_more = len(records) - STATIC_ROWS
     beyond = f'<noscript><p class="note">{n_more:,} more need scripts.</p></noscript>'
     sums = totals(records)
@@ -129,17 +106,17 @@ def render(
         ),
         problems=_problems(worst),
         histograms=_histograms(records),
-        scenes=_scenes([(records[at], scenes[at]) for at in order if at in scenes]),
+        scenes=_scenes([(records[at], gallery.scenes[at]) for at in order if at in gallery.scenes]),
         columns=_json(columns),
         heads="".join(map(_head, columns)),
-        static=static,
+        static="".join(_static_row(columns, row) for row in data[:STATIC_ROWS]),
         beyond=beyond if n_more > 0 else "",
         words=escape(ORDER_TEXT),
-        scale=gallery.legend if pictures else "",
-        remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in remarks),
+        scale=gallery.legend if gallery.pictures else "",
+        remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in gallery.remarks),
         settings=_settings(run),
-        rows=rows,
-        pictures=_json(pictures) if pictures else "null",
+        rows=_json(data),
+        pictures=_json(pictures) if gallery.pictures else "null",
         scripts="".join(f"<script>{script}</script>" for script in scripts),
     )
     return page.encode("utf-8")
@@ -209,34 +186,9 @@ def _static_row(columns: Sequence[Column], row: Row) -> str:
     return f'<tr class="{escape(row["kind"])}">{"".join(cells)}</tr>'
 
 
-# What fits
-
-
-def _fit_scenes(order: Sequence[int], scenes: Mapping[int, str], room: int) -> dict[int, str]:
-    """The scenes of the worst files that take no more than ``room``."""
-    kept = {}
-    for at in order:
-        if at in scenes and len(scenes[at]) <= room:
-            kept[at] = scenes[at]
-            room -= len(scenes[at])
-    return kept
-
-
-def _fit_pictures(
-    order: Sequence[int], pictures: Mapping[int, Pictures], room: int
-) -> tuple[list[list[str | None] | None], int]:
-    """The pictures of the worst files, in the order of the rows, and how many did not fit."""
-    kept: list[list[str | None] | None] = []
-    n_dropped = 0
-    for at in order:
-        texts = [None if data is None else to_base64(data) for data in pictures.get(at, ())]
-        room -= sum(len(text or "") + 4 for text in texts)
-        # After one that does not fit none does.
-        n_dropped += bool(texts) and (n_dropped > 0 or room < 0)
-        kept.append(None if n_dropped else texts or None)
-    while kept and kept[-1] is None:
-        kept.pop()
-    return kept, n_dropped
+def _pictures(images: Pictures | None) -> list[str | None] | None:
+    """The pictures of a row for the page's script."""
+    return images and [None if data is None else to_base64(data) for data in images]
 
 
 # Parts of the page

@@ -16,7 +16,7 @@ from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord, SurfaceDistance
 from msal_cli.version import __version__
 from msal_cli.view import pictures, viewer
-from msal_cli.view.panels import png_bytes
+from msal_cli.view.panels import jpeg_bytes
 from msal_cli.view.pictures import Scene, View
 from msal_cli.view.scene import EncodedScene, encode_scene
 from msal_cli.view.viewer import asset, content_policy, escape
@@ -68,7 +68,7 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
         scene=viewer.embed_scene(
             "scene",
             drawn,
-            picture=png_bytes(pictures.draw_picture(scene, still), 256),
+            picture=jpeg_bytes(pictures.draw_picture(scene, still), quality=90),
             description=_description(titles, scene),
             starts="now",
             deviation=pictures.deviation_name(scene),

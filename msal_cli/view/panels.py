@@ -16,7 +16,6 @@ from msal_cli.view.shading import LIGHT, Image, Style
 
 if TYPE_CHECKING:
     from PIL import ImageFont
-    from PIL.Image import Image as Picture
     from PIL.ImageDraw import ImageDraw
 
 Panel = tuple[Image, str, Sequence[str]]
@@ -229,18 +228,15 @@ def _has(font: ImageFont.FreeTypeFont, character: str) -> bool:
     return character == " " or bytes(font.getmask(character)) != bytes(font.getmask(_NO_CHARACTER))
 
 
-# Image files; JPEG takes a tenth of the bytes, for pages with very many images
+# Image files; JPEG takes a fraction of the bytes, for pages
 
 
-_N_AT_ONCE = 1 << 14
-
-
-def jpeg_bytes(image: NDArray[np.uint8]) -> bytes:
-    """(h, w, 3) uint8 as the bytes of a JPEG file."""
+def jpeg_bytes(image: NDArray[np.uint8], quality: int = 80) -> bytes:
+    """(h, w, 3) uint8 as the bytes of a JPEG file; words need a ``quality`` of 90."""
     from PIL import Image
 
     data = io.BytesIO()
-    Image.fromarray(image).save(data, "JPEG", quality=80, optimize=True)
+    Image.fromarray(image).save(data, "JPEG", quality=quality, optimize=True)
     return data.getvalue()
 
 
@@ -251,47 +247,9 @@ def png_bytes(image: NDArray[np.uint8], max_colours: int | None = None) -> bytes
     """
     from PIL import Image
 
-    if max_colours is None:
-        picture = Image.fromarray(np.ascontiguousarray(image))
-    else:
-        picture = _with_palette(image, max_colours)
+    picture = Image.fromarray(np.ascontiguousarray(image))
+    if max_colours is not None:
+        picture = picture.quantize(max_colours, dither=Image.Dither.NONE)
     data = io.BytesIO()
     picture.save(data, format="PNG", optimize=True)
     return data.getvalue()
-
-
-def _with_palette(image: NDArray[np.uint8], max_colours: int) -> Picture:
-    """(h, w, 3) ``image`` as a picture with a palette of ``max_colours``, at most 256.
-
-    Half of the palette are shades that cover many pixels each, for the clay, and half are spread
-    over all colours there are, for heat maps and their scale.  The most frequent colour, which is
-    the background, stays as it is.
-    """
-    from PIL import Image as Pictures
-
-    packed = image.astype(np.uint32) @ np.array([65536, 256, 1], dtype=np.uint32)
-    codes, which, count = np.unique(packed.reshape(-1), return_inverse=True, return_counts=True)
-    colours = np.stack([codes >> 16, (codes >> 8) & 255, codes & 255], axis=1).astype(np.float64)
-    if len(codes) <= max_colours:
-        palette, nearest = colours, np.arange(len(codes))
-    else:
-        picture = Pictures.fromarray(np.ascontiguousarray(image))
-        spread = max(1, max_colours // 2)
-        parts = [colours[[np.argmax(count)]]]
-        for n, method in (
-            (spread, Pictures.Quantize.MAXCOVERAGE),
-            (max_colours - 1 - spread, Pictures.Quantize.MEDIANCUT),
-        ):
-            if n > 0:
-                listed = picture.quantize(n, method=method).getpalette() or []
-                parts.append(np.array(listed[: 3 * n], dtype=np.float64).reshape(-1, 3))
-        palette = np.unique(np.concatenate(parts), axis=0)
-        # Squared distances but for the same term in all.
-        lengths = 0.5 * (palette**2).sum(axis=1)
-        starts = range(0, len(colours), _N_AT_ONCE)
-        nearest = np.concatenate(
-            [np.argmin(lengths - colours[s : s + _N_AT_ONCE] @ palette.T, axis=1) for s in starts]
-        )
-    result = Pictures.fromarray(nearest[which].reshape(image.shape[:2]).astype(np.uint8))
-    result.putpalette(palette.astype(np.uint8).tobytes())
-    return result

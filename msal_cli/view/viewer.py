@@ -50,7 +50,7 @@ def embed_scene(
     Parameters
     ----------
     key : the id of the data, a letter and then letters, digits, ``_`` and ``-``.
-    picture : PNG that is shown until the viewer starts, where it cannot, and in print.
+    picture : JPEG that is shown until the viewer starts, where it cannot, and in print.
     description : what the picture shows, for those who do not see it.
     starts : ``click`` to wait for a button, ``now`` to start with the page.
     deviation, deviation_note : the heading of the colour scale, and what is to be said below it.
@@ -68,7 +68,7 @@ def embed_scene(
         "shading": "flat" if is_flat else "smooth",
     }
     attributes = " ".join(f'data-{name}="{escape(value)}"' for name, value in values.items())
-    image = f"data:image/png;base64,{to_base64(picture)}"
+    image = f"data:image/jpeg;base64,{to_base64(picture)}"
     return (
         f'<div class="msal-scene" {attributes}><figure><img alt="{escape(description)}" '
         f'src="{image}"></figure></div>\n'

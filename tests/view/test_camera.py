@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from msal_cli.analysis import colour_maps as colours
 from msal_cli.view.camera import VIEWS, choose_camera, frame_vertices, rotate
 from msal_cli.view.panels import Legend, draw_panels, fit_text, png_bytes
 from msal_cli.view.shading import shade
@@ -216,16 +215,4 @@ def test_png_keeps_every_pixel_and_says_the_same_twice():
     data = png_bytes(image)
     assert (np.asarray(Image.open(io.BytesIO(data))) == image).all()
     assert png_bytes(image) == data
-
-
-def test_a_palette_keeps_the_background_and_comes_near_to_all_else():
-    random = np.random.default_rng(8)
-    image = np.full((120, 200, 3), (254, 255, 251), dtype=np.uint8)
-    # Clay over most of it, and a small scale with all colours of a map.
-    image[:80] = random.integers(60, 220, (80, 200, 1)) + np.array([4, 2, 0])
-    image[100, :200] = colours.colour_table("diverging")[:200]
-    back = Image.open(io.BytesIO(png_bytes(image, 256))).convert("RGB")
-    off = np.abs(np.asarray(back).astype(int) - image).max(axis=2)
-    assert (off[85:95] == 0).all()
-    assert off.max() <= 12
-    assert off[:80].mean() < 2.0
+    assert len(png_bytes(image, 64)) < 0.6 * len(data)

@@ -93,7 +93,7 @@ def test_the_page_has_the_picture_the_view_and_the_scale(grown):
     assert header["deviation"]["low"] == -header["deviation"]["high"] < -0.09
     assert deviation == pytest.approx(np.full(len(deviation), 0.1), abs=2e-3)
     assert (box["data-deviation"], box["data-shading"]) == (pictures.SIGNED, "smooth")
-    assert parts.attributes("img")[0]["src"].startswith("data:image/png;base64,iVBOR")
+    assert parts.attributes("img")[0]["src"].startswith("data:image/jpeg;base64,/9j/")
     assert "data-theme" not in parts.attributes("html")[0]
 
 
@@ -151,7 +151,7 @@ def test_nothing_points_elsewhere():
 
 def test_a_fragment_for_other_pages():
     drawn = encode_scene(MESH, MESH)
-    parts = Parts(viewer.embed_scene("worst-1", drawn, picture=b"PNG", deviation='"<'))
+    parts = Parts(viewer.embed_scene("worst-1", drawn, picture=b"JPEG", deviation='"<'))
     (box,) = parts.attributes("div")
     assert (box["data-scene"], box["data-start"]) == ("worst-1", "click")
     assert box["data-deviation"] == '"<'
@@ -159,4 +159,4 @@ def test_a_fragment_for_other_pages():
     assert data == {"type": "application/octet-stream", "id": "worst-1"}
     assert parts.texts["script"] == [drawn.text]
     with pytest.raises(InternalError):
-        viewer.embed_scene('x"><script>', drawn, picture=b"PNG")
+        viewer.embed_scene('x"><script>', drawn, picture=b"JPEG")

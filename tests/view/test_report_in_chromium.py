@@ -44,8 +44,6 @@ def path(tmp_path_factory):
         pictures=dict.fromkeys(range(at, len(every)), views),
         scenes={at: viewer.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])},
         legend="<p>moved</p>",
-        script=viewer.script(),
-        style=viewer.style(),
     )
     page = tmp_path_factory.mktemp("report") / "run.html"
     page.write_bytes(as_html.render(RUN, every, gallery))
