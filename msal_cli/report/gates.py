@@ -8,13 +8,14 @@ None and stays so, except that ``and`` and ``or`` may be decided without it.
 
 from __future__ import annotations
 
+import ast
 import difflib
 import functools
 import math
 import operator
 import re
 import typing
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -32,8 +33,6 @@ Record = TypeVar("Record", "MeshRecord", "ComparisonRecord")
 
 MAX_LENGTH = 300
 """Characters of an expression, which bounds how deep its meaning can be nested."""
-
-_MAX_DEPTH = 20
 
 # Quantities
 
@@ -178,14 +177,14 @@ def _edge_length(record: Any) -> float | None:
     return edge if edge and edge - edge == 0.0 else None
 
 
-# Expressions
+# Expressions: the syntax is Python's, of which only what is below means something
 
 _HINT = "write what breaks the gate, such as 'abs(volume_change) > 1%'; see docs/gates.md"
 _HINTS = {"=": "equal is ==", "&": "write and", "|": "write or", "!": "write not, or != "}
 _MAX_PARTS = {"abs": 1, "known": 1, "min": 9, "max": 9}
-_PRECEDENCE = {"or": 1, "and": 2, "not": 3, **dict.fromkeys(COMPARISONS, 4)}
-_PRECEDENCE |= {"+": 5, "-": 5, "*": 6, "/": 6}
-_UNARY = 7
+_SIGNS: dict[type[ast.AST], str]
+_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.And: "and", ast.Or: "or"}
+_SIGNS |= {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _JOINED: dict[str, Callable[..., float]]
 _JOINED = {"+": operator.add, "-": operator.sub, "min": min, "max": max}
 _LITERALS = {"": CONSTANT, "%": PERCENT, "e": EDGES}
@@ -195,14 +194,14 @@ _PERCENTS = (PERCENT, RELATIVE)
 
 # An e that no digits follow is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
-    rf"(?a)\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{UNIT_PATTERN})\b)?"
-    r"|(?P<name>[A-Za-z_][\w.]*)|(?P<sign><=|>=|==|!=|[<>()+\-*/,])|(?P<other>\S))"
+    rf"(?a)(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>%|(?:e|{UNIT_PATTERN})\b)?"
+    r"(?![\w.])|[A-Za-z_][\w.]*|<=|>=|==|!=|[<>()+\-*/,\s]|(?P<other>[\w.]+|.)"
 )
 
 
 class _Meaning(NamedTuple):
-    """A part of an expression: its unit, its value in a record, the column of its operator, and its
-    name if it is nothing but that."""
+    """A part of an expression: its unit, its value in a record, its column from 1, and its name if
+    it is nothing but that."""
 
     unit: Unit
     value: Callable[[Any], Value]
@@ -210,162 +209,129 @@ class _Meaning(NamedTuple):
     name: str = ""
 
 
-class _Token(NamedTuple):
-    """A ``number``, ``name``, ``sign`` (also and, or, not) or the ``end``; ``at`` is from 1."""
-
-    kind: str
-    text: str
-    at: int
-    unit: str = ""
-
-
 class _Parser:
-    """Reads an expression by the precedence of its operators."""
+    """Turns one expression into what it means; every error names the column."""
 
     def __init__(self, text: str, known: Mapping[str, Quantity], file_unit: str | None) -> None:
-        self._text = text
+        self._text = text.strip()
         self._known = known
         self._file_unit = file_unit
-        self._depth = 0
+        # By column; in what Python parses, underscores stand in the place of numbers.
+        self._numbers: dict[int, _Meaning] = {}
         self.names: dict[str, Quantity] = {}
         self.tested: set[str] = set()
-        if len(text) > MAX_LENGTH:
-            self._text = text[:40] + "..."
-            raise self._error(MAX_LENGTH, f"it is longer than {MAX_LENGTH} characters")
-        self._tokens = list(self._read_tokens())[::-1]
 
     def parse(self) -> _Meaning:
-        """The meaning of the whole."""
-        whole = self._read(0)
-        self._require("end")
+        if len(self._text) > MAX_LENGTH:
+            raise self._error(MAX_LENGTH, f"it is longer than {MAX_LENGTH} characters")
+        code = _TOKEN.sub(self._replace_number, self._text)
+        try:
+            tree = ast.parse(code, mode="eval").body
+        except (SyntaxError, MemoryError, RecursionError) as error:
+            at = getattr(error, "offset", None) or 1
+            rest = self._text[at - 1 :]
+            raise self._error(at, f"{rest!r} cannot be read" if rest else "it ends early") from None
+        whole = self._read(tree)
         if whole.unit != TRUTH:
-            why = "it is a number, and a gate is broken or not"
-            raise self._error(whole.at, why, "compare it, as in 'max_displacement > 0.5e'")
+            why = "it is a number, and a gate compares"
+            raise self._error(whole.at, why, "compare it, as in 'flipped_faces > 0'")
         return whole
 
     def _error(self, at: int, why: str, hint: str = _HINT) -> UsageError:
         return UsageError(f"the gate {self._text!r}, column {at}: {why}", hint=hint)
 
-    def _read_tokens(self) -> Iterator[_Token]:
-        for match in _TOKEN.finditer(self._text.rstrip()):
-            kind = next(name for name in ("number", "name", "sign", "other") if match[name])
-            word, at = match[kind], match.start(kind) + 1
-            if kind == "other":
-                raise self._error(at, f"{word!r} means nothing here", _HINTS.get(word, _HINT))
-            kind = "sign" if word in ("and", "or", "not") else kind
-            yield _Token(kind, word, at, match["unit"] or "")
-        yield _Token("end", "", len(self._text) + 1)
+    def _replace_number(self, token: re.Match[str]) -> str:
+        word, at = token[0], token.start() + 1
+        if token["other"]:
+            raise self._error(at, f"{word!r} means nothing here", _HINTS.get(word[0], _HINT))
+        if not token["number"]:
+            return " " if word.isspace() else word
+        number, suffix = float(token["number"]), token["unit"] or ""
+        if not math.isfinite(number):
+            raise self._error(at, "the number is too large")
+        if suffix not in _LITERALS:
+            try:
+                number = in_file_units(token["number"], suffix, self._file_unit)
+            except UsageError as error:
+                raise self._error(at, error.message, error.hint) from None
+        unit = _LITERALS.get(suffix, LENGTH)
+        self._numbers[at] = _Meaning(unit, lambda record: number, at)
+        return "_" * len(word)
 
-    def _misplaced(self, token: _Token, before: str = "") -> UsageError:
-        what = "it ends too early" if token.kind == "end" else f"{token.text!r} is out of place"
-        return self._error(token.at, before + what)
+    def _read(self, node: ast.AST) -> _Meaning:
+        at = getattr(node, "col_offset", 0) + 1
+        match node:
+            case ast.Name() if at in self._numbers:
+                return self._numbers[at]
+            case ast.Name() | ast.Attribute():
+                return self._name(ast.unparse(node), at)
+            case ast.UnaryOp(op=ast.Not(), operand=inner):
+                value = self._truth(self._read(inner), "not").value
+                return _Meaning(TRUTH, _apply(operator.not_, value), at)
+            case ast.UnaryOp(op=ast.UAdd(), operand=inner):
+                return self._read(inner)
+            case ast.UnaryOp(op=ast.USub(), operand=inner):
+                part = self._number(self._read(inner))
+                return _Meaning(part.unit, _apply(operator.neg, part.value), at)
+            case ast.BoolOp(op=sign, values=parts):
+                word = _SIGNS[type(sign)]
+                values = [self._truth(self._read(part), word).value for part in parts]
+                return _Meaning(TRUTH, _decide(values, deciding=word == "or"), at)
+            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _SIGNS:
+                return self._compute(at, _SIGNS[type(sign)], self._read(left), self._read(right))
+            case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in _SIGNS:
+                return self._compute(at, _SIGNS[type(sign)], self._read(left), self._read(right))
+            case ast.Compare(comparators=[_, third, *_]):
+                why, hint = "it compares a third time", "join two comparisons with and"
+                raise self._error(third.col_offset + 1, why, hint)
+            case ast.Call(func=function, args=parts, keywords=[]):
+                return self._call(ast.unparse(function), at, parts)
+        raise self._error(at, f"{ast.unparse(node)!r} means nothing here")
 
-    def _require(self, kind: str) -> None:
-        token = self._tokens.pop()
-        if kind not in (token.kind, token.text):
-            raise self._misplaced(token, "')' is missing, " if kind == ")" else "")
-
-    def _read(self, precedence: int) -> _Meaning:
-        """A part, up to an operator that does not bind more than ``precedence``."""
-        token = self._tokens.pop()
-        if token.text == "not" and precedence <= _PRECEDENCE["not"]:
-            inner = self._truth(self._read(_PRECEDENCE["not"]), "not")
-            left = _Meaning(TRUTH, _apply(operator.not_, inner.value), token.at)
-        elif token.kind == "sign" and token.text in "+-":
-            left = self._read(_UNARY)
-            if token.text == "-":
-                self._check_numbers(left)
-                left = _Meaning(left.unit, _apply(operator.neg, left.value), token.at)
-        elif token.kind == "number":
-            left = self._number(token)
-        elif token.kind == "name":
-            left = self._call(token) if self._tokens[-1].text == "(" else self._name(token)
-        elif token.text == "(":
-            (left,) = self._read_parts(token, several=False)
-        else:
-            raise self._misplaced(token)
-        is_compared = False
-        while _PRECEDENCE.get(self._tokens[-1].text, 0) > precedence:
-            token = self._tokens.pop()
-            if token.text == "not":
-                raise self._misplaced(token)
-            if token.text in COMPARISONS and is_compared:
-                why = "it compares a third time"
-                raise self._error(token.at, why, "join two comparisons with and")
-            is_compared = token.text in COMPARISONS
-            left = self._combine(token, left, self._read(_PRECEDENCE[token.text]))
-        return left
-
-    def _read_parts(self, opening: _Token, *, several: bool) -> list[_Meaning]:
-        """What is between parentheses, of which the first has been read."""
-        self._depth += 1
-        if self._depth > _MAX_DEPTH:
-            raise self._error(opening.at + 1, f"parentheses go deeper than {_MAX_DEPTH} levels")
-        parts = [self._read(0)]
-        while several and self._tokens[-1].text == ",":
-            self._tokens.pop()
-            parts.append(self._read(0))
-        self._require(")")
-        self._depth -= 1
-        return parts
-
-    def _call(self, token: _Token) -> _Meaning:
-        if token.text not in _MAX_PARTS:
-            why = f"there is no function {token.text}"
-            raise self._error(token.at, why, f"known are: {', '.join(_MAX_PARTS)}")
-        max_parts = _MAX_PARTS[token.text]
-        parts = self._read_parts(self._tokens.pop(), several=True)
-        if len(parts) > max_parts:
+    def _call(self, word: str, at: int, arguments: Sequence[ast.AST]) -> _Meaning:
+        if word not in _MAX_PARTS:
+            why = f"there is no function {word}"
+            raise self._error(at, why, f"known are: {', '.join(_MAX_PARTS)}")
+        max_parts = _MAX_PARTS[word]
+        if not 1 <= len(arguments) <= max_parts:
             many = "one value" if max_parts == 1 else f"1 to {max_parts} values"
-            raise self._error(token.at, f"{token.text} takes {many}")
+            raise self._error(at, f"{word} takes {many}")
+        parts = [self._read(argument) for argument in arguments]
         first = parts[0]
-        if token.text == "known":
+        if word == "known":
             if not first.name:
                 raise self._error(first.at, "known takes a name", "as in known(volume_change)")
             self.tested.add(first.name)
-            return _Meaning(TRUTH, lambda record: first.value(record) is not None, token.at)
-        self._check_numbers(*parts)
-        if token.text == "abs":
-            return _Meaning(first.unit, _apply(abs, first.value), token.at)
-        total = first._replace(at=token.at, name="")
+            return _Meaning(TRUTH, lambda record: first.value(record) is not None, at)
+        parts = [self._number(part) for part in parts]
+        if word == "abs":
+            return _Meaning(first.unit, _apply(abs, first.value), at)
+        total = first._replace(at=at, name="")
         for part in parts[1:]:
-            total = self._join_alike(token, total, part)
+            total = self._join_alike(at, word, total, part)
         return total
 
-    def _number(self, token: _Token) -> _Meaning:
-        number = float(token.text)
-        if not math.isfinite(number):
-            raise self._error(token.at, "the number is too large")
-        unit = _LITERALS.get(token.unit, LENGTH)
-        if token.unit not in _LITERALS:
-            try:
-                number = in_file_units(token.text, token.unit, self._file_unit)
-            except UsageError as error:
-                raise self._error(token.at, error.message, error.hint) from None
-        return _Meaning(unit, lambda record: number, token.at)
-
-    def _name(self, token: _Token) -> _Meaning:
-        name = token.text
+    def _name(self, name: str, at: int) -> _Meaning:
         if name in self._known:
             quantity = self.names[name] = self._known[name]
             # Counts, too, are floating numbers in computations.
             value: Callable[[Any], Value] = quantity.value_in
             if quantity.unit != TRUTH:
                 value = _apply(float, value)
-            return _Meaning(quantity.unit, value, token.at, name)
+            return _Meaning(quantity.unit, value, at, name)
         close = difflib.get_close_matches(name, self._known, n=2, cutoff=0.6)
         inner = sorted(known for known in self._known if known.startswith(f"{name}."))
         short = ", ".join(known for known in SHORT_NAMES if known in self._known)
         hint = f"known are {short}, and all other numbers of the report"
         if close or inner:
             hint = f"did you mean {' or '.join(inner[:3] or close)}?"
-        raise self._error(token.at, f"no record has a number {name!r}", hint)
+        raise self._error(at, f"no record has a number {name!r}", hint)
 
-    def _check_numbers(self, *parts: _Meaning) -> None:
-        for part in parts:
-            if part.unit == TRUTH:
-                why = "this is true or false, and a number is needed here"
-                raise self._error(part.at, why, "join comparisons with and, or, not")
+    def _number(self, part: _Meaning) -> _Meaning:
+        if part.unit == TRUTH:
+            why = "this is true or false, and a number is needed here"
+            raise self._error(part.at, why, "join comparisons with and, or, not")
+        return part
 
     def _truth(self, part: _Meaning, sign: str) -> _Meaning:
         if part.unit != TRUTH:
@@ -373,42 +339,35 @@ class _Parser:
             raise self._error(part.at, why, "compare it, as in 'flipped_faces > 0'")
         return part
 
-    def _combine(self, token: _Token, left: _Meaning, right: _Meaning) -> _Meaning:
-        sign = token.text
-        if sign in ("and", "or"):
-            values = [self._truth(part, sign).value for part in (left, right)]
-            return _Meaning(TRUTH, _decide(values, deciding=sign == "or"), token.at)
-        self._check_numbers(left, right)
-        if sign in COMPARISONS or sign in "+-":
-            return self._join_alike(token, left, right)
+    def _compute(self, at: int, sign: str, left: _Meaning, right: _Meaning) -> _Meaning:
+        left, right = self._number(left), self._number(right)
+        if sign not in "*/":
+            return self._join_alike(at, sign, left, right)
         # Twice a percentage is a percentage, and a percentage of anything else is a part of it.
         is_multiple = left.unit in _BARE and sign == "*"
         first = left if right.unit in _BARE else _to_base_unit(left)
         second = right if is_multiple else _to_base_unit(right)
         effect = operator.mul if sign == "*" else lambda value, by: value / by if by else None
         unit = _unit_of_product(first.unit, second.unit, sign)
-        return _Meaning(unit, _apply(effect, first.value, second.value), token.at)
+        return _Meaning(unit, _apply(effect, first.value, second.value), at)
 
-    def _join_alike(self, token: _Token, left: _Meaning, right: _Meaning) -> _Meaning:
+    def _join_alike(self, at: int, sign: str, left: _Meaning, right: _Meaning) -> _Meaning:
         """The effect of a comparison, sum, ``min`` or ``max`` on two values in one unit."""
-        unit, first, second = right.unit, self._convert(token, left, right.unit), right.value
-        if first is None and (converted := self._convert(token, right, left.unit)) is not None:
+        unit, first, second = right.unit, self._convert(at, left, right.unit), right.value
+        if first is None and (converted := self._convert(at, right, left.unit)) is not None:
             unit, first, second = left.unit, left.value, converted
         if first is None:
-            raise self._error(
-                token.at,
-                f"{left.unit} and {right.unit} do not go together",
-                "% is for relative changes, e (mean edge lengths) for lengths",
-            )
-        is_compared = token.text in COMPARISONS
-        effect = COMPARISONS[token.text] if is_compared else _JOINED[token.text]
-        return _Meaning(TRUTH if is_compared else unit, _apply(effect, first, second), token.at)
+            why = f"{left.unit} and {right.unit} do not go together"
+            hint = "% is for relative changes, e (mean edge lengths) for lengths"
+            raise self._error(at, why, hint)
+        effect = COMPARISONS.get(sign) or _JOINED[sign]
+        return _Meaning(TRUTH if sign in COMPARISONS else unit, _apply(effect, first, second), at)
 
-    def _convert(self, token: _Token, part: _Meaning, unit: Unit) -> Callable[[Any], Value] | None:
+    def _convert(self, at: int, part: _Meaning, unit: Unit) -> Callable[[Any], Value] | None:
         """A value in another unit; None if it cannot be converted."""
         if part.unit == CONSTANT and unit == RELATIVE and part.value(None) != 0.0:
             why = "a relative change is compared with a number without a unit"
-            raise self._error(token.at, why, "write 1% for one part in a hundred")
+            raise self._error(at, why, "write 1% for one part in a hundred")
         if part.unit == QUOTIENT and unit in _PERCENTS:
             return _apply(lambda value: 100.0 * value, part.value)
         if part.unit == EDGES and unit == LENGTH:
