@@ -1,16 +1,15 @@
 """One run at a time on an output folder, or the shards of one N together.
 
-A run that is no shard locks the folder's ``.msal-lock`` exclusively.  A shard locks a file of its
-own, ``.msal-lock-K-of-N``, and the folder's in shared mode.  A run that has its locks then looks
-for runs that it conflicts with, and releases its locks if there is one.  As all lock before they
-look, of two runs in conflict at least one sees the other.  Two that start in the same instant may
-both give up; so each tries again a few times, after pauses of random length.
+A run locks a file of its own in the folder, ``.msal-lock`` or that of its shard,
+``.msal-lock-K-of-N``, and then looks whether a run that it conflicts with has locked another; if so
+it releases its own.  As all lock before they look, of two runs in conflict at least one sees the
+other.  Two that start in the same instant may both give up; so each tries again a few times, after
+pauses of random length.
 
 The locks are the system's own locks on open files, so they end with the process that has them,
-however that ends; nothing stale can stay behind.  The files also contain who has them.  Where locks
-cannot be shared (Windows), a shard locks its own file only, and the look alone keeps shards and
-whole runs apart.  On a file system without locks the text in the file is all there is: it counts
-while its process lives, and texts of other machines do not count.
+however that ends; nothing stale can stay behind.  The files also contain who has them.  On a file
+system without locks that text is all there is: it counts while its process lives, and texts of
+other machines do not count.
 """
 
 from __future__ import annotations
@@ -35,9 +34,7 @@ from msal_cli.errors import OutputError, UsageError
 from msal_cli.machine import is_alive
 
 NAME = ".msal-lock"
-_OF_SHARD = re.compile(re.escape(NAME) + r"-(\d{1,9})-of-(\d{1,9})")
-
-_CAN_SHARE: bool = os.name != "nt"
+_ANY_NAME = re.compile(re.escape(NAME) + r"(?:-(\d{1,9})-of-(\d{1,9}))?")
 
 # Windows keeps others from reading what is locked, so there a byte far behind the text is locked.
 _WINDOWS_LOCK_AT = 1 << 30
@@ -59,12 +56,12 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
     """
 
     def __init__(self, folder: str, shard: Shard | None = None) -> None:
-        self._folder = Path(folder)
-        self._shard = shard
-        self._locks: list[_LockFile] = []
+        own_name = NAME if shard is None else f"{NAME}-{shard.file_part}"
+        self._path = Path(folder) / own_name
+        self._handle: int | None = None
         for tries_left in reversed(range(_TRIES)):
             try:
-                rival = self._acquire()
+                rival = self._lock() or self._find_rival(shard)
             except BaseException:
                 self.release()
                 raise
@@ -85,54 +82,47 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
 
     def release(self) -> None:
         """Release the folder; harmless if that has been done."""
-        while self._locks:
-            self._locks.pop().release()
+        if self._handle is None:
+            return
+        close, remove = functools.partial(os.close, self._handle), self._path.unlink
+        self._handle = None
+        # It is removed while it is locked: a process that opened it meanwhile sees that it is gone.
+        # Windows removes no open file.  A free lock file that stays is no obstacle.
+        for step in (close, remove) if os.name == "nt" else (remove, close):
+            with contextlib.suppress(OSError):
+                step()
 
-    def _acquire(self) -> _LockOwner | None:
-        """Lock what this run needs; None, or the owner of a lock in its way."""
-        whole = self._folder / NAME
-        if self._shard is None:
-            # While shards share the folder's lock, its text may be old.
-            owner = self._lock(whole)
-            return self._conflicting_shard() or owner
-        owner = self._lock(self._folder / f"{NAME}-{self._shard.file_part}")
-        if owner is None:
-            owner = self._lock(whole, is_shared=True) if _CAN_SHARE else _probe_lock(whole)
-        return owner or self._conflicting_shard()
-
-    def _lock(self, path: Path, *, is_shared: bool = False) -> _LockOwner | None:
-        """Open and lock a file and keep it so; None, or the owner of its lock."""
-        while True:
-            file = _LockFile.open(path)
-            with contextlib.ExitStack() as stack:
-                stack.callback(os.close, file.handle)
-                if not file.try_lock(is_shared=is_shared):
-                    return file.owner()
+    def _lock(self) -> _LockOwner | None:
+        """Lock the file of this run; None, or the owner of its lock."""
+        while self._handle is None:
+            handle = _open(self._path, os.O_CREAT)
+            try:
+                if not _try_lock(handle, self._path):
+                    return _LockOwner.of(handle, self._path)
                 # Its last owner may have removed it while we waited for it.
-                if not file.has_name():
-                    continue
-                if not is_shared:
-                    file.write_owner()
-                self._locks.append(file)
-                stack.pop_all()
-                return None
+                if _has_name(handle, self._path):
+                    _write_owner(handle, self._path)
+                    self._handle = handle
+            finally:
+                if self._handle is None:
+                    os.close(handle)
+        return None
 
-    def _conflicting_shard(self) -> _LockOwner | None:
-        """The owner of a shard's lock that this run conflicts with."""
-        for path, count in _shard_locks(self._folder):
-            if self._shard is None or count != self._shard.count:
-                owner = _probe_lock(path, is_removed=self._shard is None)
-                if owner is not None:
-                    return owner
+    def _find_rival(self, shard: Shard | None) -> _LockOwner | None:
+        """The owner of a lock that this run conflicts with."""
+        for path, count in _lock_files(self._path.parent):
+            is_beside = shard is not None and count == shard.count
+            if not is_beside and path != self._path and (owner := _find_owner(path)):
+                return owner
         return None
 
 
 def lock_owners(folder: str) -> tuple[str, ...]:
     """Who works on a folder now, in words such as ``process 17 on host``; touches nothing."""
     owners = []
-    for path in (Path(folder) / NAME, *(path for path, _ in _shard_locks(Path(folder)))):
+    for path, _ in _lock_files(Path(folder)):
         with contextlib.suppress(OutputError):
-            owners.append(_probe_lock(path))
+            owners.append(_find_owner(path))
     return tuple(str(owner) for owner in owners if owner is not None)
 
 
@@ -144,133 +134,100 @@ class _LockOwner:
     host: str
     shard: str
 
+    @classmethod
+    def of(cls, handle: int, path: Path) -> _LockOwner:
+        """The owner that the text of an open lock file names."""
+        os.lseek(handle, 0, os.SEEK_SET)
+        pid, _, host = os.read(handle, 300).decode(errors="replace").strip().partition(" ")
+        name = _ANY_NAME.fullmatch(path.name)
+        return cls(pid, host, f"{name[1]}/{name[2]}" if name and name[1] else "")
+
     def __str__(self) -> str:
         who = f"process {self.pid}" if self.pid else "another process"
         if self.host and self.host != platform.node():
             who += f" on {self.host}"
         return who + (f" (shard {self.shard})" if self.shard else "")
 
-    def is_alive(self) -> bool:
-        """Whether it is a process of this machine that lives."""
-        is_here = self.host == platform.node() and self.pid.isdigit()
-        return is_here and is_alive(int(self.pid))
 
-
-@dataclass(slots=True)
-class _LockFile:
-    """A lock file that is open."""
-
-    path: Path
-    handle: int
-    is_shared: bool = False
-
-    @classmethod
-    def open(cls, path: Path, flags: int = os.O_CREAT) -> _LockFile:
-        flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
-        try:
-            # Without it, opening a pipe would wait for a writer.
-            handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o644)
-            if not stat.S_ISREG(os.fstat(handle).st_mode):
-                os.close(handle)
-                raise OSError(errno.EINVAL, "it is not a regular file")
-        except OSError as error:
-            raise OutputError(
-                f"the lock file {str(path)!r} cannot be opened: {error.strerror}",
-                hint="the output folder must be writable",
-                path=str(path),
-            ) from error
-        return cls(path, handle)
-
-    def try_lock(self, *, is_shared: bool) -> bool:
-        """Lock it, or where that is impossible see whether the process in its text is gone."""
-        self.is_shared = is_shared
-        try:
-            return _flock(self.handle, is_shared=is_shared)
-        except OSError as error:
-            _warn_once(str(self.path.parent), str(error))
-            return not self.owner().is_alive()
-
-    def owner(self) -> _LockOwner:
-        os.lseek(self.handle, 0, os.SEEK_SET)
-        pid, _, host = os.read(self.handle, 300).decode(errors="replace").strip().partition(" ")
-        shard = _OF_SHARD.fullmatch(self.path.name)
-        return _LockOwner(pid, host, f"{shard[1]}/{shard[2]}" if shard else "")
-
-    def write_owner(self) -> None:
-        """Make this process the owner in the text."""
-        try:
-            os.truncate(self.handle, 0)
-            os.lseek(self.handle, 0, os.SEEK_SET)
-            os.write(self.handle, f"{os.getpid()} {platform.node()}\n".encode())
-        except OSError as error:
-            raise OutputError(
-                f"the lock file {str(self.path)!r} cannot be written: {error.strerror}",
-                hint="the output folder must be writable, and its disk not be full",
-                path=str(self.path),
-            ) from None
-
-    def has_name(self) -> bool:
-        """Whether the open file is still the one of this name."""
-        try:
-            return os.path.samestat(os.fstat(self.handle), self.path.stat())
-        except OSError:
-            return False
-
-    def release(self) -> None:
-        if os.name == "nt":
-            os.close(self.handle)
-            _remove(self.path)
-            return
-        # It is removed under an exclusive lock: a process that opened it meanwhile sees that it is
-        # gone and starts again.
-        with contextlib.suppress(OSError):
-            if not self.is_shared or _flock(self.handle):
-                _remove(self.path)
-        # After an error of the system it is closed, too, and its content does not matter.
-        with contextlib.suppress(OSError):
-            os.close(self.handle)
-
-
-def _probe_lock(path: Path, *, is_removed: bool = False) -> _LockOwner | None:
-    """The owner of a lock file; None if it is free, and then it can be removed."""
+def _lock_files(folder: Path) -> Iterator[tuple[Path, int]]:
+    """The lock files in a folder, each with the N of its shard, 0 for that of a whole run."""
     try:
-        file = _LockFile.open(path, 0)
+        names = sorted(name for name in os.listdir(folder) if name.startswith(NAME))
+    except OSError:
+        return
+    for name in names:
+        if match := _ANY_NAME.fullmatch(name):
+            yield folder / name, int(match[2] or 0)
+
+
+def _open(path: Path, flags: int = 0) -> int:
+    flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+    try:
+        # Without it, opening a pipe would wait for a writer.
+        handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o644)
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise OSError(errno.EINVAL, "it is not a regular file")
+    except OSError as error:
+        raise OutputError(
+            f"the lock file {str(path)!r} cannot be opened: {error.strerror}",
+            hint="the output folder must be writable",
+            path=str(path),
+        ) from error
+    return handle
+
+
+def _write_owner(handle: int, path: Path) -> None:
+    try:
+        os.truncate(handle, 0)
+        os.lseek(handle, 0, os.SEEK_SET)
+        os.write(handle, f"{os.getpid()} {platform.node()}\n".encode())
+    except OSError as error:
+        raise OutputError(
+            f"the lock file {str(path)!r} cannot be written: {error.strerror}",
+            hint="the output folder must be writable, and its disk not be full",
+            path=str(path),
+        ) from None
+
+
+def _has_name(handle: int, path: Path) -> bool:
+    """Whether an open file is still the one of this name."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except OSError:
+        return False
+
+
+def _find_owner(path: Path) -> _LockOwner | None:
+    """The owner of a lock file; None if it is free."""
+    try:
+        handle = _open(path)
     except OutputError as error:
-        if isinstance(error.__cause__, FileNotFoundError | NotADirectoryError):
+        if isinstance(error.__cause__, FileNotFoundError):
             return None
         raise
     try:
-        # A shared lock lets others probe at the same time.
-        if not file.try_lock(is_shared=_CAN_SHARE and not is_removed):
-            return file.owner()
-        if is_removed:
-            _remove(path)
-        return None
+        # A shared lock lets others look at the same time.
+        is_free = _try_lock(handle, path, is_shared=True)
+        return None if is_free else _LockOwner.of(handle, path)
     finally:
-        os.close(file.handle)
+        os.close(handle)
+
+
+def _try_lock(handle: int, path: Path, *, is_shared: bool = False) -> bool:
+    """Lock a file, or where that is impossible see whether the process in its text is gone."""
+    try:
+        return _flock(handle, is_shared=is_shared)
+    except OSError as error:
+        _warn_once(str(path.parent), str(error))
+        owner = _LockOwner.of(handle, path)
+        is_here = owner.host == platform.node() and owner.pid.isdigit()
+        return not (is_here and is_alive(int(owner.pid)))
 
 
 @functools.cache
 def _warn_once(folder: str, reason: str) -> None:
     _log.warning("the folder %r cannot be locked: %s", folder, reason)
-
-
-def _remove(path: Path) -> None:
-    # A free lock file that stays is no obstacle to the next run.
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
-
-
-def _shard_locks(folder: Path) -> Iterator[tuple[Path, int]]:
-    """The lock files of shards in a folder, each with its N."""
-    try:
-        with os.scandir(folder) as entries:
-            names = sorted(entry.name for entry in entries if entry.name.startswith(NAME))
-    except OSError:
-        return
-    for name in names:
-        if shard := _OF_SHARD.fullmatch(name):
-            yield folder / name, int(shard[2])
 
 
 def _flock(handle: int, *, is_shared: bool = False) -> bool:

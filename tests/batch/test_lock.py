@@ -106,25 +106,17 @@ def locks_in(folder):
 class TestShards:
     """Shards of one N share a folder; nobody else works there meanwhile."""
 
-    @pytest.fixture(params=["shared", "not shared", "no locks"], autouse=True)
+    @pytest.fixture(params=[True, False], ids=["locks", "no locks"], autouse=True)
     def system(self, request, monkeypatch):
         # Here nobody comes and goes meanwhile.
         monkeypatch.setattr(lock, "_PAUSE_S", (0.0, 0.0))
-        if request.param == "not shared":
-            # As on Windows.
-            monkeypatch.setattr(lock, "_CAN_SHARE", False)
-            real = lock._flock
-            monkeypatch.setattr(lock, "_flock", lambda handle, **how: real(handle))
-        elif request.param == "no locks":
+        if not request.param:
             monkeypatch.setattr(lock, "_flock", unsupported)
-        return request.param
 
     def test_shards_of_one_n_work_together(self, tmp_path):
         with FolderLock(str(tmp_path), Shard(1, 3)), FolderLock(str(tmp_path), Shard(3, 3)):
-            with FolderLock(str(tmp_path), Shard(2, 3)):
-                pass
-            with FolderLock(str(tmp_path), Shard(2, 3)):
-                pass
+            for _ in range(2):
+                FolderLock(str(tmp_path), Shard(2, 3)).release()
         FolderLock(str(tmp_path)).release()
         assert locks_in(tmp_path) == []
 
@@ -156,10 +148,9 @@ class TestShards:
             pass
         assert f"{NAME}-2-of-4" in locks_in(tmp_path)
         FolderLock(str(tmp_path), Shard(2, 4)).release()
-        FolderLock(str(tmp_path), Shard(1, 3)).release()
-        with FolderLock(str(tmp_path)):
-            assert locks_in(tmp_path) == [NAME]
-        assert locks_in(tmp_path) == []
+        with locked_elsewhere(tmp_path, 1, 3):
+            pass
+        FolderLock(str(tmp_path)).release()
 
     def test_who_works_is_told_without_a_trace(self, tmp_path):
         assert lock_owners(str(tmp_path)) == lock_owners(str(tmp_path / "missing")) == ()
