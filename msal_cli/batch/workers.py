@@ -5,9 +5,9 @@ each (its answers, and what it prints) and put messages into one queue; all deci
 the thread that iterates.  No signal of the terminal reaches a worker, and a worker ends when its
 pipe does, so none outlives the parent.
 
-The parent writes to the standard input of a worker and reads from what was its standard output;
-both are hidden from everything else first, so that a library which prints or reads cannot
-interfere.  A message is a pickle behind its length (8 bytes, little endian).
+The parent writes pickles to the standard input of a worker and reads some from what was its
+standard output; both are hidden from everything else first, so that a library which prints or reads
+cannot interfere.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ import pickle
 import queue
 import re
 import signal
-import struct
 import subprocess
 import sys
 import threading
@@ -31,7 +30,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from msal_cli.batch.schedule import (
     Failed,
@@ -75,18 +74,16 @@ _READY_WITHIN_S = 600.0
 # A process that does not end so long after it was killed waits in the kernel, on a dead disk.
 _ENDS_WITHIN_S = 10.0
 
-_BETWEEN_CHECKS_S = 0.1
 _OUT_OF_MEMORY = re.compile(
     r"bad_alloc|out of memory|cannot allocate memory|failed to map segment|MemoryError|"
     r"memory allocation",
     re.IGNORECASE,
 )
 
+_FEWER_JOBS = "run fewer jobs at once, or on a machine with more memory"
 _STUCK = "the worker did not exit after SIGKILL; check for a hung disk or network mount"
 
 _log = logging.getLogger("msal.batch")
-
-_LENGTH = struct.Struct("<Q")
 
 # A worker is replaced after so many files, or once its memory has grown so much since the first.
 _FILES_PER_WORKER = 1000
@@ -144,7 +141,7 @@ class WorkerPool:
                 if is_interrupted:
                     yield messages + self._stop_workers()
                     raise Interrupt
-                messages += self._check_limits()
+                messages += self._kill_overdue()
                 if messages and self._work.reports_first:
                     yield messages
                     messages = []
@@ -236,20 +233,15 @@ class WorkerPool:
     def _patience_s(self) -> float | None:
         """How long to wait for a message; None is for ever."""
         first = min((worker.deadline for worker in self._workers), default=math.inf)
-        if self._limits.memory_bytes is not None and self._is_busy():
-            first = min(first, time.monotonic() + _BETWEEN_CHECKS_S)
         if os.name == "nt":
             # Windows delivers Ctrl-C to a waiting thread only between two waits.
             first = min(first, time.monotonic() + 0.2)
         return None if first == math.inf else max(0.0, first - time.monotonic())
 
-    def _check_limits(self) -> list[Message]:
-        """Kill workers that are overdue, and note which come near the memory limit."""
+    def _kill_overdue(self) -> list[Message]:
         lost: list[Message] = []
         now = time.monotonic()
         for worker in self._workers:
-            if self._limits.memory_bytes is not None and worker.current_task is not None:
-                worker.is_near_limit = worker.is_near_limit or is_near_memory_limit(worker.pid)
             if now < worker.deadline:
                 continue
             if not worker.is_overdue:
@@ -342,23 +334,22 @@ class WorkerPool:
             return (
                 "memory",
                 "the system killed the worker because memory ran out",
-                "run fewer jobs at once, or on a machine with more memory",
+                _FEWER_JOBS,
             )
-        printed = any(map(_OUT_OF_MEMORY.search, worker.last_lines))
-        is_limited = self._limits.memory_bytes is not None
-        if is_limited and code != -9 and (worker.is_near_limit or printed):
-            return "memory", *self._out_of_memory(
-                f"the worker {describe_exit(code)} because memory ran out"
-            )
+        is_limited = code != -9 and self._limits.memory_bytes is not None
+        if is_limited and any(map(_OUT_OF_MEMORY.search, worker.last_lines)):
+            reason = f"the worker {describe_exit(code)} because memory ran out"
+            return "memory", *self._out_of_memory(reason)
         hint = "a library broke on this file; it may be damaged"
         if code == -9:
             hint = "the system may have run out of memory: run fewer jobs at once"
         return "crash", f"the worker {describe_exit(code)}", hint
 
     def _out_of_memory(self, reason: str) -> tuple[str, str]:
+        """Reason and hint of a loss."""
         limit = self._limits.memory_bytes
         if limit is None:
-            return reason, "run fewer jobs at once, or on a machine with more memory"
+            return reason, _FEWER_JOBS
         return (
             f"{reason}, with a limit of {limit / 1e6:,.0f} MB",
             "raise --memory-limit if the machine has more",
@@ -434,19 +425,6 @@ class WorkerPool:
             self._work.on_death(worker.pid, worker.current_task)
 
 
-def is_near_memory_limit(pid: int) -> bool:
-    """Whether a process on Linux uses nearly all the memory that RLIMIT_DATA grants it."""
-    if not sys.platform.startswith("linux"):
-        return False
-    import resource
-
-    try:
-        limit = resource.prlimit(pid, resource.RLIMIT_DATA)[0]
-    except (OSError, ValueError):
-        return False
-    return limit != resource.RLIM_INFINITY and memory_bytes(pid, "VmData") > 0.85 * limit
-
-
 def describe_exit(code: int) -> str:
     """How a process ended, in words, from the exit code that ``subprocess`` gives."""
     if code < 0:
@@ -468,7 +446,7 @@ class WorkerProcess:
 
     ``deadline`` is when (``time.monotonic``) it is to be killed, and ``is_overdue`` that it was;
     ``kills_before`` counts the processes that the system had killed because memory ran out when
-    its current task began, and ``is_near_limit`` that it was seen close to its memory limit.
+    its current task began.
     """
 
     process: subprocess.Popen[bytes]
@@ -479,7 +457,6 @@ class WorkerProcess:
     is_ready: bool = False
     is_dismissed: bool = False
     is_overdue: bool = False
-    is_near_limit: bool = False
     current_task: int | None = None
     n_done: int = 0
     first_bytes: int = 0
@@ -492,7 +469,7 @@ class WorkerProcess:
     def send(self, message: object) -> bool:
         """Send a message; False if the worker has died, which its reader will report."""
         try:
-            write_message(self.process.stdin.fileno(), message)  # type: ignore[union-attr]
+            send(self.process.stdin, message)
         except OSError:
             return False
         return True
@@ -509,8 +486,9 @@ class WorkerProcess:
         if not any(thread.is_alive() for thread in self.readers):
             # Otherwise a grandchild has a pipe open, and its number must not be given to another.
             for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
-                if pipe is not None:
-                    pipe.close()
+                # What could not be sent is lost with the worker.
+                with contextlib.suppress(OSError):
+                    pipe.close()  # type: ignore[union-attr]
 
 
 Inbox = queue.SimpleQueue[tuple[WorkerProcess | None, tuple[Any, ...]]]
@@ -537,7 +515,6 @@ def start_worker(assignment: Assignment, cores: int, inbox: Inbox) -> WorkerProc
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            bufsize=0,
             env=environment,
             **grouped,
         )
@@ -557,11 +534,10 @@ def start_worker(assignment: Assignment, cores: int, inbox: Inbox) -> WorkerProc
 
 
 def _read_messages(worker: WorkerProcess, printing: threading.Thread, inbox: Inbox) -> None:
-    handle = worker.process.stdout.fileno()  # type: ignore[union-attr]
     try:
         while True:
-            inbox.put((worker, read_message(handle)))
-    except (EOFError, OSError):
+            inbox.put((worker, pickle.load(worker.process.stdout)))  # type: ignore[arg-type]
+    except (EOFError, OSError, pickle.UnpicklingError):
         code = worker.process.wait()
         # What it printed last is worth a moment, but a grandchild may hold that pipe for ever.
         printing.join(0.5)
@@ -569,11 +545,10 @@ def _read_messages(worker: WorkerProcess, printing: threading.Thread, inbox: Inb
 
 
 def _read_output(worker: WorkerProcess) -> None:
-    with open(worker.process.stderr.fileno(), "rb", closefd=False) as file:  # type: ignore[union-attr]
-        while line := file.readline(1 << 16):
-            text = line[:4096].decode(errors="replace").rstrip()
-            worker.last_lines.append(text)
-            _log.debug("worker %d prints: %s", worker.process.pid, text)
+    while line := worker.process.stderr.readline(1 << 16):  # type: ignore[union-attr]
+        text = line[:4096].decode(errors="replace").rstrip()
+        worker.last_lines.append(text)
+        _log.debug("worker %d prints: %s", worker.process.pid, text)
 
 
 # Inside a worker
@@ -589,40 +564,21 @@ class Assignment:
     memory_bytes: int | None = None
 
 
-def write_message(handle: int, message: object) -> None:
+def send(pipe: IO[bytes] | None, message: object) -> None:
     """Send one message to a pipe; OSError if it has no reader."""
-    body = pickle.dumps(message, protocol=5)
-    rest = memoryview(_LENGTH.pack(len(body)) + body)
-    while rest:
-        rest = rest[os.write(handle, rest) :]
-
-
-def read_message(handle: int) -> Any:
-    """The next message of a pipe; EOFError at its end, also within a message."""
-    (length,) = _LENGTH.unpack(_read_exactly(handle, _LENGTH.size))
-    return pickle.loads(_read_exactly(handle, length))
-
-
-def _read_exactly(handle: int, length: int) -> bytes:
-    parts = []
-    while length:
-        part = os.read(handle, min(length, 1 << 20))
-        if not part:
-            raise EOFError
-        parts.append(part)
-        length -= len(part)
-    return b"".join(parts)
+    # Whole, so that what cannot be pickled leaves no half of a message.
+    pipe.write(pickle.dumps(message, protocol=5))  # type: ignore[union-attr]
+    pipe.flush()  # type: ignore[union-attr]
 
 
 def serve() -> None:
     """Work until the parent closes the pipe or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _die_with_parent()
     orders, answers = _private_pipes()
     faulthandler.enable()
     outgoing = _Outgoing(answers)
     try:
-        assignment: Assignment = read_message(orders)
+        assignment: Assignment = pickle.load(orders)
         root = logging.getLogger()
         root.addHandler(_ParentLog(outgoing))
         root.setLevel(logging.WARNING)
@@ -642,8 +598,8 @@ def serve() -> None:
         # The whole process ends, even in the middle of a task, with the parent.
         try:
             while True:
-                tasks.put(read_message(orders))
-        except EOFError:
+                tasks.put(pickle.load(orders))
+        except (EOFError, pickle.UnpicklingError):
             os._exit(0)
 
     threading.Thread(target=receive, daemon=True).start()
@@ -655,14 +611,14 @@ def serve() -> None:
 class _Outgoing:
     """The way to the parent, for all threads."""
 
-    def __init__(self, handle: int) -> None:
-        self._handle = handle
+    def __init__(self, pipe: IO[bytes]) -> None:
+        self._pipe = pipe
         self._lock = threading.Lock()
 
     def send(self, *message: Any) -> None:
         try:
             with self._lock:
-                write_message(self._handle, message)
+                send(self._pipe, message)
         except OSError:
             os._exit(0)
 
@@ -737,34 +693,14 @@ def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
             os._exit(1)
 
 
-def _private_pipes() -> tuple[int, int]:
+def _private_pipes() -> tuple[IO[bytes], IO[bytes]]:
     """Copies of standard input and output; the originals then lead to nothing and to stderr."""
     sys.stdout.flush()
-    orders, answers = os.dup(0), os.dup(1)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
+    orders, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.setmode(orders, os.O_BINARY)
-        msvcrt.setmode(answers, os.O_BINARY)
     return orders, answers
-
-
-def _die_with_parent() -> None:
-    """On Linux, ask the system to kill this process with its parent, however busy it is."""
-    if not sys.platform.startswith("linux"):
-        return
-    try:
-        import ctypes
-
-        set_parent_death_signal = 1
-        ctypes.CDLL(None).prctl(set_parent_death_signal, int(signal.SIGKILL), 0, 0, 0)
-    except (ImportError, OSError, AttributeError):
-        # The end of the pipe has the same effect, only a moment later.
-        return
 
 
 class _ParentLog(logging.Handler):
