@@ -154,7 +154,7 @@ class _BatchRun:
             if self.plan.is_set and todo:
                 from msal_cli.batch.tile_set import survey_set
 
-                records = survey_set(self.plan, self.settings, self._manifests())
+                records = survey_set(self.plan, self.settings)
             else:
                 records = {
                     index: foresee(
@@ -202,9 +202,6 @@ class _BatchRun:
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
         return is_alone and not (self.engine or is_limited or self.cancellation)
 
-    def _manifests(self) -> Mapping[str, Manifest]:
-        return {} if self._journal is None else self._journal.manifests
-
     def _local_folders(self) -> list[str]:
         return [folder for folder in self.plan.folders() if not is_url(folder)]
 
@@ -230,8 +227,7 @@ class _BatchRun:
     def _denoise_set(self) -> dict[int, MeshRecord]:
         from msal_cli.batch.tile_set import denoise_set
 
-        stop, manifests = self.stop_after_failures, self._manifests()
-        options = (self.on_event, stop, manifests, self.limits, self.cancellation)
+        options = (self.on_event, self.stop_after_failures, self.limits, self.cancellation)
         return denoise_set(self.plan, self.settings, *options)
 
     def _run_engine(self, todo: list[int]) -> None:

@@ -44,7 +44,6 @@ from msal_cli.storage.atomic import sweep_after
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
-    from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
     from msal_cli.batch.schedule import OnEvent
     from msal_cli.codecs.mesh_file import MeshFile
@@ -103,7 +102,6 @@ def denoise_set(
     settings: Settings,
     on_event: OnEvent = lambda event: None,
     max_failures: int | None = None,
-    manifests: Mapping[str, Manifest] | None = None,
     limits: Limits = NO_LIMITS,
     cancellation: interrupts.Cancellation | None = None,
 ) -> dict[int, MeshRecord]:
@@ -122,16 +120,14 @@ def denoise_set(
     def clean() -> None:
         sweep_after(os.getpid(), output_folders(plan.tasks))
 
-    run = _SetRun(plan, settings, manifests or {}, on_step, limits)
+    run = _SetRun(plan.tasks, settings, on_step, limits)
     with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
         return run.denoise(max_failures)
 
 
-def survey_set(
-    plan: Plan, settings: Settings, manifests: Mapping[str, Manifest] | None = None
-) -> dict[int, MeshRecord]:
+def survey_set(plan: Plan, settings: Settings) -> dict[int, MeshRecord]:
     """What a set holds, without denoising it: records with ``tile_set``, or failures."""
-    return _SetRun(plan, settings, manifests or {}).survey()
+    return _SetRun(plan.tasks, settings).survey()
 
 
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
@@ -146,29 +142,13 @@ class _SetRun:
 
     def __init__(
         self,
-        plan: Plan,
+        tasks: Sequence[Task],
         settings: Settings,
-        manifests: Mapping[str, Manifest],
         on_step: OnStep = lambda index, stage, done, total: None,
         limits: Limits = NO_LIMITS,
     ) -> None:
-        self._tasks, self._settings = plan.tasks, settings
+        self._tasks, self._settings = tasks, settings
         self._on_step, self._limits = on_step, limits
-        # What earlier runs found of these files, by the numbers of tasks, and, unless all is to be
-        # done afresh, of files that belonged to the set and are gone, by name.
-        self._earlier: dict[int, TileSetPart] = {}
-        self._gone: dict[str, TileSetPart] = {}
-        keys = {plan.manifest_key(i): i for i, place in enumerate(plan.manifest_dirs) if place}
-        for manifest in manifests.values():
-            for name in sorted(manifest.names()):
-                entry = manifest.get(name)
-                record = None if entry is None else entry.record()
-                if record is None or record.tile_set is None:
-                    continue
-                if name in keys:
-                    self._earlier[keys[name]] = record.tile_set
-                elif not plan.fresh:
-                    self._gone[record.input] = record.tile_set
         self._members: list[Member] = []
         # Vertices (n, 3), faces (m, 3) and properties of each member, until they are joined.
         self._arrays: list[tuple[Floats, Ints, dict[str, Floats]]] = []
@@ -244,22 +224,8 @@ class _SetRun:
         return share_borders([member.border for member in self._members], is_single)
 
     def _fixed_points(self, shared: SharedBorders) -> Flags | None:
-        """(n,) border points that a file may share which failed or is gone; None if there is none.
-
-        Where an earlier run has read it they lie within its bounds; else any may be its.
-        """
-        parts = [self._earlier.get(index) for index in self._records]
-        parts += self._gone.values()
-        if not parts:
-            return None
-        if None in parts:
-            return ~shared.is_shared
-        is_inside = np.zeros(len(shared.group), dtype=np.bool_)
-        for part in parts:
-            if part is not None and part.low is not None and part.high is not None:
-                low, high = np.array(part.low), np.array(part.high)
-                is_inside |= ((shared.positions >= low) & (shared.positions <= high)).all(axis=1)
-        return ~shared.is_shared & is_inside
+        """(n,) border points that a file which failed may share; None if none has failed."""
+        return ~shared.is_shared if self._records else None
 
     def _describe(self, shared: SharedBorders) -> list[TileSetPart]:
         """What each member shares with the others."""
@@ -422,9 +388,7 @@ class _SetRun:
         gaps = shared.distances(written)
         gaps[np.isnan(written).any(axis=1) & shared.is_shared] = np.nan
         failed = sorted(i for i, record in self._records.items() if record.status == "failed")
-        for index in set(failed) & self._earlier.keys():
-            self._records[index] = replace(self._records[index], tile_set=self._earlier[index])
-        names = [self._tasks[index].relative for index in failed] + list(self._gone)
+        names = [self._tasks[index].relative for index in failed]
         notes = [f"the tile set: {warning}" for warning in warnings]
         for place, member in enumerate(self._members):
             record = self._records[member.index]
@@ -449,7 +413,7 @@ def _warnings_of(record: MeshRecord, gap: float, failed: Sequence[str]) -> list[
         names = ", ".join(failed[:3]) + (" ..." if len(failed) > 3 else "")
         notes.append(
             f"{part.fixed_border_vertices:,} border vertices were held in their place, because "
-            f"files that failed or are gone may share them: {names}"
+            f"files that failed may share them: {names}"
         )
     if part.unmatched_vertices:
         notes.append(

@@ -355,8 +355,7 @@ class TileSetPart:
         "border vertices that lie at the border of another file but are no vertices of it"
     )
     fixed_border_vertices: int = required(
-        "border vertices that were held in their place because a file that failed, or is "
-        "gone since an earlier run, may share them"
+        "border vertices that were held in their place because a file that failed may share them"
     )
     low: tuple[float, float, float] | None = known(
         "least coordinates of its border vertices before, file units; null if it has none"

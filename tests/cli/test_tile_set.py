@@ -76,35 +76,6 @@ def test_a_file_that_fails_is_mended(tiles):
     assert states(tiles) == ["written"] * 4
 
 
-def test_a_file_that_an_earlier_run_has_read_holds_its_own_border_only(tiles):
-    folder, _ = tiles
-    good = (folder / "3.ply").read_bytes()
-    (folder / "3.ply").write_bytes(b"ply")
-    unknown = [one["tile_set"] for one in records_of(tiles)]
-    assert unknown[3] is None
-    (folder / "3.ply").write_bytes(good)
-    assert [one["tile_set"]["fixed_border_vertices"] for one in records_of(tiles)] == [0] * 4
-    (folder / "3.ply").write_bytes(b"ply")
-    for _ in range(2):
-        records = records_of(tiles, "--fresh")
-        known = [one["tile_set"]["fixed_border_vertices"] for one in records]
-        assert records[3]["status"] == "failed" and known[3] == 0
-        # The corner that all share is within the others; what only 3.ply had is held.
-        assert 0 < known[1] < unknown[1]["fixed_border_vertices"]
-
-
-def test_a_file_that_is_gone_is_missed(tiles):
-    folder, _ = tiles
-    denoise(tiles)
-    (folder / "3.ply").unlink()
-    done = denoise(tiles)
-    assert "gone may share them" in done.stderr and "3.ply" in done.stderr
-    assert states(tiles) == ["up-to-date"] * 3
-    assert [one["tile_set"]["fixed_border_vertices"] for one in records_of(tiles, "--fresh")] == [
-        0
-    ] * 3
-
-
 def test_a_dry_run_lists_neighbours_and_memory(tiles):
     done = denoise(tiles, "--dry-run")
     assert "touches 0.ply, 2.stl, 3.ply" in done.stdout
