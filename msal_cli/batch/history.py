@@ -183,14 +183,11 @@ def _parse_start(data: Mapping[str, Any], last_at: int) -> RunEntry:
 
 
 def _row(entry: ManifestEntry, place: str) -> FileRow:
-    data = entry.data()
     record = entry.record() if entry.is_done else None
-    paths = data.get("paths")
-    if isinstance(paths, list) and len(paths) == 2 and all(isinstance(path, str) for path in paths):
-        source, target = paths
-    else:
-        # Manifests of older versions have no paths.
-        source, target = (record.input, record.output) if record is not None else (entry.name, None)
+    try:
+        source, target = map(str, entry.data()["paths"])
+    except (KeyError, TypeError, ValueError):
+        source, target = entry.name, ""
     target = target or str(Path(place) / entry.name)
     if record is None:
         record = MeshRecord(input=source, status="planned", output=target)

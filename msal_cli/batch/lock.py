@@ -22,7 +22,6 @@ import os
 import platform
 import random
 import re
-import stat
 import sys
 import time
 from collections.abc import Iterator
@@ -32,6 +31,7 @@ from pathlib import Path
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.machine import is_alive
+from msal_cli.storage.regular import open_own
 
 NAME = ".msal-lock"
 _ANY_NAME = re.compile(re.escape(NAME) + r"(?:-(\d{1,9})-of-(\d{1,9}))?")
@@ -161,20 +161,14 @@ def _lock_files(folder: Path) -> Iterator[tuple[Path, int]]:
 
 
 def _open(path: Path, flags: int = 0) -> int:
-    flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
     try:
-        # Without it, opening a pipe would wait for a writer.
-        handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o644)
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            os.close(handle)
-            raise OSError(errno.EINVAL, "it is not a regular file")
+        return open_own(path, flags)
     except OSError as error:
         raise OutputError(
             f"the lock file {str(path)!r} cannot be opened: {error.strerror}",
             hint="the output folder must be writable",
             path=str(path),
         ) from error
-    return handle
 
 
 def _write_owner(handle: int, path: Path) -> None:

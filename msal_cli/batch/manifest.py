@@ -48,7 +48,7 @@ from msal_cli.job.plain_data import as_data, from_data
 from msal_cli.job.records import MeshRecord, ObjectMark
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import flush_folder, write_whole
-from msal_cli.storage.regular import is_regular, open_regular
+from msal_cli.storage.regular import open_own, open_regular
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
@@ -114,12 +114,6 @@ class LineSpan:
     start: int
     length: int
 
-    def read(self) -> bytes:
-        """The line as it is now; OSError if the file cannot be read."""
-        with open_regular(self.path, buffering=0) as file:
-            file.seek(self.start)
-            return file.read(self.length)
-
 
 @dataclass(frozen=True, slots=True)
 class ManifestEntry:
@@ -144,6 +138,14 @@ class ManifestEntry:
     output_version: FileStat | ObjectMark | None = None
     line: bytes | LineSpan = b""
 
+    def read_line(self) -> bytes:
+        """The line as it is now; OSError if the file cannot be read."""
+        if isinstance(self.line, bytes):
+            return self.line
+        with open_regular(self.line.path, buffering=0) as file:
+            file.seek(self.line.start)
+            return file.read(self.line.length)
+
     def record(self) -> MeshRecord | None:
         """The record of the run that wrote the output; None if it cannot be read."""
         try:
@@ -155,7 +157,7 @@ class ManifestEntry:
     def data(self) -> dict[str, Any]:
         """All that the line says; empty if it cannot be read (any more)."""
         try:
-            data = json.loads(self.line.read() if isinstance(self.line, LineSpan) else self.line)
+            data = json.loads(self.read_line())
             # The file may have been rewritten by the shard that it belongs to.
             return data if data["name"] == self.name and data.get("at", 0) == self.at else {}
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -194,6 +196,18 @@ class LogView:
             elif parsed in RUN_KINDS:
                 view.run_lines.append(RunLine(line))
         return view
+
+    @property
+    def n_counting(self) -> int:
+        """How many of the lines count."""
+        return len(self.entries) + min(len(self.run_lines), MAX_RUN_LINES)
+
+    def counting_lines(self) -> Iterator[bytes]:
+        """The lines that count, with their ends; OSError if they cannot be read again."""
+        for run in self.run_lines[-MAX_RUN_LINES:]:
+            yield run.line + b"\n"
+        for entry in self.entries.values():
+            yield entry.read_line() + b"\n"
 
 
 def merge_entries(views: Iterable[LogView]) -> dict[str, ManifestEntry]:
@@ -398,26 +412,17 @@ class FolderManifest(Manifest):
         if self._file is not None:
             return
         try:
-            n_kept = len(self._own.entries) + min(len(self._own.run_lines), MAX_RUN_LINES)
+            n_kept = self._own.n_counting
             if self._own.n_lines - n_kept > max(_SPARE_LINES, n_kept):
-                self._compact()
+                write_whole(self._path, self._own.counting_lines())
                 _log.debug("manifest of %r: %d lines are left", self.place, n_kept)
-            if self._path.is_symlink():
-                # Its target may be outside of the output folder.
-                raise OSError(errno.ELOOP, "it is a link")
-            is_new = not self._path.exists()
-            if not is_new and not is_regular(self._path):
-                # To open a pipe would wait for a reader.
-                raise OSError(errno.EINVAL, "it is not a regular file")
             # With a buffer, what did not fit on a full disk would be tried again at the end.
-            self._file = self._path.open("ab", buffering=0)
-            if is_new:
-                flush_folder(self._path.parent)
+            handle = open_own(self._path, os.O_CREAT | os.O_APPEND)
+            self._file = os.fdopen(handle, "a+b", buffering=0)
+            flush_folder(self._path.parent)
             if self._file.tell():
-                with open_regular(self._path) as file:
-                    file.seek(-1, os.SEEK_END)
-                    is_torn = file.read(1) != b"\n"
-                if is_torn:
+                self._file.seek(-1, os.SEEK_END)
+                if self._file.read(1) != b"\n":
                     self._write_all(b"\n")
         except OSError as error:
             raise manifest_error(str(self._path), error) from None
@@ -453,19 +458,6 @@ class FolderManifest(Manifest):
             with contextlib.suppress(OSError):
                 self._file.truncate(size)
             raise
-
-    def _compact(self) -> None:
-        """Rewrite the manifest with the lines that count; whole or not at all."""
-        counting = {entry.line for entry in self._own.entries.values()}
-
-        def lines() -> Iterator[bytes]:
-            for run in self._own.run_lines[-MAX_RUN_LINES:]:
-                yield run.line + b"\n"
-            for line, span in read_lines(self._path):
-                if span in counting:
-                    yield line + b"\n"
-
-        write_whole(self._path, lines())
 
 
 def list_manifests(folder: str) -> list[Path]:
@@ -551,9 +543,7 @@ class ObjectManifest(Manifest):
     def _merge_parts(self) -> None:
         from msal_cli.storage import objects
 
-        lines = [run.line for run in self._view.run_lines[-MAX_RUN_LINES:]]
-        lines += [entry.line for entry in self._entries.values() if isinstance(entry.line, bytes)]
-        self._write_part(0, b"".join(line + b"\n" for line in lines))
+        self._write_part(0, b"".join(self._view.counting_lines()))
         objects.remove_objects([_part_url(self.place, name) for name in self._parts])
         _log.debug("manifest of %r: %d parts became one", self.place, len(self._parts))
 

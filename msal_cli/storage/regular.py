@@ -26,7 +26,7 @@ _KINDS = (
 )
 
 # Windows would translate line ends and hand the handle down to children.
-_FLAGS = os.O_RDONLY
+_FLAGS = 0
 for _name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY", "O_NOINHERIT"):
     _FLAGS |= getattr(os, _name, 0)
 
@@ -48,7 +48,7 @@ def open_regular(path: str | os.PathLike[str], buffering: int = -1) -> BinaryIO:
     # Asked before, because opening alone sets some devices in motion, and after, because the name
     # may have got another file in between.
     _require_regular(os.stat(path).st_mode)
-    handle = os.open(path, _FLAGS)
+    handle = os.open(path, os.O_RDONLY | _FLAGS)
     try:
         _require_regular(os.fstat(handle).st_mode)
         return open(handle, "rb", buffering=buffering)
@@ -57,12 +57,17 @@ def open_regular(path: str | os.PathLike[str], buffering: int = -1) -> BinaryIO:
         raise
 
 
-def is_regular(path: str | os.PathLike[str]) -> bool:
-    """Whether a name, links followed, is that of a regular file."""
+def open_own(path: str | os.PathLike[str], flags: int = 0) -> int:
+    """The handle of a file of msal's own, to read and write it; OSError for a link, which may lead
+    anywhere, and for what is no regular file."""
+    flags |= os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | _FLAGS
+    handle = os.open(path, flags, 0o644)
     try:
-        return stat.S_ISREG(os.stat(path).st_mode)
-    except (OSError, ValueError):
-        return False
+        _require_regular(os.fstat(handle).st_mode)
+    except OSError:
+        os.close(handle)
+        raise
+    return handle
 
 
 def _require_regular(mode: int) -> None:

@@ -135,21 +135,6 @@ def test_the_name_of_a_new_manifest_outlives_a_power_cut(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
     opened(tmp_path).close()
     assert synced == [tmp_path.stat().st_ino]
-    opened(tmp_path).close()
-    assert len(synced) == 1
-
-
-def test_outdated_lines_are_dropped_when_they_outweigh(tmp_path, monkeypatch):
-    monkeypatch.setattr(manifests, "_SPARE_LINES", 10)
-    last = noted(tmp_path, *(intent_line(f"{n % 3}", "in") for n in range(13)))
-    assert last.names() == {"0", "1", "2"}
-    noted(tmp_path, done_line("0", "h", record(tmp_path), "in"))
-    assert (tmp_path / NAME).read_bytes().count(b"\n") == 14
-    after = noted(tmp_path, intent_line("3", "in"))
-    assert (tmp_path / NAME).read_bytes().count(b"\n") == 4
-    assert after.names() == {"0", "1", "2", "3"} and after.get("0").is_done
-    assert after.get("0").record() is not None
-    assert sorted(path.name for path in tmp_path.iterdir()) == [NAME, "a.ply"]
 
 
 def test_what_is_no_manifest_is_an_output_error(tmp_path):
@@ -199,6 +184,12 @@ class TestSeveral:
         noted(tmp_path, line | {"settings": "second"})
         noted(tmp_path, line | {"settings": "third"})
         assert FolderManifest(str(tmp_path)).get("a.ply").settings == "third"
+
+    def test_a_few_spare_lines_stay_and_more_of_them_go(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(manifests, "_SPARE_LINES", 10)
+        for n, n_lines in ((13, 13), (1, 14), (1, 4)):
+            noted(tmp_path, *(intent_line(f"{k % 3}", "in") for k in range(n)))
+            assert (tmp_path / NAME).read_bytes().count(b"\n") == n_lines
 
     def test_compaction_drops_only_what_is_outdated_in_its_own(self, tmp_path, monkeypatch):
         monkeypatch.setattr(manifests, "_SPARE_LINES", 5)
