@@ -10,6 +10,7 @@ here, and load nothing.  What comes from outside, names of files mostly, is esca
 
 from __future__ import annotations
 
+import bisect
 import html
 import itertools
 import json
@@ -303,12 +304,14 @@ def _short(number: float) -> str:
 
 # Histograms as SVG: how one figure is spread over the files of a run
 
-MIN_BINS, MAX_BINS = 8, 24
-"""Bars between the ends of the axis: more for more files."""
+N_BINS = 16
+"""Bars between the ends of the axis."""
+
+_BEYOND = 0.02
+"""Share of the values that may lie beyond each end, so that a few do not squeeze all the others."""
 
 _WIDTH, _HEIGHT = 360, 170
-_LEFT, _RIGHT, _TOP, _BOTTOM = 34, 8, 14, 26
-_FAR_OUT = 6.0
+_LEFT, _RIGHT, _TOP, _FLOOR = 34, 352, 14, 144
 
 
 def _histograms(records: Sequence[MeshRecord]) -> str:
@@ -327,27 +330,22 @@ def _histograms(records: Sequence[MeshRecord]) -> str:
     return f'<section class="histograms" aria-label="Histograms">{inner}</section>' if parts else ""
 
 
-def bin_values(values: Sequence[float]) -> tuple[list[float], list[int]]:
+def bin_values(ranked: Sequence[float]) -> tuple[list[float], list[int]]:
     """The edges of equal steps, and how many values lie below the first, between each two and
-    beyond the last; a few far outliers get no axis that squeezes all the others.
+    from the last on.
 
-    ``values`` are finite, and at least one.
+    ``ranked`` are finite, in rising order, and at least one.
     """
-    ranked = sorted(values)
-    low, high = _limits(ranked)
-    if high <= low:
+    beyond = round(_BEYOND * (len(ranked) - 1))
+    low, high = ranked[beyond], ranked[-1 - beyond]
+    if low == high:
         pad = abs(low) * 0.05 or 0.5
         low, high = low - pad, high + pad
-    n_bins = min(MAX_BINS, max(MIN_BINS, round(1.5 * math.sqrt(len(ranked)))))
-    step = (high - low) / n_bins
-    if not (math.isfinite(step) and low + step > low):
-        # Values that are too large or too close for steps between them.
-        return [low, high], [0, len(values), 0]
-    counts = [0] * (n_bins + 2)
-    for value in values:
-        at = min(n_bins - 1, int((value - low) / step)) + 1 if low <= value <= high else 0
-        counts[at if value <= high else -1] += 1
-    return [low + step * at for at in range(n_bins + 1)], counts
+    shares = [at / N_BINS for at in range(N_BINS + 1)]
+    edges = [low * (1.0 - share) + high * share for share in shares]
+    below = [bisect.bisect_left(ranked, edge) for edge in edges[:-1]]
+    below = [0, *below, bisect.bisect_right(ranked, high), len(ranked)]
+    return edges, [b - a for a, b in itertools.pairwise(below)]
 
 
 def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "") -> str:
@@ -355,7 +353,7 @@ def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "
 
     What is not finite is left out.
     """
-    ranked = sorted(value for value in values if math.isfinite(value))
+    ranked = sorted(filter(math.isfinite, values))
     if not ranked:
         return ""
 
@@ -365,53 +363,30 @@ def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "
     edges, counts = bin_values(ranked)
     low, median, high = (text(ranked[at]) for at in (0, len(ranked) // 2, -1))
     label = f"{html.escape(title)}: {len(ranked):,} files from {low} to {high}, median {median}"
-    highest = max(counts)
-    left, right, floor = _LEFT, _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    slot = (right - left) / len(counts)
+    slot = (_RIGHT - _LEFT) / len(counts)
     places = [f"{text(a)} to {text(b)}" for a, b in itertools.pairwise(edges)]
     places = [f"below {text(edges[0])}", *places, f"above {text(edges[-1])}"]
     parts = []
     for at, count in enumerate(counts):
         if count:
             # A single file among thousands must still be seen.
-            height = max(2.0, (floor - _TOP) * count / highest)
+            height = max(2.0, (_FLOOR - _TOP) * count / max(counts))
             kind = "bar" if 0 < at < len(counts) - 1 else "out"
             parts.append(
-                f'<rect class="{kind}" x="{left + slot * at + 0.75:.2f}" '
-                f'y="{floor - height:.2f}" width="{max(1.0, slot - 1.5):.2f}" '
-                f'height="{height:.2f}" rx="1">'
+                f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
+                f'y="{_FLOOR - height:.2f}" width="{slot - 1.5:.2f}" height="{height:.2f}">'
                 f"<title>{format_count(count, 'file')}, {places[at]}</title></rect>"
             )
-    for kind, y, down, number in (("rule", _TOP, 4, highest), ("axis", floor, 1, 0)):
+    for kind, y, number in (("rule", _TOP, max(counts)), ("axis", _FLOOR, 0)):
         parts.append(
-            f'<line class="{kind}" x1="{left}" x2="{right}" y1="{y}" y2="{y}"/>'
-            f'<text x="{left - 5}" y="{y + down}" text-anchor="end">{number:,}</text>'
+            f'<line class="{kind}" x1="{_LEFT}" x2="{_RIGHT}" y1="{y}" y2="{y}"/>'
+            f'<text x="{_LEFT - 5}" y="{y + 4}" text-anchor="end">{number:,}</text>'
         )
-    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
-        x = left + slot + share * (right - left - 2 * slot)
+    for at, anchor in ((0, "start"), (N_BINS // 2, "middle"), (N_BINS, "end")):
+        x = _LEFT + slot * (at + 1)
         parts.append(
-            f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{floor}" y2="{floor + 4}"/>'
-            f'<text x="{x:.2f}" y="{floor + 17}" text-anchor="{anchor}">'
-            f"{text(edges[0] + share * (edges[-1] - edges[0]))}</text>"
+            f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{_FLOOR}" y2="{_FLOOR + 4}"/>'
+            f'<text x="{x:.2f}" y="{_FLOOR + 17}" text-anchor="{anchor}">{text(edges[at])}</text>'
         )
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">'
-        f"{''.join(parts)}</svg>"
-    )
-
-
-def _limits(ranked: Sequence[float]) -> tuple[float, float]:
-    """The ends of the axis: those of the values, unless a few lie far from nearly all."""
-
-    def at(share: float) -> float:
-        return ranked[round(share * (len(ranked) - 1))]
-
-    low, high = ranked[0], ranked[-1]
-    middle = at(0.5)
-    reach_below, reach_above = middle - at(0.05), at(0.95) - middle
-    # Where nearly all are alike there is nothing to be squeezed.
-    if reach_above > 0.0 and high - middle > _FAR_OUT * reach_above:
-        high = middle + _FAR_OUT * 0.5 * reach_above
-    if reach_below > 0.0 and middle - low > _FAR_OUT * reach_below:
-        low = middle - _FAR_OUT * 0.5 * reach_below
-    return low, high
+    inner = "".join(parts)
+    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">{inner}</svg>'
