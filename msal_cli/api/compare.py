@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.api.mesh_objects import explained_errors, from_arrays, read_object
+from msal_cli.api.mesh_objects import explained_errors, read_mesh
 from msal_cli.job.comparison import Surface, compare_meshes, measure_files, open_surface
 from msal_cli.job.records import ComparisonRecord
 
@@ -53,5 +53,5 @@ def _read(given: Any) -> tuple[Surface, str]:
     if _is_path(given):
         return open_surface(os.fsdecode(given)), os.fsdecode(given)
     is_pair = isinstance(given, tuple | list) and len(given) == 2
-    mesh = from_arrays(*given) if is_pair else read_object(given)
+    mesh = read_mesh(*given) if is_pair else read_mesh(given)
     return Surface(mesh.vertices, np.asarray(mesh.faces)), mesh.name

@@ -17,8 +17,7 @@ from msal_cli.api.mesh_objects import (
     MemoryMesh,
     as_array,
     explained_errors,
-    from_arrays,
-    read_object,
+    read_mesh,
     vertex_numbers,
 )
 from msal_cli.api.method_list import MethodName, MethodParameters
@@ -228,13 +227,7 @@ def denoise(
     """
     given = locals()
     with explained_errors():
-        is_object = faces is None
-        if isinstance(faces, str):
-            raise UsageError(
-                f"faces are {faces!r}, a text",
-                hint=f"of a mesh object the method has to be named: method={faces!r}",
-            )
-        mesh = read_object(vertices) if is_object else from_arrays(vertices, faces)
+        mesh = read_mesh(vertices, faces)
         is_text = isinstance(lock, list | tuple) and lock and all(isinstance(k, str) for k in lock)
         if not (lock is None or isinstance(lock, str) or is_text):
             mesh.properties[_MASK] = _as_mask(lock, len(mesh.vertices))
@@ -243,7 +236,7 @@ def denoise(
             mesh.properties[_TRUST] = _as_trust(weights, len(mesh.vertices))
             given["weights"] = _TRUST
         result = _run(mesh, parse_arguments(denoise, given))
-        return mesh.to_result(result.vertices) if is_object else result
+        return mesh.to_result(result.vertices) if faces is None else result
 
 
 def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> Settings:

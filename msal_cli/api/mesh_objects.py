@@ -329,7 +329,9 @@ def _read_meshio(mesh: Any) -> MemoryMesh:
 def _read_open3d(mesh: Any) -> MemoryMesh:
     """The mesh; the copy keeps colours, UVs and textures, and normals follow the surface."""
     if hasattr(mesh, "vertex"):
-        return _read_tensors(mesh)
+        raise UnsupportedError(
+            "an open3d.t.geometry.TriangleMesh is not denoised", hint="give mesh.to_legacy()"
+        )
     triangles = np.asarray(mesh.triangles)
 
     def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
@@ -346,27 +348,6 @@ def _read_open3d(mesh: Any) -> MemoryMesh:
     return from_arrays(np.array(mesh.vertices), triangles, "TriangleMesh", {}, copy_object)
 
 
-def _read_tensors(mesh: Any) -> MemoryMesh:
-    triangles = mesh.triangle["indices"].cpu().numpy()
-
-    def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
-        def to_tensor(values: Array, stored: Any) -> Any:
-            return type(stored)(values, stored.dtype, stored.device)
-
-        copy = mesh.clone()
-        copy.vertex["positions"] = to_tensor(vertices, mesh.vertex["positions"])
-        own = _own_entries(np.arange(len(triangles)))
-        for data, entries in ((copy.vertex, triangles), (copy.triangle, own)):
-            if "normals" in data:
-                stored = data["normals"]
-                renewed = memory.renew_normals(vertices, entries, stored.cpu().numpy())
-                data["normals"] = to_tensor(renewed, stored)
-        return copy
-
-    arrays = {name: mesh.vertex[name].cpu().numpy() for name in mesh.vertex}
-    return from_arrays(arrays["positions"], triangles, "TriangleMesh", arrays, copy_object)
-
-
 _READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {
     ("trimesh", "Trimesh"): _read_trimesh,
     ("pyvista", "PolyData"): _read_pyvista,
@@ -376,9 +357,18 @@ _READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {
 """By the package and the name of the class."""
 
 
-def read_object(mesh: Any) -> MemoryMesh:
-    """The mesh of an object of trimesh, pyvista, meshio or open3d; UnsupportedError for another
-    class of these packages, or cells that are no faces, UsageError for anything else."""
+def read_mesh(vertices: Any, faces: Any = None) -> MemoryMesh:
+    """The mesh of arrays, or where there are no ``faces`` of an object of trimesh, pyvista, meshio
+    or open3d; UnsupportedError for another class of these packages, or cells that are no faces,
+    UsageError for anything else."""
+    if isinstance(faces, str):
+        raise UsageError(
+            f"faces are {faces!r}, a text",
+            hint=f"of a mesh object the method has to be named: method={faces!r}",
+        )
+    if faces is not None:
+        return from_arrays(vertices, faces)
+    mesh = vertices
     names = [(base.__module__.partition(".")[0], base.__name__) for base in type(mesh).__mro__]
     for name in names:
         if name in _READERS:

@@ -4,43 +4,22 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, TypedDict, TypeVar, Unpack, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from msal_cli.api.mesh_objects import (
-    Array,
     as_array,
     explained_errors,
-    from_arrays,
-    read_object,
+    read_mesh,
     vertex_numbers,
 )
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
 from msal_cli.job.records import NoiseEstimate
 from msal_cli.job.room import prepare_mesh
-from msal_cli.job.settings import to_number
-
-NoiseKind = Literal[
-    "gaussian-normal",
-    "gaussian",
-    "uniform",
-    "mixed",
-    "impulsive",
-    "correlated",
-    "view",
-    "quantised",
-    "grazing",
-    "half",
-    "ramp",
-    "property",
-    "outliers",
-]
-"""What ``add_noise`` adds."""
-
-MeshObject = TypeVar("MeshObject")
+from msal_cli.job.settings import NoiseKind, to_number
 
 _FACTORS = "(property)"
 
@@ -70,36 +49,7 @@ def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstima
         as ``denoise``.
     """
     with explained_errors():
-        mesh = read_object(vertices) if faces is None else from_arrays(vertices, faces)
-        return noise_field(prepare_mesh(mesh).mesh)
-
-
-class _Options(TypedDict, total=False):
-    """The keyword arguments of ``add_noise``, for type checkers."""
-
-    level: float
-    seed: int
-    fraction: float | None
-    rings: int | None
-    direction: Sequence[float] | None
-    step: float | None
-    border: float | None
-    property: str | ArrayLike | None
-
-
-@overload
-def add_noise(
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    kind: NoiseKind = "gaussian-normal",
-    **options: Unpack[_Options],
-) -> Array: ...
-
-
-@overload
-def add_noise(
-    vertices: MeshObject, *, kind: NoiseKind = "gaussian-normal", **options: Unpack[_Options]
-) -> MeshObject: ...
+        return noise_field(prepare_mesh(read_mesh(vertices, faces)).mesh)
 
 
 def add_noise(
@@ -159,8 +109,7 @@ def add_noise(
     from msal_cli.job.output import read_weights
 
     with explained_errors():
-        is_object = faces is None
-        mesh = read_object(vertices) if is_object else from_arrays(vertices, faces)
+        mesh = read_mesh(vertices, faces)
         if not (property is None or isinstance(property, str)):
             factors = vertex_numbers(property, "property", len(mesh.vertices))
             mesh.properties[_FACTORS] = factors.astype(np.float64)

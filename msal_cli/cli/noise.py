@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import click
 
@@ -13,26 +13,10 @@ from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import INPUTS, QUIET_AND_VERBOSE, STREAM, group, number, resolve_format
 from msal_cli.errors import MsalError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.job.settings import NoiseKind
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
-
-# Those of added_noise.KINDS, whose module imports numpy; a test compares them.
-_KINDS = (
-    "gaussian-normal",
-    "gaussian",
-    "uniform",
-    "mixed",
-    "impulsive",
-    "correlated",
-    "view",
-    "quantised",
-    "grazing",
-    "half",
-    "ramp",
-    "property",
-    "outliers",
-)
 
 
 @grouped_command(
@@ -80,7 +64,7 @@ more:
 --property NAME
     With --kind property: vertex property of a PLY file that multiplies the noise.
 """,
-        kind=click.Choice(_KINDS),
+        kind=click.Choice(get_args(NoiseKind)),
         level=number(0.0, 1000.0, "e"),
         seed=click.IntRange(min=0),
         fraction=number(0.0, 1.0),

@@ -21,6 +21,10 @@ Keep = Literal["texture", "edges", "shape"]
 Assumption = Literal["noise", "texture"]
 Encoding = Literal["same", "ascii", "binary"]
 Precision = Literal["same", "float32", "float64"]
+NoiseKind = Literal[
+    "gaussian-normal", "gaussian", "uniform", "mixed", "impulsive", "correlated", "view",
+    "quantised", "grazing", "half", "ramp", "property", "outliers",
+]  # fmt: skip
 
 AUTO, ADAPTIVE = "auto", "adaptive"
 """In place of a method's name: each mesh gets the one that suits it, see ``auto.search``, or the

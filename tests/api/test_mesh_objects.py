@@ -216,24 +216,6 @@ def test_open3d_keeps_colours_and_renews_normals(open3d):
     assert np.allclose(np.asarray(result.triangle_normals), fresh.face_normals, atol=1e-6)
 
 
-def test_open3d_tensors_keep_their_type(open3d):
-    core = open3d.core
-    mesh = open3d.t.geometry.TriangleMesh(
-        core.Tensor(VERTICES.astype(np.float32)), core.Tensor(FACES)
-    )
-    mesh.vertex["trust"] = core.Tensor(TRUST[:, None].astype(np.float32))
-    mesh.compute_vertex_normals()
-    result = msal.denoise(mesh, method="msal", lock="trust < 0.2")
-    assert type(result) is open3d.t.geometry.TriangleMesh
-    positions = result.vertex["positions"]
-    assert positions.dtype == core.float32
-    mask = TRUST.astype(np.float32) < np.float32(0.2)
-    assert np.array_equal(positions.numpy(), denoised(VERTICES.astype(np.float32), lock=mask))
-    assert np.array_equal(mesh.vertex["positions"].numpy(), VERTICES.astype(np.float32))
-    assert np.array_equal(result.vertex["trust"].numpy(), TRUST[:, None].astype(np.float32))
-    assert not np.array_equal(result.vertex["normals"].numpy(), mesh.vertex["normals"].numpy())
-
-
 # Classes that look like those of a library, so that these paths run without it
 
 
@@ -278,5 +260,10 @@ def test_no_library_is_imported_for_its_objects(monkeypatch):
         grid_class = fake_class("pyvista.core", name, fake_class("pyvista.core", "DataSet"))
         with pytest.raises(msal.UnsupportedError, match=name):
             msal.denoise(grid_class())
+    tensors = fake_class("open3d.t.geometry", "TriangleMesh")()
+    tensors.vertex = {}
+    with pytest.raises(msal.UnsupportedError) as caught:
+        msal.denoise(tensors)
+    assert "to_legacy()" in caught.value.hint
     with pytest.raises(msal.UsageError, match="a dict alone is no mesh"):
         msal.denoise({})

@@ -9,17 +9,11 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from msal_cli import codecs
-from msal_cli.analysis.added_noise import KINDS
-from msal_cli.cli.noise import _KINDS
 from msal_cli.job import fields
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
 from tests.files import tree
 from tests.report.made import load_schema
 from tests.shapes import ball, torus
-
-
-def test_the_command_offers_every_kind():
-    assert tuple(KINDS) == _KINDS
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "property", "view"])
