@@ -25,11 +25,11 @@ from msal_cli.batch.schedule import (
     Work,
     estimate_memory,
 )
-from msal_cli.errors import OutputError, ResourceError, UsageError
-from msal_cli.job.pipeline import denoise_copy, denoise_file
+from msal_cli.errors import OutputError, UsageError
+from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 from msal_cli.job.room import foresee
-from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, least_memory_bytes
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings, least_memory_bytes
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.atomic import sweep, sweep_after
 from msal_cli.storage.urls import is_url
@@ -38,9 +38,8 @@ from msal_cli.version import __version__
 if TYPE_CHECKING:
     from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.resume import Journal
-    from msal_cli.batch.schedule import EngineFactory, Event, Message, OnEvent
+    from msal_cli.batch.schedule import EngineFactory, Message, OnEvent
     from msal_cli.batch.workers import Denoise
-    from msal_cli.job.pipeline import OnProgress
 
 
 # By what ended a task.
@@ -367,43 +366,3 @@ def check_options(
             f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
             hint=f"msal itself takes {least / 1e6:.0f} MB",
         )
-
-
-def denoise_in_pool(
-    task: Task,
-    settings: Settings,
-    limits: Limits,
-    left_s: float | None,
-    on_progress: OnProgress,
-) -> MeshRecord:
-    """Denoise a mesh of a stream in a worker, which its limits can end; there is no manifest and no
-    second try.
-
-    ``left_s`` is what is left of ``limits.timeout_s``, which began with the first byte.  Raises
-    ResourceError if no worker can be started, or no time is left (E_TIMEOUT).
-    """
-    from msal_cli.batch.workers import WorkerPool
-
-    def on_event(event: Event) -> None:
-        if isinstance(event, Progress):
-            on_progress(event.stage, event.done, event.total)
-
-    record: MeshRecord | None = None
-    if left_s is None or left_s > 0.0:
-        (record,) = run(
-            Plan((task,), (None,)),
-            settings,
-            jobs=1,
-            on_event=on_event,
-            limits=replace(limits, timeout_s=left_s),
-            retries=0,
-            denoise=denoise_copy,
-            engine=WorkerPool,
-        )
-    if record is None or (record.error is not None and record.error.code == "E_TIMEOUT"):
-        raise ResourceError(
-            f"it was not done within {limits.timeout_s:g} s",
-            code="E_TIMEOUT",
-            hint="raise --timeout, or look at the file: it may be very large, or damaged",
-        )
-    return replace(record, input=task.relative)

@@ -21,6 +21,7 @@ BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
 _FOR_FILES = (
     *("in_place", "include", "exclude", "dry_run", "shard", "retry_failed", "dask"),
     *("fail_fast", "fields", "retries", "max_failures", "scratch", "tile_set"),
+    *("timeout", "memory_limit"),
 )
 
 _AUTO_HINT = (

@@ -86,30 +86,6 @@ def denoise_bytes(
         return None, run.fail(error)
 
 
-def denoise_copy(
-    task: Task,
-    settings: Settings,
-    on_progress: OnProgress | None = None,
-    limits: Limits = NO_LIMITS,
-) -> MeshRecord:
-    """Denoise a stream that was copied to a file, as ``denoise_bytes``, into another such file.
-
-    The record knows the mesh as ``task.relative`` and has no output; nothing is read or written
-    beside the two files.
-    """
-    run = FileRun(task.relative, settings, on_progress, limits)
-    try:
-        from msal_cli.storage import atomic
-
-        with run.room(task):
-            made = run.denoise(run.read(task), None)
-            with run.stage("write"):
-                atomic.write_whole(task.output, [made.data])
-        return run.finish(None)
-    except Exception as error:
-        return run.fail(error)
-
-
 class FileRun:
     """One file on its way: its record so far, and the seconds of its stages.
 

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import io
-import json
-import os
 import subprocess
 import sys
-import tempfile
 
 import pytest
 
 from msal_cli import machine
-from msal_cli.cli.streams import Stream, choose_format, copy_stream, find_stream, read_stream
-from msal_cli.errors import InputError, OutputError, ResourceError, TooLargeError, UsageError
+from msal_cli.cli.streams import Stream, choose_format, find_stream, read_stream
+from msal_cli.errors import InputError, ResourceError, TooLargeError, UsageError
 from msal_cli.storage import regular
 from tests.cli.scans import MSAL, closed_scan, folder_of, msal, msal_on, process, record_of
 from tests.files import Terminal
@@ -30,9 +26,6 @@ class Endless:
         self.buffer = self
         self.n_read = 0
 
-    def fileno(self):
-        raise io.UnsupportedOperation
-
     def read(self, size):
         self.n_read += size
         assert self.n_read < 1 << 30, "it is read without end"
@@ -44,16 +37,6 @@ def endless(monkeypatch):
     stream = Endless()
     monkeypatch.setattr(sys, "stdin", stream)
     return stream
-
-
-@pytest.fixture
-def scratch(tmp_path, monkeypatch):
-    """The folder for temporary files; nothing may stay in it."""
-    folder = tmp_path / "tmp"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -79,75 +62,10 @@ def test_the_commands_read_no_more_either(words, monkeypatch):
     assert "(E_TOO_LARGE)" in made.stderr
 
 
-def test_a_limit_of_memory_bounds_the_reading(endless, tmp_path):
-    with pytest.raises(ResourceError, match="the memory limit is no more") as caught:
-        copy_stream(str(tmp_path / "copy"), None, 6 << 20)
-    assert caught.value.code == "E_MEMORY"
-    assert endless.n_read <= 8 << 20
-
-
-def test_all_of_a_stream_is_copied_or_it_is_an_error(tmp_path, monkeypatch):
-    data = os.urandom(3_000_000)
-    (tmp_path / "a").write_bytes(data)
-    for timeout_s in (None, 60.0):
-        with (tmp_path / "a").open() as stream:
-            monkeypatch.setattr(sys, "stdin", stream)
-            left_s = copy_stream(str(tmp_path / f"copy{timeout_s}"), timeout_s, None)
-        assert (tmp_path / f"copy{timeout_s}").read_bytes() == data
-        assert (left_s is None) == (timeout_s is None)
-    with open(os.devnull) as stream:
-        monkeypatch.setattr(sys, "stdin", stream)
-        with pytest.raises(OutputError, match="cannot be kept"):
-            copy_stream(str(tmp_path / "none" / "copy"), None, None)
+def test_a_standard_input_that_is_closed(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(InputError, match="closed"):
         read_stream()
-
-
-def test_within_the_limits_the_result_is_the_same(tmp_path, scratch, denoised, workers):
-    made = msal_on(SCAN, "denoise", "-", "--timeout", "5m", "--memory-limit", "2G")
-    assert made.exit_code == 0, made.stderr
-    assert made.stdout_bytes == denoised
-    assert made.stderr.startswith("standard input -> standard output in ")
-    output = tmp_path / "new" / "out.obj.gz"
-    made = msal_on(SCAN, "denoise", "-", "-o", output, "--timeout", "5m", "--json", "-q")
-    record = record_of(made)
-    assert (record["input"], record["output"]) == ("-", str(output))
-    assert record["format"] == "ply"
-    assert output.read_bytes()[:2] == b"\x1f\x8b"
-
-
-def test_a_worker_that_takes_too_long_is_ended(tmp_path, scratch, workers):
-    scan = folder_of(tmp_path / "in", scan=SCAN) / "scan.ply"
-    report = tmp_path / "r.json"
-    made = msal("denoise", scan, "-o", "-", "--timeout", "0.001", "--report", report)
-    assert made.exit_code == 1
-    assert made.stdout == ""
-    assert "it was not done within 0.001 s (E_TIMEOUT)" in made.stderr
-    (record,) = json.loads(report.read_bytes())["records"]
-    assert (record["input"], record["error"]["code"]) == (str(scan), "E_TIMEOUT")
-
-
-def test_a_mesh_that_takes_too_much_is_refused(tmp_path, scratch):
-    made = msal_on(SCAN * 60, "denoise", "-", "--memory-limit", "53M")
-    assert made.exit_code == 1
-    assert made.stdout == ""
-    assert "(E_MEMORY)" in made.stderr
-    made = msal_on(SCAN, "denoise", "-", "--memory-limit", "1M")
-    assert made.exit_code == 2
-    assert "not enough for any file" in made.stderr
-
-
-def test_a_real_pipe_that_stays_open(tmp_path):
-    words = (*MSAL, "denoise", "-", "-o", "-", "--timeout", "0.5")
-    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    with subprocess.Popen(words, env={**os.environ, "TMPDIR": str(tmp_path)}, **pipes) as process:
-        process.stdin.write(b"ply\n")
-        process.stdin.flush()
-        assert process.wait(30.0) == 1
-        assert b"(E_TIMEOUT)" in process.stderr.read()
-        assert process.stdout.read() == b""
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture
