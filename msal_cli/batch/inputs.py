@@ -7,6 +7,7 @@ name that the system allows (line breaks, bytes that are no UTF-8, a leading das
 
 from __future__ import annotations
 
+import fnmatch
 import logging
 import os
 import re
@@ -94,11 +95,10 @@ def discover_inputs(
 
     A file is taken as it is, whatever its name.  A folder is searched through all its subfolders
     for names with a suffix that msal reads; hidden files and folders, special files, msal's own
-    files and the folder ``output`` are skipped.  A symbolic link to a folder is followed when it
-    leads elsewhere within the searched folder, but not from there through another link, so a loop
-    ends; a link that leads out of it is skipped.  A pattern (``*``, ``?``, ``[...]``, ``**``) is
-    expanded here unless a file of that very name exists: a pattern that ends in a plain suffix
-    takes every file it matches, another only mesh names, and a folder that it matches is searched.
+    files, symbolic links to folders and the folder ``output`` are skipped.  A pattern (``*``,
+    ``?``, ``[...]``, ``**``) is expanded here unless a file of that very name exists: a pattern
+    that ends in a plain suffix takes every file it matches, another only mesh names, and a folder
+    that it matches is searched.
 
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
     (see `Patterns`); a file is kept if some ``include`` (where there is any) and no
@@ -276,48 +276,38 @@ def _ask_store(request: Callable[[], T]) -> T:
 def _list_tree(
     root: Path, prefix: str, selection: _Selection, excluded: Patterns, own_output: str | None
 ) -> Iterator[DiscoveredInput]:
-    """The files below a folder that are taken, by name; links as in `discover_inputs`."""
+    """The files below a folder that are taken, by name."""
     if selection.is_pattern and not root.is_dir():
         return
     real_root = str(resolve(root))
     # A searched folder that itself lies in the output was named by the user.
     if own_output is not None and _is_below(own_output, real_root):
         own_output = None
-    # Each folder waits with its real path, which costs too much to find at every depth, and with
-    # the answer to: was a link followed on the way to it?
-    waiting: list[tuple[str, str, str | None, bool]] = [(str(root), "", real_root, False)]
+    waiting = [(str(root), "", True)]
     outside: list[str] = []
     while waiting:
-        folder, relative, holder, is_beyond_link = waiting.pop()
-        if holder is None:
+        place, relative, is_folder = waiting.pop()
+        if not is_folder:
             if selection.takes(relative):
-                yield DiscoveredInput(folder, prefix + relative, str(root))
+                yield DiscoveredInput(place, prefix + relative, str(root))
             continue
-        below: list[tuple[str, str, str | None, bool]] = []
-        for entry in _scan(folder):
+        below: list[tuple[str, str, bool]] = []
+        for entry in _scan(place):
             if _is_skipped(entry.name, selection.with_hidden):
                 continue
-            path = entry.name if folder == "." else os.path.join(folder, entry.name)
+            path = entry.name if place == "." else os.path.join(place, entry.name)
             name = f"{relative}/{entry.name}" if relative else entry.name
             file_type = _file_type(entry)
             if file_type == "file":
-                below.append((path, name, None, is_beyond_link))
-            elif (
-                file_type != "special"
-                and not excluded.matches(prefix + name)
-                and selection.may_lie_below(name)
-            ):
-                is_link = file_type == "linked folder"
-                real = str(resolve(Path(path))) if is_link else os.path.join(holder, entry.name)
-                if own_output is not None and _is_below(own_output, real):
-                    continue
-                if is_link and not _is_below(real_root, real):
+                below.append((path, name, False))
+            elif file_type == "special" or excluded.matches(prefix + name):
+                continue
+            elif file_type == "linked folder":
+                # What it leads to within the searched folder is found where it is.
+                if not _is_below(real_root, str(resolve(Path(path)))):
                     outside.append(path)
-                    continue
-                # A link to a folder above it leads round.
-                if is_link and (is_beyond_link or _is_below(real, holder)):
-                    continue
-                below.append((path, name, real, is_beyond_link or is_link))
+            elif selection.may_lie_below(name) and os.path.join(real_root, name) != own_output:
+                below.append((path, name, True))
         waiting += sorted(below, key=lambda item: item[1], reverse=True)
     for link in sorted(outside)[:_LINKS_NAMED]:
         _log.warning(
@@ -402,73 +392,42 @@ class Patterns:
 
     def __init__(self, patterns: Iterable[str], *, whole: bool = False) -> None:
         self._whole = whole
-        self._compiled = [_compile_pattern(pattern) for pattern in patterns]
+        self._patterns = [_split(pattern) for pattern in patterns]
 
     def __bool__(self) -> bool:
-        return bool(self._compiled)
+        return bool(self._patterns)
 
     def is_exact(self, relative: str) -> bool:
         """Whether a pattern matches ``relative`` itself, not only a folder that holds it."""
-        return any(pattern.fullmatch(relative) for pattern in self._compiled)
+        return any(_match(pattern, relative.split("/")) for pattern in self._patterns)
 
     def matches(self, relative: str) -> bool:
         """Whether a pattern matches ``relative``, its name or a folder that holds it."""
-        if not self._compiled:
-            return False
         parts = relative.split("/")
-        for stop in range(len(parts), 0, -1):
-            if self.is_exact("/".join(parts[:stop])):
-                return True
-            if not self._whole and self.is_exact(parts[stop - 1]):
-                return True
-        return False
+        return any(
+            _match(pattern, parts[:stop])
+            or (not self._whole and _match(pattern, parts[stop - 1 : stop]))
+            for pattern in self._patterns
+            for stop in range(len(parts), 0, -1)
+        )
 
 
-def _compile_pattern(pattern: str) -> re.Pattern[str]:
-    text = pattern.replace(os.sep, "/")
-    while text.startswith("./"):
-        text = text[2:]
-    text = text.rstrip("/")
-    if not text:
+def _split(pattern: str) -> list[str]:
+    parts = pattern.replace(os.sep, "/").rstrip("/").split("/")
+    while parts[:1] == ["."]:
+        del parts[0]
+    if parts in ([], [""]):
         raise UsageError(f"the pattern {pattern!r} is empty")
-    expression = ""
-    segments = text.split("/")
-    for place, segment in enumerate(segments):
-        is_last = place == len(segments) - 1
-        if segment == "**":
-            expression += ".*" if is_last else "(?:.*/)?"
-        else:
-            expression += _to_regex(segment) + ("" if is_last else "/")
-    flags = re.DOTALL | (re.IGNORECASE if os.name == "nt" else 0)
-    try:
-        return re.compile(expression, flags)
-    except re.error as error:
-        raise UsageError(
-            f"the pattern {pattern!r} cannot be read: {error}",
-            hint="write [[] for a literal bracket",
-        ) from None
+    return parts
 
 
-def _to_regex(segment: str) -> str:
-    expression = r"(?!\.)" if segment[:1] in ("*", "?", "[") else ""
-    at = 0
-    while at < len(segment):
-        character = segment[at]
-        at += 1
-        if character == "*":
-            expression += "[^/]*"
-        elif character == "?":
-            expression += "[^/]"
-        elif character == "[":
-            # A ] right behind the opening bracket (or its !) is a member, not the end.
-            first = at + 1 if segment[at : at + 1] == "!" else at
-            stop = segment.find("]", first + 1)
-            if stop < 0:
-                expression += r"\["
-                continue
-            members = re.sub(r"([\\\[&~|^])", r"\\\1", segment[first:stop])
-            expression += f"[{'^/' if first > at else ''}{members}]"
-            at = stop + 1
-        else:
-            expression += re.escape(character)
-    return expression
+def _match(pattern: Sequence[str], parts: Sequence[str]) -> bool:
+    """Whether the parts of a pattern match all parts of a path."""
+    if not (pattern and parts):
+        return not (pattern or parts)
+    first, rest = pattern[0], pattern[1:]
+    if first == "**":
+        return not rest or any(_match(rest, parts[at:]) for at in range(len(parts)))
+    if parts[0].startswith(".") and first[0:1] in ("*", "?", "["):
+        return False
+    return fnmatch.fnmatch(parts[0], first) and _match(rest, parts[1:])
