@@ -111,7 +111,7 @@ def denoise_file(
         check_options(limits)
         gates, settings = _parse(denoise_file, given)
         plan = build_plan(discover_inputs([source], output=target), target, to=settings.to)
-        if len(plan.tasks) != 1 or plan.manifest_dirs != (None,):
+        if len(plan.tasks) != 1 or plan.folders():
             raise UsageError(
                 f"{source!r} into {target!r} is not one file into one file",
                 hint="denoise_folder takes folders",

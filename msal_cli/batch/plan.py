@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
 from msal_cli.errors import InputError, OutputError, UsageError
@@ -31,17 +31,13 @@ if TYPE_CHECKING:
 class Plan:
     """What a run is to do.
 
-    ``manifest_dirs`` are for each task the folder whose manifest notes it, or None where there is
-    none (one file into one file): the output folder or, in place, the folder that was searched or
-    holds the file.  ``fresh`` does every file again, even where its output is current, and
-    ``retry_failed`` those that failed before.  ``shard`` and ``whole`` say which part this is, and
-    of what (see ``select_shard``).  ``objects`` are, where the outputs go to a store, size and tag
-    of those that are there, by URL.  With ``is_set`` the files are denoised as one mesh: all of
-    them, or none.
+    ``fresh`` does every file again, even where its output is current, and ``retry_failed`` those
+    that failed before.  ``shard`` and ``whole`` say which part this is, and of what (see
+    ``select_shard``).  ``objects`` are, where the outputs go to a store, size and tag of those that
+    are there, by URL.  With ``is_set`` the files are denoised as one mesh: all of them, or none.
     """
 
     tasks: tuple[Task, ...]
-    manifest_dirs: tuple[str | None, ...]
     fresh: bool = False
     retry_failed: bool = False
     shard: Shard | None = None
@@ -52,7 +48,7 @@ class Plan:
     def folders(self) -> list[str]:
         """All places with a manifest; of a part those of the whole, because it locks these."""
         plan = self.whole or self
-        return sorted({place for place in plan.manifest_dirs if place is not None})
+        return sorted({task.manifest_dir for task in plan.tasks if task.manifest_dir is not None})
 
     @property
     def is_in_process(self) -> bool:
@@ -66,30 +62,20 @@ class Plan:
 
     def select_shard(self, shard: Shard) -> Plan:
         """The part of a checked plan that ``shard`` is to do; it may be empty."""
-        part = self.select(
-            index for index, task in enumerate(self.tasks) if shard.has(task.relative)
-        )
-        return replace(part, shard=shard, whole=self)
+        tasks = tuple(task for task in self.tasks if shard.has(task.relative))
+        return replace(self, tasks=tasks, shard=shard, whole=self)
 
-    def select(self, indices: Iterable[int]) -> Plan:
-        """The plan of some of the tasks."""
-        kept = tuple(indices)
-        tasks = tuple(self.tasks[index] for index in kept)
-        return replace(
-            self, tasks=tasks, manifest_dirs=tuple(self.manifest_dirs[index] for index in kept)
-        )
 
-    def manifest_key(self, index: int) -> str:
-        """The name by which the manifest knows a task: its output below the folder, with ``/``."""
-        place, output = self.manifest_dirs[index], self.tasks[index].output
-        if place is None:
-            raise ValueError(f"task {index} has no manifest")
-        if is_url(place):
-            return output.removeprefix(urls.folder(place))
-        start = place + os.sep
-        if os.sep == "/" and output.startswith(start) and not place.endswith("/"):
-            return output[len(start) :]
-        return Path(output).relative_to(place).as_posix()
+def manifest_key(task: Task) -> str:
+    """The name by which its manifest knows a task: the output below the folder, with ``/``."""
+    place, output = task.manifest_dir, task.output
+    assert place is not None
+    if is_url(place):
+        return output.removeprefix(urls.folder(place))
+    start = place + os.sep
+    if os.sep == "/" and output.startswith(start) and not place.endswith("/"):
+        return output[len(start) :]
+    return Path(output).relative_to(place).as_posix()
 
 
 def output_folders(tasks: Iterable[Task]) -> set[Path]:
@@ -128,31 +114,23 @@ def build_plan(
     the output folder or would replace a file that is not ours; if options contradict each other.
     """
     output = None if output is None else urls.normalize_url(output)
-    manifest_dirs: Sequence[str | None]
     if in_place:
         _check_in_place(found, output, to, backup)
         tasks = [_in_place_task(file, backup) for file in found]
-        # Also a single file has a manifest: without it a second run would denoise it twice.
-        manifest_dirs = [
-            str(Path(file.root) if file.root else Path(task.input).parent)
-            for file, task in zip(found, tasks, strict=True)
-        ]
     elif output is None:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output):
         _check_file_output(output, to)
         tasks = [Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)]
-        manifest_dirs = [None]
     else:
         _check_folder_output(found, output)
         tasks = [_mirror(file, output, to) for file in found]
-        manifest_dirs = [output] * len(tasks)
-    plan = Plan(tuple(tasks), tuple(manifest_dirs), fresh, retry_failed, is_set=is_set)
-    if len(plan.tasks) > 1:
-        plan = plan.select(_distinct_tasks(plan.tasks))
-        _refuse_collisions(plan.tasks)
-    _check_outputs(plan.tasks)
-    if output is not None and manifest_dirs[:1] != [None]:
+    if len(tasks) > 1:
+        tasks = _distinct_tasks(tasks)
+        _refuse_collisions(tasks)
+    _check_outputs(tasks)
+    plan = Plan(tuple(tasks), fresh, retry_failed, is_set=is_set)
+    if output is not None and plan.folders():
         if is_url(output):
             plan = replace(plan, objects=_list_outputs(output, plan.tasks))
         else:
@@ -201,26 +179,24 @@ def _in_place_task(file: DiscoveredInput, backup: str | None) -> Task:
                 path=file.path,
             )
         target = Path(file.root) / real.relative_to(real_root) if file.root else real
-    return Task(str(target), str(target), file.relative, in_place=True, backup=backup)
+    path = str(target)
+    # Also a single file has a manifest: without it a second run would denoise it twice.
+    place = str(Path(file.root) if file.root else target.parent)
+    return Task(path, path, file.relative, in_place=True, backup=backup, manifest_dir=place)
 
 
 def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
     if len(found) != 1 or found[0].root or output.endswith(("/", os.sep)):
         return False
     if is_url(output):
-        return is_mesh_name(urls.name(output))
-    if os.path.isdir(output):
-        return False
-    return os.path.lexists(output) or is_mesh_name(Path(output).name)
+        return is_mesh_name(output)
+    return not os.path.isdir(output) and (os.path.lexists(output) or is_mesh_name(output))
 
 
 def _check_file_output(output: str, to: str | None) -> None:
     if not is_mesh_name(output):
         refuse_unknown_format(output)
-    name = Path(output).name
-    if to is None or not is_mesh_name(name):
-        return
-    if output_name(name, to).casefold() != name.casefold():
+    if to is not None and output_name(output, to).casefold() != output.casefold():
         raise UsageError(
             f"--to {to} contradicts the suffix of the output {output!r}",
             hint="leave --to out: the suffix of the output decides",
@@ -247,18 +223,19 @@ def _mirror(file: DiscoveredInput, output: str, to: str | None) -> Task:
         folder, slash, last = name.rpartition("/")
         name = folder + slash + output_name(last, to)
         place = urls.join_url(output, name) if is_url(output) else str(Path(output) / name)
-        return Task(file.path, place, file.relative, input_mark=file.mark)
+        return Task(file.path, place, file.relative, input_mark=file.mark, manifest_dir=output)
     relative = PurePosixPath(file.relative)
     if relative.is_absolute() or ".." in relative.parts or Path(file.relative).drive:
         raise UsageError(f"{file.relative!r} is no path below the output folder", path=file.path)
     relative = relative.with_name(output_name(relative.name, to))
-    return Task(file.path, str(Path(output) / relative), file.relative)
+    place = str(Path(output) / relative)
+    return Task(file.path, place, file.relative, manifest_dir=output)
 
 
 def _refuse_foreign_files(plan: Plan, output: str) -> None:
     existing = [
-        index
-        for index, task in enumerate(plan.tasks)
+        task
+        for task in plan.tasks
         if task.output in plan.objects or (not is_url(output) and os.path.lexists(task.output))
     ]
     if not existing:
@@ -266,15 +243,11 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     from msal_cli.batch.manifest import read_output_names
 
     own = read_output_names(output)
-    foreign = [plan.tasks[index] for index in existing if plan.manifest_key(index) not in own]
+    foreign = [task for task in existing if manifest_key(task) not in own]
     if foreign and not is_url(output) and ignores_case(Path(output)):
         # An input that was renamed from A.ply to a.ply keeps its output.
         folded = set(map(fold_case, own))
-        foreign = [
-            plan.tasks[index]
-            for index in existing
-            if fold_case(plan.manifest_key(index)) not in folded
-        ]
+        foreign = [task for task in existing if fold_case(manifest_key(task)) not in folded]
     if foreign:
         names = ", ".join(repr(task.output) for task in foreign[:3])
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
@@ -312,20 +285,61 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
                 hint="rename the input, or name another output",
                 path=task.input,
             )
-    new = [task for task in tasks if not task.in_place]
-    _refuse_inputs_as_outputs(new)
-    _refuse_folders_as_outputs(task for task in new if not is_url(task.output))
+    inputs = {_identity(task.input): task.input for task in tasks}
+    checked: set[Path] = set()
+    for task in tasks:
+        if task.in_place:
+            continue
+        if victim := inputs.get(_identity(task.output)):
+            _refuse_input_as_output(task, victim)
+        if not is_url(task.output):
+            _refuse_folder_as_output(task, checked)
 
 
-def _distinct_tasks(tasks: Sequence[Task]) -> list[int]:
-    """The indices of one task for each file, which two inputs or a link may name twice.
+def _identity(name: str) -> tuple[int, int] | str:
+    return identify_file(name) or str(resolve(Path(name)))
+
+
+def _refuse_input_as_output(task: Task, victim: str) -> NoReturn:
+    if victim == task.input:
+        what = f"the input {task.input!r} would be overwritten by its own output"
+    else:
+        what = f"the output of {task.input!r} would overwrite the input {victim!r}"
+    if Path(task.output) != Path(victim):
+        what += f" (as {task.output!r})"
+    hint = "choose another output; only msal denoise --in-place replaces inputs"
+    raise UsageError(what, hint=hint, path=task.input)
+
+
+def _refuse_folder_as_output(task: Task, checked: set[Path]) -> None:
+    """Refuse an output that is a folder, or below a file; ``checked`` grows by its parents."""
+    output = Path(task.output)
+    if os.path.isdir(output) and not os.path.islink(output):
+        raise UsageError(
+            f"the output of {task.input!r} is the folder {task.output!r}",
+            hint="choose another output folder",
+            path=task.input,
+        )
+    for parent in output.parents:
+        if parent in checked:
+            break
+        checked.add(parent)
+        if os.path.lexists(parent) and not os.path.isdir(parent):
+            raise UsageError(
+                f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
+                path=task.input,
+            )
+
+
+def _distinct_tasks(tasks: Sequence[Task]) -> list[Task]:
+    """One task for each file, which two inputs or a link may name twice.
 
     Hard links are as many files in place: each is replaced by a file of its own.
     """
-    kept: dict[tuple[object, ...], int] = {}
-    for index, task in enumerate(tasks):
+    kept: dict[tuple[object, ...], Task] = {}
+    for task in tasks:
         target = fold_case(str(resolve(Path(task.input)))) if task.in_place else task.output
-        kept.setdefault((identify_file(task.input) or task.input, target), index)
+        kept.setdefault((identify_file(task.input) or task.input, target), task)
     return list(kept.values())
 
 
@@ -412,43 +426,3 @@ def ignores_case(folder: Path) -> bool:
     except OSError:
         # Where nothing can be created, nothing will be written either: that error comes later.
         return False
-
-
-def _refuse_inputs_as_outputs(tasks: Sequence[Task]) -> None:
-    def key(path: str) -> tuple[int, int] | str:
-        return identify_file(path) or str(resolve(Path(path)))
-
-    inputs = {key(task.input): task.input for task in tasks}
-    for task in tasks:
-        victim = inputs.get(key(task.output))
-        if victim is None:
-            continue
-        if victim == task.input:
-            what = f"the input {task.input!r} would be overwritten by its own output"
-        else:
-            what = f"the output of {task.input!r} would overwrite the input {victim!r}"
-        if Path(task.output) != Path(victim):
-            what += f" (as {task.output!r})"
-        hint = "choose another output; only msal denoise --in-place replaces inputs"
-        raise UsageError(what, hint=hint, path=task.input)
-
-
-def _refuse_folders_as_outputs(tasks: Iterable[Task]) -> None:
-    checked: set[Path] = set()
-    for task in tasks:
-        output = Path(task.output)
-        if os.path.isdir(output) and not os.path.islink(output):
-            raise UsageError(
-                f"the output of {task.input!r} is the folder {task.output!r}",
-                hint="choose another output folder",
-                path=task.input,
-            )
-        for parent in output.parents:
-            if parent in checked:
-                break
-            checked.add(parent)
-            if os.path.lexists(parent) and not os.path.isdir(parent):
-                raise UsageError(
-                    f"the output {task.output!r} needs a folder where {str(parent)!r} is a file",
-                    path=task.input,
-                )

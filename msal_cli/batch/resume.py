@@ -24,7 +24,7 @@ from msal_cli.batch.manifest import (
     open_manifest,
     to_builtin,
 )
-from msal_cli.batch.plan import Plan
+from msal_cli.batch.plan import Plan, manifest_key
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
 from msal_cli.job.settings import Settings, Task, suffix
@@ -136,8 +136,9 @@ class _FreshnessCheck:
         self._methods: dict[str, MethodUsed] = {}
 
     def entry(self, index: int) -> ManifestEntry | None:
-        folder = self.plan.manifest_dirs[index]
-        return None if folder is None else self.manifests[folder].get(self.plan.manifest_key(index))
+        task = self.plan.tasks[index]
+        folder = task.manifest_dir
+        return None if folder is None else self.manifests[folder].get(manifest_key(task))
 
     def file_state(self, index: int) -> FileState:
         task, entry = self.plan.tasks[index], self.entry(index)
@@ -335,9 +336,9 @@ class Journal:
     def _append(self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]) -> None:
         lines: dict[str, list[dict[str, Any]]] = {}
         for index in indices:
-            place = self._plan.manifest_dirs[index]
-            if place is not None:
-                lines.setdefault(place, []).append(line(index, self._plan.manifest_key(index)))
+            task = self._plan.tasks[index]
+            if task.manifest_dir is not None:
+                lines.setdefault(task.manifest_dir, []).append(line(index, manifest_key(task)))
         for place, new_lines in lines.items():
             self.manifests[place].append(new_lines)
 

@@ -159,7 +159,7 @@ class _Session:
 
             engine = partial(DaskEngine, scheduler=request.scheduler)
         whole = plan.whole or plan
-        tasks, is_file = whole.tasks, whole.manifest_dirs[:1] == (None,)
+        tasks, is_file = whole.tasks, not whole.folders()
         _refuse_found_targets(request, tasks[0].output if is_file else None)
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]

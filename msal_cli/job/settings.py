@@ -133,7 +133,9 @@ class Task:
 
     ``relative`` is the name by which reports and the manifest know the file.  With ``in_place``
     the output is the input, and ``backup``, a suffix, keeps the original beside it.  An input in a
-    store has the mark that it had when it was found.
+    store has the mark that it had when it was found.  ``manifest_dir`` is the folder whose manifest
+    notes the file: the output folder or, in place, the folder that was searched or holds the file;
+    None where there is none (one file into one file).
     """
 
     input: str
@@ -142,6 +144,7 @@ class Task:
     in_place: bool = False
     backup: str | None = None
     input_mark: ObjectMark | None = None
+    manifest_dir: str | None = None
 
 
 Check = Callable[[Any, str, str | None], Any]

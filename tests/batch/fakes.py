@@ -181,6 +181,9 @@ def denoise(task, settings, on_progress=None, limits=None):
     for line in data.decode().splitlines():
         if line.startswith("sleep "):
             time.sleep(float(line.split()[1]))
+        if line.startswith("after "):
+            while not Path(task.output).with_name(line.split()[1]).exists():
+                time.sleep(0.01)
         if line.startswith("hang"):
             mark = Path(task.input + ".hung")
             if not mark.exists():

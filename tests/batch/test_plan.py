@@ -11,7 +11,7 @@ import pytest
 from msal_cli.batch import plan as planning
 from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.plan import build_plan
+from msal_cli.batch.plan import build_plan, manifest_key
 from msal_cli.errors import UsageError
 from tests.files import make_files
 
@@ -59,8 +59,8 @@ def test_a_folder_is_mirrored(tmp_path):
         str(tmp_path / "out/a.ply"),
         str(tmp_path / "out/b/c.obj.gz"),
     ]
-    assert plan.manifest_dirs == (str(tmp_path / "out"),) * 2
-    assert [plan.manifest_key(index) for index in (0, 1)] == ["a.ply", "b/c.obj.gz"]
+    assert {task.manifest_dir for task in plan.tasks} == {str(tmp_path / "out")}
+    assert list(map(manifest_key, plan.tasks)) == ["a.ply", "b/c.obj.gz"]
     assert not (tmp_path / "out").exists()
 
 
@@ -89,7 +89,7 @@ def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, ex
     make_files(tmp_path, "in/a.ply", *existing)
     plan = planned([tmp_path / "in/a.ply"], f"{tmp_path}/{output}")
     assert plan.tasks[0].output == f"{tmp_path}/{expected}"
-    assert (plan.manifest_dirs[0] is None) == (not expected.endswith("/a.ply"))
+    assert (plan.tasks[0].manifest_dir is None) == (not expected.endswith("/a.ply"))
 
 
 @pytest.mark.parametrize("names", [("in/a.ply",), ("in/a.ply", "in/b.ply")])
@@ -238,8 +238,8 @@ class TestInPlace:
         plan = planned([tmp_path / "in"], None, in_place=True)
         assert all(task.in_place and task.input == task.output for task in plan.tasks)
         assert [task.backup for task in plan.tasks] == [".orig", ".orig"]
-        assert plan.manifest_dirs == (str(tmp_path / "in"),) * 2
-        assert plan.manifest_key(1) == "b/c.ply"
+        assert plan.folders() == [str(tmp_path / "in")]
+        assert manifest_key(plan.tasks[1]) == "b/c.ply"
         assert planned([tmp_path / "in"], None, in_place=True, backup=None).tasks[0].backup is None
 
     def test_what_makes_no_sense_is_refused(self, tmp_path, refuses):

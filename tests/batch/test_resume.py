@@ -12,7 +12,7 @@ import pytest
 
 from msal_cli.batch import resume
 from msal_cli.batch.manifest import FileStat, done_line, encode_line, intent_line, parse_line
-from msal_cli.batch.plan import Plan
+from msal_cli.batch.plan import Plan, manifest_key
 from msal_cli.job.records import Failure, MeshRecord, MethodUsed, ObjectMark
 from msal_cli.job.settings import Task
 
@@ -28,8 +28,8 @@ class Case:
         self.folder = folder
         self.write("in.ply", b"the input")
         self.path, out = str(folder / "in.ply"), str(folder / "out.ply")
-        is_in_place = task.get("in_place", False)
-        self.task = Task(self.path, self.path if is_in_place else out, "in.ply", **task)
+        out = self.path if task.get("in_place") else out
+        self.task = Task(self.path, out, "in.ply", manifest_dir=str(folder), **task)
         self.entry = None
         self.options = {}
 
@@ -55,8 +55,8 @@ class Case:
         self.entry = parse_line(encode_line(line))
 
     def state(self, threads=1):
-        plan = Plan((self.task,), (str(self.folder),), **self.options)
-        name = plan.manifest_key(0)
+        plan = Plan((self.task,), **self.options)
+        name = manifest_key(self.task)
         manifests = {str(self.folder): SimpleNamespace(get={name: self.entry}.get)}
         (state,) = resume.file_states(plan, manifests, "s", threads=threads)
         return state
@@ -153,9 +153,9 @@ def test_a_failure_that_comes_again_is_not_tried(case, code, is_known):
 def test_objects_are_compared_by_their_tags(case, now, is_current):
     output = "memory://store/out.ply"
     case.finish(output=output, output_object=ObjectMark(9, "tag"))
-    case.task = dataclasses.replace(case.task, output=output)
+    case.task = dataclasses.replace(case.task, output=output, manifest_dir="memory://store")
     case.options["objects"] = {} if now is None else {output: now}
-    plan = Plan((case.task,), ("memory://store",), **case.options)
+    plan = Plan((case.task,), **case.options)
     manifests = {"memory://store": SimpleNamespace(get=lambda name: case.entry)}
     (state,) = resume.file_states(plan, manifests, "s", threads=1)
     assert (state.record is not None) == is_current
@@ -176,9 +176,9 @@ def test_equal_methods_are_one_and_states_come_in_order(tmp_path):
         (tmp_path / name).mkdir()
         case = Case(tmp_path / name)
         case.finish()
-        tasks.append(case.task)
+        tasks.append(dataclasses.replace(case.task, manifest_dir=str(tmp_path)))
         entries[f"{name}/out.ply"] = case.entry
-    plan = Plan(tuple(tasks), (str(tmp_path),) * 100)
+    plan = Plan(tuple(tasks))
     manifests = {str(tmp_path): entries}
     for threads in (1, 3):
         states = list(resume.file_states(plan, manifests, "s", threads=threads))
@@ -203,7 +203,7 @@ def test_threads_are_for_several_files_and_end_with_the_iterator(tmp_path, monke
     tasks = (case.task, case.task)
     manifests = {str(tmp_path): {"out.ply": case.entry}}
     seen.clear()
-    states = resume.file_states(Plan(tasks, (str(tmp_path),) * 2), manifests, "s", threads=2)
+    states = resume.file_states(Plan(tasks), manifests, "s", threads=2)
     assert next(states).record is not None
     states.close()
     assert not any(seen)

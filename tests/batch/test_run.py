@@ -76,7 +76,7 @@ def tried(folders):
 
 
 def test_records_come_in_the_order_of_the_plan_whatever_finishes_first(folders):
-    fill(folders, 6, f00="sleep 0.3")
+    fill(folders, 6, f00="after 03.ply")
     events = []
     records = ran(folders, on_event=events.append, **WORKERS)
     assert [Path(record.input).stem for record in records] == [f"{n:02}" for n in range(6)]

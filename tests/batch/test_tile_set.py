@@ -30,7 +30,7 @@ MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
 
 def denoise_set(tasks, settings, **more):
     """The records of all tasks that were dealt with, in order."""
-    plan = Plan(tuple(tasks), (None,) * len(tasks), is_set=True)
+    plan = Plan(tuple(tasks), is_set=True)
     records = tile_set.denoise_set(plan, settings, **more)
     return [records[index] for index in sorted(records)]
 
