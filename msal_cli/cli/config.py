@@ -14,15 +14,13 @@ from typing import Any, NamedTuple
 import click
 from click.core import ParameterSource
 
-from msal_cli.cli import console
 from msal_cli.cli.options import group
 from msal_cli.errors import UsageError
-from msal_cli.storage import urls
 
 FILE_NAME = "msal.toml"
 
 _ROOT_MARKS = (".git", ".hg")
-_NEVER = ("config", "no_config", "show_config")
+_NEVER = ("config", "no_config")
 
 # A file that lies in a folder of scans from elsewhere must not replace the originals or other
 # files, nor have another machine take part: this it may only when it is named.
@@ -176,47 +174,9 @@ def _to_word(value: Any, place: str) -> str:
     return str(value)
 
 
-def _describe(ctx: click.Context, given: dict[str, Any], config: Config | None) -> str:
-    """What ``--show-config`` prints, which is TOML: the options in force, each with its value and
-    where that comes from."""
-    lines = [f"# file: {'none' if config is None else config.path}", f"[{ctx.command.name}]"]
-    in_force = ctx.default_map or {}
-    rows = []
-    for option in ctx.command.params:
-        name = str(option.name)
-        if not isinstance(option, click.Option) or option.is_eager or name in _NEVER:
-            continue
-        if name in given:
-            value, source = given[name], "command line"
-        elif config is not None and name in in_force:
-            value, source = in_force[name], config.path
-        elif isinstance(option.default, str | int | float) and not (
-            option.default is False or option.count
-        ):
-            value, source = option.default, "default"
-        else:
-            continue
-        rows.append((f"{key_of(option)} = {_to_toml(value)}", source))
-    width = min(40, max((len(text) for text, _ in rows), default=0))
-    lines += [f"{text.ljust(width)}  # {source}" for text, source in rows]
-    return "\n".join(lines) + "\n"
-
-
-def _to_toml(value: Any) -> str:
-    import json
-
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_to_toml, value))}]"
-    if isinstance(value, bool | int | float):
-        return str(value).lower()
-    # What JSON escapes, TOML reads; it lacks one control character.
-    return json.dumps(urls.redact(str(value)), ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
 _META = "msal_cli.config"
 
 Parse = Callable[[click.Context, list[str]], list[str]]
-
 
 OPTIONS = group(
     "Configuration",
@@ -227,75 +187,29 @@ more:
     repository]
 --no-config
     Read no configuration file.
---show-config
-    Print the options that are in force, and where each comes from, and exit.
 """,
     config={"type": None, "expose_value": False},
     no_config={"expose_value": False},
-    show_config={"expose_value": False},
 )
 """The options of every command that may be configured."""
 
 
 def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
-    """Parse ``args`` with the values of the file that they name, or that is found."""
-    command = ctx.command
-    given, _, _ = command.make_parser(ctx).parse_args(list(args))
-    help_option = command.get_help_option(ctx)
-    if "help_all" in given or (help_option is not None and help_option.name in given):
-        return parse(ctx, args)
-    ctx.meta[_META] = config = _load(ctx, given)
-    if "show_config" not in given:
-        return _parse_with(ctx, args, config, parse)
-    words = list(args)
-    for _ in command.params:
-        ctx.params.clear()
-        try:
-            _parse_with(ctx, list(words), config, parse)
-            break
-        except click.MissingParameter as missing:
-            # Inputs or an output may be missing: something stands for them.
-            is_argument = isinstance(missing.param, click.Argument)
-            option = missing.param.opts[0] if missing.param is not None else ""
-            words = [*words, "MISSING"] if is_argument else [option, "MISSING", *words]
-    console.put(_describe(ctx, given, config))
-    raise click.exceptions.Exit(0)
-
-
-def options_of_found_file(ctx: click.Context) -> frozenset[str]:
-    """The parameters whose values are from a file that was found, and not named by --config."""
-    config: Config | None = ctx.meta.get(_META)
-    if config is None or config.is_named:
-        return frozenset()
-    return frozenset(
-        name
-        for name in config.values
-        if ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
-    )
-
-
-def _load(ctx: click.Context, given: dict[str, Any]) -> Config | None:
-    path: str | None = given.get("config")
-    if "no_config" in given:
-        if path is not None:
-            raise UsageError(
-                "--config and --no-config contradict each other", hint="give one of them"
-            )
-        return None
-    is_named = path is not None
-    path = path or _find_file()
-    return None if path is None else read_config(path, ctx, is_named=is_named)
-
-
-def _parse_with(
-    ctx: click.Context, args: list[str], config: Config | None, parse: Parse
-) -> list[str]:
-    """Parse twice if there is a file: the second time without what contradicts the command line."""
-    if config is None:
+    """Parse ``args`` with the values of the file that they name, or that is found; a second time
+    without what contradicts the command line."""
+    given, _, _ = ctx.command.make_parser(ctx).parse_args(list(args))
+    help_option = ctx.command.get_help_option(ctx)
+    is_help = "help_all" in given or (help_option is not None and help_option.name in given)
+    is_named, without = "config" in given, "no_config" in given
+    if is_named and without:
+        raise UsageError("--config and --no-config contradict each other", hint="give one of them")
+    path: str | None = None if is_help or without else given.get("config") or _find_file()
+    if path is None:
         return parse(ctx, args)
     # The tables of conflicts are needed only where there is a file.
     from msal_cli.cli.conflicts import find_overruled
 
+    ctx.meta[_META] = config = read_config(path, ctx, is_named=is_named)
     ctx.default_map = dict(config.values)
     words = list(args)
     try:
@@ -305,10 +219,17 @@ def _parse_with(
         source = ctx.get_parameter_source(str(option.name)) if option is not None else None
         if source is not ParameterSource.DEFAULT_MAP or not isinstance(option, click.Option):
             raise
-        place = f"{config.path}: [{ctx.command.name}] {key_of(option)}"
+        place = f"{path}: [{ctx.command.name}] {key_of(option)}"
         raise UsageError(f"{place}: {error.message}".replace("\n\t", " ")) from None
     if not (overruled := find_overruled(ctx)):
         return rest
     ctx.default_map = {k: v for k, v in config.values.items() if k not in overruled}
     ctx.params.clear()
     return parse(ctx, words)
+
+
+def is_from_found_file(ctx: click.Context, name: str) -> bool:
+    """Whether the value of a parameter is from a file that was found, and not named by --config."""
+    config: Config | None = ctx.meta.get(_META)
+    is_from_file = ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+    return config is not None and not config.is_named and is_from_file

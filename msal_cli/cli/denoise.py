@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from msal_cli.batch import interrupts
 from msal_cli.cli import console, logs
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.config import options_of_found_file
+from msal_cli.cli.config import is_from_found_file
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.denoise_options import GROUPS
 from msal_cli.cli.methods import say_summary
@@ -127,7 +127,8 @@ class _Session:
 
         request = self._request
         self._references = _find_references(request, ["-"])
-        _refuse_found_targets(request, stream.target)
+        if stream.target != STREAM:
+            _refuse_found_target(request, stream.target)
         self._check_reports([path for path in (stream.source, stream.target) if path != STREAM])
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
@@ -159,8 +160,9 @@ class _Session:
 
             engine = partial(DaskEngine, scheduler=request.scheduler)
         whole = plan.whole or plan
-        tasks, is_file = whole.tasks, not whole.folders()
-        _refuse_found_targets(request, tasks[0].output if is_file else None)
+        tasks = whole.tasks
+        if not whole.folders():
+            _refuse_found_target(request, tasks[0].output)
         paths = [path for task in tasks for path in (task.input, task.output)]
         paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
         self._check_reports(paths)
@@ -342,34 +344,14 @@ def check_request(request: Request, stream: Stream | None) -> None:
             raise not_installed()
 
 
-def _refuse_found_targets(request: Request, output_file: str | None) -> None:
-    """Refuse what a msal.toml that was found, and may be another person's, must not write: an
-    output that is there already, a report outside the output folder or in the place of what is no
-    report of msal.  ``output_file`` is the output where that is one file, ``-`` for a stream.
-    """
-    from msal_cli.cli.report_files import REPORT, refuse_target
-
-    found = options_of_found_file(request.context)
-    is_stream = output_file == STREAM
-    hint = "name it on the command line, or give --config msal.toml if you trust that file"
-    is_file = output_file is not None and not is_stream
-    if is_file and "output" in found and os.path.lexists(str(output_file)):
+def _refuse_found_target(request: Request, target: str) -> None:
+    """Refuse an output file that a msal.toml names which was found, and may be another person's, if
+    it is there already."""
+    if is_from_found_file(request.context, "output") and os.path.lexists(target):
         raise UsageError(
-            f"msal.toml names the output {output_file!r}, which is there already", hint=hint
+            f"msal.toml names the output {target!r}, which is there already",
+            hint="name it on the command line, or give --config msal.toml if you trust that file",
         )
-    if "reports" not in found:
-        return
-    folder = None if is_stream else request.output
-    if is_file:
-        folder = os.path.dirname(str(output_file)) or os.curdir
-    for name in request.reports:
-        top = None if folder is None else os.path.realpath(folder)
-        if top is None or os.path.commonpath([top, os.path.realpath(name)]) != top:
-            raise UsageError(
-                f"msal.toml names the report {name!r}, which is outside the output folder",
-                hint=hint,
-            )
-        refuse_target(name, "the report", replaces=REPORT)
 
 
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:

@@ -49,14 +49,15 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             raise UsageError(
                 "a report needs the name of a file", hint="--json prints records to standard output"
             )
-        if not is_step_summary(name):
-            report.writer(name)
+        if is_step_summary(name):
+            continue
+        report.writer(name)
         is_remote = is_url(name)
         path = urls.identity(name) if is_remote else os.path.normcase(os.path.realpath(name))
         if path in seen:
             raise UsageError(f"the report {name!r} is given twice")
         seen.add(path)
-        refuse_target(name, "the report", taken)
+        refuse_target(name, "the report", taken, replaces=REPORT)
         if is_remote:
             continue
         # The folder itself may still have to be made, as that of the outputs often has.
@@ -173,7 +174,7 @@ def refuse_target(
             raise UsageError(
                 f"{what} {name!r} would replace a mesh ({found.upper()})", hint=_ANOTHER
             )
-    elif not re.match(replaces.encode(), head, re.DOTALL):
+    elif head and not re.match(replaces.encode(), head, re.DOTALL):
         raise UsageError(
             f"{what} {name!r} would replace a file that is none of its kind",
             hint="move it away, or give another name",

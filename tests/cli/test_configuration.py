@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -153,27 +152,11 @@ def test_a_named_file_must_be_there(project):
     assert settings(*WORDS, "--config", "bom.toml")["method"] == "al"
 
 
-def test_what_is_in_force_is_shown_and_can_be_kept(project):
-    write(project, '[denoise]\nmethod = "msal"\nfail-on = ["faces > \'1\'"]\nbackup = ".raw"')
-    made = msal("denoise", "--show-config", "-n", "2")
-    assert made.exit_code == 0
-    lines = dict(line.split(" = ", 1) for line in made.stdout.splitlines()[2:])
-    assert lines["method"].split("# ") == [lines["method"].split("# ")[0], "msal.toml"]
-    assert lines["iterations"].endswith("# command line")
-    assert lines["encoding"].endswith("# default")
-    assert "backup" not in lines
-    kept = tomllib.loads(made.stdout)["denoise"]
-    assert kept["fail-on"] == ["faces > '1'"]
-    write(project, made.stdout.replace("engine", "# engine"))
-    assert settings(*WORDS, "--fail-on", "faces < 1")["parameters"]["iterations"] == 2
-    assert "# file: none" in msal("view", "--show-config", "--no-config").stdout
-
-
 def test_other_commands_have_tables_too(project):
-    write(project, '[info]\nexclude = ["*"]\n[noise]\nlevel = 0.5\n[view]\nsize = 64')
-    assert "size = 64" in msal("view", "--show-config").stdout.replace('"', "")
+    write(project, '[info]\nexclude = ["*"]\n[noise]\nlevel = 0.0\n[view]\nsize = 64')
     assert msal("info", "in").exit_code == 5
-    assert "level = 0.5" in msal("noise", "--show-config").stdout.replace('"', "")
+    assert msal("noise", "in/a.ply", "-o", "n.ply", "-q").exit_code == 0
+    assert (project / "n.ply").read_bytes() == (project / "in/a.ply").read_bytes()
     assert msal("view", "in/a.ply", "-q", "-o", "p.png").exit_code == 0
     assert (project / "p.png").exists()
 
@@ -182,6 +165,8 @@ def test_the_file_on_the_page_is_accepted(project):
     pages = Path(__file__).resolve().parents[2] / "docs"
     (text,) = re.findall(r"^```toml\n(.+?)^```$", (pages / "usage.md").read_text(), re.M | re.S)
     write(project, text)
-    for name in tomllib.loads(text):
-        made = msal(name, "--show-config")
-        assert made.exit_code == 0, made.stderr
+    # Its gate is broken by this scan.
+    made = msal(*WORDS[:2], "-o", "denoised/", "--json")
+    assert made.exit_code == 4
+    assert json.loads(made.stdout)["settings"]["parameters"]["mollify"] == 2
+    assert (project / "denoised/night.csv").exists()
