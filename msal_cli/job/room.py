@@ -63,9 +63,8 @@ _GUESSED = 2
 _COUNTED = ("ply", "stl", "glb")
 """Formats whose headers have counts, or are damaged, which the reader will report."""
 
-# Pages are mapped by up to 12 GB/s, and the rest of a limit is for what comes between two looks.
-_BETWEEN_LOOKS_S = 0.002
 _MAPPED_SHARE = 0.25
+"""Of a limit, what pages of files may take: each millisecond up to 12 MB more are mapped."""
 
 
 @dataclass(frozen=True)
@@ -191,13 +190,16 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
     if scratch is None:
         yield
         return
-    is_over = threading.Event()
     try:
         smallest = min(_MAX_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)
         with array_files.arrays_in_files(scratch.folder, max(1, smallest)), large_files_allowed():
             if scratch.is_limit:
-                arguments = (scratch.room, is_over)
-                threading.Thread(target=_keep_to, args=arguments, daemon=True).start()
+                base = least_memory_bytes()
+                most = base + int(_MAPPED_SHARE * (scratch.room - base))
+                keeper = threading.Thread(
+                    target=array_files.keep_memory_below, args=(most,), daemon=True
+                )
+                keeper.start()
             yield
     except MsalError:
         raise
@@ -210,20 +212,6 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
             f"{os.strerror(error)}",
             hint="name a folder with more space by --scratch",
         ) from None
-    finally:
-        is_over.set()
-
-
-def _keep_to(limit: int, is_over: threading.Event) -> None:
-    """Let go of the pages of files before the process has as many as the limit."""
-    page = os.sysconf("SC_PAGE_SIZE")
-    base = least_memory_bytes()
-    most = base + _MAPPED_SHARE * (limit - base)
-    with open("/proc/self/statm", "rb", buffering=0) as file:
-        while not is_over.wait(_BETWEEN_LOOKS_S):
-            file.seek(0)
-            if int(file.read(200).split()[1]) * page > most:
-                array_files.let_go_of_pages()
 
 
 def _folder_of(output: str | None) -> str:

@@ -87,9 +87,10 @@ def count_scratch() -> Scratch:
     return Scratch(now.value, peak.value, error.value)
 
 
-def let_go_of_pages() -> None:
-    """Have no page of these files count as memory of this process, until it is used again."""
-    open_library().msal_let_go_of_array_files()
+def keep_memory_below(n_bytes: int) -> None:
+    """Release pages of files whenever this process has so many bytes of memory, until no array
+    lives in files any more; for a thread of its own."""
+    open_library().msal_keep_memory_below(ctypes.c_size_t(n_bytes))
 
 
 @functools.cache
