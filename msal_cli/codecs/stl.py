@@ -9,7 +9,9 @@ of its line.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -281,20 +283,35 @@ class StlFile(_FacetFile):
         normals, corners = facets["normal"], facets["corners"]
         none = np.empty(0, dtype=bool)
 
-        def write(start: int, stop: int) -> None:
+        def write(start: int, stop: int, begin: int, *mesh: Any) -> None:
             for first in range(start, stop, _AT_ONCE):
                 last = min(first + _AT_ONCE, stop)
-                part = slice(
-                    _FIRST_FACET + FACET.itemsize * first, _FIRST_FACET + FACET.itemsize * last
-                )
+                ends = (_FIRST_FACET + FACET.itemsize * (begin + at) for at in (first, last))
+                part = slice(*ends)
                 # Just copied, the bytes are near when they are changed.
                 output[part] = before[part]
-                replace_facets(
-                    first, last, self.vertices, vertices, self.faces, normals, corners, none
-                )
+                replace_facets(first, last, *mesh, normals[begin:], corners[begin:], none)
 
-        over_ranges(write, len(facets))
+        for begin, *mesh in self._parts(vertices):
+            over_ranges(write, len(mesh[2]), begin, *mesh)
         return output.data
+
+    def _parts(self, vertices: Floats) -> Iterator[tuple[int, Floats, Floats, Ints]]:
+        """Of all facets in parts the first, the vertices before and after, and the corners.
+
+        It is one part, but where vertices are anywhere in files: they are read block by block.
+        """
+        from msal_cli.kernels import array_files, spatial_order
+
+        if not (array_files.are_used() and spatial_order.is_random(self.faces)):
+            yield 0, self.vertices, vertices, self.faces
+            return
+        facets = _facets(self.data, self.n_polygons)
+        for first, last in spatial_order.blocks(self.n_polygons, 2 * 9 * vertices.itemsize):
+            # The sum makes a plain zero of a negative one.
+            old = facets["corners"][first:last].astype(np.float64).reshape(-1, 3) + 0.0
+            new = spatial_order.gather_corners(vertices, self.faces[first:last])
+            yield first, old, new, np.arange(len(old), dtype=np.int32).reshape(-1, 3)
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         from msal_cli.kernels import stl_facets
@@ -312,11 +329,13 @@ class StlFile(_FacetFile):
         numbers = old["corners"], new["normal"], new["corners"]
         results: list[tuple[int, int]] = []
 
-        def check_range(start: int, stop: int) -> None:
-            meshes = self.vertices, vertices, self.faces
-            results.append(stl_facets.check_facets(start, stop, *meshes, *words, *numbers))
+        def check_range(start: int, stop: int, begin: int, *mesh: Any) -> None:
+            others = (array[begin:] for array in (*words, *numbers))
+            facet, status = stl_facets.check_facets(start, stop, *mesh, *others)
+            results.append((begin + facet, status))
 
-        over_ranges(check_range, self.n_polygons)
+        for begin, *mesh in self._parts(vertices):
+            over_ranges(check_range, len(mesh[2]), begin, *mesh)
         messages = {
             stl_facets.WRONG_CORNER: "a corner was not written right",
             stl_facets.WRONG_NORMAL: "a normal was not written right",

@@ -89,6 +89,17 @@ def _renumber(start, stop, faces, ranks, first, last, renumbered):
                 renumbered[f, k] = ranks[i]
 
 
+@compiled
+def _gather_corners(start, stop, vertices, faces, first, last, corners):
+    """The corners of faces, of vertices from ``first`` to ``last``."""
+    for f in range(start, stop):
+        for k in range(3):
+            i = faces[f, k]
+            if first <= i < last:
+                for axis in range(3):
+                    corners[3 * f + k, axis] = vertices[i, axis]
+
+
 def is_random(faces: Ints) -> bool:
     """Whether faces that follow one another have vertices far from one another, in most places."""
     firsts = np.linspace(0, max(len(faces) - _TOGETHER, 0), _PLACES).astype(np.int64)
@@ -113,19 +124,39 @@ def sort_in_space(
     n, m = len(vertices), len(faces)
     keys = np.empty(n, dtype=np.uint64)
     over_ranges(_key_vertices, n, vertices, low, _CELLS / extent, keys)
+    vertices, faces, ranks = order_vertices(vertices, faces, keys)
+    keys = np.empty(m, dtype=np.uint64)
+    over_ranges(_key_faces, m, faces, keys)
+    keys.sort()
+    return vertices, _gather_rows(faces, keys), ranks
+
+
+def order_vertices(
+    vertices: Floats, faces: Ints, keys: NDArray[np.uint64]
+) -> tuple[Floats, Ints, Ints]:
+    """Vertices (n, 3) in the order of ``keys`` (n,), whose low halves are the numbers of vertices;
+    faces (m, 3) with the new numbers, and the new number (n,) of each vertex.
+
+    ``keys`` are sorted in place.
+    """
+    n, m = len(vertices), len(faces)
     # No two keys are equal: the order does not depend on how they are sorted.
     keys.sort()
     ranks = np.empty(n, dtype=np.int32)
     for block in blocks(n, ranks.itemsize):
         over_ranges(_rank, n, keys, *block, ranks)
-    vertices = _gather_rows(vertices, keys)
     renumbered = np.empty((m, 3), dtype=np.int32)
     for block in blocks(n, ranks.itemsize):
         over_ranges(_renumber, m, faces, ranks, *block, renumbered)
-    keys = np.empty(m, dtype=np.uint64)
-    over_ranges(_key_faces, m, renumbered, keys)
-    keys.sort()
-    return vertices, _gather_rows(renumbered, keys), ranks
+    return _gather_rows(vertices, keys), renumbered, ranks
+
+
+def gather_corners(vertices: Floats, faces: Ints) -> Floats:
+    """The positions (3 m, 3) of the corners of faces (m, 3)."""
+    corners = np.empty((faces.size, 3))
+    for block in blocks(len(vertices), vertices.itemsize * 3):
+        over_ranges(_gather_corners, len(faces), vertices, faces, *block, corners)
+    return corners
 
 
 def _gather_rows(rows: NDArray[Any], keys: NDArray[np.uint64]) -> NDArray[Any]:

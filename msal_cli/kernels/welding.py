@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels import array_files
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.spatial_order import blocks
+from msal_cli.kernels.spatial_order import blocks, order_vertices
 
 _BLOCK_ROWS = 512
 
@@ -261,6 +262,9 @@ def widest_gap(positions: Floats, place: Ints, n_places: int) -> float:
 # Nearly all the time goes into waiting for the hash table of vertex numbers, whose places for new
 # vertices are anywhere in memory: so the places of a block of corners are computed first, which is
 # vector code, and read all at once; only then is any corner decided.
+#
+# Where arrays live in files, each wait may be one for the disk.  So the corners are read several
+# times, each time for those whose places are in one part of the table, which fits into memory.
 
 _BLOCK_FACETS = 256
 _FACTOR_X = np.uint64(0x9E3779B97F4A7C15)
@@ -282,10 +286,15 @@ def _slot(x, y, z, shift):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _index_corners(first, found, corners, shift, table, vertices, faces):  # type: ignore[no-untyped-def]
-    """Number the corners of facets from ``first`` on.
+def _index_corners(  # type: ignore[no-untyped-def]
+    first, found, corners, shift, part, part_shift, table, vertices, keys, faces
+):
+    """Number the corners of facets from ``first`` on whose place is in one ``part`` of the table.
 
-    table (2^k,) int32 : 0 or one more than a vertex's number; ``shift`` is 64 - k.
+    table (2^k,) int32 : 0 or one more than a vertex's number; ``shift`` is 64 - k.  A part of it
+        has ``2 ** part_shift`` places.
+    keys (n,) uint64 : of each vertex its first corner, and below it its number.  Without items:
+        not filled.
 
     Returns the facet that it came to, the vertices found so far, and whether that facet has a
     position that is not finite; it stops too where the table or ``vertices`` might become full.
@@ -294,6 +303,7 @@ def _index_corners(first, found, corners, shift, table, vertices, faces):  # typ
     room = min(len(vertices), len(table) // 2)
     slots = np.empty(3 * _BLOCK_FACETS, dtype=np.int64)
     touched = 0
+    part_place = part << part_shift
     for block in range(first, len(faces), _BLOCK_FACETS):
         stop = min(block + _BLOCK_FACETS, len(faces))
         if found + 3 * (stop - block) > room:
@@ -308,15 +318,20 @@ def _index_corners(first, found, corners, shift, table, vertices, faces):  # typ
                     shift,
                 )
         for at in range(3 * (stop - block)):
-            touched |= table[slots[at]]
+            touched |= table[slots[at] if slots[at] >> part_shift == part else part_place]
         for f in range(block, stop):
             for k in range(3):
+                slot = slots[3 * (f - block) + k]
+                is_own = slot >> part_shift == part
+                if part and not is_own:
+                    continue
                 x = np.float64(corners[f, 3 * k]) + 0.0
                 y = np.float64(corners[f, 3 * k + 1]) + 0.0
                 z = np.float64(corners[f, 3 * k + 2]) + 0.0
                 if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
                     return f, found, True
-                slot = slots[3 * (f - block) + k]
+                if not is_own:
+                    continue
                 number = table[slot] - 1
                 while number >= 0 and not (
                     vertices[number, 0] == x
@@ -327,6 +342,8 @@ def _index_corners(first, found, corners, shift, table, vertices, faces):  # typ
                     number = table[slot] - 1
                 if number < 0:
                     number = found
+                    if len(keys):
+                        keys[number] = np.uint64(3 * f + k) << np.uint64(32) | np.uint64(number)
                     found += 1
                     table[slot] = found
                     vertices[number, 0] = x
@@ -340,11 +357,13 @@ def _index_corners(first, found, corners, shift, table, vertices, faces):  # typ
 
 
 @compiled
-def _enter(vertices, shift, table):  # type: ignore[no-untyped-def]
-    """Enter vertices that are all different into an empty table."""
+def _enter(vertices, shift, part, part_shift, table):  # type: ignore[no-untyped-def]
+    """Enter vertices that are all different into one part of an empty table."""
     mask = len(table) - 1
     for number in range(len(vertices)):
         slot = _slot(vertices[number, 0], vertices[number, 1], vertices[number, 2], shift)
+        if slot >> part_shift != part:
+            continue
         while table[slot] != 0:
             slot = (slot + 1) & mask
         table[slot] = number + 1
@@ -364,20 +383,38 @@ def weld_corners(corners: NDArray[np.float32] | Floats) -> tuple[Floats, Ints, i
     m = len(corners)
     faces = np.empty((m, 3), dtype=np.int32)
     # A closed surface has half as many vertices as facets.  Room is always left for one block.
-    vertices = np.empty((min(3 * m, m // 2 + m // 32 + 6 * _BLOCK_FACETS), 3))
+    most = 3 * (m + _BLOCK_FACETS)
+    vertices = np.empty((min(most, m // 2 + m // 32 + 6 * _BLOCK_FACETS), 3))
     bits = max(12, (5 * len(vertices) // 2 - 1).bit_length())
     table = np.zeros(1 << bits, dtype=np.int32)
-    at = found = 0
-    while True:
-        shift = np.uint64(64 - bits)
-        at, found, is_bad = _index_corners(at, found, corners, shift, table, vertices, faces)
-        if at == m or is_bad:
-            break
-        if found + 3 * _BLOCK_FACETS > len(vertices):
-            vertices.resize((min(3 * m, 2 * len(vertices)), 3), refcheck=False)
-        if found + 3 * _BLOCK_FACETS > len(table) // 2:
-            bits += 1
-            table = np.zeros(1 << bits, dtype=np.int32)
-            _enter(vertices[:found], np.uint64(64 - bits), table)
+    part_bits = 0
+    if array_files.are_used():
+        part_bits = (len(blocks(vertices.nbytes + table.nbytes, 1)) - 1).bit_length()
+    keys = np.empty(len(vertices) if part_bits else 0, dtype=np.uint64)
+    found = 0
+    for part in range(1 << part_bits):
+        at = 0
+        while True:
+            places = np.uint64(64 - bits), part, bits - part_bits
+            at, found, is_bad = _index_corners(
+                at, found, corners, *places, table, vertices, keys, faces
+            )
+            if is_bad:
+                return vertices[:found], faces, at
+            if at == m:
+                break
+            if found + 3 * _BLOCK_FACETS > len(vertices):
+                room = min(most, 2 * len(vertices))
+                vertices.resize((room, 3), refcheck=False)
+                keys.resize(room if part_bits else 0, refcheck=False)
+            if found + 3 * _BLOCK_FACETS > len(table) // 2:
+                bits += 1
+                table = np.zeros(1 << bits, dtype=np.int32)
+                for done in range(part + 1):
+                    places = np.uint64(64 - bits), done, bits - part_bits
+                    _enter(vertices[:found], *places, table)
+    del table
     vertices.resize((found, 3), refcheck=False)
-    return vertices, faces, at if is_bad else -1
+    if part_bits:
+        vertices, faces, _ = order_vertices(vertices, faces, keys[:found])
+    return vertices, faces, -1
