@@ -76,17 +76,13 @@ class RunEntry:
 
     def start_line(self) -> dict[str, Any]:
         """The manifest's line for the start of the run."""
+        names = ("version", "settings", "started", "pid", "host", "files")
         return {
             "kind": "run",
             "format": FORMAT,
-            "version": self.version,
             "command": list(self.command),
-            "settings": dict(self.settings),
             "shard": None if self.shard is None else [self.shard.number, self.shard.count],
-            "started": self.started,
-            "pid": self.pid,
-            "host": self.host,
-            "files": self.files,
+            **{name: getattr(self, name) for name in names},
         }
 
     def end_line(self, *, interrupted: bool) -> dict[str, Any]:

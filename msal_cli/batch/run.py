@@ -155,13 +155,9 @@ class _BatchRun:
 
                 records = survey_set(self.plan, self.settings)
             else:
+                options = (self.settings, self.limits)
                 records = {
-                    index: foresee(
-                        self._unfinished_record(index),
-                        self.plan.tasks[index],
-                        self.settings,
-                        self.limits,
-                    )
+                    index: foresee(self._unfinished_record(index), self.plan.tasks[index], *options)
                     for index in todo
                 }
             for index, record in records.items():
@@ -177,9 +173,11 @@ class _BatchRun:
                 todo = list(range(len(self.plan.tasks)))
                 if self._journal is not None:
                     todo = self._journal.begin(stack, self.opened, command, self._emit_finished)
-            if self.plan.is_set:
-                if todo:
-                    self._finish(self._denoise_set())
+            if self.plan.is_set and todo:
+                from msal_cli.batch.tile_set import denoise_set
+
+                options = (self.on_event, self.stop_after_failures, self.limits, self.cancellation)
+                self._finish(denoise_set(self.plan, self.settings, *options))
             elif self._is_single() or self.plan.is_in_process:
                 self._run_in_process(todo)
             elif todo:
@@ -215,19 +213,11 @@ class _BatchRun:
                 task = self.plan.tasks[index]
                 self.on_event(Started(index))
                 record = self.denoise(
-                    task,
-                    self.settings,
-                    lambda stage, n, total: self.on_event(Progress(0, stage, n, total)),
+                    task, self.settings, lambda *step: self.on_event(Progress(0, *step))
                 )
                 self._finish({index: record})
                 if self._failure is not None:
                     return
-
-    def _denoise_set(self) -> dict[int, MeshRecord]:
-        from msal_cli.batch.tile_set import denoise_set
-
-        options = (self.on_event, self.stop_after_failures, self.limits, self.cancellation)
-        return denoise_set(self.plan, self.settings, *options)
 
     def _run_engine(self, todo: list[int]) -> None:
         from msal_cli.batch.workers import WorkerPool, denoise_in_worker

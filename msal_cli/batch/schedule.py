@@ -130,19 +130,20 @@ class Engine(Protocol):
 class Work:
     """What an engine is to do.
 
-    ``tasks`` are picklable values by their index in the plan.  ``function``, of a module, is called
-    in some process as ``function(task, common, on_progress)``.  ``jobs`` tasks run at the same time
-    on this machine, whose ``cores`` the workers share.  ``folders`` have a manifest and exist.
-
-    ``on_death`` is called with the process id of a worker of this machine that has ended, and the
-    index of its current task, to remove what it left; ``on_loss`` with the index of a task that was
-    lost, before it is tried again (at most ``retries`` times) or given up: it returns why the task
-    must not be tried again, or an empty string.
-
-    ``weights`` are the bytes of memory that the large tasks are expected to need, ``light_bytes``
-    those of any other, and ``budget_bytes`` what all current ones may need; None is no bound.  With
-    ``reports_first`` results are reported before the next tasks are handed out, so that ``stop`` is
-    in time for these.
+    Attributes
+    ----------
+    tasks : picklable values by their index in the plan.
+    function : of a module, called in some process as ``function(task, common, on_progress)``.
+    jobs, cores : tasks at the same time on this machine, and the cores that they share.
+    folders : those with a manifest; they exist.
+    on_death : called with the process id of a worker of this machine that has ended, and the index
+        of its current task, to remove what it left.
+    on_loss : called with the index of a task that was lost, before it is tried again (at most
+        ``retries`` times) or given up: returns why it must not be tried again, or nothing.
+    weights, light_bytes : bytes of memory expected for the large tasks, and for any other.
+    budget_bytes : what all current tasks may need; None is no bound.
+    reports_first : report results before the next tasks are handed out, so that ``stop`` is in
+        time for these.
     """
 
     tasks: dict[int, Any]
@@ -180,15 +181,13 @@ class TaskQueue:
         self._weights = weights or {}
         self._light_bytes = light_bytes
         self._budget = budget_bytes
-        self._light: collections.deque[int] = collections.deque()
-        self._heavy: collections.deque[int] = collections.deque()
-        for index in tasks:
-            (self._heavy if index in self._weights else self._light).append(index)
-        self._heavy = collections.deque(sorted(self._heavy, key=lambda index: -self.weight(index)))
+        indices = sorted(tasks, key=lambda index: -self._weights.get(index, 0))
+        self._heavy = collections.deque(index for index in indices if index in self._weights)
+        self._light = collections.deque(index for index in indices if index not in self._weights)
         self._retries: collections.deque[int] = collections.deque()
 
     def __len__(self) -> int:
-        """How many tasks wait for their first try."""
+        """Tasks that wait for their first try."""
         return len(self._heavy) + len(self._light)
 
     @property

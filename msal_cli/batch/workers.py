@@ -30,7 +30,7 @@ import time
 import traceback
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from msal_cli.batch.schedule import (
     Failed,
@@ -554,8 +554,7 @@ def _read_output(worker: WorkerProcess) -> None:
 # Inside a worker
 
 
-@dataclass(frozen=True)
-class Assignment:
+class Assignment(NamedTuple):
     """The first message to a worker: ``function(task, common, on_progress)`` is its work."""
 
     function: Callable[[Any, Any, Callable[[str, int, int], None]], Any]
