@@ -172,7 +172,6 @@ def test_a_file_that_kills_dask_workers_is_found_and_is_one_row(folder, cluster)
 @pytest.mark.parametrize("lack", ["version", "scheduler", "worker", "dask"])
 def test_refusals_before_any_work(folder, cluster, monkeypatch, lack):
     fill(folder, 2)
-    engine = partial(DaskEngine, scheduler="tcp://127.0.0.1:9")
     if lack == "version":
         monkeypatch.setattr(dask_engine, "__version__", "99.0")
         with pytest.raises(UsageError, match=r"worker at tcp://127\.0\.0\.1:\d+ has msal .*99\.0"):
@@ -180,6 +179,7 @@ def test_refusals_before_any_work(folder, cluster, monkeypatch, lack):
     elif lack == "scheduler":
         monkeypatch.setattr(dask_engine, "_CONNECT_S", 0.2)
         with pytest.raises(UsageError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
+            engine = partial(DaskEngine, scheduler="tcp://127.0.0.1:9")
             run(plan_of(), FAKE, engine=engine, denoise=fakes.denoise)
     elif lack == "worker":
         monkeypatch.setattr(dask_engine, "_PATIENCE_S", 0.3)

@@ -127,8 +127,6 @@ class TestShards:
             (Shard(1, 4), None),
             (Shard(1, 4), Shard(1, 4)),
             (Shard(1, 4), Shard(2, 5)),
-            (Shard(1, 1), None),
-            (None, Shard(1, 1)),
         ],
         ids=str,
     )

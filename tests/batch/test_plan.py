@@ -13,7 +13,7 @@ from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan, manifest_key
 from msal_cli.errors import UsageError
-from tests.files import make_files
+from tests.files import make_files, tree
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 
@@ -30,23 +30,17 @@ def outputs(folder, *arguments, **options):
     ]
 
 
-def snapshot(folder):
-    return sorted(
-        (str(path), path.read_bytes() if path.is_file() else None) for path in folder.rglob("*")
-    )
-
-
 @pytest.fixture
 def refuses(tmp_path):
     """A call that must raise UsageError with all these words and leave the disk as it was."""
 
     def check(words, *arguments, **options):
-        before = snapshot(tmp_path)
+        before = tree(tmp_path, has_own=True)
         with pytest.raises(UsageError) as caught:
             planned(*arguments, **options)
         for word in words:
             assert word in caught.value.message, caught.value.message
-        assert snapshot(tmp_path) == before
+        assert tree(tmp_path, has_own=True) == before
         return caught.value
 
     return check

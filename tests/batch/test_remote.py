@@ -11,7 +11,7 @@ from msal_cli.batch.inputs import NothingMatched, discover_inputs
 from msal_cli.batch.manifest import PARTS_FOLDER, ObjectManifest, done_line, intent_line
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
-from msal_cli.errors import InputError, OutputError, UsageError
+from msal_cli.errors import InputError, UsageError
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import Settings
@@ -164,22 +164,6 @@ def test_from_folder_to_store_and_back(scans, tmp_path):
     assert again == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
 
 
-def test_an_object_that_cannot_be_written_is_a_row(scans, monkeypatch):
-    real = remote.write_whole
-
-    def refusing(url, data):
-        if url.endswith("2.obj"):
-            raise OutputError("the object cannot be written: access is denied", hint="ask")
-        return real(url, data)
-
-    monkeypatch.setattr(remote, "write_whole", refusing)
-    told = {record.input[-5:]: record.error for record in denoised()}
-    assert told["2.obj"].code == "E_WRITE"
-    assert told["0.obj"] is None
-    monkeypatch.undo()
-    assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
-
-
 # What is up to date
 
 
@@ -247,15 +231,6 @@ def test_lines_of_all_parts_are_read_and_the_last_counts():
     assert manifest.names() == {"a", "failed", "written"}
     assert manifest.get("a").status == "written"
     assert len(parts()) == 4
-
-
-def test_what_makes_no_sense_is_passed_over():
-    write_whole(f"memory://out/{PARTS_FOLDER}/notes.txt", b"{")
-    write([INTENT])
-    (part,) = [name for name in parts() if name.endswith(".jsonl")]
-    url = f"memory://out/{PARTS_FOLDER}/{part}"
-    write_whole(url, b'{"torn\n\n' + read_whole(url) + b'{"kind": "do')
-    assert ObjectManifest("memory://out").names() == {"a"}
 
 
 def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):

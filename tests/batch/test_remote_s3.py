@@ -38,9 +38,7 @@ class Server:
         from moto.server import ThreadedMotoServer
 
         self.requests = []
-        self.is_reached = threading.Event()
-        self.gate = threading.Event()
-        self.is_over = threading.Event()
+        self.is_reached, self.gate, self.is_over = (threading.Event() for _ in range(3))
         self.held_up = ""
         self._moto = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
         self._moto.start()
@@ -50,7 +48,7 @@ class Server:
 
     def _answer(self, environ, start_response):
         method, path = environ["REQUEST_METHOD"], environ["PATH_INFO"]
-        self.requests.append((method, path))
+        self.requests.append(f"{method} {path}")
         if path.startswith("/denied"):
             start_response("403 Forbidden", [("Content-Type", "application/xml")])
             return [DENIED]
@@ -76,9 +74,8 @@ class Server:
         assert self.is_over.wait(60)
 
     def counted(self, pattern):
-        """How many requests since the last time, as text, match each method and path."""
-        some, self.requests = self.requests, []
-        return sum(re.fullmatch(pattern, f"{method} {path}") is not None for method, path in some)
+        """How many requests match a method and path."""
+        return sum(re.fullmatch(pattern, request) is not None for request in self.requests)
 
     def stop(self):
         self.gate.set()
@@ -133,14 +130,11 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     assert statuses(report) == dict.fromkeys(NAMES, "written")
     assert "geheim" not in report.read_text()
-    some = list(server.requests)
     n = len(NAMES)
     assert server.counted("GET /scans/.*") == n
-    server.requests = list(some)
     assert server.counted(r"(PUT|HEAD) /out/x/[^.].*") == 2 * n
-    server.requests = list(some)
     # Listings, and the parts of the manifest.
-    assert server.counted(".*") - 3 * n < 15
+    assert len(server.requests) - 3 * n < 15
     assert outputs("s3://out/x") == expected
 
     # What the run did can be told later, from the store alone.
@@ -152,13 +146,10 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     server.requests = []
     assert msal(*command, "--report", report).exit_code == 0
     assert statuses(report) == dict.fromkeys(NAMES, "up-to-date")
-    requests, server.requests = server.requests, []
-    assert sum(path in ("/scans", "/out") for _, path in requests) == 2 + 2
-    assert not [path for _, path in requests if path.startswith("/scans/")]
-    assert not [path for _, path in requests if re.match(r"/out/x/[^.]", path)]
+    assert server.counted(".* /(scans|out)") == 2 + 2
+    assert not server.counted(r".* /(scans/.*|out/x/[^.].*)")
     # Beside the parts of the manifest, of which a slow run has more.
-    parts = [path for _, path in requests if ".msal-manifest/" in path]
-    assert len(requests) - len(parts) < 12
+    assert len(server.requests) - server.counted(r".*/\.msal-manifest/.*") < 12
 
     # An object that changed, and an output that somebody else wrote, are done again.
     write_whole("s3://out/x/2.obj", b"x" * len(expected["2.obj"]))
@@ -176,15 +167,10 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     ("arguments", "status", "words"),
     [
         (["s3://missing/scans", "-o", "s3://out/y"], 2, "no object or folder"),
-        (["s3://scans/none.obj", "-o", "s3://out/y"], 2, "no object or folder"),
         (["s3://scans/*.stl", "-o", "s3://out/y"], 5, "no mesh file"),
-        (["s3://scans", "-o", "s3://missing/y"], 1, "no such bucket"),
         (["s3://scans/2.obj", "-o", "s3://missing/y.obj"], 1, "no such bucket"),
-        (["s3://scans/2.obj", "-o", "s3://denied/y.obj"], 1, "access is denied"),
         (["s3://scans", "-o", "s3://denied/y"], 1, "access is denied"),
         (["s3://denied/scans", "-o", "s3://out/y"], 2, "access is denied"),
-        (["s3://scans", "--in-place"], 2, "--in-place is for files"),
-        (["s3://scans", "-o", "s3://scans"], 2, "own output"),
     ],
 )
 def test_what_cannot_be_is_told_in_words(server, arguments, status, words):

@@ -124,7 +124,13 @@ def test_the_mesh_of_a_gltf_file_may_be_elsewhere(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("code", "is_known"), [("E_FORMAT", True), ("E_LOSS", True), ("E_MEMORY", False)]
+    ("code", "is_known"),
+    [
+        *((f"E_{name}", True) for name in ("FORMAT", "TRUNCATED", "CONTENT", "NONFINITE", "INDEX")),
+        *((f"E_{name}", True) for name in ("NO_FACES", "RANGE", "LOSS")),
+        *((f"E_{name}", False) for name in ("MEMORY", "CRASH", "TIMEOUT", "WRITE", "READ")),
+        *((f"E_{name}", False) for name in ("UNSUPPORTED", "TOO_LARGE", "INTERNAL")),
+    ],
 )
 def test_a_failure_that_comes_again_is_not_tried(case, code, is_known):
     failed = {"status": "failed", "error": Failure(code, "words", "hint"), "output": None}

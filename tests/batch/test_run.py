@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import msal_cli
+from msal_cli.batch import interrupts
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
 from msal_cli.batch.manifest import NAME
@@ -133,28 +134,21 @@ class TestFailures:
         assert names.count("01") == 2 and names[-1] == "01"
 
 
-class TestDryRun:
-    @pytest.fixture(autouse=True)
-    def _no_meshes(self, monkeypatch):
-        """The files of these tests are no meshes, which a dry run would say."""
-        monkeypatch.setattr(room, "_check_header", lambda path, format: None)
-
-    def test_nothing_is_touched(self, folders):
-        fill(folders, 3)
-        events = []
-        records = ran(folders, dry_run=True, on_event=events.append)
-        assert statuses(records) == ["planned"] * 3
-        assert records[0].output == str(folders / "out/00.ply")
-        assert [event.record for event in events] == records
-        assert not (folders / "out").exists()
-
-    def test_it_tells_what_is_current(self, folders):
-        fill(folders, 3)
-        ran(folders)
-        (folders / "in/01.ply").write_text("changed")
-        before = tree(folders)
-        assert statuses(ran(folders, dry_run=True)) == ["up-to-date", "planned", "up-to-date"]
-        assert tree(folders) == before
+def test_a_dry_run_touches_nothing_and_tells_what_is_current(folders, monkeypatch):
+    # These files are no meshes, which a dry run would say.
+    monkeypatch.setattr(room, "_check_header", lambda path, format: None)
+    fill(folders, 3)
+    events = []
+    records = ran(folders, dry_run=True, on_event=events.append)
+    assert statuses(records) == ["planned"] * 3
+    assert records[0].output == str(folders / "out/00.ply")
+    assert [event.record for event in events] == records
+    assert not (folders / "out").exists()
+    ran(folders)
+    (folders / "in/01.ply").write_text("changed")
+    before = tree(folders)
+    assert statuses(ran(folders, dry_run=True)) == ["up-to-date", "planned", "up-to-date"]
+    assert tree(folders) == before
 
 
 class TestInPlace:
@@ -306,72 +300,42 @@ class TestInterrupts:
             assert process.wait(timeout=2) == 143
         assert tree(folders / "out") == {}
 
-    def test_a_second_signal_does_not_wait(self):
-        code = (
-            "import os, signal, time; from msal_cli.batch.interrupts import catch_signals\n"
-            "with catch_signals(lambda number: print(number, flush=True)):\n"
-            "    os.kill(os.getpid(), signal.SIGINT)\n"
-            "    try: os.kill(os.getpid(), signal.SIGTERM)\n"
-            "    finally: print('cleaned up', flush=True)"
-        )
-        made = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
-        assert made.stdout.decode().split() == [str(int(signal.SIGINT))]
-        assert (made.returncode, made.stderr) == (143, b"msal: interrupted\n")
-
     def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path):
-        # Neither a kernel nor whoever swallows the exception keeps the process.
+        # Neither a kernel nor whoever swallows the exception keeps the process; nor is the
+        # second signal waited for.
         code = (
             "import hashlib, os, pathlib, signal, sys\n"
             "from msal_cli.batch import interrupts as signals\n"
             "clean = pathlib.Path(sys.argv[1]).touch\n"
             "with signals.catch_signals(print), signals.end_if_late(clean):\n"
             "    os.kill(os.getpid(), signal.SIGTERM)\n"
+            "    if sys.argv[2:]: os.kill(os.getpid(), signal.SIGINT)\n"
             "    hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)\n"
         )
-        began = time.monotonic()
-        made = subprocess.run(
-            [sys.executable, "-c", code, tmp_path / "cleaned"], capture_output=True, check=False
-        )
-        assert (made.returncode, made.stderr) == (143, b"msal: interrupted\n")
-        assert time.monotonic() - began < 10
-        assert (tmp_path / "cleaned").exists()
+        for second, status in ((), 143), (("again",), 130):
+            began = time.monotonic()
+            command = [sys.executable, "-c", code, tmp_path / "cleaned", *second]
+            made = subprocess.run(command, capture_output=True, check=False)
+            assert (made.returncode, made.stderr) == (status, b"msal: interrupted\n")
+            assert time.monotonic() - began < 10
+            assert (tmp_path / "cleaned").exists() != bool(second)
+            (tmp_path / "cleaned").unlink(missing_ok=True)
 
     def test_a_block_that_is_left_in_time_goes_on(self, monkeypatch):
-        from msal_cli.batch import interrupts as signals
-
-        monkeypatch.setattr(signals, "MAX_DELAY_S", 0.2)
+        monkeypatch.setattr(interrupts, "MAX_DELAY_S", 0.2)
         seen, cleaned = [], []
         n_threads = threading.active_count()
-        with signals.catch_signals(seen.append), signals.end_if_late(lambda: cleaned.append(1)):
+        with (
+            interrupts.catch_signals(seen.append),
+            interrupts.end_if_late(lambda: cleaned.append(1)),
+        ):
             os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1.2 * signals.MAX_DELAY_S)
+        time.sleep(1.2 * interrupts.MAX_DELAY_S)
         assert (seen, cleaned) == ([signal.SIGTERM], [])
         assert threading.active_count() == n_threads
 
 
 # Runs after others, or beside them
-
-FAULTS = (
-    "E_FORMAT", "E_TRUNCATED", "E_CONTENT", "E_NONFINITE", "E_INDEX", "E_NO_FACES", "E_RANGE",
-    "E_LOSS",
-)  # fmt: skip
-CIRCUMSTANCES = (
-    "E_CRASH", "E_TIMEOUT", "E_WRITE", "E_READ", "E_UNSUPPORTED", "E_TOO_LARGE", "E_INTERNAL"
-)  # fmt: skip
-
-
-def test_only_what_may_go_away_by_itself_is_tried_again(folders):
-    codes = (*FAULTS, *CIRCUMSTANCES)
-    fill(folders, 1, **{f"f{code}": f"fail {code}" for code in codes})
-    first = ran(folders)
-    assert not any(record.remembered for record in first)
-    names, on_event = tried(folders)
-    second = ran(folders, on_event=on_event)
-    assert sorted(names) == sorted(CIRCUMSTANCES)
-    for one, two in zip(first, second, strict=True):
-        assert one.error == two.error
-        assert two.remembered == (Path(two.input).stem in FAULTS)
-    assert statuses(second).count("failed") == len(codes)
 
 
 class TestShards:

@@ -101,43 +101,48 @@ def test_names_of_our_own():
     assert len(os.fsencode(temporary_name("x" * 255))) <= MAX_NAME_BYTES
 
 
+def touch(folder, *names):
+    for name in names:
+        (folder / name).touch()
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
 def test_what_the_dead_left_goes(tmp_path, dead):
     names = [of(dead), of(dead, "new\nline"), of(dead, "\udcff"), of(dead, "x" * 100)]
     keep = [temporary_name("mine"), of(os.getppid()), "a.ply", ".hidden", ".a.msal-1.tmp"]
-    for name in names + keep:
-        (tmp_path / name).touch()
+    touch(tmp_path, *names, *keep)
     assert sweep([tmp_path, tmp_path / "missing"]) == 4
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(keep)
+    assert names_in(tmp_path) == sorted(keep)
 
 
 def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
     names = [re.sub(r"-[0-9a-f]{8}", "-00000000", of(dead, name)) for name in ("new", "old")]
-    for name in names:
-        (tmp_path / name).touch()
+    touch(tmp_path, *names)
     os.utime(tmp_path / names[1], (0, 0))
     assert sweep([tmp_path]) == 1
     assert sweep_after(dead, [tmp_path]) == 0
-    assert [path.name for path in tmp_path.iterdir()] == names[:1]
+    assert names_in(tmp_path) == names[:1]
 
 
 def test_after_a_worker_only_its_own_go(tmp_path, dead):
     names = [of(dead), of(dead + 1), temporary_name("mine")]
-    for name in names:
-        (tmp_path / name).touch()
+    touch(tmp_path, *names)
     assert sweep_after(dead, [tmp_path]) == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
+    assert names_in(tmp_path) == sorted(names[1:])
 
 
 def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
-    mine, earlier = tmp_path / temporary_name("mine"), tmp_path / temporary_name("earlier")
-    for path in (mine, earlier):
-        path.touch()
+    mine, earlier = temporary_name("mine"), temporary_name("earlier")
+    touch(tmp_path, mine, earlier)
     began = start_time(os.getpid()) or time.time()
-    os.utime(mine, (began - 5, began - 5))
-    os.utime(earlier, (began - 100, began - 100))
+    for name, age in ((mine, 5), (earlier, 100)):
+        os.utime(tmp_path / name, (began - age, began - age))
     is_told = start_time(os.getpid()) is not None
     assert sweep([tmp_path]) == is_told
-    assert mine.exists() and earlier.exists() != is_told
+    assert names_in(tmp_path) == sorted([mine] if is_told else [mine, earlier])
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="told by /proc")
@@ -147,8 +152,7 @@ def test_a_process_that_nobody_asked_after_is_dead(tmp_path):
     deadline = time.monotonic() + 10
     while is_alive(process.pid) and time.monotonic() < deadline:
         time.sleep(0.01)
-    name = of(process.pid)
-    (tmp_path / name).touch()
+    touch(tmp_path, of(process.pid))
     swept = sweep([tmp_path])
     process.stdout.close()
     process.wait()

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import run as running
-from msal_cli.batch import workers
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
-from msal_cli.batch.workers import WorkerPool
 from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.settings import Settings
 from tests.files import tree
 from tests.shapes import noisy, torus
-
-posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 
 def settings(**given):
@@ -86,26 +78,3 @@ def test_four_shards_at_once_write_what_one_run_writes(scans):
     records = run(plan_of(scans), settings())
     assert {record.status for record in records} == {"up-to-date", "failed"}
     assert sum(record.remembered for record in records) == 1
-
-
-@pytest.mark.slow
-@posix
-def test_two_thousand_files_in_one_worker_do_not_grow_it(scans, monkeypatch):
-    for n in range(2000):
-        (scans / f"{n:04}.obj").write_text(obj(n % 10))
-    shutil.rmtree(scans / "a")
-    sizes = []
-    real = WorkerPool._finish
-
-    def watched(crew, worker, resident):
-        sizes.append(resident)
-        real(crew, worker, resident)
-
-    monkeypatch.setattr(WorkerPool, "_finish", watched)
-    monkeypatch.setattr(running, "usable_cores", lambda: 1)
-    monkeypatch.setattr(workers, "_FILES_PER_WORKER", 10**6)
-    run(plan_of(scans), settings())
-    assert len(sizes) > 2000
-    growth = np.mean(sizes[-100:]) / np.mean(sizes[200:300]) - 1.0
-    print(f"\n{len(sizes)} files in one worker: {100.0 * growth:+.2f} % after the first 200")
-    assert growth < 0.05

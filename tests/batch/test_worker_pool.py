@@ -188,11 +188,8 @@ def test_a_worker_that_cannot_import_the_work_says_so(monkeypatch):
 
 
 def test_no_worker_at_all_is_a_resource_error(monkeypatch):
-    def refused(*arguments, **options):
-        raise OSError(11, "Resource temporarily unavailable")
-
-    monkeypatch.setattr(subprocess, "Popen", refused)
-    with pytest.raises(ResourceError, match="no worker can be started"):
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
+    with pytest.raises(ResourceError, match="no worker can be started: No such file"):
         heard(pool([("double", 1)]))
 
 

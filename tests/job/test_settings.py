@@ -78,7 +78,6 @@ def test_messages_name_the_argument_or_the_option(given, argument, option):
     ("given", "words"),
     [
         ({"method": "msal", "keep": "edges"}, "keep: this is for the automatic choice"),
-        ({"method": "adaptive", "strength": 1}, "strength: this is for the automatic choice"),
         ({"assume": "noise", "parameters": [("K", "K", 1)]}, "K: 'adaptive' chooses"),
         ({"method": "auto", "parameters": [("K", "K", 1)]}, "K: 'auto' chooses"),
         ({"method": "adaptive", "parameters": [("K", "K", 1)]}, "K: 'adaptive' chooses"),
