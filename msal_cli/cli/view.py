@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,6 @@ from msal_cli.cli.options import (
 )
 from msal_cli.errors import UsageError
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.storage.regular import open_regular
 
 if TYPE_CHECKING:
     from msal_cli.view.pictures import View
@@ -106,21 +104,24 @@ def command(request: Request) -> int:
     """
     import shlex
 
-    from msal_cli.cli.report_files import refuse_target
+    from msal_cli.cli.report_files import REPORT, refuse_target
     from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
     from msal_cli.view import pages, pictures
     from msal_cli.view.colours import open_coloured_surface
     from msal_cli.view.panels import png_bytes
 
-    before, after, output = request.before, request.after, request.output
-    kind = "html" if output is None else _find_kind(output)
-    format = resolve_format(request.format)
-    names = (before,) if after is None else (before, after)
+    names = (request.before,) if request.after is None else (request.before, request.after)
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
-    if output is not None and output != STREAM:
+    format, output = resolve_format(request.format), request.output
+    if output is None:
+        stem = os.path.splitext(os.path.basename(names[-1]).removesuffix(".gz"))[0].lstrip("-")
+        output = f"{stem}.view.html"
+        refuse_target(output, "the page", names, replaces=REPORT)
+    elif output != STREAM:
         refuse_target(output, "the picture", names)
+    kind = _find_kind(output)
     view = dataclasses.replace(read_view(request), colours=request.colours)
     with room_for_files(names, format):
         first, *second = (open_coloured_surface(name, format) for name in names)
@@ -135,13 +136,11 @@ def command(request: Request) -> int:
     if output == STREAM:
         console.put_bytes(data)
         return console.SUCCESS
-    if output is not None:
-        atomic.write_whole(output, data, sources=names)
-    written = _write_own_page(names, data) if output is None else output
+    atomic.write_whole(output, data, sources=names)
     if not request.quiet:
-        console.say_written(written)
-    if output is None:
-        _show_in_browser(written)
+        console.say_written(output)
+    if request.output is None:
+        _show_in_browser(output)
     return console.SUCCESS
 
 
@@ -156,30 +155,6 @@ def _find_kind(output: str) -> str:
         f"-o {output}: a picture is called NAME.png and a page NAME.html",
         hint="give the output one of these suffixes",
     )
-
-
-def _write_own_page(sources: tuple[str, ...], data: bytes) -> str:
-    """Write ``data`` into the current folder under a name after that of the mesh, which no file has
-    that another program made; the name."""
-    from msal_cli.storage import atomic
-
-    stem = os.path.splitext(os.path.basename(sources[-1]).removesuffix(".gz"))[0].lstrip("-")
-    for number in count(1):
-        name = f"{stem}.view{'' if number == 1 else number}.html"
-        if atomic.write_new(name, [data], sources=sources):
-            break
-        if _is_own_page(name):
-            atomic.write_whole(name, data, sources=sources)
-            break
-    return name
-
-
-def _is_own_page(name: str) -> bool:
-    try:
-        with open_regular(name) as file:
-            return b'<meta name="generator" content="msal ' in file.read(4096)
-    except OSError:
-        return False
 
 
 def _show_in_browser(page: str) -> None:

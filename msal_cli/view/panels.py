@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import io
-import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.view.shading import LIGHT, Image, Style
 
 if TYPE_CHECKING:
@@ -166,8 +166,6 @@ def _draw_legend(
 # Tried in turn for what the built-in font lacks; it has little beyond ASCII.
 _OTHER_FONTS = ("DejaVuSans.ttf", "NotoSans-Regular.ttf", "NotoSansCJK-Regular.ttc", "Arial.ttf")
 
-_UNSAFE_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-
 _NO_CHARACTER = "\U0010fffd"
 
 
@@ -180,28 +178,18 @@ def fit_text(text: str, size: int, width: int) -> tuple[str, ImageFont.FreeTypeF
     """
     # No shape is narrower than a third of a pixel.
     max_length = 3 * max(width, 1)
-    plain = "".join(
-        _escape(character) if unicodedata.category(character) in _UNSAFE_CATEGORIES else character
-        for character in text[-max_length:]
-    )
+    plain = escape_for_display(text[-max_length:])
     fonts = [font for name in ("", *_OTHER_FONTS) if (font := _load_font(name, size))]
     font = next((font for font in fonts if all(_has(font, c) for c in set(plain))), fonts[0])
-    plain = "".join(c if _has(font, c) else _escape(c) for c in plain)
+    plain = "".join(
+        c if _has(font, c) else c.encode("ascii", "backslashreplace").decode() for c in plain
+    )
     if len(text) <= max_length and font.getlength(plain) <= width:
         return plain, font
     tail = plain[-max_length:]
     while tail and font.getlength("..." + tail) > width:
         tail = tail[1:]
     return "..." + tail, font
-
-
-def _escape(character: str) -> str:
-    code = ord(character)
-    if 0xDC80 <= code <= 0xDCFF:
-        code -= 0xDC00  # a byte that is not UTF-8
-    if code < 0x100:
-        return f"\\x{code:02x}"
-    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 @functools.cache
