@@ -30,11 +30,3 @@ def test_an_extra_that_the_installation_does_not_know_comes_from_the_checkout(
 ):
     monkeypatch.setattr(metadata, "requires", lambda name: requirements)
     assert "'.[new]'" in install_hint("new")
-
-
-def test_where_msal_is_not_installed_at_all(monkeypatch):
-    def missing(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "requires", missing)
-    assert "'.[cloud]'" in install_hint("cloud")

@@ -6,13 +6,9 @@ import re
 import shutil
 import subprocess
 
-import click
 import pytest
 
-import msal_cli as msal
 from benchmarks import scanner_cases
-from msal_cli import methods
-from msal_cli.cli.main import COMMANDS, program
 from tests.scripts import ROOT, load_script
 
 DOCS = ROOT / "docs"
@@ -36,40 +32,6 @@ def test_the_committed_page_is_current(maker):
     assert maker.PAGE.read_text("utf-8") == maker.page(), "run python docs/refresh.py"
 
 
-def test_there_is_a_page_for_every_command_and_every_method():
-    assert set(MAN.pages()) == {"msal.1", *(f"msal-{name}.1" for name in COMMANDS)}
-    made = METHOD.pages()
-    assert set(made) == {"README.md", *(f"{name}.md" for name in methods.names())}
-    rows = re.findall(r"^\| \[`(\w+)`\]\((\w+)\.md\) \| .+ \|$", made["README.md"], re.M)
-    assert rows == [(name, name) for name in methods.names()]
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_pages_of_a_command_have_every_option(name):
-    man = plain(MAN.pages()[f"msal-{name}.1"])
-    sections = re.split(r"^## msal ", COMMAND.page(), flags=re.MULTILINE)[1:]
-    (page,) = (text for text in sections if text.split("\n")[0] == name)
-    command = program.get_command(click.Context(program), name)
-    for option in command.params:
-        if isinstance(option, click.Option) and not option.hidden:
-            assert " ".join(str(option.help).split()) in man
-            assert all(
-                re.search(rf"(?m)^.*{re.escape(word)}(?![\w-])", man) for word in option.opts
-            )
-            assert any(f"`{word}" in page for word in (*option.opts, *option.secondary_opts))
-
-
-def plain(page: str) -> str:
-    """A man page without fonts and escapes."""
-    text = re.sub(r"\\f[BIR]", "", page)
-    for escaped, character in (
-        *((r"\-", "-"), (r"\(aq", "'"), (r"\(ga", "`"), (r"\(ha", "^"), (r"\&", "")),
-        *((r"\(ti", "~"), (r"\e", "\\")),
-    ):
-        text = text.replace(escaped, character)
-    return text
-
-
 @pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
 def test_roff_has_no_warnings():
     for name, text in MAN.pages().items():
@@ -77,11 +39,6 @@ def test_roff_has_no_warnings():
         made = subprocess.run(words, input=text, capture_output=True, text=True, check=True)
         assert made.stderr == "", name
         assert "msal" in made.stdout
-
-
-def test_every_name_of_the_api_has_its_place():
-    rows = re.findall(r"^### `(\w+)`|^\| `([A-Z]\w*)` \|", API.page(), re.M)
-    assert {name or other for name, other in rows} >= set(msal.__all__) - {"__version__"}
 
 
 def test_the_first_page_leads_to_all_pages_in_few_groups():
@@ -160,15 +117,3 @@ def test_the_page_of_accuracy_has_every_kind():
     table = "\n".join(rows_of("accuracy.md", "scanners"))
     kinds = re.findall(r"^\| ([^|]+) \(\d+\) \|", table, re.MULTILINE)
     assert kinds == [*scanner_cases.ADDED, *scanner_cases.SIMULATED, *scanner_cases.REAL]
-
-
-def test_every_figure_has_its_place_and_its_table(scripts):
-    import paper_figures
-
-    text = (DOCS.parent / "benchmarks/results/reproduction.txt").read_text("utf-8")
-    tables = dict(re.findall(r"<!-- made: (\w+) -->\n(.*?)<!-- end -->", text, re.DOTALL))
-    assert set(tables) == {*paper_figures.FIGURES, "table1"}
-    for name, table in tables.items():
-        rows = [row.count("|") for row in table.splitlines()]
-        assert len(rows) >= 4, name
-        assert len(set(rows)) == 1, name

@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from msal_cli.batch.shard import COUNT_VARIABLE, parse_shard
 from tests.cli.scans import closed_scan, folder_of
 from tests.pipelines import ROOT, action_steps, add_spike, make_project, run_action, run_shell
 from tests.scripts import load_script
@@ -84,13 +83,6 @@ def test_action_runs_nothing_of_its_inputs(project):
     assert not any("${{" in script for script in scripts)
 
 
-def test_action_keeps_apart_outputs_from_names_of_reports(project):
-    report = "a.json\nEND_OF_REPORTS\nstatus=0\n-n"
-    done = run_action(ACTION, project, {"report": report, "options": "--method al"})
-    assert done.outputs["report"] == report
-    assert done.outputs["status"] == "2" == str(done.status)
-
-
 def test_action_takes_names_for_names(project):
     (project / "scans").rename(project / "-scans")
     given = {"files": "-scans", "output": "-out", "options": "--method al", "report": ""}
@@ -99,16 +91,6 @@ def test_action_takes_names_for_names(project):
     (project / "base.json").write_text(baseline.stdout)
     done = run_action(ACTION, project, given | {"baseline": "base.json"})
     assert done.status == 0, done.stderr
-
-
-def test_inputs_of_the_action_are_documented():
-    table = re.findall(r"^\| (`.*?) \| (.*?) \|", CI_PAGE, re.MULTILINE)
-    documented = {
-        name: default for names, default in table for name in re.findall("`([^`]+)`", names)
-    }
-    assert set(documented) == set(ACTION["inputs"])
-    for name in ("files", "output", "python-version", "cache"):
-        assert documented[name] == f"`{ACTION['inputs'][name]['default']}`"
 
 
 def test_the_example_passes_its_check_and_fails_for_a_worse_and_a_lost_scan(project):
@@ -190,19 +172,6 @@ def test_recipe_of_a_hook(project):
     assert SPIKE in done.stderr
 
 
-def test_recipe_of_make(project):
-    (project / "Makefile").write_text(CI_RECIPES["make"])
-    done = run_shell(project, ["make"])
-    assert done.returncode == 0, done.stderr
-    assert (project / "denoised/below/open.ply").exists()
-    assert "up to date" in run_shell(project, ["make"]).stdout
-    add_spike(project)
-    for _ in range(2):
-        done = run_shell(project, ["make"])
-        assert done.returncode != 0
-        assert SPIKE in done.stderr
-
-
 def component(**given):
     """The jobs of the GitLab component, inputs filled in as GitLab does: as text."""
     head, _, body = (ROOT / "templates/denoise.yml").read_text("utf-8").partition("\n---\n")
@@ -258,17 +227,3 @@ def test_recipes_of_many_machines(project, name):
         assert done.returncode == 0, done.stderr
     written = sorted(path.name for path in (project / "denoised").glob("*.ply"))
     assert written == ["s0.ply", "s1.ply", "s2.ply"]
-
-
-def test_jobs_of_clusters_name_the_shards():
-    command = MACHINE_RECIPES["aws"].split()
-    job = json.loads(re.search(r"```json\n(.*?)```", MACHINES_PAGE, re.DOTALL)[1])
-    assert job["containerOverrides"]["command"] == command
-    spec = yaml.safe_load(MACHINE_RECIPES["kubernetes"])["spec"]
-    (container,) = spec["template"]["spec"]["containers"]
-    assert container["command"] == command
-    count = str(spec["completions"])
-    assert container["env"] == [{"name": COUNT_VARIABLE, "value": count}]
-    for index in (0, spec["completions"] - 1):
-        environment = {"JOB_COMPLETION_INDEX": str(index), COUNT_VARIABLE: count}
-        assert str(parse_shard("auto", environment)) == f"{index + 1}/{count}"

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import interrupts, plan, workers
+from msal_cli.batch import interrupts, plan
 from msal_cli.batch.inputs import discover_inputs
-from msal_cli.codecs import header
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.storage import atomic, urls
 from tests.cli.scans import closed_scan, folder_of, msal
@@ -161,22 +160,6 @@ def test_a_run_in_this_process_ends_late_without_set_blocking(windows):
     assert received == [signal.SIGTERM]
 
 
-def test_a_worker_on_windows_has_a_process_group_of_its_own(monkeypatch):
-    started = {}
-
-    def start(command, **settings):
-        started.update(settings)
-        raise OSError(12, "not enough memory")
-
-    monkeypatch.setattr(workers.sys, "platform", "win32")
-    monkeypatch.setattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0x200, raising=False)
-    monkeypatch.setattr(workers.subprocess, "Popen", start)
-    with pytest.raises(Exception, match="no worker can be started"):
-        workers.start_worker(None, 1, None)
-    assert started["creationflags"] == 0x200
-    assert "process_group" not in started
-
-
 def test_the_program_starts_without_modules_of_posix():
     code = (
         "import sys\n"
@@ -187,28 +170,7 @@ def test_the_program_starts_without_modules_of_posix():
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
-@pytest.mark.parametrize("encoding", ["cp437"])
-def test_a_console_that_lacks_letters_gets_escapes(tmp_path, encoding):
-    scan = tmp_path / "\u65e5\u672c.ply"
-    scan.write_bytes(closed_scan())
-    made = subprocess.run(
-        [sys.executable, "-m", "msal_cli", "info", scan],
-        env={**os.environ, "PYTHONIOENCODING": encoding},
-        capture_output=True,
-        check=True,
-    )
-    assert b"\\u65e5\\u672c.ply" in made.stdout
-
-
 # The workflow
-
-
-def test_a_folder_is_not_flushed_where_it_cannot_be_opened(tmp_path, windows):
-    def refuse(*given):
-        raise PermissionError(13, "Permission denied")
-
-    windows(atomic, open=refuse)
-    atomic.flush_folder(tmp_path)
 
 
 def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
@@ -222,10 +184,3 @@ def test_ctrl_break_ends_a_run_like_other_signals(monkeypatch):
     with pytest.raises(interrupts.Terminated) as caught:
         interrupts.raise_for(number)
     assert caught.value.exit_status == 128 + number
-
-
-def test_holes_are_not_looked_for_without_seek_hole_and_pread(tmp_path, monkeypatch):
-    monkeypatch.setattr(header, "os", OtherOs("SEEK_HOLE", "pread"))
-    (tmp_path / "a").write_bytes(b"x" * 10)
-    with (tmp_path / "a").open("rb") as file:
-        assert header._find_hole(file, 10) == 10

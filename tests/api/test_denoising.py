@@ -12,7 +12,7 @@ import msal_cli as msal
 from msal_cli.api.mesh_objects import from_arrays
 from tests.cli.scans import msal as run_command
 from tests.ply_files import positions_of, to_ply
-from tests.shapes import grid, noisy, torus
+from tests.shapes import noisy, torus
 
 
 def scan(around=40, across=20, level=0.15):
@@ -98,12 +98,6 @@ def test_any_array_of_real_numbers_does(given):
         result = msal.denoise(given, faces, "al")
         assert np.array_equal(result.vertices, expected)
         assert result.vertices.dtype == np.asarray(given).dtype
-
-
-def test_whole_numbers_become_float64():
-    vertices, faces = grid()
-    result = msal.denoise(vertices.astype(np.int16), faces, "al")
-    assert result.vertices.dtype == np.float64
 
 
 def test_indices_lock_as_a_mask_does():
@@ -198,16 +192,6 @@ def masked_at(values, *rows):
 def test_masked_values_are_refused(arguments, options):
     with pytest.raises(msal.MsalError, match="masked"):
         msal.denoise(*arguments, **options)
-
-
-def test_masked_values_of_an_object_are_refused_where_they_are_used():
-    meshio = pytest.importorskip("meshio")
-    # Its constructor would drop the mask.
-    mesh = meshio.Mesh(VERTICES, [("triangle", FACES)])
-    mesh.point_data["trust"] = masked_at(TRUST, 5)
-    msal.denoise(mesh, method="msal")
-    with pytest.raises(msal.MsalError, match="trust have masked"):
-        msal.denoise(mesh, method="msal", weights="trust")
 
 
 def test_nothing_is_printed_and_no_warning_reaches_standard_error(capfd):

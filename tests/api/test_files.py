@@ -141,22 +141,6 @@ def test_the_loop_may_be_left_and_gone_on_with(scans, tmp_path):
     assert not [one for one in threading.enumerate() if one.name == "msal"]
 
 
-def test_it_works_in_a_thread_and_leaves_signals_alone(scans, tmp_path):
-    def handlers():
-        return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-
-    before, during = handlers(), []
-
-    def work():
-        for _ in msal.denoise_folder(scans, tmp_path / "out", **ONE):
-            during.append(handlers())
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert during == [before] * 4
-
-
 SLOW = """
 import sys, msal_cli as msal
 print("begun", flush=True)

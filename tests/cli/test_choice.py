@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -181,13 +180,6 @@ def test_every_way_to_ask_reaches_the_chooser(scan, tmp_path, choose, words, wis
     assert selection.Wishes(**record["choice"]["wishes"]) == arrived[0]
 
 
-def test_other_commands_point_to_auto(scan, tmp_path):
-    for words in (("sweep", scan, "-o", tmp_path / "o.png", "--method"), ("methods",)):
-        made = msal(*words, "auto")
-        assert made.exit_code == 2
-        assert "hint: `msal denoise --auto` chooses one" in made.stderr
-
-
 def test_the_record_has_the_choice_and_its_reason(scan, tmp_path, choose):
     choose(given={"K": 0.7, "iterations": 3})
     record = denoise(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
@@ -222,29 +214,6 @@ def test_the_choice_for_a_single_file_is_a_line(scan, tmp_path, choose):
     assert "  next best     AL, 3 sweeps (risk 0.072 e)\n" in verbose
     assert "  by hand       --method msal --set K=0.7\n" in verbose
     assert re.search(r", choose \d+\.\d\d,", verbose)
-
-
-def test_choices_for_many_files_are_counted_logged_and_kept(tmp_path):
-    vertices, faces = torus(60, 30)
-    files = {"clean": ply_text(vertices, faces), "b": closed_scan(), "c": closed_scan(1)}
-    folder_of(tmp_path / "in", **files)
-    log = tmp_path / "log"
-    words = ("denoise", tmp_path / "in", "-o", tmp_path / "out", "--auto", "-j", "1", "--json")
-    made = msal(*words, "--log-file", log)
-    records = json.loads(made.stdout)["records"]
-    counts = Counter(record["method"]["name"] for record in records)
-    (line,) = [line for line in made.stderr.splitlines() if line.startswith("chosen: ")]
-    assert dict(word.split() for word in line.removeprefix("chosen: ").split(", ")) == {
-        name: str(count) for name, count in counts.items()
-    }
-    for record in records:
-        assert f"{record['input']}: {record['choice']['reason']}\n" in log.read_text()
-        assert record["choice"]["reason"] not in made.stderr
-    again = json.loads(msal(*words).stdout)["records"]
-    assert [record["status"] for record in again] == ["up-to-date"] * 3
-    assert [(record["method"], record["choice"]) for record in again] == [
-        (record["method"], record["choice"]) for record in records
-    ]
 
 
 # --assume

@@ -150,21 +150,6 @@ def test_one_bad_file_is_one_failed_row(mixed, tmp_path):
     assert by_name["bad.ply"]["error.code"] == "E_INDEX"
 
 
-def test_what_reaches_the_run(scan, tmp_path, monkeypatch):
-    heard = []
-
-    def run(plan, settings, **options):
-        heard.append((settings, options))
-        return []
-
-    monkeypatch.setattr(run_module, "run", run)
-    msal("denoise", scan, "-o", tmp_path / "o.ply", "-j", "3", "--strict", "--precision", "float32")
-    msal("denoise", scan, "-o", tmp_path / "o.ply")
-    (settings, options), (others, defaults) = heard
-    assert (settings.strict, settings.precision, options["jobs"]) == (True, "float32", 3)
-    assert (others.strict, others.precision, defaults["jobs"]) == (False, "same", None)
-
-
 # Dry run
 
 
@@ -190,18 +175,6 @@ def test_a_dry_run_lists_and_touches_nothing(mixed, tmp_path):
 
 
 # Talk
-
-
-def test_a_crash_is_traced_only_on_demand(scan, tmp_path, monkeypatch):
-    monkeypatch.setattr("msal_cli.mesh.prepare_mesh", lambda *given, **named: 1 / 0)
-    log = tmp_path / "msal.log"
-    made = msal("denoise", scan, "-o", tmp_path / "out.ply", "--log-file", log)
-    assert made.exit_code == 1
-    assert "ZeroDivisionError" in made.stderr
-    assert "(E_INTERNAL)" in made.stderr
-    assert "Traceback" not in made.stderr
-    assert "Traceback" in log.read_text()
-    assert "Traceback" in msal("denoise", scan, "-o", tmp_path / "out.ply", "-v").stderr
 
 
 # What ends a run

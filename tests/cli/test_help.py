@@ -12,9 +12,8 @@ import pytest
 from msal_cli import methods
 from msal_cli.cli.command import Command, first_clause
 from msal_cli.cli.main import COMMANDS, program
-from tests.cli.scans import msal, process
+from tests.cli.scans import msal
 
-BRIEF = ("methods", "completion")
 """Commands whose short help leaves nothing out."""
 
 
@@ -47,28 +46,6 @@ def test_the_short_help_fits_a_screen(name, monkeypatch):
     assert max(map(len, shown.partition("Examples:")[0].splitlines())) <= 80
 
 
-def test_the_help_of_denoise_is_short_and_names_the_rest(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    short = msal("denoise", "-h").stdout
-    assert len(short.splitlines()) <= 48
-    assert "more options: msal denoise --help-all\n" in short
-    for title in ("Input and output:", "What to do:", "Automatic choice:", "Limits on movement:"):
-        assert f"\n{title}\n" in short
-    assert "--scheduler" not in short and "--method" in short
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_all_shows_every_option_with_its_whole_text(name):
-    command, context = find_command(name)
-    shown = msal(name, "--help-all").stdout
-    words = " ".join(shown.split())
-    for parameter in command.get_params(context):
-        if isinstance(parameter, click.Option) and not parameter.hidden:
-            assert all(opt in words for opt in parameter.opts)
-            assert " ".join(str(parameter.help).split()) in words
-    assert ("--help-all" in words) == (name not in BRIEF)
-
-
 @pytest.mark.parametrize(
     ("text", "short"),
     [
@@ -81,17 +58,6 @@ def test_help_all_shows_every_option_with_its_whole_text(name):
 )
 def test_the_first_clause(text, short):
     assert first_clause(text) == short
-
-
-def test_a_shell_is_told_the_first_clause_and_knows_every_option():
-    made = process(
-        env={
-            "_MSAL_COMPLETE": "zsh_complete",
-            "COMP_WORDS": "msal denoise --output",
-            "COMP_CWORD": "2",
-        }
-    )
-    assert made.stdout.decode() == "plain\n--output\nFile or folder to write.\n"
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -121,14 +87,6 @@ def test_what_bash_is_answered(words, answers, monkeypatch):
     monkeypatch.setenv("COMP_WORDS", " ".join(words))
     monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
     assert answers <= set(msal().stdout.splitlines())
-
-
-def test_the_table_names_every_method():
-    made = msal("methods")
-    assert made.exit_code == 0
-    for name in methods.names():
-        assert f"{name} " in made.stdout
-        assert methods.find(name).summary in made.stdout
 
 
 @pytest.mark.parametrize("name", methods.names())

@@ -57,15 +57,6 @@ def test_a_folder_is_a_table(scans):
     assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")
 
 
-def test_the_table_can_be_cut_off_and_leaves_no_row_for_failures(scans):
-    made = msal("info", scans / "bad.ply", scans / "closed.ply", "--check", "self-intersections")
-    assert made.exit_code == 3
-    assert len(made.stdout.splitlines()) == 3
-    made = msal("info", scans / "bad.ply", scans / "bad.ply")
-    assert "(E_INDEX)" in made.stderr
-    assert made.stdout == ""
-
-
 @pytest.mark.parametrize(
     ("names", "status"), [(["closed.ply"], 0), (["bad.ply"], 1), (["bad.ply", "closed.ply"], 3)]
 )
@@ -117,15 +108,6 @@ def compared(sweep_scans, *words):
     made = msal(*(output if word == "OUT" else word for word in words), "--force")
     assert made.exit_code == 0, made.stderr
     return json.loads(msal("compare", sweep_scans / "a.ply", output, "--json").stdout)
-
-
-def test_every_pair_is_a_cell(sweep_scans):
-    words, image = swept(sweep_scans)
-    assert len(words.splitlines()) == 16 + 3
-    _, smaller = swept(sweep_scans, "--rows", "iterations=1,2", "--columns", "K=0.5")
-    # The column of the input has the two choices too.
-    assert smaller.shape[0] < 0.8 * image.shape[0]
-    assert smaller.shape[1] < 0.5 * image.shape[1]
 
 
 def test_the_commands_make_what_the_numbers_say(sweep_scans):

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -206,33 +205,6 @@ def test_a_batch_that_is_interrupted_leaves_whole_files_and_goes_on(tmp_path, si
     again = process(*slow)
     assert again.returncode == 0
     assert f"{n_noted} up to date".encode() in again.stderr
-
-
-@POSIX
-@pytest.mark.parametrize(("signum", "status"), [(signal.SIGTERM, 143)])
-def test_a_stream_that_is_interrupted(tmp_path, signum, status):
-    log = tmp_path / "log"
-    ready = [0.0]
-
-    def is_waiting():
-        # The log file is opened shortly before standard input is read.
-        ready[0] = ready[0] or (time.monotonic() if log.exists() else 0.0)
-        return ready[0] and time.monotonic() > ready[0] + 0.5
-
-    made = interrupted(["denoise", "-", "--log-file", log], signum, is_waiting, tmp_path)
-    assert made == (status, "msal: interrupted\n")
-
-
-def end_of(code):
-    code += "\nfrom msal_cli.cli.main import main\nmain()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "--version"], capture_output=True, text=True, timeout=60
-    )
-
-
-def test_what_was_to_be_done_at_the_end_is_done():
-    ended = end_of("import atexit; atexit.register(print, 'at the end')")
-    assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, "at the end")
 
 
 def test_a_setting_for_blas_is_left_alone():

@@ -5,16 +5,13 @@ from __future__ import annotations
 import io
 import os
 import re
-import subprocess
 import sys
 
 import pytest
 
 from msal_cli.batch.schedule import Finished, Progress, Started
-from msal_cli.cli import console as talk
 from msal_cli.cli import progress
 from msal_cli.job.settings import Task
-from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of
 from tests.files import Terminal
 from tests.report.made import failed, written
 
@@ -101,16 +98,6 @@ def test_a_log_of_many_files_has_a_line_every_few_seconds(monkeypatch):
     assert re.fullmatch(r"\[3/4\] 1 failed; about \S+ s left\n", stream.getvalue())
 
 
-def test_words_come_above_the_bar(monkeypatch):
-    stream = on_a_terminal(monkeypatch)
-    bar = progress.bar(tasks("a.ply", "b.ply"), quiet=False)
-    talk.say("hear me")
-    bar.close()
-    lines = stream.getvalue().split("\n")
-    assert "hear me" in lines[0]
-    assert re.search(r"(^|\r)hear me$", lines[0])
-
-
 def test_a_bar_over_sweeps(monkeypatch):
     stream = on_a_terminal(monkeypatch)
     todo = tasks("scan.ply")
@@ -132,50 +119,3 @@ def test_a_bar_over_sweeps(monkeypatch):
     assert frames(stream)[-1] == "scan.ply: measure"
     bar.on_event(Finished(0, written()))
     bar.close()
-
-
-def seen_on_a_terminal(*arguments, **options):
-    """What the real command shows on a terminal of 100 columns; and its standard output."""
-    import fcntl
-    import pty
-    import struct
-    import termios
-
-    master, slave = pty.openpty()
-    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 100, 0, 0))
-    running = subprocess.Popen(
-        [*MSAL, *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=slave,
-        env={**os.environ, "TERM": "xterm", **options},
-    )
-    os.close(slave)
-    seen = b""
-    with running:
-        while True:
-            try:
-                part = os.read(master, 65536)
-            except OSError:
-                break
-            if not part:
-                break
-            seen += part
-        data = running.stdout.read()
-    os.close(master)
-    return running.returncode, seen.decode(), data
-
-
-@POSIX
-def test_a_real_terminal(tmp_path):
-    folder = folder_of(tmp_path / "in", good=closed_scan(), bad=BAD_SCAN)
-    made = ("denoise", folder, "-o", tmp_path / "out", "--json", "-j", "1")
-    status, seen, data = seen_on_a_terminal(*made)
-    assert status == 3
-    assert data.startswith(b"{") and data.endswith(b"}\n")
-    assert re.search(r"\r\S+\.ply .*\|.*\| \d/2 \[", seen)
-    assert "\x1b[31mfailed: 1" in seen
-    _, seen, _ = seen_on_a_terminal(*made, NO_COLOR="1")
-    assert "failed: 1" in seen
-    assert "\x1b[3" not in seen
-    assert "\x1b[2" not in seen

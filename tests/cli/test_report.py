@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import shutil
 
 import pytest
@@ -210,28 +209,6 @@ def test_what_is_refused(tmp_path, monkeypatch, name, words):
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match=words):
         reports.check([name], ["mesh.json", "other.ply"])
-
-
-def test_what_else_is_refused(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match="there is no report"):
-        reports.check(["r.json"], [], "all")
-    with pytest.raises(UsageError, match="given twice"):
-        reports.check(["a.json", str(tmp_path / "a.json")], [])
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(UsageError, match="cannot be written to the folder"):
-        reports.check(["a.json"], [])
-
-
-def test_reports_are_written_with_their_folder(tmp_path):
-    names = [str(tmp_path / "new" / f"r{suffix}") for suffix in (".json", ".JSONL", ".csv")]
-    reports.check(names, [])
-    assert not (tmp_path / "new").exists()
-    reports.write(names, RUN, [written()])
-    assert json.loads((tmp_path / "new" / "r.json").read_bytes())["totals"]["files"] == 1
-    assert len((tmp_path / "new" / "r.JSONL").read_bytes().splitlines()) == 1
-    assert (tmp_path / "new" / "r.csv").read_bytes().startswith(b"input,")
-    assert len(list((tmp_path / "new").iterdir())) == 3
 
 
 def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):

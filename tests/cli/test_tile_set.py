@@ -33,12 +33,6 @@ def states(tiles, *options):
     return [one["status"] for one in records_of(tiles, *options)]
 
 
-def test_the_summary_says_what_became_of_the_set(tiles):
-    done = denoise(tiles, "--fail-on", "tile_gap > 0")
-    assert done.exit_code == 0, done.stderr
-    assert "tile set: 4 files as one mesh; largest gap between shared vertices 0" in done.stderr
-
-
 def test_records_name_the_neighbours(tiles):
     records = records_of(tiles)
     assert records[1]["tile_set"]["neighbours"] == ["0.ply", "2.stl", "3.ply"]
@@ -74,23 +68,3 @@ def test_a_file_that_fails_is_mended(tiles):
     assert states(tiles) == ["failed", "up-to-date", "up-to-date", "up-to-date"]
     (folder / "0.ply").write_bytes(good)
     assert states(tiles) == ["written"] * 4
-
-
-def test_a_dry_run_lists_neighbours_and_memory(tiles):
-    done = denoise(tiles, "--dry-run")
-    assert "touches 0.ply, 2.stl, 3.ply" in done.stdout
-    assert "as one mesh they take up to" in done.stderr
-    assert not tiles[1].exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--shard", "1/2"), "--shard deals out files"),
-        (("--timeout", "5"), "--timeout is for one file"),
-        (("--engine", "dask", "--scheduler", "tcp://x:1"), "--engine dask deals out files"),
-    ],
-)
-def test_what_does_not_go_with_a_set(tiles, options, words):
-    done = denoise(tiles, *options)
-    assert done.exit_code == 2 and words in done.stderr

@@ -47,13 +47,6 @@ def test_broken_secrets_are_wrong_use(monkeypatch, words):
     assert urls.SECRETS in told.stderr and "{{{" not in told.stderr
 
 
-def test_file_urls_are_paths(tmp_path):
-    (tmp_path / "a.ply").write_bytes(closed_scan())
-    told = msal("denoise", f"file://{tmp_path}/a.ply", "-o", f"file://{tmp_path}/out/b.ply", "-q")
-    assert told.exit_code == 0
-    assert (tmp_path / "out/b.ply").is_file()
-
-
 def test_reports_may_go_to_a_store(tmp_path, empty_store):
     (tmp_path / "a.ply").write_bytes(closed_scan())
     report = "memory://reports/r.json"

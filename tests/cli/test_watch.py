@@ -168,12 +168,6 @@ def test_a_file_written_slowly_is_taken_once_and_whole(inbox):
     assert list(tree(inbox.parent / "out")) == ["slow.ply"]
 
 
-def test_an_empty_folder(inbox):
-    made = watch(inbox, idle="0.1s")
-    assert made.exit_code == 0
-    assert made.stderr == f"watching {inbox}; Ctrl-C ends it\n"
-
-
 @pytest.mark.parametrize(
     ("folder", "out", "words"),
     [
@@ -189,12 +183,3 @@ def test_what_cannot_be_watched(inbox, folder, out, words, monkeypatch):
     made = msal("watch", folder, "-o", out, "--idle-exit", "1s")
     assert made.exit_code == 2
     assert words in made.stderr
-
-
-def test_one_run_at_a_time(inbox):
-    out = inbox.parent / "out"
-    out.mkdir()
-    with FolderLock(str(out)):
-        made = watch(inbox)
-    assert made.exit_code == 2
-    assert "E_LOCKED" in made.stderr

@@ -16,11 +16,10 @@ from jsonschema import Draft202012Validator
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restore_name
-from msal_cli.job.records import InfoRecord, MeshRecord, Volume
+from msal_cli.job.records import MeshRecord, Volume
 from msal_cli.report.data import (
     COMMON_COLUMNS,
     plain,
-    plain_record,
     read_json,
     read_lines,
     render_csv,
@@ -31,23 +30,7 @@ from msal_cli.report.data import (
 from tests.report.made import DOCS, RUN, failed, load_schema, of, written
 
 REPORT = Draft202012Validator(load_schema("report"))
-INFO = Draft202012Validator(load_schema("info"))
 SCHEMAS = ("report", "info", "compare")
-
-
-def test_totals_count_by_status_and_leave_out_what_earlier_runs_did():
-    records = [
-        written("a"),
-        written("b", vertices=10, status="unchanged"),
-        written("c", status="up-to-date"),
-        MeshRecord("d", "planned"),
-        failed("e"),
-    ]
-    sums = totals(records)
-    assert (sums.files, sums.written, sums.unchanged, sums.up_to_date) == (5, 1, 1, 1)
-    assert (sums.planned, sums.failed) == (1, 1)
-    assert sums.vertices == 35957
-    assert sums.work_seconds == pytest.approx(1.9)
 
 
 def test_the_volume_spread_is_over_valid_volumes_only():
@@ -133,11 +116,6 @@ def test_the_committed_schemas_are_current(tmp_path):
         file = f"{name}.schema.json"
         assert (DOCS / file).read_bytes() == (tmp_path / file).read_bytes(), "run docs/refresh.py"
         Draft202012Validator.check_schema(load_schema(name))
-
-
-@given(of(InfoRecord))
-def test_every_info_fits(record):
-    INFO.validate({"schema": "msal.info/1", "version": "1", "records": [plain_record(record)]})
 
 
 # CSV

@@ -18,17 +18,14 @@ from msal_cli.job.records import (
     Reference,
     Volume,
 )
-from msal_cli.report.data import totals
 from msal_cli.report.facts import (
     ATTENTION,
     DETAIL,
     SHORT,
     auto_text,
     facts,
-    list_figures,
     problem_tables,
     seconds_text,
-    total_facts,
     unsure_text,
     worst_first,
 )
@@ -138,26 +135,6 @@ def test_worst_first():
     assert [record.input for record in worst_first(records)] == [
         "failed", "two", "one", "planned", "nan", "shrunk", "grown", "open", "little", "unknown",
     ]  # fmt: skip
-
-
-def test_a_column_of_zeros_takes_no_room():
-    titles = {figure.title for figure in list_figures([written(despiked=0)], SHORT)}
-    assert titles == {"Vertices", "Volume", "Max move", "Time"}
-    records = [written(despiked=1), written(flipped_faces=2), written(warnings=("w",))]
-    more = {figure.title for figure in list_figures(records, SHORT)} - titles
-    assert more == {"Flipped", "Outliers", "Warnings"}
-
-
-def test_totals_of_what_calls_for_attention():
-    records = [written("a", flipped_faces=1_000), written("b", flipped_faces=2, despiked=3)]
-    records.append(moved("far", 0.6))
-    found = {fact.word: fact.text for fact in total_facts(records, totals(records))}
-    assert found == {
-        "largest move": "0.6 mean edge lengths (far)",
-        "flipped faces": "1,002 in 2 files",
-        "outliers brought back": "3 in 1 file",
-        "volume change": "median -0.266 %, from -0.266 % to -0.266 % (2 closed files)",
-    }
 
 
 @pytest.mark.parametrize(

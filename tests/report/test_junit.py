@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from xml.etree import ElementTree as Xml
 
@@ -77,16 +76,6 @@ def test_folders_are_suites_in_the_order_of_the_inputs():
     assert [suite.get("name") for suite in root] == ["b", "a", "."]
     assert [case.get("name") for case in root[0].findall("testcase")] == ["x.ply", "z.ply"]
     assert [suite.get("id") for suite in root] == ["0", "1", "2"]
-
-
-def test_properties_have_no_values_of_python():
-    settings = {"strict": True, "fields": ("noise", "sigma"), "lock": (), "to": None, "K": 0.5}
-    root = Xml.fromstring(as_junit.render(dataclasses.replace(RUN, settings=settings), [written()]))
-    found = {item.get("name"): item.get("value") for item in root.iter("property")}
-    assert found["msal.settings.strict"] == "true"
-    assert found["msal.settings.fields"] == "noise, sigma"
-    assert found["msal.settings.K"] == "0.5"
-    assert {"msal.settings.lock", "msal.settings.to"}.isdisjoint(found)
 
 
 @pytest.mark.parametrize(

@@ -69,11 +69,6 @@ def test_one_file_takes_at_most_eight_lines(n_warnings):
         assert found[-1] == f"  ...           and {n_facts - 6} more (-v shows them)"
 
 
-def test_what_is_left_out_is_red_if_it_is_a_warning():
-    assert as_text.summary(RUN, [written(warnings=tuple("abcdefgh"))])[-1].tone == "bad"
-    assert as_text.summary(RUN, [written(sidecars=tuple("abcdefgh"))])[-1].tone == "faint"
-
-
 @pytest.mark.parametrize("width", [60, 80, 100, 140])
 def test_the_table_keeps_to_the_width(width):
     records = [written("folder/" * 20 + f"{at}.ply") for at in range(3)]

@@ -86,12 +86,6 @@ def test_a_scan_in_the_frame_of_a_depth_camera_is_not_upside_down():
     assert np.allclose(choose_camera(seen_by_camera, faces, up="y").axes[1], Y)
 
 
-def test_terrain_is_a_map_with_north_on_top():
-    vertices, faces = grid(30, 30)
-    vertices[:, 2] = 0.05 * np.sin(3.0 * vertices[:, 0]) * np.cos(2.0 * vertices[:, 1])
-    assert np.allclose(choose_camera(vertices, faces).axes, np.eye(3))
-
-
 FACING = rotate(Z, Y, 0.0, 0.0)
 
 
@@ -111,12 +105,6 @@ def test_the_mesh_is_where_the_camera_puts_it():
     assert not is_background[3:47, 8:52].any()
     assert is_background[:2].all() and is_background[-2:].all()
     assert is_background[:, :7].all() and is_background[:, -7:].all()
-
-
-def test_the_light_comes_from_the_upper_left():
-    vertices, faces = ball()
-    image = seen(vertices, faces).astype(int).sum(axis=2)
-    assert image[15, 20] > image[35, 40] + 60
 
 
 def test_a_face_from_behind_has_another_tone():
@@ -170,15 +158,6 @@ def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
 
 def plain(colour, width=120, height=80):
     return np.full((height, width, 3), colour, dtype=np.uint8)
-
-
-def test_images_appear_side_by_side_unchanged():
-    sheet = draw_panels([(plain(10), "one", ["a"]), (plain(200), "two", ["b", "c"])])
-    for tone in (10, 200):
-        rows, columns = np.nonzero((sheet == tone).all(axis=2))
-        assert rows.max() - rows.min() + 1 >= 80
-        assert columns.max() - columns.min() + 1 >= 120
-        assert (sheet == tone).all(axis=2).sum() >= 80 * 120
 
 
 def test_the_legend_shows_its_colours_in_order():

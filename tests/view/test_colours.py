@@ -59,20 +59,6 @@ def test_off(tmp_path, head):
     assert _colours(tmp_path, "a.off", text).vertices.tolist() == RED_GREEN_BLUE
 
 
-def test_off_with_shares_of_one_and_normals(tmp_path):
-    rows = "".join(
-        f"{place} 0 0 1 {colour} 1\n"
-        for place, colour in (("0 0 0", "1.0 0 0"), ("1 0 0", "0 0.5 0"), ("0 1 0", "0 0 1.0"))
-    )
-    found = _colours(tmp_path, "a.off", f"CNOFF\n3 1 0\n{rows}3 0 1 2\n")
-    assert found.vertices.tolist() == RED_GREEN_BLUE
-
-
-def test_normals_behind_positions_are_no_colours(tmp_path):
-    rows = "".join(f"{x} {y} {z} 0 0 -1\n" for x, y, z in CORNERS)
-    assert _colours(tmp_path, "a.off", f"OFF\n3 1 0\n{rows}3 0 1 2\n").vertices is None
-
-
 def _stl(header, words):
     data = header.ljust(80, b"\0") + struct.pack("<I", len(words))
     for k, word in enumerate(words):
@@ -94,10 +80,6 @@ def test_stl_words(tmp_path, header, words, colours):
     assert _colours(tmp_path, "a.stl", _stl(header, words)).vertices.tolist() == colours
 
 
-def test_stl_words_that_are_no_colours(tmp_path):
-    assert _colours(tmp_path, "a.stl", _stl(b"", [3, 4])).vertices is None
-
-
 @pytest.mark.parametrize(
     ("rows", "code"),
     [
@@ -117,14 +99,6 @@ def test_what_cannot_be_read_is_a_note(tmp_path):
 
 
 # Numbers
-
-
-def test_a_signed_scale_is_symmetric_about_a_pale_middle():
-    scale = scale_of(np.array([-1.0, 0.0, 3.0]), is_signed=True)
-    assert scale.low == -scale.high == -3.0
-    low, middle, high = scale.paint(np.array([-3.0, 0.0, 3.0])).astype(int)
-    assert np.ptp(middle) <= 3 and middle.min() > 200
-    assert low[2] > low[0] and high[0] > high[2]
 
 
 def test_one_stray_vertex_does_not_pale_the_rest():
@@ -165,30 +139,6 @@ def test_a_scale_fits_the_smallest_and_the_largest_deviations(size):
     assert [above for _, above, _ in legend.ticks][2] == "0"
     if size >= 1e-290:
         assert (painted[0] != painted[2]).any()
-
-
-def luminance(table):
-    part = table / 255.0
-    linear = np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4)
-    return linear @ [0.2126, 0.7152, 0.0722]
-
-
-def test_sequential_gets_darker_at_every_step():
-    light = luminance(colours.colour_table("sequential"))
-    assert (np.diff(light) < 0.004).all()
-    assert (np.diff(light[::4]) < 0.0).all()
-
-
-def test_diverging_is_palest_and_grey_in_the_middle_and_as_dark_at_both_ends():
-    table = colours.colour_table("diverging")
-    light = luminance(table)
-    middle = colours.SHADES // 2
-    assert (np.diff(light[:middle:4]) > 0.0).all()
-    assert (np.diff(light[middle::4]) < 0.0).all()
-    assert np.ptp(table[middle].astype(int)) <= 4
-    assert light[0] == pytest.approx(light[-1], abs=0.03)
-    zero = colours.map_colours(np.array([0.0]), -1.0, 1.0, "diverging")
-    assert np.array_equal(zero, table[middle : middle + 1])
 
 
 @pytest.mark.parametrize("name", colours.map_names())

@@ -46,16 +46,6 @@ def test_a_mesh_that_did_not_move_has_the_scale_of_its_edges(by):
     assert not pictures.has_moved(scene)
 
 
-def test_a_mesh_that_slid_within_its_surface_has_moved():
-    vertices, faces = grid()
-    flat = vertices * (1.0, 1.0, 0.0)
-    scene = pictures.scene_of(Surface(flat, faces), Surface(flat + (0.1, 0.0, 0.0), faces), NAMES)
-    assert pictures.has_moved(scene)
-    assert pictures.scale_of_scene(scene).high == pytest.approx(
-        scene.before.mean_edge_length, rel=0.1
-    )
-
-
 def test_split_vertices_are_drawn_as_one():
     vertices, faces = cube()
     soup = vertices[faces.reshape(-1)]
