@@ -115,13 +115,13 @@ def command(request: Request) -> int:
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
     format, output = resolve_format(request.format), request.output
+    kind = "html" if output is None else _find_kind(output)
     if output is None:
         stem = os.path.splitext(os.path.basename(names[-1]).removesuffix(".gz"))[0].lstrip("-")
         output = f"{stem}.view.html"
         refuse_target(output, "the page", names, replaces=REPORT)
     elif output != STREAM:
         refuse_target(output, "the picture", names)
-    kind = _find_kind(output)
     view = dataclasses.replace(read_view(request), colours=request.colours)
     with room_for_files(names, format):
         first, *second = (open_coloured_surface(name, format) for name in names)
