@@ -1,8 +1,9 @@
 """Which faces of a mesh intersect each other.
 
-Boxes that overlap give candidates; an axis that separates two triangles by more than rounding
-rules most of them out; the rest is decided by signs that are exact (``space_signs``).  Two faces
-intersect if they have a point in common that is not on a vertex or an edge that they share:
+Boxes that overlap give candidates, which are decided by signs that are exact (``space_signs``); of
+two faces with a common vertex, a plane through it that separates them by more than rounding does
+first: in flat parts these signs are the expensive ones.  Two faces intersect if they have a point
+in common that is not on a vertex or an edge that they share:
 
 - without a common vertex, if any edge of one meets the other (this holds for faces in one plane
   too, since a triangle within another has edges that meet it);
@@ -26,7 +27,7 @@ length, which every double is a multiple of a power of two of.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -142,11 +143,8 @@ def _overlapping(bounds: Bounds, i: Longs, j: Longs) -> tuple[Longs, Longs]:
     return i, j
 
 
-# x, y and z of many vectors, the three corners of many triangles, and axes with their power of a
-# length.
 Vectors = tuple[Floats, Floats, Floats]
-Triangle = list[Vectors]
-Axes = Iterator[tuple[Vectors, int]]
+"""x, y and z of many vectors."""
 
 AT_ONCE = 1 << 16
 """Pairs that are looked at together, so that what is known of them stays in the cache."""
@@ -208,11 +206,8 @@ def _turn(corners: Ints, is_shared: Flags, count: int) -> Ints:
 
 def _apart(vertices: Floats, first: Ints, second: Ints) -> Longs:
     """Which triangles without a common vertex meet."""
-    kept = np.arange(len(first))
-    for axes in (_normals, _normals_of_edges, _normals_of_both):
-        kept = kept[~_separate(axes, vertices, first[kept], second[kept])]
-    a, b = _points(vertices, first[kept]), _points(vertices, second[kept])
-    return kept[_edges_meet(a, b, ((0, 1), (1, 2), (2, 0)))]
+    a, b = _points(vertices, first), _points(vertices, second)
+    return np.flatnonzero(_edges_meet(a, b, ((0, 1), (1, 2), (2, 0))))
 
 
 def _at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Longs:
@@ -308,14 +303,6 @@ def _points(vertices: Floats, corners: Ints) -> list[Floats]:
     return [vertices[corners[:, k]] for k in range(3)]
 
 
-# Separating axes, in double precision: what they separate is apart, whatever the rounding.
-
-
-def _vectors(points: Floats) -> Vectors:
-    x, y, z = np.ascontiguousarray(points.T)
-    return x, y, z
-
-
 def _dots(u: Floats, v: Floats) -> Floats:
     products: Floats = np.einsum("ij,ij->i", u, v)
     return products
@@ -329,60 +316,17 @@ def _cross(u: Vectors, v: Vectors) -> Vectors:
     return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
 
 
-def _minus(u: Vectors, v: Vectors) -> Vectors:
-    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
-
-
-def _normals(left: Triangle, right: Triangle) -> Axes:
-    """Along the normals, which have the square of a length."""
-    yield _normal(left), 2
-    yield _normal(right), 2
-
-
-def _normals_of_edges(left: Triangle, right: Triangle) -> Axes:
-    """In the planes, across the edges."""
-    for triangle in (left, right):
-        normal = _normal(triangle)
-        for edge in _edges(triangle):
-            yield _cross(normal, edge), 3
-
-
-def _normals_of_both(left: Triangle, right: Triangle) -> Axes:
-    """Across an edge of each."""
-    for edge in _edges(left):
-        for across in _edges(right):
-            yield _cross(edge, across), 2
-
-
-def _normal(triangle: Triangle) -> Vectors:
-    return _cross(_minus(triangle[1], triangle[0]), _minus(triangle[2], triangle[0]))
-
-
-def _edges(triangle: Triangle) -> list[Vectors]:
-    return [_minus(triangle[(k + 1) % 3], triangle[k]) for k in range(3)]
-
-
-def _separate(
-    axes: Callable[[Triangle, Triangle], Axes], vertices: Floats, first: Ints, second: Ints
-) -> Flags:
-    """Which triangles any of the axes separates for sure."""
-    left, right, size = _from_a_corner(vertices, first, second)
-    apart = np.zeros(len(first), dtype=np.bool_)
-    for axis, power in axes(left, right):
-        margin = _margin(size, power + 1)
-        low, high = _extent(axis, left)
-        least, most = _extent(axis, right)
-        apart |= (least - high > margin) | (low - most > margin)
-    return apart
-
-
 def _separated_at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Flags:
     """Of triangles whose first corner is the same, which have nothing else in common for sure.
 
     A plane through the corner either has one triangle on one side and the other in it, or holds an
     edge of one, or of both, and has all else of the two on its two sides.
     """
-    (_, *left), (_, *right), size = _from_a_corner(vertices, first, second)
+    origin = vertices[first[:, 0]].T
+    left, right = (
+        [tuple(vertices[corners[:, k]].T - origin) for k in (1, 2)] for corners in (first, second)
+    )
+    size = np.abs([*left, *right]).max(axis=(0, 1))
     apart = np.zeros(len(first), dtype=np.bool_)
     for (u, v), (s, t) in ((left, right), (right, left)):
         normal = _cross(u, v)
@@ -400,24 +344,6 @@ def _separated_at_a_vertex(vertices: Floats, first: Ints, second: Ints) -> Flags
             here, there = _dot(axis, v), _dot(axis, t)
             apart |= (here > margin) & (there < -margin) | (here < -margin) & (there > margin)
     return apart
-
-
-def _from_a_corner(
-    vertices: Floats, first: Ints, second: Ints
-) -> tuple[Triangle, Triangle, Floats]:
-    """Triangles as seen from the first corner of the first, and their largest coordinate (n,)."""
-    origin = _vectors(vertices[first[:, 0]])
-    left, right = (
-        [_minus(_vectors(points), origin) for points in _points(vertices, corners)]
-        for corners in (first, second)
-    )
-    size = np.maximum.reduce([np.abs(part) for vector in (*left, *right) for part in vector])
-    return left, right, size
-
-
-def _extent(axis: Vectors, triangle: Triangle) -> tuple[Floats, Floats]:
-    along = [_dot(axis, corner) for corner in triangle]
-    return np.minimum.reduce(along), np.maximum.reduce(along)
 
 
 def _margin(size: Floats, power: int) -> Floats:
