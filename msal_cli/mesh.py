@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
 
 if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity
-    from msal_cli.kernels.geometry import EdgeSum
 
 
 MAX_FACES = (2**31 - 1) // 6
@@ -62,13 +61,9 @@ class Mesh:
     @functools.cached_property
     def mean_edge_length(self) -> float:
         """Mean length of the unique edges, file units."""
-        return self._edge_sum.mean
-
-    @functools.cached_property
-    def _edge_sum(self) -> EdgeSum:
         from msal_cli.kernels import geometry
 
-        return geometry.sum_edges(self.vertices, *self.topology.one_ring)
+        return geometry.mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
         """Unit normals (n, 3), ``mollify`` times mollified; zeros where there is none.
@@ -134,22 +129,6 @@ class Mesh:
         other = Mesh(vertices, self.faces, self.fixed_vertices, self.trust)
         if "topology" in self.__dict__:
             other.__dict__["topology"] = self.topology
-        return other
-
-    def with_moved(self, vertices: Floats, moved: Longs) -> Mesh:
-        """The same as ``with_vertices`` where only the vertices ``moved`` (c,) are elsewhere: mean
-        edge length and normals follow from those of this mesh, and are the same."""
-        from msal_cli.kernels import geometry
-
-        other, links = self.with_vertices(vertices), self.topology
-        other.__dict__["_edge_sum"] = geometry.renew_edge_sum(
-            self._edge_sum, self.vertices, vertices, moved, *links.one_ring
-        )
-        normals = self.__dict__.get("_left_normals", self._cached_normals.get(("uniform", 0)))
-        if normals is not None:
-            normals = geometry.renew_normals(normals, vertices, self.faces, links, moved)
-        if normals is not None:
-            other.__dict__["_left_normals"] = normals
         return other
 
 

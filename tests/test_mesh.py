@@ -134,21 +134,6 @@ def test_far_from_the_origin_nothing_is_lost():
     assert np.abs(ready.mesh.vertices).max() < 5
 
 
-def test_a_mesh_with_few_vertices_moved_knows_what_it_would_compute():
-    vertices, faces = torus()
-    mesh = prepare_mesh(vertices, faces).mesh
-    moved = np.array([3, 4, 17, len(mesh.vertices) - 1])
-    positions = mesh.vertices.copy()
-    ways = np.random.default_rng(0).normal(size=(len(moved), 3))
-    positions[moved] += mesh.mean_edge_length * ways
-    shifted, computed = mesh.with_moved(positions, moved), mesh.with_vertices(positions)
-    assert shifted.mean_edge_length == computed.mean_edge_length != mesh.mean_edge_length
-    for mollify in (0, 1):
-        normals = shifted.vertex_normals("uniform", mollify)
-        assert np.array_equal(normals, computed.vertex_normals("uniform", mollify))
-        assert not np.array_equal(normals, mesh.vertex_normals("uniform", mollify))
-
-
 def test_more_faces_than_can_be_counted_are_refused():
     # One row of zeros, repeated without taking memory.
     faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MAX_FACES + 1, 3))

@@ -182,8 +182,7 @@ class _Search:
         from msal_cli.analysis.noise_estimate import estimate_noise
 
         if self.noise is None:
-            moved = np.flatnonzero(self.flags)
-            self.noise = estimate_noise(self.mesh.with_moved(self.positions, moved))
+            self.noise = estimate_noise(self.mesh.with_vertices(self.positions))
         return self.noise
 
     def _are_beyond(self, noise_edges: float) -> bool:

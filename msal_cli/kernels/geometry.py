@@ -7,12 +7,10 @@ normal, and a zero vector takes its place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import arctangents
@@ -21,9 +19,6 @@ from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 MAX_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
-
-LENGTHS_AT_ONCE = 1024
-"""Lengths that are collected before they are added up exactly."""
 
 POWERS = 2048
 """Powers of two that a float64 may have, by the bits of its exponent."""
@@ -65,16 +60,10 @@ def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Float
     return normals, doubled_areas
 
 
-@compiled
-def _usable_areas(start, stop, normals, areas, result):
-    for f in range(np.uint64(start), np.uint64(stop)):
-        has_normal = (normals[f, 0] != 0.0) | (normals[f, 1] != 0.0) | (normals[f, 2] != 0.0)
-        result[f] = areas[f] if has_normal else 0.0
-
-
 def usable_areas(normals: Floats, areas: Floats) -> Floats:
     """Areas (m,), zero for faces whose normal, of ``normals`` (m, 3), is zero."""
-    return fill_array(_usable_areas, len(areas), normals, areas)
+    usable: Floats = np.where((normals != 0.0).any(axis=1), areas, 0.0)
+    return usable
 
 
 def face_normals(vertices: Floats, faces: Ints) -> Floats:
@@ -178,55 +167,6 @@ def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
 
 
 @compiled
-def _mark_rings(chosen, ring_start, ring, marks):
-    for i in chosen:
-        marks[i] = True
-        for at in range(ring_start[i], ring_start[i + 1]):
-            marks[ring[at]] = True
-
-
-def mark_rings(chosen: Longs, links: Connectivity) -> Flags:
-    """The vertices ``chosen`` (c,) and those at most one edge away from one, (n,)."""
-    marks = np.zeros(len(links.ring_start) - 1, dtype=np.bool_)
-    _mark_rings(chosen, *links.one_ring, marks)
-    return marks
-
-
-@compiled
-def _normals_at(start, stop, chosen, vertices, faces, face_start, incident, normals):
-    """Renew the unit normals of the vertices ``chosen``, their faces counting alike, as
-    ``_normal_sums`` and ``_unit_sums`` compute them; how many vanish."""
-    vanished = 0
-    for at in range(start, stop):
-        i = chosen[at]
-        sx = sy = sz = weight = 0.0
-        for place in range(face_start[i], face_start[i + 1]):
-            f = incident[place]
-            nx, ny, nz, _ = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-            sx += nx
-            sy += ny
-            sz += nz
-            weight += (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length > VANISHED * weight:
-            normals[i, 0], normals[i, 1], normals[i, 2] = sx / length, sy / length, sz / length
-        else:
-            vanished += 1
-    return vanished
-
-
-def renew_normals(
-    known: Floats, vertices: Floats, faces: Ints, links: Connectivity, moved: Longs
-) -> Floats | None:
-    """Normals (n, 3) as ``vertex_normals`` with weighting ``uniform`` gives them, from those
-    ``known`` before the vertices ``moved`` (c,) were elsewhere; None where one vanishes."""
-    chosen = np.flatnonzero(mark_rings(moved, links))
-    normals = known.copy()
-    around = vertices, faces, *links.incidence, normals
-    return None if any(over_ranges(_normals_at, len(chosen), chosen, *around)) else normals
-
-
-@compiled
 def _mollify(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
         sx = sy = sz = 0.0
@@ -292,28 +232,14 @@ def distances(before: Floats, after: Floats) -> Floats:
 
 
 @compiled
-def _add_exactly(bits, count, bins):
-    """Add the first ``count`` of finite numbers, not below zero and seen as int64 ``bits``, to
-    ``bins`` (2 * POWERS,): the upper halves of their 53 bits by power of two, then the lower ones,
-    so that 2^36 numbers cannot overflow."""
-    for at in range(count):
-        power = np.uint64(bits[at]) >> np.uint64(52)
-        digits = np.uint64(bits[at]) & np.uint64(0xFFFFFFFFFFFFF)
-        # A number of power 0 has no hidden bit, and the exponent of power 1.
-        digits = (digits | np.uint64(0x10000000000000)) if power else digits << np.uint64(1)
-        bins[power] += np.int64(digits >> np.uint64(26))
-        bins[power + np.uint64(2048)] += np.int64(digits & np.uint64(0x3FFFFFF))
-
-
-@compiled
 def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
-    """Add the edges of a share of the vertices, those to vertices of higher number, to each row."""
+    """Add the edges of a share of the vertices, those to vertices of higher number, to each row.
+
+    ``bins`` (rows, 2 * POWERS) get the upper halves of the lengths' 53 bits by power of two, then
+    the lower ones, so that 2^36 numbers cannot overflow.
+    """
     n = len(vertices)
-    most = LENGTHS_AT_ONCE
-    lengths = np.empty(most)
-    bits = lengths.view(np.int64)
     for row in range(start, stop):
-        filled = 0
         count = 0
         for i in range(n * row // len(counts), n * (row + 1) // len(counts)):
             for at in range(ring_start[i], ring_start[i + 1]):
@@ -322,98 +248,32 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
                     dx = vertices[k, 0] - vertices[i, 0]
                     dy = vertices[k, 1] - vertices[i, 1]
                     dz = vertices[k, 2] - vertices[i, 2]
-                    lengths[filled] = np.sqrt(dx * dx + dy * dy + dz * dz)
-                    filled += 1
-                    if filled == most:
-                        _add_exactly(bits, filled, bins[row])
-                        count += filled
-                        filled = 0
-        _add_exactly(bits, filled, bins[row])
-        counts[row] = count + filled
-
-
-@compiled
-def _add_edges_at(chosen, is_chosen, vertices, ring_start, ring, bins):
-    """Add the edges that have one of the ``chosen`` ends, each once; how many they are."""
-    lengths = np.empty(LENGTHS_AT_ONCE)
-    bits = lengths.view(np.int64)
-    count = filled = 0
-    for i in chosen:
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            if k > i or not is_chosen[k]:
-                dx = vertices[k, 0] - vertices[i, 0]
-                dy = vertices[k, 1] - vertices[i, 1]
-                dz = vertices[k, 2] - vertices[i, 2]
-                lengths[filled] = np.sqrt(dx * dx + dy * dy + dz * dz)
-                filled += 1
-                if filled == LENGTHS_AT_ONCE:
-                    _add_exactly(bits, filled, bins)
-                    count += filled
-                    filled = 0
-    _add_exactly(bits, filled, bins)
-    return count + filled
-
-
-def _exact_sum(bins: Longs) -> int:
-    """What ``_add_exactly`` has added up, in units of 2^-1075."""
-    total, sums = 0, bins.reshape(2, POWERS)
-    for power in np.flatnonzero(sums.any(axis=0)).tolist():
-        total += ((int(sums[0, power]) << 26) + int(sums[1, power])) << power
-    return total
-
-
-@dataclass(frozen=True)
-class EdgeSum:
-    """The lengths of all edges of a mesh, added up exactly.
-
-    Attributes
-    ----------
-    total : their sum, file units times 2^1075.
-    count : how many they are.
-    """
-
-    total: int
-    count: int
-
-    @property
-    def mean(self) -> float:
-        """Mean length, file units: the float64 next to it; zero without edges."""
-        # Python rounds a quotient of integers once, however large they are.
-        return self.total / (self.count << 1075) if self.count else 0.0
-
-
-def sum_edges(vertices: Floats, ring_start: Ints, ring: Ints) -> EdgeSum:
-    """The lengths of all unique edges, as they are computed.
-
-    The sum is a whole number of 2^-1075, which does not depend on the number of threads.
-    """
-    rows = max(1, min(len(vertices) // MIN_RANGE, threads()))
-    bins, counts = np.zeros((rows, 2 * POWERS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
-    over_ranges(_add_edge_lengths, rows, vertices, ring_start, ring, bins, counts, smallest=1)
-    return EdgeSum(_exact_sum(bins.sum(axis=0)), int(counts.sum()))
-
-
-def renew_edge_sum(
-    known: EdgeSum, before: Floats, after: Floats, moved: Longs, ring_start: Ints, ring: Ints
-) -> EdgeSum:
-    """The sum after the vertices ``moved`` (c,) are elsewhere, from that before."""
-    is_moved = np.zeros(len(before), dtype=np.bool_)
-    is_moved[moved] = True
-    totals = []
-    for vertices in (before, after):
-        bins = np.zeros(2 * POWERS, dtype=np.int64)
-        _add_edges_at(moved, is_moved, vertices, ring_start, ring, bins)
-        totals.append(_exact_sum(bins))
-    return EdgeSum(known.total - totals[0] + totals[1], known.count)
+                    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                    bits = np.float64(length).view(np.uint64)
+                    power = bits >> np.uint64(52)
+                    digits = bits & np.uint64(0xFFFFFFFFFFFFF)
+                    # A number of power 0 has no hidden bit, and the exponent of power 1.
+                    digits = (digits | np.uint64(1 << 52)) if power else digits << np.uint64(1)
+                    bins[row, power] += np.int64(digits >> np.uint64(26))
+                    bins[row, power + np.uint64(POWERS)] += np.int64(digits & np.uint64(0x3FFFFFF))
+                    count += 1
+        counts[row] = count
 
 
 def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
     """Mean length of the unique edges, in file units; zero without edges.
 
-    It is the float64 next to the mean of their lengths as they are computed, in whatever order.
+    It is the float64 next to the mean of their lengths as they are computed, in whatever order:
+    their sum is a whole number of 2^-1075, which does not depend on the number of threads.
     """
-    return sum_edges(vertices, ring_start, ring).mean
+    rows = max(1, min(len(vertices) // MIN_RANGE, threads()))
+    bins, counts = np.zeros((rows, 2 * POWERS), dtype=np.int64), np.zeros(rows, dtype=np.int64)
+    over_ranges(_add_edge_lengths, rows, vertices, ring_start, ring, bins, counts, smallest=1)
+    total, sums = 0, bins.sum(axis=0).reshape(2, POWERS)
+    for power in np.flatnonzero(sums.any(axis=0)).tolist():
+        total += ((int(sums[0, power]) << 26) + int(sums[1, power])) << power
+    # Python rounds a quotient of integers once, however large they are.
+    return total / (int(counts.sum()) << 1075) if counts.any() else 0.0
 
 
 @compiled
@@ -480,20 +340,6 @@ def _entry_sums(old, new, faces, moved, group, old_sums, new_sums, touched):
             new_sums[g, 2] += new_z
 
 
-@compiled
-def _moved_rows(old, new, moved):
-    for i in range(len(moved)):
-        moved[i] = (old[i, 0] != new[i, 0]) | (old[i, 1] != new[i, 1]) | (old[i, 2] != new[i, 2])
-
-
-@compiled
-def _usable_rows(rows, usable):
-    for i in range(len(usable)):
-        x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
-        is_finite = (np.abs(x) < np.inf) & (np.abs(y) < np.inf) & (np.abs(z) < np.inf)
-        usable[i] = is_finite & ((x != 0.0) | (y != 0.0) | (z != 0.0))
-
-
 def regroup_normals(
     old_vertices: Floats,
     new_vertices: Floats,
@@ -525,13 +371,11 @@ def regroup_normals(
     old_vertices, new_vertices = map(np.ascontiguousarray, (old_vertices, new_vertices))
     result = np.array(old_normals, order="C")
     changed = np.zeros(n_entries, dtype=bool)
-    moved = np.empty(len(old_vertices), dtype=bool)
-    _moved_rows(old_vertices, new_vertices, moved)
+    moved = (old_vertices != new_vertices).any(axis=1)
     if not n_entries or not moved.any():
         return result, changed
     entries = np.ascontiguousarray(corner_entry, dtype=np.int32).reshape(-1)
-    usable = np.empty(n_entries, dtype=bool)
-    _usable_rows(result, usable)
+    usable = np.isfinite(result).all(axis=1) & (result != 0.0).any(axis=1)
     place = weld(old_vertices, faces)
     if np.array_equal(entries, faces.reshape(-1)) and (place == np.arange(len(place))).all():
         # One normal per vertex and no seam: the entry is the group.
@@ -547,23 +391,14 @@ def regroup_normals(
         _, first_corner = number_groups(entries, group)
         first_corner = first_corner[entries[first_corner] >= 0]
         pair_entry, pair_group = entries[first_corner], group[first_corner]
-    old_sums = np.zeros((n_groups, 3))
-    new_sums = np.zeros((n_groups, 3))
+    old_sums, new_sums = np.zeros((2, n_groups, 3))
     touched = np.zeros(n_groups, dtype=bool)
-    _entry_sums(
-        old_vertices,
-        new_vertices,
-        faces,
-        moved,
-        group.reshape(-1, 3),
-        old_sums,
-        new_sums,
-        touched,
-    )
+    surfaces = old_vertices, new_vertices, faces, moved
+    _entry_sums(*surfaces, group.reshape(-1, 3), old_sums, new_sums, touched)
     if pair_entry is None:
         old_total, new_total, changed = old_sums, new_sums, touched
     else:
-        old_total, new_total = np.zeros((n_entries, 3)), np.zeros((n_entries, 3))
+        old_total, new_total = np.zeros((2, n_entries, 3))
         np.add.at(old_total, pair_entry, old_sums[pair_group])
         np.add.at(new_total, pair_entry, new_sums[pair_group])
         np.logical_or.at(changed, pair_entry, touched[pair_group])
