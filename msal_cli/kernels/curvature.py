@@ -57,15 +57,6 @@ def _corner_cotangents(start, stop, vertices, faces, cotangents):
         cotangents[f, 2] = at_c * inverse
 
 
-def corner_cotangents(vertices: Floats, faces: Ints) -> Floats:
-    """Cotangent of every face's angle at each corner, (m, 3), from -20 to 20.
-
-    The three of a face whose height is less than 1/20 of its longest edge are smaller than the
-    true ones by one common factor; those of a face without area are finite.
-    """
-    return fill_array(_corner_cotangents, (len(faces), 3), vertices, faces)
-
-
 @compiled
 def _cotangent_weights(
     start, stop, cotangents, faces, face_start, incident, ring_start, ring, weights
@@ -91,10 +82,10 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
     """cot alpha + cot beta of every edge, (e,), one for each entry of ``links.ring``.
 
     alpha and beta are the angles that face the edge; an open edge has one, a non-manifold edge as
-    many as it has faces.  The gradient of the surface's area with respect to vertex i is
-    sum(w_ik (x_i - x_k)) / 2, but for faces too flat for their true cotangents (see
-    ``corner_cotangents``).  The matrix with -w off its diagonal and sum(w) on it is positive
-    semidefinite for any vertices.
+    many as it has faces.  The three cotangents of a face whose height is less than 1/20 of its
+    longest edge are smaller than the true ones by one common factor, and at most 20.  But for such
+    faces the gradient of the surface's area with respect to vertex i is sum(w_ik (x_i - x_k)) / 2.
+    The matrix with -w off its diagonal and sum(w) on it is positive semidefinite for any vertices.
 
     Parameters
     ----------
@@ -102,7 +93,7 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
     faces : (m, 3), the faces that ``links`` were made from, each wound either way.
     """
     weights = np.empty(len(links.ring))
-    cotangents = corner_cotangents(vertices, faces)
+    cotangents = fill_array(_corner_cotangents, (len(faces), 3), vertices, faces)
     rows = *links.incidence, *links.one_ring
     over_ranges(_cotangent_weights, len(vertices), cotangents, faces, *rows, weights)
     return weights
@@ -314,17 +305,14 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
         slopes[e, 1] = slope_3
 
 
-def edge_curvatures(vertices: Floats, corners: Ints) -> Floats:
-    """Curvature vectors H(e) (e, 3) of ``flaps`` (e, 4), in file units; they point out of a ridge.
-
-    Zero beside a face without area.
-    """
-    return _weighted_curvatures(vertices, corners, np.inf, 1.0)[0]
-
-
-def _weighted_curvatures(
-    vertices: Floats, corners: Ints, threshold: float, falloff: float
+def edge_curvatures(
+    vertices: Floats, corners: Ints, threshold: float = np.inf, falloff: float = 1.0
 ) -> tuple[Floats, Floats, Flags]:
+    """Curvature vectors w H(e) (e, 3) of ``flaps`` (e, 4), file units; they point out of a ridge.
+
+    Zero beside a face without area.  Also how fast their lengths grow as either end rises (e, 2),
+    and which are longer than the threshold (e,).
+    """
     count = len(corners)
     results = np.empty((count, 3)), np.empty((count, 2)), np.empty(count, dtype=bool)
     over_ranges(_edge_curvatures, count, vertices, corners, threshold, falloff, *results)
@@ -337,7 +325,7 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
     The standard deviation is 1.4826 times the median absolute deviation.  Zero where there are no
     ``flaps`` (e, 4).
     """
-    lengths: Floats = np.sqrt((edge_curvatures(vertices, corners) ** 2).sum(axis=1))
+    lengths: Floats = np.sqrt((edge_curvatures(vertices, corners)[0] ** 2).sum(axis=1))
     if not len(lengths):
         return 0.0
     middle = median(lengths)
@@ -485,7 +473,7 @@ class AnisotropicCurvature:
         n = len(positions)
         edge_start, ends, beside = self._rows
         vectors = fill_array(_area_vectors, (len(self.faces), 4), positions, self.faces)
-        bends = _weighted_curvatures(positions, self.corners, self.threshold, self.falloff)
+        bends = edge_curvatures(positions, self.corners, self.threshold, self.falloff)
         around = edge_start, ends, vectors, *self.links.incidence
         total, outward, rate = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         feature = np.empty(n, dtype=bool)

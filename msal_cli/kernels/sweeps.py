@@ -142,12 +142,10 @@ class SweepResult:
 
 @compiled
 def _move_along_normals(
-    start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, fidelity, x
+    start, stop, v, normals, heights, sigma, tau, constant, per_sigma, offsets, x
 ):
     for i in range(start, stop):
         pull = min(constant + per_sigma * sigma[i], 1.0)
-        if len(fidelity):
-            fidelity[i] = pull
         t = offsets[i]
         t = t + tau * heights[i] - pull * t
         offsets[i] = t
@@ -187,8 +185,8 @@ def run_sweeps(
         operator that does not compute it.
     trust : (n,) from 0 to 1, the part of lambda that each vertex gets; None for all of it.
     """
-    if isinstance(operator, RingOperator) and iterations:
-        return _sweep_over_rings(vertices, operator, schedule, iterations, on_sweep, trust)
+    if isinstance(operator, RingOperator) and schedule.quantile is None and trust is None:
+        return _sweep_in_one_pass(vertices, operator, schedule, iterations, on_sweep)
     n = len(vertices)
     x = vertices.copy()
     offsets = np.zeros(n)
@@ -197,23 +195,26 @@ def run_sweeps(
     fidelity = unused
     for sweep in range(iterations):
         step = operator(x)
-        move, sigma = step.move, step.sigma
+        move, sigma, largest = step.move, step.sigma, step.largest_sigma
         if schedule.quantile is not None and sigma is None:
             if scale is None:
                 raise ValueError("the schedule needs sigma, and nothing computes it")
             sigma = scale(x)
-        pace: Pace = _pace(schedule, sweep, sigma, step.largest_sigma)
-        if sigma is None:
-            sigma = unused
+        pace = _pace(schedule, sweep, sigma, largest)
+        pulled = unused if sigma is None else sigma
         if trust is not None:
-            pace, sigma = _trust(pace, sigma, trust)
+            # The kernels need not know of it.
+            pulled = trust * _pulls(pace, pulled)
+            pace = Pace(pace.time_step, per_sigma=1.0)
         if sweep == 0:
-            fidelity = _pulls(pace, sigma)
+            fidelity = _pulls(pace, pulled)
         if operator.normals is None:
-            over_ranges(_move_freely, n, vertices, move, sigma, *pace, x)
+            over_ranges(_move_freely, n, vertices, move, pulled, *pace, x)
         else:
-            known = vertices, operator.normals, move, sigma, *pace
-            over_ranges(_move_along_normals, n, *known, offsets, np.empty(0), x)
+            known = vertices, operator.normals, move, pulled, *pace
+            over_ranges(_move_along_normals, n, *known, offsets, x)
+        # Their memory is free for the next ones.
+        del step, move, sigma, pulled
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
     return SweepResult(x, fidelity)
@@ -235,51 +236,24 @@ def _pulls(pace: Pace, sigma: Floats) -> Floats:
     return pulls
 
 
-def _trust(pace: Pace, sigma: Floats, trust: Floats) -> tuple[Pace, Floats]:
-    """The pace, and what replaces sigma, by which lambda_i is ``trust`` (n,) times what it
-    would be: the kernels need not know of it."""
-    pulls: Floats = trust * _pulls(pace, sigma)
-    return Pace(pace.time_step, per_sigma=1.0), pulls
-
-
-def _sweep_over_rings(
+def _sweep_in_one_pass(
     vertices: Floats,
     operator: RingOperator,
     schedule: Schedule,
     iterations: int,
     on_sweep: OnSweep | None,
-    trust: Floats | None,
 ) -> SweepResult:
-    """The same, with no arrays made anew for every sweep, and as few passes as can be.
-
-    Without sigma a sweep is one pass, from one array of positions to another.  lambda by sigma
-    needs the largest one, which is known only when every vertex has been looked at: then
-    heights and sigma are kept, and a second pass moves.  So it is with a lambda by trust.
-    """
-    is_measured = schedule.quantile is not None or trust is not None
+    """The same without sigma: each sweep goes from one array of positions to another."""
     n = len(vertices)
-    assert operator.normals is not None
-    offsets, fidelity, none = np.zeros(n), np.zeros(n), np.empty(0)
+    offsets, fidelity = np.zeros(n), np.zeros(n)
     x, moved = vertices, np.empty_like(vertices)
-    heights, sigma = (np.empty(n), np.empty(n)) if is_measured else (none, none)
     for sweep in range(iterations):
-        if is_measured:
-            largest = operator.measure(x, heights, sigma)
-            pace = _pace(schedule, sweep, sigma, largest)
-            pulls = sigma
-            if trust is not None:
-                pace, pulls = _trust(pace, sigma, trust)
-            first = none if sweep else fidelity
-            known = vertices, operator.normals, heights, pulls, *pace
-            over_ranges(_move_along_normals, n, *known, offsets, first, moved)
-            x = moved
-        else:
-            pace = schedule(sweep, None)
-            if sweep == 0 and pace.constant:
-                fidelity.fill(pace.constant)
-            operator.advance(vertices, x, offsets, pace.time_step, pace.constant, moved)
-            spare = np.empty_like(vertices) if sweep == 0 and iterations > 1 else x
-            x, moved = moved, spare
+        pace = schedule(sweep, None)
+        if sweep == 0 and pace.constant:
+            fidelity.fill(pace.constant)
+        operator.advance(vertices, x, offsets, pace.time_step, pace.constant, moved)
+        spare = np.empty_like(vertices) if sweep == 0 and iterations > 1 else x
+        x, moved = moved, spare
         if on_sweep is not None:
             on_sweep(sweep + 1, iterations)
-    return SweepResult(x, fidelity)
+    return SweepResult(x if iterations else vertices.copy(), fidelity)
