@@ -49,10 +49,6 @@ if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
 
 
-MIN_VERTICES = 256
-"""Vertices below which the noise estimate takes the shape of coarse models for noise: a cone of 34,
-a torus of 96, a ring of 128.  Scans have more."""
-
 PART = 4_000
 """Vertices that candidates run on."""
 
@@ -105,9 +101,6 @@ def _choose(mesh: Mesh, estimate: NoiseLevel, on_step: OnStep, assume: str | Non
     edge = mesh.mean_edge_length
     noise = estimate.assume(assume, edge)
     is_unsure = noise.is_unsure
-    n_used = int(np.count_nonzero(mesh.topology.has_ring))
-    if n_used < MIN_VERTICES:
-        return _keep_input(noise, f"{n_used:,} vertices are too few to tell noise from shape")
     if noise.is_negligible or not noise.mean_edges:
         why = describe_rest(estimate, noise)
         return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")

@@ -53,10 +53,16 @@ def test_a_clean_mesh_stays_as_it_is():
 @pytest.mark.parametrize("shape", [cube, torus])
 def test_too_few_vertices_stay_as_they_are(shape):
     vertices, faces = shape() if shape is cube else torus(12, 8)
-    mesh = prepare_mesh(vertices, faces).mesh
-    choice = adaptive.choose_adaptive(mesh)
+    choice = adaptive.choose_adaptive(prepare_mesh(vertices, faces).mesh)
     assert choice.method == NONE
-    assert choice.reason.startswith(f"{len(mesh.vertices)} vertices are too few")
+
+
+def test_a_few_hundred_vertices_are_filtered_where_they_are_said_to_be_noise():
+    few = prepare_mesh(*torus(20, 16)).mesh
+    noisy = few.with_vertices(add_plain_noise(few, "gaussian-normal", 0.3, 1))
+    choice = adaptive.choose_adaptive(noisy)
+    assert choice.method == NONE and choice.noise.is_unsure
+    assert adaptive.choose_adaptive(noisy, assume="noise").method != NONE
 
 
 @pytest.mark.parametrize(("level", "mollify"), [(0.1, 1), (0.2, 1), (0.4, 2)])

@@ -44,7 +44,7 @@ def test_one_file_is_written_and_told(scan, tmp_path):
     made = msal("denoise", scan, "-o", output)
     assert (made.exit_code, made.stdout) == (0, "")
     assert made.stderr.startswith(f"{scan} -> {output} in ")
-    assert "288 vertices, 576 faces, 1 component\n" in made.stderr
+    assert "576 vertices, 1,152 faces, 1 component\n" in made.stderr
     assert len(made.stderr.splitlines()) <= 8
     made = msal("denoise", scan, "-o", output, "-v")
     assert f"\n{scan} -> {output} in " in made.stderr
@@ -132,7 +132,7 @@ def test_one_bad_file_is_one_failed_row(mixed, tmp_path):
     assert made.stdout == ""
     assert "failed: 1\n" in made.stderr
     assert f"  {mixed / 'bad.ply'}: " in made.stderr
-    assert "3 files: 2 written, 1 failed; 318 vertices in " in made.stderr
+    assert "3 files: 2 written, 1 failed; 606 vertices in " in made.stderr
     assert list(tree(output)) == ["below/open.ply", "closed.ply"]
 
     data = json.loads(reports[0].read_bytes())
@@ -160,7 +160,7 @@ def test_a_dry_run_lists_and_touches_nothing(mixed, tmp_path):
     made = msal("denoise", mixed, "-o", output, "--dry-run", "--report", tmp_path / "r.json")
     assert made.exit_code == 3
     assert f"{mixed / 'closed.ply'} -> {output / 'closed.ply'}: " in made.stdout
-    assert "288 vertices, about 0.17 s" in made.stdout
+    assert "576 vertices, about 0.17 s" in made.stdout
     assert "bad.ply: " in made.stdout and "(E_INDEX)" in made.stdout
     sums, last = made.stderr.splitlines()[-2:]
     assert sums.startswith("2 files to denoise, ")

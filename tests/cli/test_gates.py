@@ -80,9 +80,9 @@ SHARED = (
 def pairs(tmp_path):
     """A folder of two scans and one of what they should be, a.ply and below/b.ply in each."""
     noisy = folder_of(tmp_path / "noisy", a=closed_scan(0))
-    truth = folder_of(tmp_path / "truth", a=ply_text(*torus()))
+    truth = folder_of(tmp_path / "truth", a=ply_text(*torus(32, 18)))
     folder_of(noisy / "below", b=closed_scan(1))
-    folder_of(truth / "below", b=ply_text(*torus()))
+    folder_of(truth / "below", b=ply_text(*torus(32, 18)))
     return noisy, truth
 
 

@@ -37,8 +37,8 @@ def test_a_closed_file(scans):
     lines = made.stdout.splitlines()
     assert lines[0] == str(scans / "closed.ply")
     told = {line[2:17].strip(): line[18:] for line in lines[1:]}
-    assert (told["vertices"], told["surface"]) == ("288", "closed")
-    assert told["faces"] == "576 (576 triangles)"
+    assert (told["vertices"], told["surface"]) == ("576", "closed")
+    assert told["faces"] == "1,152 (1,152 triangles)"
     assert float(told["volume"]) == pytest.approx(59, rel=0.1)
 
 
@@ -51,7 +51,7 @@ def test_a_folder_is_a_table(scans):
     assert head.split() == ["file", "format", "vertices", "faces", "noise", "surface", "problems"]
     name, *cells = row.split()
     assert name.endswith("closed.ply")
-    assert cells == ["ply", "288", "576", "0.28", "closed"]
+    assert cells == ["ply", "576", "1,152", "0.3", "closed"]
     assert open_row.split()[5:] == ["open", "18", "boundary", "edges"]
     assert "-v" in foot
     assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")
@@ -74,7 +74,7 @@ def test_json_has_one_shape_for_one_file_and_for_many(scans, names, status):
 def test_standard_input():
     made = msal_on(closed_scan(), "info", "-", "--json")
     record = record_of(made)
-    assert (record["input"], record["vertices"]) == ("-", 288)
+    assert (record["input"], record["vertices"]) == ("-", 576)
 
 
 @pytest.mark.parametrize(

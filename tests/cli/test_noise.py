@@ -27,7 +27,7 @@ def test_only_positions_change(scan, kind):
     changed = [at for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
     start = before.index(b"end_header") + 1
     assert changed
-    assert all(start <= at < start + 288 for at in changed)
+    assert all(start <= at < start + 576 for at in changed)
 
 
 def test_a_folder_becomes_a_mirrored_tree(tmp_path):

@@ -105,10 +105,6 @@ def test_no_mesh_is_too_odd_to_choose_for(seed):
 
 MAX_MEAN_EDGES, MAX_EDGES, MAX_MEAN_DEG = 0.01, 0.1, 0.5
 
-MISREAD = frozenset(("cat-low-resolution.obj", "non_manif_hole.ply"))
-"""Files whose shape the noise estimate takes for noise: a model with detail as fine as the mesh,
-which the choice may leave all the same, and a piece of a range scan of 432 vertices."""
-
 
 def list_files():
     """Paths below MSAL_DATA, (folder, name)."""
@@ -117,8 +113,6 @@ def list_files():
         for path in sorted((Path(root) / folder).iterdir()):
             if path.suffix != ".md":
                 marks = [pytest.mark.ci] if folder == "clean_foreign" else []
-                if path.name in MISREAD:
-                    marks.append(pytest.mark.xfail(strict=False, reason="read as noise"))
                 yield pytest.param(path, id=path.name, marks=marks)
 
 

@@ -111,10 +111,17 @@ PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
 """Misfits of the levels by scale below which shared noise explains them, and above which it hardly
 does."""
 
+FEW_VERTICES, MAX_FEW = 512, 0.75
+"""Vertices below which a design and a scan look alike, whatever the trees say: coarse models, a
+cone of 34, a ring of 128, a patch of 432; and the greatest probability of noise on these."""
+
 QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 """Mean edge lengths below which noise that neighbours may share has to be as probable as the
 second, the third for noise that differs by region and for terraces, and the last for few vertices.
 """
+
+QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
+"""The first two for noise that differs by region: detail of a model does as well."""
 
 MAX_SEEN = (1.0, 0.65, 0.19)
 """Greatest level for white noise, over that of noise shared over so many rings, or more, of which
@@ -344,10 +351,14 @@ class Estimate:
 def characterize(mesh: Mesh) -> Estimate:
     """What the noise is like, and its level as it is for such."""
     white = estimate_white(mesh)
-    if np.count_nonzero(mesh.topology.has_ring) < MIN_VERTICES:
+    n_used = np.count_nonzero(mesh.topology.has_ring)
+    if n_used < MIN_VERTICES:
         return _without_noise(white, 1.0, "few vertices")
     evidence = gather_evidence(mesh, white)
     verdict = classify(evidence.numbers, _least_probabilities(evidence))
+    is_few = n_used < FEW_VERTICES
+    if is_few:
+        verdict = dataclasses.replace(verdict, noise=min(verdict.noise, MAX_FEW))
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
     measured = verdict.measured
     # What fits over one-rings see, beyond what noise that neighbours share leaves there.
@@ -364,7 +375,8 @@ def characterize(mesh: Mesh) -> Estimate:
         measured = min(measured, MAX_SLIDE * evidence.axis.level)
         verdict = _with_level(verdict, min(verdict.level, measured))
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
-    if verdict.noise < _needed_probability(verdict, measured, evidence) or is_weak:
+    is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
+    if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
     character = NoiseCharacter(
         "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
@@ -442,6 +454,8 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
     """
     if verdict.kind == "view" and evidence.axis is not None:
         level = min(level, evidence.axis.best_level)
+    if verdict.kind == "uneven" and level < QUIET_UNEVEN:
+        return SURE_UNEVEN
     if verdict.kind in SHARED_KINDS and level < QUIET:
         return SURE_NOISE
     is_detail = verdict.kind == "uneven" and evidence.loud_correlation > 0.0
