@@ -61,12 +61,10 @@ class DaskEngine:
         self._is_interrupted = True
 
     def batches(self) -> Generator[list[Message], None, None]:
-        probes = [
-            os.path.join(os.path.abspath(folder), temporary_name("probe"))
-            for folder in self._work.folders
-        ]
+        folders = map(os.path.abspath, self._work.folders)
+        self._probes = [os.path.join(folder, temporary_name("probe")) for folder in folders]
         try:
-            for probe in probes:
+            for probe in self._probes:
                 Path(probe).touch()
             self._connect()
             _log.info("waiting for workers at the Dask scheduler %s", self._scheduler)
@@ -76,7 +74,6 @@ class DaskEngine:
                     raise Interrupt
                 self._require_patience(started)
                 time.sleep(_BETWEEN_CHECKS_S)
-            self._check_workers((*probes, os.path.join(os.getcwd(), "")))
             weights = self._work.weights
             # Large files first, so that none is left to run alone at the end.
             for index in sorted(self._work.tasks, key=lambda index: -weights.get(index, 0)):
@@ -84,7 +81,7 @@ class DaskEngine:
             yield from self._run()
         finally:
             self._close()
-            for probe in probes:
+            for probe in self._probes:
                 Path(probe).unlink(missing_ok=True)
             # A worker of this machine that was killed with its Dask worker cannot do that itself.
             sweep(output_folders(self._work.tasks.values()))
@@ -121,36 +118,6 @@ class DaskEngine:
                 hint="start some with `dask worker ADDRESS`, then run the same command again",
             )
 
-    def _check_workers(self, must_exist: tuple[str, ...]) -> None:
-        """Refuse workers that have another msal or do not see the files."""
-
-        # Sent by value: a worker may not have msal at all.
-        def probe(paths: tuple[str, ...]) -> tuple[str | None, list[str]]:
-            try:
-                from msal_cli.version import __version__
-            except ImportError:
-                return None, []
-            return __version__, [path for path in paths if not os.path.exists(path)]
-
-        answers = self._client.run(probe, must_exist, on_error="return")
-        for address, answer in sorted(answers.items()):
-            if isinstance(answer, Exception):
-                # It may have died this very moment; the version is checked with every task.
-                _log.warning("the Dask worker at %s does not answer: %s", address, answer)
-                continue
-            version, missing = answer
-            if version != __version__:
-                has = "has no msal" if version is None else f"has msal {version}"
-                raise UsageError(
-                    f"the Dask worker at {address} {has}, and here is {__version__}",
-                    hint="install the same version of msal-cli everywhere",
-                )
-            if missing:
-                raise UsageError(
-                    f"the Dask worker at {address} does not see {os.path.dirname(missing[0])}",
-                    hint="inputs and outputs must lie where all machines see them by the same path",
-                )
-
     # Work
 
     def _submit(self, index: int) -> None:
@@ -162,7 +129,10 @@ class DaskEngine:
 
         work = self._work
         common = (os.getcwd(), work.function, work.common)
-        payload = pickle.dumps((common, work.limits, work.retries, index, work.tasks[index]))
+        must_exist = (*self._probes, os.path.join(os.getcwd(), ""))
+        payload = pickle.dumps(
+            (must_exist, common, work.limits, work.retries, index, work.tasks[index])
+        )
         future = self._client.submit(msal, __version__, payload, pure=False)
         self._submitted[future] = index
         future.add_done_callback(self._note_end)
@@ -200,7 +170,7 @@ class DaskEngine:
         if isinstance(answer, bytes):
             end: Returned | Failed = pickle.loads(answer)
             return end
-        if isinstance(answer, ResourceError):
+        if isinstance(answer, UsageError):
             raise answer
         if type(answer).__name__ != "KilledWorker":
             raise ResourceError(
@@ -236,17 +206,22 @@ def not_installed() -> UsageError:
 def denoise_in_child(version: str, payload: bytes) -> bytes:
     """Do a file in a child process of this Dask worker; the pickled message about its end.
 
-    Raises ResourceError if this worker has another version of msal.
+    Raises UsageError if this worker has another version of msal, or does not see the files.
     """
     from distributed import get_worker
 
     worker = get_worker()
     if version != __version__:
-        raise ResourceError(
+        raise UsageError(
             f"the Dask worker at {worker.address} has msal {__version__}, and here is {version}",
-            hint=_GOES_ON,
+            hint="install the same version of msal-cli everywhere",
         )
-    common, limits, retries, index, task = pickle.loads(payload)
+    must_exist, common, limits, retries, index, task = pickle.loads(payload)
+    if missing := [path for path in must_exist if not os.path.exists(path)]:
+        raise UsageError(
+            f"the Dask worker at {worker.address} does not see {os.path.dirname(missing[0])}",
+            hint="inputs and outputs must lie where all machines see them by the same path",
+        )
     folders = [Path(common[0], folder) for folder in output_folders([task])]
     work = Work(
         {index: task},

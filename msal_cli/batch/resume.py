@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -350,16 +350,12 @@ def backup_path(task: Task) -> Path:
 
 def restore_backup(task: Task) -> None:
     """Put the original back from its backup, whole or not at all; OutputError if that fails."""
-
-    def blocks() -> Iterator[bytes]:
-        with open_regular(backup_path(task)) as file:
-            while block := file.read(_BLOCK_BYTES):
-                yield block
-
+    backup = backup_path(task)
     try:
-        write_whole(task.input, blocks(), sources=[backup_path(task)])
-    except OutputError as error:
-        reason = error.message.partition(": ")[2]
+        with open_regular(backup) as file:
+            write_whole(task.input, [file.read()], sources=[backup])
+    except (OSError, OutputError) as error:
+        reason = str(error).partition(": ")[2] or str(error)
         raise OutputError(
             f"{task.input!r} cannot be restored from its backup: {reason}", path=task.input
         ) from None

@@ -274,6 +274,12 @@ class SelfIntersections:
     )
 
 
+_MEAN_ANGLE = (
+    "mean angle between corresponding face normals, degrees (the MSAE of much of the literature); "
+    "null if faces do not correspond"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Reference:
     """An output against its reference, the true mesh at ``path``: the figures of a
@@ -284,10 +290,7 @@ class Reference:
         "as in a ComparisonRecord: vertices or surface"
     )
     mean_edge_length: float | None = known("mean length of the edges of the reference, file units")
-    mean_angular_error_deg: float | None = known(
-        "mean angle between corresponding face normals, degrees (the MSAE of much of the "
-        "literature); null if faces do not correspond"
-    )
+    mean_angular_error_deg: float | None = known(_MEAN_ANGLE)
     max_angular_error_deg: float | None = known("largest such angle, degrees")
     vertex_error_percent: float | None = known(
         "mean distance from the reference's vertices (where faces do not correspond, from its "
@@ -546,10 +549,7 @@ class ComparisonRecord(ScreenRepr):
     faces_before: int | None = known("triangles before")
     faces_after: int | None = known("triangles after")
     mean_edge_length: float | None = known("mean length of the edges before, file units")
-    mean_angular_error_deg: float | None = known(
-        "mean angle between corresponding face normals, degrees (the MSAE of much of the "
-        "literature); null if faces do not correspond"
-    )
+    mean_angular_error_deg: float | None = known(_MEAN_ANGLE)
     max_angular_error_deg: float | None = known("largest such angle, degrees")
     vertex_error_percent: float | None = known(
         "mean distance between corresponding vertices (where faces do not correspond, from the "

@@ -176,6 +176,12 @@ def test_refusals_before_any_work(folder, cluster, monkeypatch, lack):
         monkeypatch.setattr(dask_engine, "__version__", "99.0")
         with pytest.raises(UsageError, match=r"worker at tcp://127\.0\.0\.1:\d+ has msal .*99\.0"):
             ran(cluster)
+        monkeypatch.undo()
+        monkeypatch.chdir(folder)
+        monkeypatch.setattr(dask_engine, "temporary_name", lambda name: "../in/not there")
+        monkeypatch.setattr(Path, "touch", lambda path: None)
+        with pytest.raises(UsageError, match=r"does not see .*/out/\.\./in"):
+            ran(cluster)
     elif lack == "scheduler":
         monkeypatch.setattr(dask_engine, "_CONNECT_S", 0.2)
         with pytest.raises(UsageError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
