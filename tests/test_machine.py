@@ -10,7 +10,6 @@ import pytest
 
 from msal_cli import machine
 from msal_cli.kernels import parallel
-from msal_cli.machine import give_back_large_arrays
 
 MEMINFO = "MemTotal: 100 kB\nMemFree: 10 kB\nMemAvailable:    50 kB\n"
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
@@ -137,11 +136,3 @@ print(resident() - before < 16 << 20)
 def test_what_is_let_go_of_goes_back():
     run = subprocess.run([sys.executable, "-c", SEEN], capture_output=True, text=True, check=True)
     assert run.stdout == "True\n"
-
-
-def test_the_environment_has_the_last_word(monkeypatch):
-    import ctypes
-
-    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "1000000")
-    monkeypatch.setattr(ctypes, "CDLL", lambda name: pytest.fail("asked"))
-    give_back_large_arrays.__wrapped__()

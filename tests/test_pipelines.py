@@ -41,7 +41,6 @@ ACTION = load_yaml("action.yml")
 HOOKS = {hook["id"]: hook for hook in load_yaml(".pre-commit-hooks.yaml")}
 CI_PAGE, CI_RECIPES = load_recipes("docs/ci.md")
 MACHINES_PAGE, MACHINE_RECIPES = load_recipes("docs/many_machines.md")
-GIT = "git -c user.name=a -c user.email=a@example.com"
 SPIKE = "spike.ply: broken: despiked > 0"
 
 
@@ -81,16 +80,6 @@ def test_action_runs_nothing_of_its_inputs(project):
     assert not (project / "owned").exists()
     scripts = [script for script, _ in action_steps(ACTION, {}).values()]
     assert not any("${{" in script for script in scripts)
-
-
-def test_action_takes_names_for_names(project):
-    (project / "scans").rename(project / "-scans")
-    given = {"files": "-scans", "output": "-out", "options": "--method al", "report": ""}
-    assert run_action(ACTION, project, given).status == 0
-    baseline = run_shell(project, ["msal", "compare", "--json", "--", "-scans", "-out"])
-    (project / "base.json").write_text(baseline.stdout)
-    done = run_action(ACTION, project, given | {"baseline": "base.json"})
-    assert done.status == 0, done.stderr
 
 
 def test_the_example_passes_its_check_and_fails_for_a_worse_and_a_lost_scan(project):
@@ -154,22 +143,17 @@ def test_recipe_of_a_shell(project):
     assert_junit(project / "meshes.xml")
 
 
-def test_recipe_of_a_hook(project):
-    assert run_shell(project, "git init -q . && git add scans").returncode == 0
-    hook = project / ".git/hooks/pre-commit"
-    hook.parent.mkdir(exist_ok=True)
-    hook.write_text(CI_RECIPES["hook"])
-    hook.chmod(0o755)
-    done = run_shell(project, f"{GIT} commit -qm scans")
+def test_recipe_of_make(project):
+    (project / "Makefile").write_text(CI_RECIPES["make"])
+    done = run_shell(project, ["make"])
     assert done.returncode == 0, done.stderr
-    assert (project / ".git/denoised/closed.ply").exists()
-    (project / "notes.txt").write_text("no mesh\n")
+    assert (project / "denoised/below/open.ply").exists()
+    assert "up to date" in run_shell(project, ["make"]).stdout
     add_spike(project)
-    # The spike is not staged, and a commit without meshes does not wait for them.
-    assert run_shell(project, f"git add notes.txt && {GIT} commit -qm notes").returncode == 0
-    done = run_shell(project, f"git add scans && {GIT} commit -qm spike")
-    assert done.returncode != 0
-    assert SPIKE in done.stderr
+    for _ in range(2):
+        done = run_shell(project, ["make"])
+        assert done.returncode != 0
+        assert SPIKE in done.stderr
 
 
 def component(**given):

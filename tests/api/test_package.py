@@ -145,12 +145,3 @@ def test_every_block_runs(at, names, folder, monkeypatch, capsys):
         assert "E_INDEX face 0" in capsys.readouterr().out
     if "gate.broken" in BLOCKS[at]:
         assert "E_" in capsys.readouterr().out
-
-
-def test_the_page_names_all_functions_classes_of_errors_and_arguments():
-    code = "\n".join(BLOCKS) + " ".join(re.findall(r"`([^`\n]+)`", PAGE))
-    words = set(re.findall(r"\w+", code))
-    functions = {name for name in msal.__all__ if inspect.isfunction(getattr(msal, name))}
-    errors = {name for name in msal.__all__ if name.endswith("Error")} | {"NothingMatched"}
-    assert functions | errors <= words
-    assert set(inspect.signature(msal.denoise).parameters) - {"more"} <= words

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from msal_cli import codecs, methods
 from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import adaptive
-from msal_cli.job.choice import prepare
-from msal_cli.job.settings import ADAPTIVE, Settings
 from msal_cli.mesh import prepare_mesh
 from tests.cli.scans import closed_scan, folder_of, msal, ply_text, record_of, records_of
 from tests.report.made import load_schema
@@ -180,42 +177,6 @@ def test_every_way_to_ask_reaches_the_chooser(scan, tmp_path, choose, words, wis
     assert selection.Wishes(**record["choice"]["wishes"]) == arrived[0]
 
 
-def test_the_record_has_the_choice_and_its_reason(scan, tmp_path, choose):
-    choose(given={"K": 0.7, "iterations": 3})
-    record = denoise(scan, "-o", tmp_path / "o.ply", "--keep", "shape")
-    parameters = methods.find("msal").validate({"K": 0.7, "iterations": 3})
-    assert record["method"] == {"name": "msal", "parameters": parameters}
-    assert record["choice"] == {
-        "reason": REASON,
-        "surface": "organic",
-        "noise_edges": 0.11,
-        "risk_edges": 0.0625,
-        "tried": 7,
-        "runners_up": [{"label": "AL, 3 sweeps", "risk_edges": 0.0724}],
-        "wishes": dataclasses.asdict(selection.Wishes(keep="shape")),
-        "repeat": ["--method", "msal", "--set", "iterations=3", "--set", "K=0.7"],
-        "among": "all",
-        "auto_seconds": None,
-    }
-    # The noise is estimated once.
-    assert record["noise_estimate"]["mean_edges"] == 0.11
-    assert record["seconds"]["choose"] > 0.0
-    stages = {name: spent for name, spent in record["seconds"].items() if name != "total"}
-    assert sum(stages.values()) == pytest.approx(record["seconds"]["total"], rel=1e-9)
-
-
-def test_the_choice_for_a_single_file_is_a_line(scan, tmp_path, choose):
-    choose(given={"K": 0.7})
-    short = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto").stderr
-    assert f"  chosen        {REASON}\n" in short
-    assert "next best" not in short
-    verbose = msal("denoise", scan, "-o", tmp_path / "o.ply", "--auto", "-v").stderr
-    assert f"  chosen        {REASON}\n" in verbose
-    assert "  next best     AL, 3 sweeps (risk 0.072 e)\n" in verbose
-    assert "  by hand       --method msal --set K=0.7\n" in verbose
-    assert re.search(r", choose \d+\.\d\d,", verbose)
-
-
 # --assume
 
 
@@ -264,16 +225,6 @@ def test_an_assumption_decides_what_is_done(unsure, tmp_path, words):
 
 
 # --min-noise
-
-
-@pytest.mark.parametrize(("assume", "is_left"), [(None, True), ("noise", False), ("texture", True)])
-def test_min_noise_is_compared_with_what_is_assumed(unsure, assume, is_left):
-    quiet = prepare_mesh(noisy(torus(40, 20)[0], 0, 0.005), torus(40, 20)[1]).mesh
-    given = {} if assume is None else {"assume": assume}
-    settings = Settings(ADAPTIVE, given, min_noise="0.06e")
-    made = prepare(quiet, settings, lambda done, total: None)
-    assert ("left_alone" in made.known) == is_left
-    assert made.noise.is_unsure
 
 
 def test_quiet_files_stay_byte_for_byte(scans, tmp_path):

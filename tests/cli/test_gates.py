@@ -176,18 +176,6 @@ def scan(scans):
     return scans / "open.ply"
 
 
-def test_the_report_has_what_was_kept(scan, tmp_path):
-    words = (*MSAL, "--max-move", "0.001e", "--lock", "boundary", "--json")
-    made = msal("denoise", scan, "-o", tmp_path / "a.ply", *words)
-    record = record_of(made)
-    assert record["clamped_vertices"] > 0
-    assert record["locked_vertices"] == record["boundary_edges"]
-    assert record["displacement"]["max_edges"] <= 0.001
-    settings = json.loads(made.stdout)["settings"]
-    assert (settings["max_move"], settings["lock"]) == ("0.001e", ["boundary"])
-    assert "vertices cut to the longest move; 18 vertices locked" in made.stderr
-
-
 def test_lengths_have_units_where_that_of_the_files_is_given(scan, tmp_path):
     words = ("denoise", scan, "-q", *MSAL, "--force", "-o")
     plain, metres, micro = (tmp_path / f"{name}.ply" for name in ("plain", "metres", "micro"))

@@ -63,25 +63,6 @@ def test_an_input_is_not_overwritten_and_the_format_is_kept(scan):
     assert scan.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("kind", "setting", "users"),
-    [
-        ("gaussian", ["--fraction", "0.2"], "impulsive, outliers"),
-        ("gaussian-normal", ["--rings", "2"], "correlated, view"),
-        ("correlated", ["--direction", "x"], "view, quantised, grazing, half, ramp"),
-        ("view", ["--step", "0.5"], "quantised"),
-        ("ramp", ["--border", "0.1"], "half"),
-        ("half", ["--property", "x"], "property"),
-    ],
-)
-def test_a_setting_that_the_kind_does_not_use_is_refused(scan, kind, setting, users):
-    target = scan.with_name("out.ply")
-    made = msal("noise", scan, "-o", target, "--kind", kind, *setting)
-    assert (made.exit_code, target.exists()) == (2, False)
-    assert f"{setting[0]} means nothing for {kind} noise" in made.stderr
-    assert users in made.stderr
-
-
 def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
     text = ply_text(*torus()).decode().splitlines()
     start = text.index("end_header") + 1
@@ -133,20 +114,6 @@ def test_the_fields_of_a_file(scan, tmp_path):
     with_fields = codecs.open_mesh((tmp_path / "out.fields.ply").read_bytes(), "a.ply")
     assert with_fields.vertices == pytest.approx(after.vertices, abs=1e-6)
     assert np.array_equal(with_fields.faces, after.faces)
-
-
-@pytest.mark.parametrize(
-    ("field", "words"),
-    [
-        ("displacement", "map diverging, blue over pale to brown for displacement -"),
-        ("sigma", "map sequential, pale to dark for sigma 0 to "),
-    ],
-)
-def test_the_header_says_what_the_colours_mean(scan, tmp_path, field, words):
-    msal("denoise", scan, "-o", tmp_path / "a.ply", "--fields", field)
-    head = (tmp_path / "a.fields.ply").read_bytes().partition(b"end_header")[0].decode()
-    assert f"comment colours: {words}" in head
-    assert f"comment {field}: {fields.KINDS[field].meaning}; " in head
 
 
 def test_a_folder_and_a_rerun(scan, tmp_path):

@@ -191,26 +191,6 @@ class TestRefusals:
         assert made.exit_code == 0 and "0 files" in made.stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("r.txt", "unknown report format"),
-        ("r", "unknown report format"),
-        ("-", "needs the name of a file"),
-        ("folder.json", "is a folder"),
-        ("mesh.json", "would replace"),
-        ("./mesh.json", "would replace"),
-        ("file/below.json", "cannot be written to the folder"),
-    ],
-)
-def test_what_is_refused(tmp_path, monkeypatch, name, words):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.json").mkdir()
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match=words):
-        reports.check([name], ["mesh.json", "other.ply"])
-
-
 def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):
     summary = tmp_path / "step_summary_1"
     summary.write_text("# earlier\n")

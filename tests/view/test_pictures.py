@@ -125,30 +125,3 @@ def test_what_colours_show(colours, n_panels, is_red):
     assert (first[0] - first[1] > 80) == is_red
     page = pages.page_of(scene, view, "msal view").decode()
     assert ("Colours of the file" in page) == is_red
-
-
-@pytest.mark.ci
-@pytest.mark.xdist_group("chromium")
-def test_a_page_shows_colours_on_both_sides_and_clay_by_a_button(browser, tmp_path):
-    vertices, faces = ball()
-    red = np.tile((220, 0, 0), (len(vertices), 1))
-    scene = pictures.scene_of(
-        _painted(vertices, faces, red), _painted(1.01 * vertices, faces, red[:, ::-1]), NAMES
-    )
-    path = tmp_path / "both.html"
-    path.write_bytes(pages.page_of(scene, View(size=60), "msal view"))
-    browser.open(path)
-
-    def sides():
-        image = browser.pixels()
-        height, width = image.shape[:2]
-        middle = slice(height // 3, height // 3 + 9)
-        return [
-            image[middle, at : at + 9].mean(axis=(0, 1)) for at in (width * 2 // 5, width * 3 // 5)
-        ]
-
-    left, right = sides()
-    assert left[0] > left[2] + 80 and right[2] > right[0] + 80
-    browser.click("Clay")
-    assert all(np.ptp(one) < 60 for one in sides())
-    assert browser.complaints() == []
