@@ -10,7 +10,6 @@
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/utsname.h>
-#include <time.h>
 #include <unistd.h>
 
 #define MAX_BLOCKS 16384
@@ -214,36 +213,6 @@ EXPORTED void msal_count_array_files(size_t *now, size_t *peak, int *error)
     *now = current_bytes;
     *peak = peak_bytes;
     *error = last_error;
-}
-
-/* Let the process hold no page of any file; what was written stays with the system. */
-static void let_go_of_pages(void)
-{
-    lock();
-    for (int at = 0; at < block_count; at++)
-        if (blocks[at].start)
-            madvise(blocks[at].start, blocks[at].size, MADV_DONTNEED);
-    unlock();
-}
-
-/* While arrays live in files, let go of their pages whenever the process has so many bytes of
-   memory.  It needs no lock of the interpreter, for which a thread may wait for seconds. */
-EXPORTED void msal_keep_memory_below(size_t bytes)
-{
-    const struct timespec pause = {0, 1000000};
-    const size_t page = (size_t)sysconf(_SC_PAGESIZE);
-    int file = open("/proc/self/statm", O_RDONLY | O_CLOEXEC);
-    char text[128] = "";
-    while (file >= 0 && smallest) {
-        size_t resident = 0;
-        if (pread(file, text, sizeof text - 1, 0) <= 0 || sscanf(text, "%*s %zu", &resident) != 1)
-            break;
-        if (resident * page > bytes)
-            let_go_of_pages();
-        nanosleep(&pause, NULL);
-    }
-    if (file >= 0)
-        close(file);
 }
 #else
 INTERNAL void *array_malloc(size_t size) { return malloc(size); }

@@ -26,6 +26,7 @@ from msal_cli.analysis.surface_distance import at_other_positions
 from msal_cli.batch import interrupts
 from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress
+from msal_cli.batch.workers import limited_memory
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
 from msal_cli.job.pipeline import FileRun, start_record
@@ -40,6 +41,7 @@ from msal_cli.job.settings import (
     is_mesh_name,
     least_memory_bytes,
 )
+from msal_cli.machine import memory_bytes
 from msal_cli.storage.atomic import sweep_after
 
 if TYPE_CHECKING:
@@ -121,7 +123,14 @@ def denoise_set(
         sweep_after(os.getpid(), output_folders(plan.tasks))
 
     run = _SetRun(plan.tasks, settings, on_step, limits)
-    with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
+    limit = limits.memory_bytes
+    if limit is not None:  # what this process has beside is not the set's
+        limit += max(0, memory_bytes("self", "VmRSS") - least_memory_bytes())
+    with (
+        interrupts.catch_signals(interrupts.raise_for),
+        interrupts.end_if_late(clean),
+        limited_memory(limit),
+    ):
         return run.denoise(max_failures)
 
 

@@ -28,7 +28,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -44,7 +44,6 @@ from msal_cli.batch.schedule import (
     Work,
 )
 from msal_cli.errors import ResourceError
-from msal_cli.job.room import are_arrays_in_files
 from msal_cli.job.settings import FORECAST
 from msal_cli.machine import memory_bytes, oom_kills, peak_bytes, usable_cores
 
@@ -588,8 +587,7 @@ def serve() -> None:
         outgoing.send("unusable", traceback.format_exc())
         return
     limit = assignment.memory_bytes
-    if limit is not None:
-        _load_libraries()
+    if limit is not None and not sys.platform.startswith("linux"):
         threading.Thread(target=_watch_memory, args=(limit, outgoing), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
 
@@ -635,9 +633,8 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
             outgoing.send("progress", index, stage, done, total)
 
     try:
-        if assignment.memory_bytes is not None:
-            _limit_memory(assignment.memory_bytes)
-        result = assignment.function(task, assignment.common, on_progress)
+        with limited_memory(assignment.memory_bytes):
+            result = assignment.function(task, assignment.common, on_progress)
         outgoing.send("returned", index, result, memory_bytes("self", "VmRSS"))
     except MemoryError:
         outgoing.send("exhausted")
@@ -660,34 +657,41 @@ def _load_libraries() -> None:
     _ = np.ones((200, 200)) @ np.ones((200, 200))
 
 
-def _limit_memory(limit: int) -> None:
-    """Have Linux refuse memory once about ``limit`` bytes are resident.
+@contextlib.contextmanager
+def limited_memory(limit: int | None) -> Iterator[None]:
+    """Have Linux refuse memory once about ``limit`` bytes are resident, pages of files aside: it
+    takes these back where it needs memory.
 
     The system can bound private writable memory (RLIMIT_DATA), touched or not.  Some of it never
     is (stacks of threads, buffers of libraries), while the code of libraries is resident and not
     writable, so the difference of the two is allowed for, anew for every file.
     """
-    if not sys.platform.startswith("linux"):
+    if limit is None or not sys.platform.startswith("linux"):
+        yield
         return
     import resource
 
+    _load_libraries()
     own = memory_bytes("self", "VmData") - memory_bytes("self", "VmRSS")
     # Kernels will start threads, and a limit may leave less than their stacks.
     own += (usable_cores() + 1) * _STACK_BYTES
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     wanted = max(0, limit + own)
     if hard != resource.RLIM_INFINITY:
         wanted = min(wanted, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (wanted, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
 def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
-    """End this process once it has used too much: where the system cannot refuse memory, and for
-    pages of files, which Linux does not count.  Those of arrays are released by ``room``."""
+    """End this process once it has used too much, where the system cannot refuse memory."""
     while True:
         time.sleep(_BETWEEN_LOOKS_S)
         used = memory_bytes("self", "VmRSS") or peak_bytes() or 0
-        if used > limit and not are_arrays_in_files():
+        if used > limit:
             outgoing.send("exhausted")
             os._exit(1)
 

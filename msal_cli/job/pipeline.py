@@ -18,7 +18,13 @@ from msal_cli.errors import InternalError
 from msal_cli.job import changes, output
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
-from msal_cli.job.room import open_mesh, prepare_mesh, room_for_task, to_known_error
+from msal_cli.job.room import (
+    are_arrays_in_files,
+    open_mesh,
+    prepare_mesh,
+    room_for_task,
+    to_known_error,
+)
 from msal_cli.job.settings import (
     CHOOSING,
     NO_LIMITS,
@@ -147,7 +153,9 @@ class FileRun:
         """The record with these fields, all seconds until now, and the peak of memory."""
         self._count()
         seconds = Seconds(**self._seconds, total=self._counted - self._started)
-        self.know(seconds=seconds, peak_memory_bytes=machine.peak_bytes(), **values)
+        # Pages of files, which the system takes back when it likes, would count.
+        peak = None if are_arrays_in_files() else machine.peak_bytes()
+        self.know(seconds=seconds, peak_memory_bytes=peak, **values)
         return self._record
 
     def finish(self, output_path: str | None, sidecars: tuple[str, ...] = ()) -> MeshRecord:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import os
 import tempfile
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -53,9 +52,8 @@ _KEPT_SHARE = 0.04
 # Arrays stay in memory that are smaller than that, and than this part of a mesh.
 _MAX_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
 
-# What is mapped at once of small meshes and of others.  The system takes pages back when a group
-# of processes has no more, but a limit of the user that is less would not be kept.
-_MAPPED_OF_SMALL, _MAPPED_BYTES, _MAPPED_UNDER_LIMIT = 0.3, 32_000_000, 128_000_000
+# What is mapped at once of small meshes and of others.
+_MAPPED_OF_SMALL, _MAPPED_BYTES = 0.3, 32_000_000
 
 _GUESSED = 2
 """By what factor a forecast without counts may be too high."""
@@ -63,19 +61,15 @@ _GUESSED = 2
 _COUNTED = ("ply", "stl", "glb")
 """Formats whose headers have counts, or are damaged, which the reader will report."""
 
-_MAPPED_SHARE = 0.25
-"""Of a limit, what pages of files may take: each millisecond up to 12 MB more are mapped."""
-
 
 @dataclass(frozen=True)
 class Scratch:
     """The folder in whose files the arrays of a mesh will live, the bytes that they take there at
-    most, the bytes of memory that there are, and whether that is a limit to keep to."""
+    most, and the bytes of memory that there are."""
 
     folder: str
     n_bytes: int
     room: int
-    is_limit: bool
 
 
 def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractContextManager[None]:
@@ -142,8 +136,7 @@ def find_scratch(
     n_bytes = max(0, needed - least_memory_bytes())
     if not array_files.can_use_files() and is_guess and limit is None and needed < _GUESSED * room:
         return None
-    mapped = _MAPPED_BYTES if limit is None else _MAPPED_UNDER_LIMIT
-    kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, mapped))
+    kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, _MAPPED_BYTES))
     least = needed - n_bytes + kept if array_files.can_use_files() else needed
     if least > room:
         has = f"this machine has {megabytes(room, rounded_up=False)} left"
@@ -173,7 +166,7 @@ def find_scratch(
             f"{megabytes(free, rounded_up=False)} are free",
             hint="name a folder with more space by --scratch",
         )
-    return Scratch(folder, n_bytes, room, limit is not None)
+    return Scratch(folder, n_bytes, room)
 
 
 def are_arrays_in_files() -> bool:
@@ -193,13 +186,6 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
     try:
         smallest = min(_MAX_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)
         with array_files.arrays_in_files(scratch.folder, max(1, smallest)), large_files_allowed():
-            if scratch.is_limit:
-                base = least_memory_bytes()
-                most = base + int(_MAPPED_SHARE * (scratch.room - base))
-                keeper = threading.Thread(
-                    target=array_files.keep_memory_below, args=(most,), daemon=True
-                )
-                keeper.start()
             yield
     except MsalError:
         raise
@@ -212,6 +198,8 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
             f"{os.strerror(error)}",
             hint="name a folder with more space by --scratch",
         ) from None
+    finally:
+        machine.forget_peak()
 
 
 def _folder_of(output: str | None) -> str:

@@ -87,12 +87,6 @@ def count_scratch() -> Scratch:
     return Scratch(now.value, peak.value, error.value)
 
 
-def keep_memory_below(n_bytes: int) -> None:
-    """Release pages of files whenever this process has so many bytes of memory, until no array
-    lives in files any more; for a thread of its own."""
-    open_library().msal_keep_memory_below(ctypes.c_size_t(n_bytes))
-
-
 @functools.cache
 def _handler() -> Any:
     new_capsule = ctypes.pythonapi.PyCapsule_New

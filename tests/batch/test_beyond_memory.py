@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +88,6 @@ def test_arrays_of_all_threads_live_in_files_without_a_name(tmp_path):
         changed.resize(9000)
         tiny = np.ones(10)
         counted = array_files.count_scratch()
-        threading.Thread(target=array_files.keep_memory_below, args=(1,), daemon=True).start()
         assert not list(tmp_path.iterdir())
     assert {handler_of(one) for one in (*made, changed)} == {"msal_array_files"}
     assert counted.current_bytes == 2 * 32_000 + 72_000
