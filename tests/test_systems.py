@@ -10,11 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch import interrupts, plan
-from msal_cli.batch.inputs import discover_inputs
-from msal_cli.errors import OutputError, UsageError
+from msal_cli.batch import interrupts
+from msal_cli.errors import OutputError
 from msal_cli.storage import atomic, urls
-from tests.cli.scans import closed_scan, folder_of, msal
 
 ROOT = Path(__file__).parent.parent
 
@@ -121,25 +119,6 @@ def test_a_drive_is_no_protocol(windows):
     assert not urls.is_url("C:/scans/a.ply")
     windows(urls)
     assert urls.normalize_url("file:///C:/scans/a.ply") == "C:/scans/a.ply"
-
-
-def test_an_input_that_changed_its_case_keeps_its_output(tmp_path, monkeypatch):
-    folder_of(tmp_path / "in", Scan=closed_scan())
-    assert msal("denoise", tmp_path / "in", "-o", tmp_path / "out", "-n", "1").exit_code == 0
-    (tmp_path / "in/Scan.ply").rename(tmp_path / "in/scan.ply")
-    # Where case does not count, this name finds the same file.
-    if not (tmp_path / "out/scan.ply").exists():
-        (tmp_path / "out/scan.ply").write_bytes((tmp_path / "out/Scan.ply").read_bytes())
-    found = discover_inputs([str(tmp_path / "in")])
-    monkeypatch.setattr(plan, "ignores_case", lambda folder: False)
-    with pytest.raises(UsageError, match="no run of msal denoise put it there"):
-        plan.build_plan(found, str(tmp_path / "out"))
-    monkeypatch.setattr(plan, "ignores_case", lambda folder: True)
-    assert len(plan.build_plan(found, str(tmp_path / "out")).tasks) == 1
-    (tmp_path / "in/other.ply").write_bytes(b"x")
-    (tmp_path / "out/other.ply").write_bytes(b"foreign")
-    with pytest.raises(UsageError, match=r"other\.ply"):
-        plan.build_plan(discover_inputs([str(tmp_path / "in")]), str(tmp_path / "out"))
 
 
 # Signals and processes

@@ -244,10 +244,6 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
 
     own = read_output_names(output)
     foreign = [task for task in existing if manifest_key(task) not in own]
-    if foreign and not is_url(output) and ignores_case(Path(output)):
-        # An input that was renamed from A.ply to a.ply keeps its output.
-        folded = set(map(fold_case, own))
-        foreign = [task for task in existing if fold_case(manifest_key(task)) not in folded]
     if foreign:
         names = ", ".join(repr(task.output) for task in foreign[:3])
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""

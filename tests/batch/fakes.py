@@ -12,7 +12,6 @@ import ctypes
 import hashlib
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -20,7 +19,7 @@ from pathlib import Path
 from msal_cli.batch.schedule import Failed, Interrupt, Returned, Started, Work
 from msal_cli.batch.workers import WorkerPool
 from msal_cli.job.records import Failure, MeshRecord
-from msal_cli.storage.atomic import temporary_name
+from msal_cli.storage.atomic import temporary_name, write_whole
 
 DEATHS = {
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
@@ -93,14 +92,15 @@ class InProcess:
 def work(task, common, on_progress):
     """The work of a `pool`: ``task`` is (action, argument)."""
     action, argument = task
-    if action == "double":
-        return 2 * argument
-    if action == "common":
-        return common
-    if action == "pid":
-        return os.getpid()
-    if action == "threads":
-        return os.environ["MSAL_THREADS"]
+    answers = {
+        "double": lambda: 2 * argument,
+        "common": lambda: common,
+        "pid": os.getpid,
+        "threads": lambda: os.environ["MSAL_THREADS"],
+        "unpicklable": lambda: lambda: None,
+    }
+    if action in answers:
+        return answers[action]()
     if action == "sleep":
         time.sleep(argument)
         return argument
@@ -126,8 +126,6 @@ def work(task, common, on_progress):
     if action == "bad_alloc":
         os.write(2, b"terminate called after throwing an instance of 'std::bad_alloc'\n")
         os.abort()
-    if action == "unpicklable":
-        return lambda: None
     if action == "alone":
         # How many workers of this run are alive while this one works, and had it another task?
         mark = Path(argument) / str(os.getpid())
@@ -210,7 +208,8 @@ def denoise(task, settings, on_progress=None, limits=None):
     if task.in_place and task.backup:
         Path(task.input + task.backup).write_bytes(data)
     output = (settings.method + " " + data.decode().upper()).encode()
-    written(Path(task.output), output)
+    Path(task.output).parent.mkdir(parents=True, exist_ok=True)
+    write_whole(task.output, output)
     if data.startswith(b"replaced"):
         mark = Path(task.input + ".died")
         if b"always" in data or not mark.exists():
@@ -226,21 +225,6 @@ def denoise(task, settings, on_progress=None, limits=None):
     )
 
 
-def written(path, data):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(temporary_name("fake"))
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-        temporary.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise
-
-
 def children_of(pid):
-    """The processes that a process has started and that have not been waited for."""
-    text = subprocess.run(["ps", "-eo", "pid,ppid"], capture_output=True, text=True).stdout
-    pairs = [line.split() for line in text.splitlines()[1:]]
-    return [int(child) for child, parent in pairs if int(parent) == pid]
+    """The living processes that a process has started."""
+    return [child for child, parent, _ in living_processes() if parent == pid]

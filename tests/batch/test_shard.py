@@ -55,8 +55,8 @@ def test_a_shard_is_what_it_says(text):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "0/4", "5/4", "1", "1/", "/4", "-1/4", "1/0", "1/4/2", "a/b", "1.0/4", " 1/4", "1/9999999",
-     "Auto", "auto4", "auto/", "auto/0", "auto/x", "\u0661/4", "1/" + "9" * 5000],
+    ["", "0/4", "5/4", "1", "1/", "-1/4", "1/4/2", "1.0/4", " 1/4", "1/9999999", "auto4", "auto/",
+     "auto/0", "\u0661/4", "1/" + "9" * 5000],
 )  # fmt: skip
 def test_what_is_no_shard_is_refused(text):
     with pytest.raises(UsageError):
@@ -83,11 +83,8 @@ AWS = {"AWS_BATCH_JOB_ARRAY_INDEX": "2", "AWS_BATCH_JOB_ARRAY_SIZE": "10"}
     ("text", "environment", "expected"),
     [
         ("auto", array(0), "1/4"),
-        ("auto", array(3), "4/4"),
-        ("auto", array(1, lowest=1), "1/4"),
         ("auto", array(9, lowest=3, step=2), "4/4"),
-        ("auto/4", array(2), "3/4"),
-        ("auto", array(2) | {"MSAL_SHARDS": "4"}, "3/4"),
+        ("auto/4", array(2) | {"MSAL_SHARDS": "9"}, "3/4"),
         ("auto", {"SLURM_PROCID": "1", "SLURM_NTASKS": "4"}, "2/4"),
         (
             "auto",
@@ -96,12 +93,10 @@ AWS = {"AWS_BATCH_JOB_ARRAY_INDEX": "2", "AWS_BATCH_JOB_ARRAY_SIZE": "10"}
         ),
         ("auto", {"SLURM_PROCID": "1", "SLURM_NTASKS": "9", "SLURM_STEP_NUM_TASKS": "2"}, "2/2"),
         ("auto", {"SLURM_JOB_ID": "17", "SLURM_PROCID": "0", "SLURM_NTASKS": "1"}, "1/1"),
-        ("auto", AWS, "3/10"),
+        ("auto", AWS | {"SLURM_ARRAY_TASK_ID": ""}, "3/10"),
         ("auto/5", {"AWS_BATCH_JOB_ARRAY_INDEX": "2"}, "3/5"),
-        ("auto/5", {"JOB_COMPLETION_INDEX": "4"}, "5/5"),
         ("auto", {"JOB_COMPLETION_INDEX": "0", "MSAL_SHARDS": "5"}, "1/5"),
         ("auto/6", {"JOB_COMPLETION_INDEX": "0", "MSAL_SHARDS": "5"}, "1/6"),
-        ("auto", AWS | {"SLURM_ARRAY_TASK_ID": ""}, "3/10"),
     ],
 )
 def test_systems_are_understood(text, environment, expected):
@@ -112,24 +107,18 @@ def test_systems_are_understood(text, environment, expected):
     ("text", "environment", "words"),
     [
         ("auto", {}, "no variable of"),
-        ("auto", {"MSAL_SHARDS": "4"}, "no variable of"),
         ("auto", {"JOB_COMPLETION_INDEX": "0"}, "how many shards"),
-        ("auto", {"AWS_BATCH_JOB_ARRAY_INDEX": "0"}, "how many shards"),
         ("auto/5", {"JOB_COMPLETION_INDEX": "5"}, "none of 5 shards"),
         ("auto/5", {"JOB_COMPLETION_INDEX": "-1"}, "not a whole number"),
-        ("auto/5", {"JOB_COMPLETION_INDEX": "x\n"}, "not a whole number"),
         ("auto", {"JOB_COMPLETION_INDEX": "0", "MSAL_SHARDS": "none"}, "MSAL_SHARDS=none"),
         ("auto/9", AWS, "runs 10 processes"),
-        ("auto", AWS | {"MSAL_SHARDS": "9"}, "runs 10 processes"),
         ("auto", AWS | {"AWS_BATCH_JOB_ARRAY_INDEX": "10"}, "none of 10 shards"),
         ("auto", AWS | array(0), "different things"),
         # --array=1,2,7 and --array=1,4: places that cannot be counted out
         ("auto", array(7, lowest=1, count=3), "none of 3 shards"),
         ("auto", array(4, lowest=1, step=2, count=2), "none of 2 shards"),
-        ("auto", array(4, step=0), "none of 4 shards"),
         ("auto", {"SLURM_ARRAY_TASK_ID": "1"}, "SLURM_ARRAY_TASK_MIN"),
         ("auto", {"SLURM_PROCID": "4", "SLURM_NTASKS": "4"}, "none of 4 shards"),
-        ("auto", {"SLURM_PROCID": "0"}, "SLURM_NTASKS"),
         (
             "auto",
             {"SLURM_JOB_ID": "17", "SLURM_PROCID": "0", "SLURM_NTASKS": "4"},

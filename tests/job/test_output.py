@@ -99,14 +99,8 @@ def test_a_conversion_is_read_back_and_says_what_is_lost(path):
 
 @pytest.mark.parametrize(
     ("path", "to", "format_"),
-    [
-        ("out.obj", None, "obj"),
-        ("out.STL", None, "stl"),
-        ("out.obj", ".PLY", "ply"),
-        ("out.txt", None, "obj"),
-        (None, None, "obj"),
-        (None, "off", "off"),
-    ],
+    [("out.STL", None, "stl"), ("out.obj", ".PLY", "ply"), ("out.txt", None, "obj")]
+    + [(None, None, "obj"), (None, "off", "off")],
 )
 def test_the_format_is_that_which_is_asked_for(path, to, format_):
     assert output._target(opened(), path, Settings("none", {}, to=to)) == format_

@@ -50,11 +50,9 @@ def test_values_become_those_of_settings():
     ("given", "argument", "option"),
     [
         ({"prefer": "looks"}, "prefer = 'looks'", "--prefer = 'looks'"),
-        ({"strength": 3}, "strength = 3 is not", "--strength = 3 is not"),
         ({"budget": 0.5}, "budget = 0.5 is not", "--auto-budget = 0.5 is not"),
         ({"budget": "much"}, "budget is 'much'", "--auto-budget is 'much'"),
         ({"max_move": 0}, "max_move 0.0: this is no length", "--max-move 0.0: this is no length"),
-        ({"min_noise": "x"}, "min_noise x: this is no", "--min-noise x: this is no"),
         ({"lock": ["a"]}, "lock a: this is neither", "--lock a: this is neither"),
         ({"to": "plz"}, "to plz: there is no such", "--to plz: there is no such"),
         ({"format": "x"}, "format x: there is no such", "--format x: there is no such"),
