@@ -8,12 +8,11 @@ again, so ``Started`` can come twice for one index; ``Finished`` comes exactly o
 from __future__ import annotations
 
 import collections
-import os
 from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from msal_cli.job.room import LARGE_BYTES
+from msal_cli.job.room import LARGE_BYTES, input_bytes
 from msal_cli.job.settings import (
     NO_LIMITS,
     Limits,
@@ -268,11 +267,8 @@ def estimate_memory(
     largest_light = 0
     per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
     for index, task in tasks.items():
-        try:
-            # A listing of a store includes sizes.
-            size = task.input_mark.size if task.input_mark else os.stat(task.input).st_size
-        except (OSError, ValueError):
-            # It is gone; the reader will report that.
+        if (size := input_bytes(task)) is None:
+            # The reader will report that.
             continue
         if size < LARGE_BYTES:
             largest_light = max(largest_light, size)

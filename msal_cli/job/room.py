@@ -76,7 +76,7 @@ def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractCon
     """Room for one file to be denoised; errors as of ``find_scratch``, and TooLargeError."""
     has_limits = limits.memory_bytes is not None or limits.max_faces is not None
     # Of a file that cannot be looked at the reader says why.
-    if not has_limits and (_input_bytes(task) or 0) < LARGE_BYTES:
+    if not has_limits and (input_bytes(task) or 0) < LARGE_BYTES:
         return nullcontext()
     expected = forecast(task, settings)
     refuse_faces(expected.faces, limits)
@@ -297,7 +297,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
     """A record of a file that is planned, with its size and the seconds that it will take; failed
     where its size and its first 64 KB show that it will fail."""
     expected = forecast(task, settings)
-    size = _input_bytes(task)
+    size = input_bytes(task)
     n = expected.vertices
     if expected.format == "stl" and expected.faces is not None:
         # A closed surface has half as many vertices as facets, once its corners are welded.
@@ -323,7 +323,8 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
     return replace(record, format=expected.format or None, planned=planned)
 
 
-def _input_bytes(task: Task) -> int | None:
+def input_bytes(task: Task) -> int | None:
+    """The size of an input, by the listing of a store or the system; None where it is gone."""
     try:
         return task.input_mark.size if task.input_mark else os.stat(task.input).st_size
     except (OSError, ValueError):
