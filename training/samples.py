@@ -158,7 +158,11 @@ def carve(vertices: Floats, faces: Ints, generator: Generator) -> tuple[Floats, 
         mesh.vertices / unit, mesh.faces.astype(np.int64), np.zeros(len(mesh.faces), np.int64)
     )
     amount = wavelength * float(generator.uniform(0.03, 0.15))
-    carved = relief.apply_relief(labelled, maker, wavelength, amount, generator)
+    try:
+        carved = relief.apply_relief(labelled, maker, wavelength, amount, generator)
+    except ValueError:
+        # Decimating may leave an edge with more than two faces.
+        return vertices, faces
     return carved.vertices * unit, mesh.faces
 
 

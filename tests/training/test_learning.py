@@ -15,7 +15,7 @@ from msal_cli.kernels.normal_regression import GLOBALS, STATISTICS, count_vector
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import torus
 from training import regression
-from training.samples import collect_samples, draw_meshes
+from training.samples import carve, collect_samples, draw_meshes
 from training.scans import SHARES, draw_scan
 
 SHAPES = [("torus", *torus(40, 20)), ("thin", *torus(40, 16, 3.0, 0.5))]
@@ -112,3 +112,12 @@ def test_training_lowers_the_error_and_repeats_bit_for_bit(samples, monkeypatch)
     for mesh in meshes:
         mesh.advance(network)
     assert np.mean([mesh.mean_angle(mesh.earlier) for mesh in meshes]) < before
+
+
+def test_relief_leaves_a_mesh_with_three_faces_on_an_edge():
+    vertices, faces = torus()
+    corners = np.append(faces[0, :2], len(vertices))
+    vertices = np.vstack([vertices, [[0.0, 0.0, 9.0]]])
+    faces = np.vstack([faces, corners[None]]).astype(np.int32)
+    carved = carve(vertices, faces, np.random.default_rng(1))
+    assert carved[0] is vertices and carved[1] is faces
