@@ -1,5 +1,5 @@
-"""How far a run is: bars on a terminal, over its files or over the sweeps of a single mesh, and
-lines in a log."""
+"""How far a run is: on a terminal a bar over its files, or a line on a single mesh; and lines in a
+log."""
 
 from __future__ import annotations
 
@@ -61,35 +61,20 @@ class Silent:
             self._bar.close()
 
 
-class SweepBar(Silent):
-    """A bar for one mesh: the stage it is at, and the sweeps."""
+class StageLine(Silent):
+    """A line for one mesh: the stage that it is at, and how many sweeps are done."""
 
     def __init__(self, name: str, *, is_large: bool = False) -> None:
         self._name = _shorten(name)
-        self._stage = ""
         self._wakes = time.monotonic() + (0.0 if is_large else _DELAY_S)
-        self._bar = self._make_empty()
-
-    def _make_empty(self) -> Any:
-        delay = max(0.0, self._wakes - time.monotonic())
-        return _make_bar(total=1, bar_format="{desc}", delay=delay)
+        self._bar = _make_bar(total=1, bar_format="{desc}", delay=_DELAY_S)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
         """Show the stage; the steps of choosing and sweeps are counted."""
-        is_counted = stage in _COUNTED and done > 0
-        if stage != self._stage and self._bar.n:
-            # Another stage is counted from its own beginning, at its own pace.
-            self._bar.close()
-            self._bar = self._make_empty()
-        if stage != self._stage or is_counted == (self._bar.bar_format == "{desc}"):
-            self._stage = stage
-            self._bar.bar_format = _FORMAT if is_counted else "{desc}"
-            self._bar.set_description_str(f"{self._name}: {stage}", refresh=False)
-            if time.monotonic() >= self._wakes:
-                self._bar.refresh()
-        if is_counted:
-            self._bar.total = total
-            self._bar.update(done - self._bar.n)
+        text = f"{self._name}: {_stage_text(stage, done, total)}"
+        self._bar.set_description_str(text, refresh=False)
+        if time.monotonic() >= self._wakes:
+            self._bar.refresh()
 
 
 class FileBar(Silent):
@@ -149,8 +134,8 @@ class Log(Silent):
         """Say the stage of a mesh after a while."""
         if time.monotonic() >= self._said + _SILENT_S:
             self._said = time.monotonic()
-            steps = f" {done:,} of {total:,}" if stage in _COUNTED and total > 0 else ""
-            console.say(f"{escape_for_display(self._name)}: {stage}{steps}")
+            name = escape_for_display(self._name)
+            console.say(f"{name}: {_stage_text(stage, done, total)}")
 
     def _say_files(self, event: Finished) -> None:
         from msal_cli.report.text import file_text
@@ -179,20 +164,20 @@ def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
     if not console.is_terminal(sys.stderr):
         return Log(tasks)
     if is_set:
-        return SweepBar(f"{len(tasks):,} files as one")
+        return StageLine(f"{len(tasks):,} files as one")
     if len(tasks) > 1:
         return FileBar(tasks)
     size = 0
     with suppress(OSError, ValueError):
         size = Path(tasks[0].input).stat().st_size
-    return SweepBar(tasks[0].relative, is_large=size >= _LARGE_BYTES)
+    return StageLine(tasks[0].relative, is_large=size >= _LARGE_BYTES)
 
 
 def stream_bar(name: str, *, quiet: bool) -> Silent:
     """The bar for a single mesh from a stream, or lines as of ``bar``."""
     if quiet:
         return Silent()
-    return SweepBar(name) if console.is_terminal(sys.stderr) else Log((), name)
+    return StageLine(name) if console.is_terminal(sys.stderr) else Log((), name)
 
 
 @contextmanager
@@ -208,6 +193,11 @@ def picture_bar(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
             shown.update(done - shown.n)
 
         yield show
+
+
+def _stage_text(stage: str, done: int, total: int) -> str:
+    is_counted = stage in _COUNTED and total > 1
+    return f"{stage} {done:,} of {total:,}" if is_counted else stage
 
 
 def _shorten(name: str) -> str:

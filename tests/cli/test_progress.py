@@ -98,24 +98,18 @@ def test_a_log_of_many_files_has_a_line_every_few_seconds(monkeypatch):
     assert re.fullmatch(r"\[3/4\] 1 failed; about \S+ s left\n", stream.getvalue())
 
 
-def test_a_bar_over_sweeps(monkeypatch):
+def test_a_line_on_one_mesh(monkeypatch):
     stream = on_a_terminal(monkeypatch)
-    todo = tasks("scan.ply")
-    bar = progress.bar(todo, quiet=False)
-    bar.on_event(Started(0))
-    bar.on_event(Progress(0, "read", 0, 1))
-    assert frames(stream)[-1] == "scan.ply: read"
-    bar.on_event(Progress(0, "choose", 0, 1))
-    assert frames(stream)[-1] == "scan.ply: choose"
-    bar.on_event(Progress(0, "choose", 3, 12))
-    assert "3/12" in frames(stream)[-1]
-    assert frames(stream)[-1].startswith("scan.ply: choose  25 %|")
-    bar.on_event(Progress(0, "sweeps", 0, 1))
-    for done in (1, 2, 3):
-        bar.on_event(Progress(0, "sweeps", done, 4))
-        assert f"{done}/4" in frames(stream)[-1]
-        assert frames(stream)[-1].startswith(f"scan.ply: sweeps {25 * done:3} %|")
-    bar.on_event(Progress(0, "measure", 0, 1))
-    assert frames(stream)[-1] == "scan.ply: measure"
-    bar.on_event(Finished(0, written()))
-    bar.close()
+    line = progress.bar(tasks("scan\x1b.ply"), quiet=False)
+    line.on_event(Started(0))
+    for event, text in (
+        (("read", 0, 1), "read"),
+        (("choose", 0, 1), "choose"),
+        (("choose", 3, 12), "choose 3 of 12"),
+        (("sweeps", 4, 4), "sweeps 4 of 4"),
+        (("measure", 0, 1), "measure"),
+    ):
+        line.on_event(Progress(0, *event))
+        assert frames(stream)[-1] == f"scan\\x1b.ply: {text}"
+    line.on_event(Finished(0, written()))
+    line.close()

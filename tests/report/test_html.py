@@ -9,7 +9,7 @@ from html.parser import HTMLParser
 from xml.etree import ElementTree as Xml
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from msal_cli.job.display_names import escape_for_display
@@ -113,6 +113,8 @@ def test_two_thousand_files_are_a_small_page():
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=50))
+@example([-1.7e308, 0.0, 1.7e308])
+@example([5e-324, 0.0])
 def test_a_histogram_counts_every_value(values):
     edges, counts = as_html.bin_values(sorted(values))
     assert sum(counts) == len(values)
