@@ -26,10 +26,6 @@ _WRITERS = {
 }
 
 
-def suffixes() -> tuple[str, ...]:
-    return tuple(_WRITERS)
-
-
 def writer(name: str, *, has_all_columns: bool = False) -> Writer:
     """The function that makes the bytes of a report of this name; UsageError for another suffix.
 
