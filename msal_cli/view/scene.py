@@ -312,10 +312,25 @@ def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> 
     stays[outward], goes[outward] = goes[outward], stays[outward].copy()
     moved = np.arange(len(vertices))
     moved[goes] = stays
-    for _ in range(_CHECKS if is_checked else 0):
-        # What holds a face that turns stays; that may turn others.
-        bad = _turn(vertices, faces, moved)
-        moved[bad] = bad
+    if is_checked:
+        pair = np.full(len(vertices), -1)
+        pair[goes] = np.arange(len(goes))
+        for check in range(_CHECKS):
+            failed = np.unique(pair[_turn(vertices, faces, moved)])
+            failed = failed[failed >= 0]
+            if not len(failed):
+                break
+            moved[goes[failed]] = goes[failed]
+            pair[goes[failed]] = -1
+            if check == 0:
+                # What one end cannot do, the other may.
+                failed = failed[is_rim[goes[failed]] == is_rim[stays[failed]]]
+                goes[failed], stays[failed] = stays[failed], goes[failed].copy()
+                moved[goes[failed]] = stays[failed]
+                pair[goes[failed]] = failed
+        else:
+            bad = _turn(vertices, faces, moved)
+            moved[bad] = bad
     after = moved[faces]
     return after[_has_area(after)]
 

@@ -122,6 +122,9 @@ def test_the_surface_stays_where_it_is_and_faces_outwards():
     vertices, faces = torus(120, 60)
     coarse = scene.coarsen(vertices, faces, 3000)
     corner = vertices[coarse.kept][coarse.faces]
+    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    outward = Mesh(vertices, faces).vertex_normals()[coarse.kept][coarse.faces].sum(axis=1)
+    assert ((normals * outward).sum(axis=1) > 0.0).all()
     volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
     assert volume == pytest.approx(2 * np.pi**2 * 3.0, rel=0.02)
     assert areas(vertices[coarse.kept], coarse.faces).sum() == pytest.approx(
