@@ -108,7 +108,13 @@ TO_FILE, DASK, STREAM = "a.ply -o out ", "--engine dask --scheduler ", "- -o out
         (TO_FILE + "--weights q --method taubin", "taubin has none"),
         *(
             (STREAM + word, f"{word.split(' ')[0]} is for files, not for standard input")
-            for word in ("--include x", "--exclude x", "--dry-run", "--shard 1/2", "--fail-fast")
+            for word in (
+                "--include x",
+                "--timeout 5",
+                "--memory-limit 2G",
+                "--dry-run",
+                "--shard 1/2",
+            )
         ),
         (STREAM + "--retries 0", "--retries is for files"),
         (STREAM + "--max-failures 1", "--max-failures is for files"),
