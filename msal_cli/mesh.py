@@ -259,7 +259,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
         used_vertices,
     )
 
-    vertices, faces, (low, high) = _validate_arrays(vertices, faces)
+    vertices, faces, (low, high) = validate_arrays(vertices, faces)
     n_file = len(vertices)
     ranks = None
     if n_file >= spatial_order.MIN_VERTICES and spatial_order.is_random(faces):
@@ -395,7 +395,7 @@ def bounds(vertices: Floats) -> tuple[Floats, Floats]:
     return ends[0], ends[1]
 
 
-def _validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
+def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[Floats, Floats]]:
     """The arrays with the right shape and type and the vertices' bounds, or the reason why they
     cannot be used."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)

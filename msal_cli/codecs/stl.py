@@ -292,8 +292,8 @@ class StlFile(_FacetFile):
                 output[part] = before[part]
                 replace_facets(first, last, *mesh, normals[begin:], corners[begin:], none)
 
-        for begin, *mesh in self._parts(vertices):
-            over_ranges(write, len(mesh[2]), begin, *mesh)
+        for begin, old, new, faces in self._parts(vertices):
+            over_ranges(write, len(faces), begin, old, new, faces)
         return output.data
 
     def _parts(self, vertices: Floats) -> Iterator[tuple[int, Floats, Floats, Ints]]:
@@ -334,8 +334,8 @@ class StlFile(_FacetFile):
             facet, status = stl_facets.check_facets(start, stop, *mesh, *others)
             results.append((begin + facet, status))
 
-        for begin, *mesh in self._parts(vertices):
-            over_ranges(check_range, len(mesh[2]), begin, *mesh)
+        for begin, before_part, after_part, faces in self._parts(vertices):
+            over_ranges(check_range, len(faces), begin, before_part, after_part, faces)
         messages = {
             stl_facets.WRONG_CORNER: "a corner was not written right",
             stl_facets.WRONG_NORMAL: "a normal was not written right",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints
+from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
@@ -129,6 +129,16 @@ def sort_in_space(
     over_ranges(_key_faces, m, faces, keys)
     keys.sort()
     return vertices, _gather_rows(faces, keys), ranks
+
+
+def begins_cell(vertices: Floats, low: Floats, extent: float) -> Flags:
+    """Whether each of the vertices (n, 3) of ``sort_in_space`` is the first in its cell, (n,)."""
+    keys = np.empty(len(vertices), dtype=np.uint64)
+    over_ranges(_key_vertices, len(vertices), vertices, low, _CELLS / extent, keys)
+    keys >>= _HIGH
+    is_first = np.ones(len(vertices), dtype=bool)
+    np.not_equal(keys[1:], keys[:-1], out=is_first[1:])
+    return is_first
 
 
 def order_vertices(

@@ -54,6 +54,7 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
     code = viewer.script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
     looks = viewer.style() + asset(__file__, "page.css")
     notes = [
+        *_thinning(scene),
         *_decimation(drawn),
         *_precision(drawn),
         *_warnings(scene),
@@ -91,6 +92,9 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
 def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
     """Tables of numbers for beside a scene: a heading, and rows of a name and a value."""
     record, mesh = scene.record, scene.before
+    if scene.counts and record is None:
+        ((n_faces, n_vertices),) = scene.counts
+        return [("Mesh", [("Vertices", f"{n_vertices:,}"), ("Triangles", f"{n_faces:,}")])]
     if record is None:
         rows: Rows = [
             ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
@@ -174,6 +178,19 @@ def _warnings(scene: Scene) -> list[str]:
     if scene.record.volume is not None and scene.record.volume.reason:
         texts.append(f"No volume: {scene.record.volume.reason}.")
     return texts
+
+
+def _thinning(scene: Scene) -> list[str]:
+    """What the pictures show of meshes beyond the memory."""
+    meshes = (scene.before, scene.after)
+    parts = [
+        f"{pictures.count_of_vertices(mesh):,} of {n_vertices:,} vertices"
+        for mesh, (_, n_vertices) in zip(meshes, scene.counts, strict=False)
+        if mesh is not None
+    ]
+    if not parts:
+        return []
+    return [f"Beyond the memory: {' and '.join(parts)} are drawn, one in each cell of a grid."]
 
 
 def _decimation(drawn: EncodedScene) -> list[str]:

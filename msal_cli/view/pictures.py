@@ -10,6 +10,7 @@ import numpy as np
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.measures import measure_enclosure
 from msal_cli.arrays import Floats, Ints
+from msal_cli.errors import MsalError
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.job.display_names import figure
@@ -19,6 +20,7 @@ from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.colours import Scale, scale_of
 from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
+from msal_cli.view.thinning import choose_vertices, is_to_be_thinned, thin
 
 COLOURS = ("auto", "file", "deviation", "none")
 """What colours show: the files' own and the deviation, one of the two, or nothing."""
@@ -50,6 +52,7 @@ class Scene:
     record : the numbers; None for one mesh.
     colours : one for each mesh, (n, 3) of its vertices or None; empty where none were read.
     notes : what could not be shown of the files, by name.
+    counts : triangles and vertices of each file where the meshes are thinned (``thinning``).
     """
 
     names: tuple[str, ...]
@@ -60,6 +63,14 @@ class Scene:
     record: ComparisonRecord | None = None
     colours: tuple[Image | None, ...] = ()
     notes: tuple[str, ...] = ()
+    counts: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def edge(self) -> float:
+        """The mean edge length of the first file's mesh."""
+        record = self.record
+        known = None if record is None else record.mean_edge_length
+        return self.before.mean_edge_length if known is None else known
 
     def painted(self, at: int) -> Image | None:
         """The file's colours of mesh ``at``; None where it has none."""
@@ -99,6 +110,8 @@ def scene_of(
     Where the faces are not the same, the distance to the surface is measured if ``to_surface`` and
     if the library for that is installed.  ContentError names a file without a surface to draw.
     """
+    if is_to_be_thinned(before) or (after is not None and is_to_be_thinned(after)):
+        return _thinned_scene(before, after, names)
     first = prepare_surface(before, names[0])
     if after is None:
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
@@ -119,6 +132,27 @@ def scene_of(
         distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
     scene = Scene(names, first.mesh, there, distances, False, record)
     return _with_colours(scene, (before, after), (first, second))
+
+
+def _thinned_scene(before: Surface, after: Surface | None, names: tuple[str, ...]) -> Scene:
+    """The scene of a part of the vertices, with the numbers of all."""
+    surfaces, record, is_same = [before], None, False
+    if after is not None:
+        surfaces.append(after)
+        record = comparison.compare_meshes(before, after, *names, to_surface=False)
+        is_same = before.has_same_faces(after)
+    thinned: list[Surface] = []
+    for surface, name in zip(surfaces, names, strict=True):
+        if not (is_same and thinned):
+            try:
+                kept, faces = choose_vertices(surface)
+            except MsalError as error:
+                error.path = error.path or name
+                raise
+        thinned.append(thin(surface, kept, faces))
+    counts = tuple((len(surface.faces), len(surface.vertices)) for surface in surfaces)
+    scene = scene_of(thinned[0], thinned[1] if after is not None else None, names)
+    return replace(scene, record=record, counts=counts)
 
 
 def _with_colours(
@@ -184,7 +218,7 @@ def draw_picture(scene: Scene, view: View) -> Image:
     scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:
         return draw_panels(panels, style=style)
-    edge = scene.before.mean_edge_length
+    edge = scene.edge
     beyond = float((abs(scene.deviation) > scale.high).mean())
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
     if not has_moved(scene):
@@ -209,7 +243,7 @@ def scale_of_scene(scene: Scene) -> Scale | None:
         scene.deviation,
         is_signed=scene.is_signed,
         rounding=_rounding(scene),
-        if_none=scene.before.mean_edge_length,
+        if_none=scene.edge,
     )
 
 
@@ -274,7 +308,11 @@ def count_of_vertices(mesh: Mesh) -> int:
 def _counts(scene: Scene, at: int) -> str:
     """How large a mesh is, the one before or the one after."""
     mesh = scene.after if at and scene.after is not None else scene.before
-    return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"
+    n_drawn = count_of_vertices(mesh)
+    if scene.counts:
+        n_faces, n_vertices = scene.counts[at]
+        return f"{n_faces:,} triangles, {n_vertices:,} vertices ({n_drawn:,} drawn)"
+    return f"{len(mesh.faces):,} triangles, {n_drawn:,} vertices"
 
 
 def _changes(record: ComparisonRecord) -> list[str]:
