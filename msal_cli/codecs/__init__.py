@@ -71,9 +71,12 @@ def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple
 
     Only an OBJ stores normals that several places of the surface share.
     """
+    if mesh_file.format != "obj":
+        return ()
     from msal_cli.codecs import obj
 
-    return mesh_file.normal_warnings(vertices) if isinstance(mesh_file, obj.ObjFile) else ()
+    assert isinstance(mesh_file, obj.ObjFile)
+    return mesh_file.normal_warnings(vertices)
 
 
 def with_companions(

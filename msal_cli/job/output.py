@@ -56,13 +56,14 @@ def build_output(
     InternalError if the output does not hold what it should.
     """
     from msal_cli import codecs
-    from msal_cli.codecs import conversion, detection
     from msal_cli.storage import gzip_streams
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     target = _target(mesh_file, path, settings)
     how = settings.encoding, settings.precision
     if target != mesh_file.format:
+        from msal_cli.codecs import conversion, detection
+
         output, losses = conversion.convert(mesh_file, vertices, target, *how)
         if losses and settings.strict:
             raise LossError(
