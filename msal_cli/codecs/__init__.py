@@ -55,15 +55,14 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.codecs import threemf
 
         return threemf.ThreeMfFile(data)
-    from msal_cli.codecs import off, slot_file, vtk, vtk_xml
+    if wanted in ("vtu", "vtp"):
+        from msal_cli.codecs import vtk_xml
 
-    parsers = {
-        "off": off.parse,
-        "vtk": vtk.parse,
-        "vtu": vtk_xml.parse_vtu,
-        "vtp": vtk_xml.parse_vtp,
-    }
-    return slot_file.SlotFile(data, wanted, parsers[wanted])
+        return vtk_xml.VtkXmlFile(data, wanted)
+    from msal_cli.codecs import off, slot_file, vtk
+
+    layout = off.parse(data) if wanted == "off" else vtk.parse(data)
+    return slot_file.SlotFile(data, wanted, layout)
 
 
 def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:

@@ -80,7 +80,7 @@ class SceneFile(SlotFile):
         self.scene = scene
         self.text = text.decode("latin-1")
         scene.read_parts()
-        super().__init__(scene.data.data, self.format, lambda _: _layout(scene))
+        super().__init__(scene.data.data, self.format, _layout(scene))
 
     def replaced(self, vertices: Floats) -> Buffer:
         if np.array_equal(vertices, self.vertices):

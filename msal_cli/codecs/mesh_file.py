@@ -151,22 +151,6 @@ def transform(points: Floats, frame: Floats) -> Floats:
     return result
 
 
-Shift = Callable[[int], int]
-"""By how many bytes a place of the input moves, new positions and normals being written."""
-
-
-@dataclass(frozen=True, eq=False)
-class Dependent:
-    """Bytes that depend on positions: counts of bytes up to a place, or bounds.
-
-    ``text(old, positions, shift)`` are the bytes that stand for ``old``.
-    """
-
-    start: int
-    stop: int
-    text: Callable[[bytes, Sequence[Floats], Shift], bytes]
-
-
 _NONE = np.empty(0, dtype=np.int64)
 
 
@@ -178,7 +162,7 @@ class Layout:
     ----------
     encoding, precision : as in ``mesh_file.MeshFile``.
     positions : arrays of positions (n_i, 3), whose rows one behind the other are the vertices;
-        ``RecordSlots`` in binary files, in which nothing else depends on them, else ``UnitSlots``.
+        ``RecordSlots`` in binary files.
     corners : (c,) int64, the vertices of all surface polygons, one polygon behind the other.
     sizes : (p,) int64, how many corners each polygon has, at least 3.
     faces : (m, 3) int32, the triangles, where the parser has made them and checked them and the
@@ -191,7 +175,6 @@ class Layout:
     frames : for each array of positions, the transform (4, 4) from it to the vertices; empty where
         they are the same.
     held : what cells the file has, for the message where none is a surface.
-    dependents : what else changes with positions, none of it inside a unit of theirs.
     """
 
     encoding: str
@@ -205,13 +188,9 @@ class Layout:
     warnings: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
     held: str = ""
-    dependents: tuple[Dependent, ...] = ()
     faces: Ints | None = None
     vertices: Floats | None = None
     renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
-
-
-Parse = Callable[[Buffer], Layout]
 
 
 def require_finite(

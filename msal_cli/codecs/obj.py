@@ -37,7 +37,6 @@ from msal_cli.codecs.slots import Change, require_range
 from msal_cli.codecs.text_slots import (
     SHORTEST,
     SHORTEST_SINGLE,
-    Patch,
     Statements,
     extent_decimals,
     line_of,
@@ -129,7 +128,7 @@ class ObjFile(SlotFile):
     _layout: _ObjLayout
 
     def __init__(self, data: Buffer) -> None:
-        super().__init__(data, "obj", lambda data: _Reader(data).read())
+        super().__init__(data, "obj", _Reader(data).read())
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with every position (n, 3) written in a precision.
@@ -154,11 +153,10 @@ class ObjFile(SlotFile):
         require_range(vertices, is_all, (code,) * 3, first=1)
         patches = []
         for slots, values, is_changed in (Change(positions, vertices, is_all), *changes):
-            assert isinstance(slots, Statements)
             styles = np.full(len(values), style, dtype=np.uint8)
-            values = values.astype(code).astype(np.float64, order="C", copy=False)
-            patches.append(Patch(slots, values, styles, is_changed))
-        return replace_statements(patches[0].slots.data, patches)
+            values = values.astype(code).astype(np.float64)
+            patches.append(slots.make_patch(values, is_changed, styles))
+        return replace_statements(as_bytes(self._data), patches)
 
     def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
         """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""
@@ -218,6 +216,12 @@ class _Rows(NamedTuple):
 
     def first(self, n_rows: int) -> _Rows:
         return _Rows(self.values[:n_rows], self.at[:n_rows], self.decimals[:n_rows])
+
+
+def _make_slots(kind: type[Statements], buf: Bytes, rows: _Rows, skipped: int) -> Statements:
+    slots = kind(buf, rows.at, values=rows.values, skipped=skipped)
+    slots.used = rows.decimals
+    return slots
 
 
 def _empty_rows(n_rows: int) -> _Rows:
@@ -296,7 +300,7 @@ class _Reader:
         layout = _ObjLayout(
             "ascii",
             "text",
-            (_Positions(buf, positions.at, positions.decimals, 1, values=positions.values),),
+            (_make_slots(_Positions, buf, positions, 1),),
             corners,
             sizes,
             faces=faces,
@@ -308,9 +312,9 @@ class _Reader:
         corner_normals = self._corner_normals[:n_corners]
         corner_normals[corner_normals >= n_normals] = -1
         if n_normals and (corner_normals >= 0).any():
-            values, at, decimals = normals
+            values = normals.values
             entries = layout.face_normals = cut_polygons(corner_normals, sizes)
-            slots = Statements(buf, at, decimals, 2, values=values)
+            slots = _make_slots(Statements, buf, normals, 2)
             slots.unit_length, slots.significant = True, _NO_LIMIT
             layout.normals = (slots,)
             layout.renew_normals = functools.partial(_renew_normals, faces, entries, values)

@@ -21,7 +21,7 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import number_within
-from msal_cli.codecs.text_slots import Tokens
+from msal_cli.codecs.text_slots import TextSlots
 from msal_cli.codecs.tokens import Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, ContentError, FormatError, InputError, UnsupportedError
 from msal_cli.storage.regular import Buffer
@@ -65,7 +65,7 @@ def parse(data: Buffer) -> Layout:
             raise by_lines from None
     at, corners, sizes, extra = parsed.at, parsed.corners, parsed.sizes, parsed.n_extra
     positions = words.float_rows(at)
-    normals: tuple[Tokens, ...] = ()
+    normals: tuple[TextSlots, ...] = ()
     if has_normals:
         # MeshLab writes NCOFF, and colours of four numbers first; all others CNOFF, normals first.
         first_normal = 7 if kinds.startswith(b"NC") else 3

@@ -36,6 +36,7 @@ from msal_cli.codecs.ply_header import (
 )
 from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
+from msal_cli.codecs.text_slots import plan_patches, replace_statements
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
@@ -543,7 +544,7 @@ class PlyFile(SlotFile):
     _layout: PlyLayout
 
     def __init__(self, data: Buffer) -> None:
-        super().__init__(data, "ply", parse)
+        super().__init__(data, "ply", parse(data))
         surface = self._layout.surface
         self.n_polygons = len(surface.lengths) + surface.n_strip_triangles
         self.grid = surface.grid
@@ -604,7 +605,8 @@ class PlyFile(SlotFile):
             retyped = copy.copy(self)
             retyped._layout = replace(layout, positions=(positions,))
             changes = retyped._changes(vertices)
-            lines = retyped._spliced(changes, vertices) if changes else data.data
+            patches = plan_patches(changes, have_own=False)
+            lines = replace_statements(data, patches) if changes else data.data
             return text + lines[old.size :]
         values = {("vertex", name): vertices[:, k] for k, name in enumerate(POSITION)}
         for element, (_, normals, _) in zip(

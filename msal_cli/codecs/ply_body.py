@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.ply_header import CUT_HINT, NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
-from msal_cli.codecs.text_slots import Statements, TextSlots, Tokens, line_of, number_hint
+from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
 from msal_cli.errors import FormatError, InputError, TruncatedError
 
 _SAMPLE = 4_096
@@ -139,7 +139,9 @@ class Lines(Part):
         if values is not None and names != self.kept:
             values = np.ascontiguousarray(values[:, [self.kept.index(name) for name in names]])
         if values is not None and names in self.statements:
-            slots = Statements(self.data, *self.statements[names], values=values)
+            at, used = self.statements[names]
+            slots = Statements(self.data, at, values=values)
+            slots.used = used
         else:
             starts, stops = self.spans(names)
             if values is None:
@@ -147,7 +149,7 @@ class Lines(Part):
                 if bad >= 0:
                     raise self.not_a_number(int(starts[bad]), "a number")
                 values = numbers.reshape(self.element.count, len(names))
-            slots = Tokens(self.data, starts, stops, len(names), values=values)
+            slots = TextSlots(self.data, starts, values=values)
         slots.codes = tuple(prop.code for prop in self.element.find_all(names))
         slots.unit_length = slots.whole_rows = names == NORMAL
         slots.significant = ALL_DIGITS

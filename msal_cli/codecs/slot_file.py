@@ -8,43 +8,31 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import (
-    Dependent,
-    Parse,
-    Shift,
-    cut_polygons,
-    require_finite,
-    transform,
-)
+from msal_cli.arrays import Bytes, Flags, Floats, Ints
+from msal_cli.codecs.mesh_file import Layout, cut_polygons, require_finite, transform
 from msal_cli.codecs.slots import (
     Change,
     RecordSlots,
-    UnitSlots,
     check_overwritten,
     overwrite,
     require_range,
-    splice,
 )
 from msal_cli.codecs.text_slots import (
     Patch,
-    Statements,
     TextSlots,
-    is_interleaved,
+    plan_patches,
     replace_statements,
     require_replaced,
 )
 from msal_cli.codecs.tokens import require_indices
-from msal_cli.errors import ContentError, InternalError, MsalError, UnsupportedError
+from msal_cli.errors import ContentError, InternalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
-
-_NONE = np.zeros(0, dtype=np.int64)
 
 _NORMAL_SLACK = 1e-5
 """How far the length of a new normal may be from one."""
@@ -54,16 +42,15 @@ class SlotFile:
     """An opened file; see ``mesh_file.MeshFile`` for the attributes.
 
     Raises ContentError (``E_NO_FACES``, ``E_NONFINITE``, ``E_INDEX``) for a layout that is no
-    mesh, and what ``parse`` raises.
+    mesh.
     """
 
     merged_vertices = 0
 
-    def __init__(self, data: Buffer, format: str, parse: Parse) -> None:
+    def __init__(self, data: Buffer, format: str, layout: Layout) -> None:
         self.format = format
         self._data = data
-        self._parse = parse
-        layout = self._layout = parse(data)
+        self._layout = layout
         self.encoding, self.precision = layout.encoding, layout.precision
         self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
@@ -126,12 +113,16 @@ class SlotFile:
             return self._data
         self._require_ranges(changes)
         require_finite_result(vertices)
+        return self._write(changes, vertices)
+
+    def _write(self, changes: Sequence[Change], vertices: Floats) -> Buffer:
+        data = as_bytes(self._data)
         if self._is_binary:
-            return overwrite(as_bytes(self._data), changes)
-        patches = _patches(changes)
-        if patches:
-            return replace_statements(as_bytes(self._data), patches)
-        return self._spliced(changes, vertices)
+            return overwrite(data, changes)
+        return replace_statements(data, self._plan_patches(changes))
+
+    def _plan_patches(self, changes: Sequence[Change]) -> list[Patch]:
+        return plan_patches(changes)
 
     def _require_ranges(self, changes: Sequence[Change]) -> None:
         """Raise ContentError (``E_RANGE``) for a position that its number type cannot store."""
@@ -163,90 +154,23 @@ class SlotFile:
     def check(self, output: Buffer, vertices: Floats) -> None:
         changes = self._changes(vertices)
         require_finite_result(vertices)
-        data, result = as_bytes(self._data), as_bytes(output)
-        if self._is_binary or not changes:
-            check_overwritten(data, result, changes)
-            return
         for slots, values, is_changed in changes:
             if isinstance(slots, TextSlots) and slots.unit_length:
-                lengths = np.sqrt((values * values).sum(axis=1))
-                is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_changed.any(axis=1)
-                if is_wrong.any():
-                    where = f"normal {np.argmax(is_wrong) + 1}"
-                    raise InternalError("a new normal is not of unit length", where=where)
-        patches = _patches(changes)
-        if patches:
-            require_replaced(data, result, patches)
+                require_unit_length(values, np.asarray(is_changed.any(axis=1)))
+        self._compare(as_bytes(output), changes, vertices)
+
+    def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
+        """Raise InternalError unless ``result`` is what ``_write`` makes of these changes."""
+        data = as_bytes(self._data)
+        if self._is_binary or not changes:
+            check_overwritten(data, result, changes)
         else:
-            self._check_parsed(output, changes, vertices)
+            require_replaced(data, result, self._plan_patches(changes))
 
     @property
     def _is_binary(self) -> bool:
         """Whether all numbers are overwritten in place."""
         return all(isinstance(slots, RecordSlots) for slots in self._layout.positions)
-
-    def _spliced(self, changes: Sequence[Change], vertices: Floats) -> memoryview:
-        """The file with the bytes of all units that changed, and of all that depends on them."""
-        edits = []
-        for slots, values, is_changed in changes:
-            assert isinstance(slots, UnitSlots)
-            units = slots.units(is_changed)
-            text, ends = slots.encode(values, units)
-            edits.append((slots.starts[units], slots.stops[units], text, ends))
-        shift = _shift(
-            (stops, np.diff(ends, prepend=0) - (stops - starts)) for starts, stops, _, ends in edits
-        )
-        for dependent, word in self._dependent_texts(vertices, shift):
-            edits.append((*_span(dependent), np.frombuffer(word, np.uint8), np.array([len(word)])))
-        return splice(as_bytes(self._data), edits)
-
-    def _check_parsed(self, output: Buffer, changes: Sequence[Change], vertices: Floats) -> None:
-        """``check`` for units of any size: the output is parsed again."""
-        result = as_bytes(output)
-        what = f"the {self.format} file that was made"
-        try:
-            there = self._parse(output)
-        except MsalError as failure:
-            raise InternalError(f"{what} cannot be read: {failure}") from failure
-        ours = (*self._layout.positions, *self._layout.normals)
-        theirs = (*there.positions, *there.normals)
-        if [slots.values.shape for slots in ours] != [slots.values.shape for slots in theirs]:
-            raise InternalError(f"{what} has other vertices")
-        if len(there.dependents) != len(self._layout.dependents):
-            raise InternalError(f"{what} has other attributes")
-        # Every unit that did not change must be there byte for byte, the others hold new numbers.
-        before, after = [], []
-        for slots, values, is_changed in changes:
-            new = theirs[next(i for i, own in enumerate(ours) if own is slots)]
-            assert isinstance(slots, UnitSlots) and isinstance(new, UnitSlots)
-            units = slots.units(is_changed)
-            expected, slack = slots.rounded(values)
-            if len(new.starts) != len(slots.starts):
-                raise InternalError(f"{what} has other numbers")
-            with np.errstate(invalid="ignore"):
-                # The last place of a number that is not written exactly may differ.
-                slack = slack + 4.5e-16 * np.abs(expected) * (np.asarray(slack) > 0)
-                is_close = np.abs(new.values - expected) <= slack
-            is_kept = (new.values == slots.values) | np.isnan(new.values) & np.isnan(slots.values)
-            if not np.where(is_changed, is_close, is_kept).all():
-                raise InternalError(f"a number of {what} is not what it should be")
-            before.append((slots.starts[units], slots.stops[units]))
-            after.append((new.starts[units], new.stops[units]))
-        shift = _shift(
-            (old[1], (new[1] - new[0]) - (old[1] - old[0]))
-            for old, new in zip(before, after, strict=True)
-        )
-        for (dependent, text), now in zip(
-            self._dependent_texts(vertices, shift), there.dependents, strict=True
-        ):
-            if result[now.start : now.stop].tobytes() != text:
-                raise InternalError(f"an attribute of {what} is not what it should be")
-            before.append(_span(dependent))
-            after.append(_span(now))
-        from msal_cli.kernels.text import is_same_outside
-
-        if not is_same_outside(as_bytes(self._data), *_in_order(before), result, *_in_order(after)):
-            raise InternalError(f"{what} differs in more than positions and normals")
 
     def _changes(self, vertices: Floats) -> list[Change]:
         """The arrays that change; none where no vertex moves."""
@@ -262,7 +186,7 @@ class SlotFile:
             if slots.whole_rows:
                 is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
             if isinstance(slots, TextSlots):
-                rounded, _ = slots.rounded(values)
+                rounded = slots.rounded(values)
                 if rounded is not values:
                     values, is_changed = rounded, is_changed & (rounded != slots.values)
             changes.append(Change(slots, values, is_changed))
@@ -295,15 +219,6 @@ class SlotFile:
             renew = self._layout.renew_normals or self._renew_normals
             self._last_normals = key, list(renew(self.vertices, vertices))
         return self._last_normals[1]
-
-    def _dependent_texts(self, vertices: Floats, shift: Shift) -> Iterator[tuple[Dependent, bytes]]:
-        """What depends on positions, and the bytes that it should have."""
-        if not self._layout.dependents:
-            return
-        positions = self._to_file(vertices)
-        for dependent in self._layout.dependents:
-            old = bytes(memoryview(self._data)[dependent.start : dependent.stop])
-            yield dependent, dependent.text(old, positions, shift)
 
     def _to_file(self, vertices: Floats) -> list[Floats]:
         """New positions of each array, unmoved rows exactly as they are stored."""
@@ -347,47 +262,11 @@ def require_finite_result(vertices: Floats) -> None:
         raise InternalError("a new position is not finite")
 
 
-def _patches(changes: Sequence[Change]) -> list[Patch]:
-    """The changes where all are statements, else none.
-
-    New numbers have the decimals of their own lines where that is possible for all arrays, else the
-    same ones in each array.
-    """
-    patches, has_own = [], True
-    for slots, values, _ in changes:
-        if not isinstance(slots, Statements) or slots.has_whole_numbers:
-            return []
-        new = np.require(values, np.float64, ("C", "W"))
-        decimals = slots.row_decimals(values)
-        has_own = has_own and decimals is not None
-        patches.append(Patch(slots, new, slots.used if decimals is None else decimals))
-    if has_own and not is_interleaved(patches):
-        return patches
-    if any(patch.slots.whole_rows for patch in patches):
-        return []
-    return [
-        patch._replace(decimals=np.full(len(patch.values), patch.slots.decimals, dtype=np.uint8))
-        for patch in patches
-    ]
-
-
-def _span(dependent: Dependent) -> tuple[Longs, Longs]:
-    return np.array([dependent.start]), np.array([dependent.stop])
-
-
-def _shift(growths: Iterable[tuple[Longs, Longs]]) -> Shift:
-    """What growth of units makes of places; each item is the ends of units and by how many bytes
-    they grow."""
-    pairs = list(growths)
-    stops = np.concatenate([_NONE, *(pair[0] for pair in pairs)])
-    growth = np.concatenate([_NONE, *(pair[1] for pair in pairs)])
-    return lambda at: int(growth[stops <= at].sum())
-
-
-def _in_order(pieces: list[tuple[Longs, Longs]]) -> tuple[Longs, Longs]:
-    starts = np.concatenate([_NONE, *(piece[0] for piece in pieces)])
-    stops = np.concatenate([_NONE, *(piece[1] for piece in pieces)])
-    if (starts[1:] > starts[:-1]).all():
-        return starts, stops
-    order = np.argsort(starts, kind="stable")
-    return starts[order], stops[order]
+def require_unit_length(normals: Floats, is_new: Flags) -> None:
+    """Raise InternalError where a new normal (n, 3) is not of length one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.sqrt((normals * normals).sum(axis=1))
+    is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_new
+    if is_wrong.any():
+        where = f"normal {np.argmax(is_wrong) + 1}"
+        raise InternalError("a new normal is not of unit length", where=where)

@@ -1,8 +1,7 @@
 """Where a file stores an array of numbers, and binary records, overwritten in place.
 
-An array of shape (n, k) lies in *units*, ranges of bytes that are replaced as a whole (in a text
-each number, in encoded data (base64) the whole block; see ``text_slots``), or in records, whose
-numbers keep their places.
+An array of shape (n, k) lies in records, whose numbers keep their places, or in a text (see
+``text_slots``).
 """
 
 from __future__ import annotations
@@ -32,26 +31,8 @@ class Slots:
     codes: tuple[str, ...] = ()
     whole_rows: bool = False
 
-    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
-        """New values (n, k) as they will be read back, and how far off a number may be."""
-        raise NotImplementedError
-
-
-class UnitSlots(Slots):
-    """An array whose new bytes take the place of the old ones, which may be longer or shorter.
-
-    ``starts`` and ``stops`` (q,) int64, disjoint, are the units.
-    """
-
-    starts: Longs
-    stops: Longs
-
-    def units(self, is_changed: Flags) -> Flags:
-        """Which units (q,) hold one of these numbers (n, k)."""
-        raise NotImplementedError
-
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        """The bytes of these units with new values (n, k), one behind the other, and their ends."""
+    def rounded(self, values: Floats) -> Floats:
+        """New values (n, k) as the types of the columns hold them."""
         raise NotImplementedError
 
 
@@ -114,24 +95,6 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first
             )
 
 
-def splice(data: Bytes, edits: Sequence[tuple[Longs, Longs, Bytes, Longs]]) -> memoryview:
-    """A file with units replaced: their starts, stops, new bytes and the ends of these."""
-    from msal_cli.kernels import text
-
-    starts = np.concatenate([edit[0] for edit in edits])
-    if len(edits) == 1 and (starts[1:] > starts[:-1]).all():
-        return text.splice(data, *edits[0]).data
-    stops = np.concatenate([edit[1] for edit in edits])
-    sizes = np.concatenate([np.diff(edit[3], prepend=0) for edit in edits])
-    words = np.concatenate([edit[2] for edit in edits])
-    order = np.argsort(starts, kind="stable")
-    if not (order[1:] > order[:-1]).all():
-        first = (np.cumsum(sizes) - sizes)[order]
-        sizes = sizes[order]
-        words = words[np.repeat(first, sizes) + number_within(sizes)]
-    return text.splice(data, starts[order], stops[order], words, np.cumsum(sizes)).data
-
-
 _RECORDS = 1 << 14
 """Records that are worked on at a time, so that they stay in the cache."""
 
@@ -182,11 +145,11 @@ class RecordSlots(Slots):
         """The numbers (n, k), read anew each time: it takes as long as a copy."""
         return self.read(self.data)
 
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
+    def rounded(self, values: Floats) -> Floats:
         result = np.empty(values.shape)
         for k, code in enumerate(self.codes):
             result[:, k] = to_type(values[:, k], code)
-        return result, 0.0
+        return result
 
 
 @dataclass(eq=False)
@@ -333,7 +296,7 @@ def check_overwritten(data: Bytes, result: Bytes, changes: Sequence[Change]) -> 
             first, last = _span(group)
             restored = result[first:last].copy()
             for slots, values, is_changed in group:
-                is_other = slots.read(restored, first) != slots.rounded(values)[0]
+                is_other = slots.read(restored, first) != slots.rounded(values)
                 if (is_other & is_changed).any():
                     raise InternalError("a number of the output is not the computed one")
                 slots.restore(restored, is_changed, first)

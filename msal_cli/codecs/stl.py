@@ -8,8 +8,9 @@ of its line.
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,9 +19,22 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.slot_file import require_finite_result, require_shape
-from msal_cli.codecs.slots import as_float32, require_range
-from msal_cli.codecs.text_slots import NORMAL_DECIMALS, extent_decimals, line_of, number_hint
+from msal_cli.codecs.mesh_file import Layout
+from msal_cli.codecs.slot_file import (
+    SlotFile,
+    require_finite_result,
+    require_shape,
+    require_unit_length,
+)
+from msal_cli.codecs.slots import Change, as_float32, require_range
+from msal_cli.codecs.text_slots import (
+    NORMAL_DECIMALS,
+    Patch,
+    TextSlots,
+    extent_decimals,
+    line_of,
+    number_hint,
+)
 from msal_cli.errors import (
     CUT_SHORT,
     EXPORT_AGAIN,
@@ -32,6 +46,7 @@ from msal_cli.errors import (
     TruncatedError,
     UnsupportedError,
 )
+from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
 HEADER_BYTES = 80
@@ -54,6 +69,7 @@ _PADDING = 8
 _NAMED_SOLID = re.compile(
     rb"\s*solid[ \t][^\r\n]*[\r\n]\s*facet\s+(?:normal|outer)\s", re.IGNORECASE
 )
+_WORD = re.compile(rb"\S+")
 _FINER = 2
 """Decimals that those of tiny numbers with an exponent may be beyond what the extent needs."""
 
@@ -79,9 +95,9 @@ def read(data: Buffer) -> StlFile | StlTextFile:
     size = len(memoryview(data).cast("B"))
     head = bytes(memoryview(data).cast("B")[:_LOOKED_AT])
     if is_text(head, size):
-        scan, numbers = _scan_text(data)
-        vertices, faces, _ = weld_corners(numbers[:, 3:])
-        return StlTextFile(data, scan, vertices, np.ascontiguousarray(numbers[:, :3]), faces)
+        scan = _scan_text(data)
+        vertices, faces, _ = weld_corners(scan.numbers[:, 3:])
+        return StlTextFile(data, scan, vertices, faces)
     n_trailing = size - require_bytes(head, size)
     count = (size - n_trailing - _FIRST_FACET) // FACET.itemsize
     _check_count(count, n_trailing)
@@ -160,43 +176,22 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
 
-class _FacetFile:
+class _FacetFile(SlotFile):
     """An STL file; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are the different positions of corners, in order of appearance; ``name`` is what
-    the file calls its mesh.
+    the file calls its mesh, ``normals`` (m, 3) are those of its facets, as they are stored.
     """
 
-    format = "stl"
-    encoding: str
-    references: tuple[str, ...] = ()
-    properties: tuple[str, ...]
-    warnings: tuple[str, ...]
+    normals: Floats
 
-    def __init__(self, data: Buffer, vertices: Floats, faces: Ints, name: str) -> None:
-        self.data, self._name = data, name
-        self.vertices, self.faces = vertices, faces
-        self.n_polygons = len(faces)
-        self.merged_vertices = faces.size - len(vertices)
-
-    @property
-    def normals(self) -> Floats:
-        """The stored facet normals (m, 3), as they are."""
-        raise NotImplementedError
-
-    def polygons(self) -> Ints:
-        """The facets as an (m, 3) array."""
-        return self.faces
+    def __init__(self, data: Buffer, layout: Layout, name: str) -> None:
+        super().__init__(data, "stl", layout)
+        self._name = name
+        self.merged_vertices = self.faces.size - len(self.vertices)
 
     def forget_vertices(self) -> None:
         """Do nothing: to read them again takes long."""
-
-    def replaced(self, vertices: Floats) -> Buffer:
-        """The file with other vertices (n, 3) and the normals of moved facets recomputed.
-
-        Raises ContentError (``E_RANGE``) if a position does not fit into float32 in a binary file.
-        """
-        raise NotImplementedError
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
@@ -217,31 +212,26 @@ class _FacetFile:
             if to_text and precision == "float32":
                 vertices = as_float32(vertices).astype(np.float64)
             return self.replaced(vertices)
-        normals, _ = self._renew_normals(vertices)
+        require_finite_result(vertices)
+        normals, _ = self._facet_normals(vertices)
         corners = vertices[self.faces].reshape(-1, 9)
         if to_text:
             return ascii_stl(corners, normals, self._name, single=precision != "float64")
         return binary_stl(corners, normals, self._name)
 
-    def _renew_normals(self, vertices: Floats) -> tuple[Floats, Flags]:
+    def _facet_normals(self, vertices: Floats) -> tuple[Floats, Flags]:
         """The facets' normals (m, 3) for new vertices, and which changed (m,)."""
         from msal_cli.kernels.stl_facets import renew_facet_normals
 
         require_shape(vertices, self.vertices)
-        require_finite_result(vertices)
         return renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
 
 
 class StlFile(_FacetFile):
     """A binary STL file, ``n_trailing`` bytes behind its last facet."""
 
-    encoding = "binary_little_endian"
-    precision = "float32"
-
     def __init__(self, data: Buffer, vertices: Floats, faces: Ints, n_trailing: int) -> None:
         header = bytes(memoryview(data).cast("B")[:HEADER_BYTES])
-        name = header.split(b"\0")[0].decode("ascii", "replace")
-        super().__init__(data, vertices, faces, name)
         facets = _facets(data, len(faces))
         # Neither zero nor minus zero; most files tell in the first part.
         parts = (facets["normal"][at : at + _AT_ONCE] for at in range(0, len(facets), _AT_ONCE))
@@ -252,30 +242,39 @@ class StlFile(_FacetFile):
             "material in the header": b"MATERIAL=" in header,
             "header text": header.strip(b"\0 "),
         }
-        self.properties = tuple(name for name, has_it in is_there.items() if has_it)
-        self.warnings = ()
-        self._end = _FIRST_FACET + FACET.itemsize * len(faces)
+        warnings: tuple[str, ...] = ()
         if n_trailing:
             more = n_trailing // FACET.itemsize
             room = f"; they have room for {more} facets that the header does not count"
-            self.warnings = (
+            warnings = (
                 f"{n_trailing} bytes behind the last facet are kept as they are{room * bool(more)}",
             )
+        layout = Layout(
+            "binary_little_endian",
+            "float32",
+            (),
+            properties=tuple(name for name, has_it in is_there.items() if has_it),
+            warnings=warnings,
+            faces=faces,
+            vertices=vertices,
+        )
+        super().__init__(data, layout, header.split(b"\0")[0].decode("ascii", "replace"))
+        self._end = _FIRST_FACET + FACET.itemsize * len(faces)
 
     @property
-    def normals(self) -> Floats:
+    def normals(self) -> Floats:  # type: ignore[override]
         with np.errstate(invalid="ignore"):  # a signalling NaN
-            return _facets(self.data, self.n_polygons)["normal"].astype(np.float64)
+            return _facets(self._data, self.n_polygons)["normal"].astype(np.float64)
 
     def replaced(self, vertices: Floats) -> Buffer:
         require_shape(vertices, self.vertices)
         if np.array_equal(self.vertices, vertices):
-            return self.data
+            return self._data
         from msal_cli.kernels.parallel import over_ranges
         from msal_cli.kernels.stl_facets import replace_facets
 
         require_range(vertices, np.broadcast_to(True, vertices.shape), ("<f4",) * 3)
-        before = np.frombuffer(self.data, dtype=np.uint8)
+        before = np.frombuffer(self._data, dtype=np.uint8)
         output = np.empty_like(before)
         for rest in (slice(_FIRST_FACET), slice(self._end, None)):
             output[rest] = before[rest]
@@ -306,7 +305,7 @@ class StlFile(_FacetFile):
         if not (array_files.are_used() and spatial_order.is_random(self.faces)):
             yield 0, self.vertices, vertices, self.faces
             return
-        facets = _facets(self.data, self.n_polygons)
+        facets = _facets(self._data, self.n_polygons)
         for first, last in spatial_order.blocks(self.n_polygons, 2 * 9 * vertices.itemsize):
             # The sum makes a plain zero of a negative one.
             old = facets["corners"][first:last].astype(np.float64).reshape(-1, 3) + 0.0
@@ -319,12 +318,12 @@ class StlFile(_FacetFile):
 
         require_shape(vertices, self.vertices)
         require_finite_result(vertices)
-        before, after = memoryview(self.data).cast("B"), memoryview(output).cast("B")
+        before, after = memoryview(self._data).cast("B"), memoryview(output).cast("B")
         if len(before) != len(after) or before[:_FIRST_FACET] != after[:_FIRST_FACET]:
             raise InternalError("the STL header or the length of the file changed")
         if before[self._end :] != after[self._end :]:
             raise InternalError("the bytes behind the last facet changed")
-        old, new = _facets(self.data, self.n_polygons), _facets(output, self.n_polygons)
+        old, new = _facets(self._data, self.n_polygons), _facets(output, self.n_polygons)
         words = [facets.view("<u2").reshape(-1, FACET.itemsize // 2) for facets in (old, new)]
         numbers = old["corners"], new["normal"], new["corners"]
         results: list[tuple[int, int]] = []
@@ -353,8 +352,8 @@ class _Scan:
     ``end`` is the byte behind the text, ``n_bare`` counts facets without a normal.
     """
 
-    facet_at: Longs
-    offsets: Ints
+    run_at: Longs
+    numbers: Floats
     decimals: Longs
     names: tuple[str, ...]
     n_solids: int
@@ -362,13 +361,12 @@ class _Scan:
     n_bare: int
 
 
-def _scan_text(data: Buffer) -> tuple[_Scan, Floats]:
-    """All facets of a text and their numbers (m, 12), positions finite; raises as ``read``.
+def _scan_text(data: Buffer) -> _Scan:
+    """All facets of a text, their positions finite; raises as ``read``.
 
     The arrays grow with what is scanned, never with what is claimed.
     """
     from msal_cli.kernels import stl_facets
-    from msal_cli.kernels.text import as_bytes
 
     buf = as_bytes(data)
     # Some editors end a text with a NUL, or with the end-of-file mark of old systems.
@@ -378,49 +376,42 @@ def _scan_text(data: Buffer) -> tuple[_Scan, Floats]:
     if bytes(buf[:3]) == BYTE_ORDER_MARK:
         state[stl_facets.AT] = len(BYTE_ORDER_MARK)
     room = len(buf) // _USUAL_FACET + 1
-    facet_at = np.empty(room, dtype=np.int64)
-    offsets = np.empty((room, 12), dtype=np.int32)
-    numbers = np.empty((room, 12))
+    run_at, numbers = np.empty((room, 4), dtype=np.int64), np.empty((room, 12))
     solid_at = np.zeros(stl_facets.MAX_SOLIDS, dtype=np.int64)
     decimals = np.zeros(4, dtype=np.int64)
     status = stl_facets.FULL
     while status == stl_facets.FULL:
-        status, at, word = stl_facets.scan(
-            buf, state, facet_at, offsets, numbers, solid_at, decimals
-        )
+        status, at, word = stl_facets.scan(buf, state, run_at, numbers, solid_at, decimals)
         room = n_facets = int(state[stl_facets.FACETS])
         if status == stl_facets.FULL:
             room = min(len(buf) // MIN_FACET_BYTES + 1, n_facets + n_facets // 2 + 16)
-        for array in (facet_at, offsets, numbers):
+        for array in (run_at, numbers):
             array.resize((room, *array.shape[1:]), refcheck=False)
     if status != stl_facets.WHOLE:
         raise _scan_error(buf, int(status), int(at), int(word), n_facets)
     _check_count(n_facets)
-    _decide_numbers(data, facet_at, offsets, numbers)
+    _decide_numbers(data, run_at, numbers)
     n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
     lines = ((bytes(buf[at : at + 256]).splitlines() or [b""])[0] for at in solid_at[:n_solids])
     names = tuple(line.decode("utf-8", "replace").strip() for line in lines)
-    return _Scan(facet_at, offsets, decimals, names, n_solids, len(buf), n_bare), numbers
+    return _Scan(run_at, numbers, decimals, names, n_solids, len(buf), n_bare)
 
 
-def _decide_numbers(data: Buffer, facet_at: Longs, offsets: Ints, numbers: Floats) -> None:
+def _decide_numbers(data: Buffer, run_at: Longs, numbers: Floats) -> None:
     """Read numbers (m, 12) that are in doubt; raises for a position that is not finite."""
     view = memoryview(data).cast("B")
     is_doubtful = ~np.isfinite(numbers)
     is_doubtful[:, :3] = np.isinf(numbers[:, :3])
     for facet, token in np.argwhere(is_doubtful).tolist():
-        start = int(facet_at[facet] + offsets[facet, token])
+        at = int(run_at[facet, token // 3])
+        word = next(itertools.islice(_WORD.finditer(view, at), token % 3, None))
         try:
-            value = float(_token_at(view, start))
+            value = float(word[0])
         except ValueError:
             value = float("nan")
         if token >= 3 and not np.isfinite(value):
-            raise _not_finite(facet, (token - 3) // 3, line_of(data, start))
+            raise _not_finite(facet, (token - 3) // 3, line_of(data, word.start()))
         numbers[facet, token] = value
-
-
-def _token_at(view: memoryview, start: int) -> bytes:
-    return bytes(view[start : start + 4096]).split(None, 1)[0]
 
 
 def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> InputError:
@@ -442,8 +433,6 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> Inpu
             where=where,
             hint=CUT_SHORT,
         )
-    if status == stl_facets.TOO_LONG:
-        return TooLargeError("a single facet takes more than 2 GiB of text", where=where)
     message, hint = f"expected '{wanted}', found {text!r}", EXPORT_AGAIN
     if status == stl_facets.OUTSIDE:
         message = f"expected 'solid', found {text!r}"
@@ -456,21 +445,10 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> Inpu
 
 
 class StlTextFile(_FacetFile):
-    """An ascii STL file; ``normals`` (m, 3) are those of its facets, as they are stored."""
+    """An ascii STL file."""
 
-    encoding = "ascii"
-    precision = "text"
-
-    def __init__(
-        self, data: Buffer, scan: _Scan, vertices: Floats, normals: Floats, faces: Ints
-    ) -> None:
-        super().__init__(data, vertices, faces, scan.names[0])
-        self._stored_normals, self._scan = normals, scan
-        self.properties = (
-            *(("facet normals",) * (scan.n_bare != len(faces))),
-            *((f"{scan.n_solids} solids",) * (scan.n_solids > 1)),
-            *(f"solid {name!r}" for name in scan.names if name),
-        )
+    def __init__(self, data: Buffer, scan: _Scan, vertices: Floats, faces: Ints) -> None:
+        normals = np.ascontiguousarray(scan.numbers[:, :3])
         n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - scan.n_bare
         n_trailing = len(memoryview(data).cast("B")) - scan.end
         texts = {
@@ -479,11 +457,21 @@ class StlTextFile(_FacetFile):
             "recomputed": n_bad,
             f"{n_trailing} bytes behind the last solid are kept as they are": n_trailing,
         }
-        self.warnings = tuple(text for text, count in texts.items() if count)
-
-    @property
-    def normals(self) -> Floats:
-        return self._stored_normals
+        layout = Layout(
+            "ascii",
+            "text",
+            (TextSlots(as_bytes(data), scan.run_at.reshape(-1), values=normals),),
+            properties=(
+                *(("facet normals",) * (scan.n_bare != len(faces))),
+                *((f"{scan.n_solids} solids",) * (scan.n_solids > 1)),
+                *(f"solid {name!r}" for name in scan.names if name),
+            ),
+            warnings=tuple(text for text, count in texts.items() if count),
+            faces=faces,
+            vertices=vertices,
+        )
+        super().__init__(data, layout, scan.names[0])
+        self.normals, self._used_decimals = normals, scan.decimals
 
     def _decimals(self) -> tuple[int, int]:
         """Digits behind the point for normals and for corners: never fewer than the file has.
@@ -493,94 +481,38 @@ class StlTextFile(_FacetFile):
         """
         from msal_cli.kernels.numbers import MAX_DECIMALS
 
-        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._scan.decimals)
+        plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._used_decimals)
         needed = extent_decimals(self.vertices)
         needed = MAX_DECIMALS if needed is None else needed
         normal = max(plain_normal, min(exponent_normal, 9), NORMAL_DECIMALS)
         corner = max(plain, min(exponent, needed + _FINER), needed, 0)
         return min(normal, MAX_DECIMALS), min(corner, MAX_DECIMALS)
 
-    def _changes(self, vertices: Floats) -> tuple[Floats, Flags]:
-        """The new numbers (m, 12) and which of them are to be written."""
+    def _changes(self, vertices: Floats) -> list[Change]:
+        """The new normal and corners of each facet, one behind the other."""
+        require_shape(vertices, self.vertices)
+        is_moved = vertices != self.vertices
+        if not is_moved.any():
+            return []
         m = len(self.faces)
-        numbers, replace = np.empty((m, 12)), np.empty((m, 12), dtype=bool)
-        numbers[:, :3], changed = self._renew_normals(vertices)
-        numbers[:, 3:] = vertices[self.faces].reshape(m, 9)
-        replace[:, :3] = changed[:, None]
-        replace[:, 3:] = (vertices != self.vertices)[self.faces].reshape(m, 9)
-        return numbers, replace
+        values, is_changed = np.empty((m, 4, 3)), np.empty((m, 4, 3), dtype=bool)
+        values[:, 0], rows = self._facet_normals(vertices)
+        is_changed[:, 0] = rows[:, None]
+        values[:, 1:] = vertices[self.faces]
+        is_changed[:, 1:] = is_moved[self.faces]
+        slots = self._layout.positions[0]
+        return [Change(slots, values.reshape(-1, 3), is_changed.reshape(-1, 3))]
 
-    def replaced(self, vertices: Floats) -> Buffer:
-        if np.array_equal(vertices, self.vertices):
-            return self.data
-        from msal_cli.kernels import stl_facets, text
-        from msal_cli.kernels.numbers import FIXED_BELOW
+    def _plan_patches(self, changes: Sequence[Change]) -> list[Patch]:
+        [(slots, values, is_changed)] = changes
+        normal, corner = self._decimals()
+        decimals = np.array([normal, corner, corner, corner], dtype=np.uint8)
+        return [Patch(slots.at, values, is_changed, np.tile(decimals, len(self.faces)))]
 
-        numbers, replace = self._changes(vertices)
-        buf = text.as_bytes(self.data)
-        decimals = np.array(self._decimals(), dtype=np.int64)
-        scan = self._scan
-        parts = (slice(at, at + _AT_ONCE) for at in range(0, len(numbers), _AT_ONCE))
-        largest = max(
-            float(np.abs(numbers[part]).max(where=replace[part], initial=0.0)) for part in parts
-        )
-        if largest >= FIXED_BELOW:
-            starts = (scan.facet_at[:, None] + scan.offsets)[replace]
-            return self._write_shortest(starts, numbers[replace])
-        width = text.fixed_width(largest, int(decimals.max()))
-        out = np.empty(len(buf) + int(np.count_nonzero(replace)) * width, dtype=np.uint8)
-        length = stl_facets.write_tokens(
-            buf, scan.facet_at, scan.offsets, replace, numbers, decimals, out
-        )
-        return out[:length].data
-
-    def _write_shortest(self, starts: Longs, numbers: Floats) -> bytes:
-        """The text with tokens replaced by the shortest text of numbers of any size."""
-        view = memoryview(self.data).cast("B")
-        copied = 0
-        pieces: list[bytes | memoryview] = []
-        for start, number in zip(starts.tolist(), numbers.tolist(), strict=True):
-            pieces += [view[copied:start], repr(number).encode()]
-            copied = start + len(_token_at(view, start))
-        return b"".join([*pieces, view[copied:]])
-
-    def check(self, output: Buffer, vertices: Floats) -> None:
-        """Raise InternalError unless ``output`` is this file with only ``vertices`` replaced:
-        corners within half a last digit, and new normals of unit length."""
-        from msal_cli.kernels import stl_facets
-        from msal_cli.kernels.text import as_bytes
-
-        try:
-            other, there = _scan_text(output)
-        except InputError as failure:
-            raise InternalError(
-                f"the STL text that was made cannot be read: {failure}", where=failure.where
-            ) from failure
-        if len(there) != len(self.faces):
-            raise InternalError("the number of facets changed")
-        _, replace = self._changes(vertices)
-        scan = self._scan
-        before = as_bytes(self.data), scan.facet_at, scan.offsets
-        after = as_bytes(output), other.facet_at, other.offsets
-        if not stl_facets.is_same_outside(*before, *after, replace):
-            raise InternalError("text other than that of moved corners changed")
-        step = 10.0 ** -self._decimals()[1]
-        for first in range(0, len(there), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            corners = vertices[self.faces[part]].reshape(-1, 9)
-            wrong = np.abs(there[part, 3:] - corners) > 0.5 * step + 4e-16 * np.abs(corners)
-            if wrong.any():
-                facet, at = np.argwhere(wrong)[0].tolist()
-                raise InternalError(
-                    "a corner was not written right",
-                    where=f"facet {first + facet}, corner {at // 3}",
-                )
-            with np.errstate(over="ignore"):
-                lengths = np.linalg.norm(there[part, :3], axis=1)
-            wrong = replace[part, 0] & ~(np.abs(lengths - 1.0) < 1e-5)
-            if wrong.any():
-                facet = first + int(wrong.argmax())
-                raise InternalError("a normal was not written right", where=f"facet {facet}")
+    def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
+        for _, values, is_changed in changes:
+            require_unit_length(values[::4], is_changed[::4, 0])
+        super()._compare(result, changes, vertices)
 
 
 def _count_facets(number: int) -> str:

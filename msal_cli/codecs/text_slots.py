@@ -1,21 +1,22 @@
 """Numbers in a text: the digits that new ones get, and the bytes that take the place of the old.
 
-In nearly all text meshes three numbers are one behind the other (``Statements``): no place per
-number is kept, and one walk over the file replaces or compares them.
+In nearly all text meshes three numbers are one behind the other: no place per number is kept, and
+one walk over the file replaces or compares them.
 """
 
 from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.slots import UnitSlots, is_same
+from msal_cli.codecs.slots import Change, Slots, is_same
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InternalError
 from msal_cli.storage.regular import Buffer
 
@@ -34,8 +35,7 @@ SIGNIFICANT_DIGITS = 15
 _FAR_FINER = 1e-7
 """Of the bounding box's diagonal: positions are written at least this finely."""
 
-_BLOCK = 1 << 16
-"""Numbers of different decimals that are printed at a time."""
+_NUMBER = re.compile(rb"[^\s\"'\\]*")
 
 
 def usual_decimals(used: Bytes) -> int:
@@ -56,72 +56,44 @@ def extent_decimals(vertices: Floats) -> int | None:
     return math.ceil(-math.log10(step)) if step > 0.0 else None
 
 
-def print_numbers(values: Floats, decimals: int | Bytes) -> tuple[Bytes, Longs]:
-    """The texts (size,) of numbers (k,) one behind the other, and where each ends (k,).
-
-    ``decimals``, for all or for each (k,), are digits behind the point, ``SHORTEST`` or
-    ``SHORTEST_SINGLE``.
-    """
-    from msal_cli.kernels.text import print_numbers
-
-    if isinstance(decimals, int):
-        return print_numbers(values, decimals)
-    if not len(decimals) or (decimals == decimals[0]).all():
-        return print_numbers(values, int(decimals[0]) if len(decimals) else 0)
-    pieces, ends, size = [], [], 0
-    for at in range(0, len(values), _BLOCK):
-        text, stops = _print_mixed(values[at : at + _BLOCK], decimals[at : at + _BLOCK])
-        pieces.append(text)
-        ends.append(stops + size)
-        size += len(text)
-    return np.concatenate(pieces), np.concatenate(ends)
-
-
-def _print_mixed(values: Floats, decimals: Bytes) -> tuple[Bytes, Longs]:
-    lengths = np.zeros(len(values), dtype=np.int64)
-    groups = []
-    for count in np.unique(decimals).tolist():
-        rows = np.flatnonzero(decimals == count)
-        text, stops = print_numbers(values[rows], count)
-        lengths[rows] = np.diff(stops, prepend=0)
-        groups.append((rows, text))
-    ends = np.cumsum(lengths)
-    out = np.empty(int(ends[-1]), dtype=np.uint8)
-    for rows, text in groups:
-        sizes = lengths[rows]
-        shift = ends[rows] - np.cumsum(sizes)
-        out[np.arange(len(text)) + np.repeat(shift, sizes)] = text
-    return out, ends
-
-
-_UNREAD = np.empty((0, 0))
-
-
 @dataclass(eq=False)
-class TextSlots(UnitSlots):
-    """What all numbers in a text have in common.
+class TextSlots(Slots):
+    """Numbers in a text, in runs: the three of a row one behind the other with blanks between, or
+    each for itself.
 
     Attributes
     ----------
     data : (size,) uint8, the file.
-    values : (n, k) float64; read from the text where they are not given.
+    at : (q,) int64, ascending, first byte of each run, or of its keyword.
+    values : (n, k) float64.
+    skipped : bytes of the keyword.
     unit_length : the numbers are normals.
     significant : digits that the file may ask for before the shortest text is written instead.
     """
 
     data: Bytes
+    at: Longs
     _: KW_ONLY
-    values: Floats = field(default_factory=lambda: _UNREAD)
+    values: Floats
+    skipped: int = 0
     unit_length: bool = False
     significant: int = SIGNIFICANT_DIGITS
     codes: tuple[str, ...] = ()
     whole_rows: bool = False
 
-    def used_decimals(self) -> Bytes:
-        """Decimals that each of the file's numbers, or the finest of a row, has."""
-        from msal_cli.kernels.text import count_decimals
+    @property
+    def width(self) -> int:
+        """Numbers of a run: those of a row, or 1."""
+        return self.values.size // max(len(self.at), 1)
 
-        return count_decimals(self.data, self.starts, self.stops)
+    @functools.cached_property
+    def used(self) -> Bytes:
+        """The most decimals (q,) of the numbers of each run."""
+        from msal_cli.kernels.statements import count_decimals
+
+        used = np.empty(len(self.at), dtype=np.uint8)
+        count_decimals(self.data, self.at + self.skipped, self.width, used)
+        return used
 
     @functools.cached_property
     def decimals(self) -> int:
@@ -135,47 +107,51 @@ class TextSlots(UnitSlots):
             largest = max(float(self.values.max()), -float(self.values.min()))
         if needed is None:
             return SHORTEST
-        decimals = max(min(usual_decimals(self.used_decimals()), SHORTEST - 1), needed)
+        decimals = max(min(usual_decimals(self.used), SHORTEST - 1), needed)
         before = max(0, math.ceil(math.log10(largest))) if largest > 0.0 else 0
         return SHORTEST if decimals + before > self.significant else min(decimals, SHORTEST)
 
+    def own_decimals(self, values: Floats) -> Bytes | None:
+        """Decimals (q,) for new ``values`` (n, k) where each run keeps its own; else None."""
+        return None
+
     @property
-    def _is_whole(self) -> Flags:
+    def is_whole(self) -> Flags:
         """Which columns hold whole numbers."""
         return np.array([code[-2] in "iu" for code in self.codes], dtype=bool)
 
-    @property
-    def has_whole_numbers(self) -> bool:
-        return bool(self._is_whole.any())
+    def rounded(self, values: Floats) -> Floats:
+        is_whole = self.is_whole
+        return np.where(is_whole, np.rint(values), values) if is_whole.any() else values
 
-    def units(self, is_changed: Flags) -> Flags:
-        return is_changed.reshape(-1)
+    def make_patch(
+        self, values: Floats, is_changed: Flags, decimals: Bytes, *, is_single: bool = False
+    ) -> Patch:
+        """What writes new ``values`` (n, k) where they changed, with ``decimals`` (q,); with a run
+        for each number if ``is_single``."""
+        from msal_cli.kernels.statements import find_numbers
 
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        decimals: int | Bytes = self.decimals
-        if self.has_whole_numbers:
-            columns = np.where(self._is_whole, 0, self.decimals).astype(np.uint8)
-            decimals = np.tile(columns, len(values))[units]
-        return print_numbers(values.reshape(-1)[units], decimals)
-
-    def rounded(self, values: Floats) -> tuple[Floats, Floats | float]:
-        if self.has_whole_numbers:
-            values = np.where(self._is_whole, np.rint(values), values)
-        is_exact = self.decimals >= SHORTEST
-        return values, 0.0 if is_exact else 0.5 * 10.0**-self.decimals * (1.0 + 1e-9)
-
-
-@dataclass(eq=False)
-class Tokens(TextSlots):
-    """Numbers that are tokens: ``starts`` and ``stops`` (n * width,), row by row."""
-
-    starts: Longs
-    stops: Longs
-    width: int = 3
-
-    def __post_init__(self) -> None:
-        if self.values is _UNREAD:
-            self.values = parse_floats(self.data, self.starts, self.stops).reshape(-1, self.width)
+        starts, width = self.at + self.skipped, self.width
+        is_whole = self.is_whole
+        if width > 1 and (is_single or is_whole.any()):
+            starts = np.empty(values.size, dtype=np.int64)
+            find_numbers(self.data, self.at + self.skipped, starts)
+            decimals, width = np.repeat(decimals, width), 1
+        if is_whole.any():
+            decimals = np.where(is_whole, 0, decimals.reshape(values.shape)).astype(np.uint8)
+        rows = np.ascontiguousarray(values).reshape(-1, width)
+        flags = np.ascontiguousarray(is_changed).reshape(-1, width)
+        decimals = decimals.reshape(-1)
+        if width == 1 and not (starts[1:] > starts[:-1]).all():
+            # The file has the columns in another order.
+            order = np.argsort(starts, kind="stable")
+            starts, rows, flags, decimals = (
+                starts[order],
+                rows[order],
+                flags[order],
+                decimals[order],
+            )
+        return Patch(starts, rows, flags, decimals)
 
 
 def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
@@ -225,44 +201,14 @@ MAX_TURNS = 4096
 numbers have the same decimals."""
 
 _ROWS = 1 << 16
-"""Statements of one kind that are replaced or compared at a time."""
+"""Runs of one kind that are replaced or compared at a time."""
 
 
 @dataclass(eq=False)
 class Statements(TextSlots):
-    """Three numbers each, with blanks between them.
+    """Runs of three numbers that keep the decimals of their own lines."""
 
-    Attributes
-    ----------
-    at : (n,) int64, ascending, first byte of each; ``skipped`` bytes of it are a keyword.
-    used : (n,) uint8, the most decimals of each one's numbers.
-    """
-
-    at: Longs
-    used: Bytes
-    skipped: int = 0
-
-    def used_decimals(self) -> Bytes:
-        return self.used
-
-    @functools.cached_property
-    def _spans(self) -> tuple[Longs, Longs]:
-        from msal_cli.kernels.statements import find_tokens
-
-        starts = np.empty(3 * len(self.at), dtype=np.int64)
-        stops = np.empty_like(starts)
-        find_tokens(self.data, self.at + self.skipped, starts, stops)
-        return starts, stops
-
-    @property
-    def starts(self) -> Longs:  # type: ignore[override]
-        return self._spans[0]
-
-    @property
-    def stops(self) -> Longs:  # type: ignore[override]
-        return self._spans[1]
-
-    def row_decimals(self, values: Floats) -> Bytes | None:
+    def own_decimals(self, values: Floats) -> Bytes | None:
         """Decimals (n,) for new ``values`` (n, 3): those that the line has, and at least those of
         the file, cut down to what float64 tells apart, about 15 digits in all; normals have the
         file's.  None where the file's are more than that."""
@@ -278,19 +224,44 @@ class Statements(TextSlots):
 
 
 class Patch(NamedTuple):
-    """Statements, their new ``values`` (n, 3), and the ``decimals`` (n,) of each one's.
+    """Runs of numbers at bytes ``at`` (q,), their new ``values`` (q, width), which of these
+    ``is_changed``, and the ``decimals`` (q,) of each run's."""
 
-    ``is_changed`` (n, 3) are the numbers to write, None for those that differ.
-    """
-
-    slots: Statements
+    at: Longs
     values: Floats
+    is_changed: Flags
     decimals: Bytes
-    is_changed: Flags | None = None
+
+
+def plan_patches(changes: Sequence[Change], *, have_own: bool = True) -> list[Patch]:
+    """What is to be written for changes of texts.
+
+    New numbers have the decimals of their own lines where that is possible for all arrays, and
+    ``have_own`` is set, else the same ones in each array.
+    """
+    own = [slots.own_decimals(values) for slots, values, _ in changes]
+    has_own = have_own and all(decimals is not None for decimals in own)
+    has_own = has_own and not _is_interleaved([slots.at for slots, _, _ in changes])
+    is_single = any(slots.width == 1 or slots.is_whole.any() for slots, _, _ in changes)
+    patches = []
+    for (slots, values, is_changed), decimals in zip(changes, own, strict=True):
+        if decimals is None or not has_own:
+            decimals = np.full(len(slots.at), slots.decimals, dtype=np.uint8)
+        patches.append(slots.make_patch(values, is_changed, decimals, is_single=is_single))
+    return patches
+
+
+def _is_interleaved(places: Sequence[Longs]) -> bool:
+    """Whether runs of different arrays take turns more than ``MAX_TURNS`` times."""
+    if len(places) == 1:
+        return False
+    owners = np.repeat(np.arange(len(places)), [len(at) for at in places])
+    order = np.argsort(np.concatenate(places), kind="stable")
+    return 1 + int(np.count_nonzero(np.diff(owners[order]))) > MAX_TURNS
 
 
 class _Block(NamedTuple):
-    """Statements one behind the other: see ``kernels.statements.replace``."""
+    """Runs one behind the other: see ``kernels.statements.replace``."""
 
     begins: Longs
     old: Floats
@@ -299,11 +270,15 @@ class _Block(NamedTuple):
 
 
 def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
-    """The file with its statements' changed numbers replaced."""
+    """The file with its runs' changed numbers replaced."""
     from msal_cli.kernels.statements import replace
-    from msal_cli.kernels.text import format_shortest
+    from msal_cli.kernels.text import fixed_width, format_shortest
 
-    out = np.empty(len(data) + sum(map(_room, patches)) + 8, dtype=np.uint8)
+    room = 8
+    for _, values, _, decimals in patches:
+        largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
+        room += values.size * fixed_width(largest, int(decimals.max(initial=0)))
+    out = np.empty(len(data) + room, dtype=np.uint8)
     done = to = 0
     for block in _blocks(patches):
         row = axis = 0
@@ -320,16 +295,6 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
     return out[:size].data
 
 
-def _room(patch: Patch) -> int:
-    """Most bytes that new numbers take."""
-    from msal_cli.kernels.text import fixed_width
-
-    if not len(patch.values):
-        return 0
-    largest = max(float(patch.values.max()), -float(patch.values.min()))
-    return 3 * len(patch.values) * fixed_width(largest, int(patch.decimals.max()))
-
-
 def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> None:
     """Raise InternalError unless ``result`` is the file with just that replaced."""
     from msal_cli.kernels import statements
@@ -344,7 +309,7 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
                 data, done, result, result_done, row, axis, *block, tolerances
             )
             if status == statements.ASIDE:
-                token = result[result_done : result_done + 64].tobytes().split()[0]
+                token = _NUMBER.findall(result[result_done : result_done + 64].tobytes())[0]
                 expected = float(block.new[row, axis])
                 slack = tolerances[block.decimals[row]] + 4.5e-16 * abs(expected)
                 if not abs(float(token) - expected) <= slack:
@@ -361,31 +326,32 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
         raise InternalError("the output differs from the input in more than positions and normals")
 
 
-def is_interleaved(patches: Sequence[Patch]) -> bool:
-    """Whether statements of different patches take turns more than ``MAX_TURNS`` times."""
-    if len(patches) == 1:
-        return False
-    at = [patch.slots.at for patch in patches]
-    owners = np.repeat(np.arange(len(at)), [len(starts) for starts in at])
-    order = np.argsort(np.concatenate(at), kind="stable")
-    return 1 + int(np.count_nonzero(np.diff(owners[order]))) > MAX_TURNS
-
-
 def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
-    """The statements in the order of the file, a block at a time."""
-    at = [patch.slots.at for patch in patches]
+    """The runs in the order of the file, a block at a time."""
+    group: list[Patch] = []
+    for patch in sorted((p for p in patches if len(p.at)), key=lambda patch: int(patch.at[0])):
+        if group and patch.at[0] > max(int(other.at[-1]) for other in group):
+            yield from _merged(group)
+            group = []
+        group.append(patch)
+    if group:
+        yield from _merged(group)
+
+
+def _merged(patches: Sequence[Patch]) -> Iterator[_Block]:
+    """``_blocks`` of patches whose runs take turns."""
+    at = [patch.at for patch in patches]
     firsts = np.unique(np.concatenate([starts[::_ROWS] for starts in at]))
     cuts = [np.append(np.searchsorted(starts, firsts), len(starts)).tolist() for starts in at]
     for k in range(len(firsts)):
         blocks = []
-        for (slots, values, decimals, is_changed), cut in zip(patches, cuts, strict=True):
+        for (starts, values, is_changed, decimals), cut in zip(patches, cuts, strict=True):
             rows = slice(cut[k], cut[k + 1])
-            old = slots.values[rows]
-            if is_changed is not None:
-                old = np.where(is_changed[rows], np.nan, values[rows])
-            if len(old):
-                begins = slots.at[rows] + slots.skipped
-                blocks.append(_Block(begins, old, values[rows], decimals[rows]))
+            # Zeros, since a stored number that is none would differ from itself.
+            new = np.where(is_changed[rows], values[rows], 0.0)
+            old = np.where(is_changed[rows], np.nan, 0.0)
+            if len(new):
+                blocks.append(_Block(starts[rows], old, new, decimals[rows]))
         block = blocks[0]
         if len(blocks) > 1:
             order = np.argsort(np.concatenate([block.begins for block in blocks]), kind="stable")

@@ -7,28 +7,26 @@ mesh, and is denoised once.
 
 from __future__ import annotations
 
-import functools
 import io
 import itertools
 import math
 import zipfile
 from collections import deque
-from collections.abc import Mapping
 from xml.parsers import expat
 
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs.mesh_file import PLACEMENT, Layout, is_placed, is_usable, transform
 from msal_cli.codecs.slot_file import SlotFile
-from msal_cli.codecs.slots import require_range, splice
+from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import (
     SHORTEST,
     SHORTEST_SINGLE,
     SIGNIFICANT_DIGITS,
-    Tokens,
+    TextSlots,
     extent_decimals,
-    print_numbers,
+    replace_statements,
     usual_decimals,
 )
 from msal_cli.codecs.threemf_model import (
@@ -37,7 +35,7 @@ from msal_cli.codecs.threemf_model import (
     place_of,
     start_parser,
 )
-from msal_cli.codecs.zip_archive import Archive, Member
+from msal_cli.codecs.zip_archive import Archive, numbers_of
 from msal_cli.errors import (
     ContentError,
     FormatError,
@@ -113,7 +111,7 @@ class Package:
         )
         self.frames = tuple(frame for _, frame in meshes) if is_framed else ()
 
-    def _member(self, path: str, where: str) -> Member:
+    def _member(self, path: str, where: str) -> zipfile.ZipInfo:
         member = self.archive.find(path)
         if member is None:
             raise damaged(f"there is no member {path[:200]!r} in the archive", where)
@@ -157,16 +155,16 @@ class Package:
         waiting = deque([self._member(self._root_target(), _ROOT)])
         while waiting:
             member = waiting.popleft()
-            if member.name in self.models:
+            if member.filename in self.models:
                 continue
-            text = self.texts[member.name] = self.archive.content(member, room)
+            text = self.texts[member.filename] = self.archive.content(member, room)
             room -= len(text)
-            model = self.models[member.name] = Model(text, member.name)
+            model = self.models[member.filename] = Model(text, member.filename)
             for use in itertools.chain(model.items, *model.components.values()):
                 if use.path:
                     other = self.archive.find(use.path)
                     if other is None:
-                        raise self._missing(member.name, use, f"the part {use.path[:200]!r}")
+                        raise self._missing(member.filename, use, f"the part {use.path[:200]!r}")
                     waiting.append(other)
         root = next(iter(self.models.values()))
         for name, model in self.models.items():
@@ -193,7 +191,7 @@ class Package:
         while waiting:
             name, use, above = waiting.popleft()
             member = self.archive.find(use.path) if use.path else None
-            own = member.name if member is not None else name
+            own = member.filename if member is not None else name
             model = self.models[own]
             key = own, use.object_id
             if use.object_id not in model.ids:
@@ -212,19 +210,14 @@ _BETWEEN = b"\0"
 """Between the texts of model parts, which have no such byte."""
 
 
-class _Coordinates(Tokens):
+class _Coordinates(TextSlots):
     """The positions of a mesh.
 
     A new number has as many decimals as are usual in the mesh, as the old one has, or as 1e-7 of
     the mesh's extent asks for, whichever is most.
     """
 
-    @functools.cached_property
-    def _used(self) -> Bytes:
-        return self.used_decimals()
-
-    def _decimals(self, values: Floats) -> Bytes:
-        """Decimals (3 n,) of new ``values`` (n, 3), those that changed, or ``SHORTEST``."""
+    def own_decimals(self, values: Floats) -> Bytes:
         from msal_cli.kernels.numbers import MAX_DECIMALS
 
         needed = extent_decimals(self.values) or 0
@@ -233,16 +226,8 @@ class _Coordinates(Tokens):
         most = min(SIGNIFICANT_DIGITS - whole, MAX_DECIMALS)
         if needed > most or most < 0:
             return np.full(values.size, SHORTEST, dtype=np.uint8)
-        least = min(max(usual_decimals(self._used), needed), most)
-        return np.clip(self._used, least, most).astype(np.uint8)
-
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
-        return print_numbers(values.reshape(-1)[units], self._decimals(values)[units])
-
-    def rounded(self, values: Floats) -> tuple[Floats, Floats]:
-        decimals = self._decimals(values).reshape(values.shape)
-        slack = 0.5 * 10.0 ** -decimals.astype(np.float64) * (1.0 + 1e-9)
-        return values, np.where(decimals == SHORTEST, 0.0, slack)
+        least = min(max(usual_decimals(self.used), needed), most)
+        return np.clip(self.used, least, most).astype(np.uint8)
 
 
 class ThreeMfFile(SlotFile):
@@ -259,14 +244,7 @@ class ThreeMfFile(SlotFile):
         text = _BETWEEN.join(package.texts.values())
         package.texts.clear()
 
-        def parse(content: Buffer) -> Layout:
-            models: Mapping[str, Model] = package.models
-            if content is not text:
-                texts = [bytes(content)] if len(models) == 1 else bytes(content).split(_BETWEEN)
-                models = {n: Model(t, n) for n, t in zip(models, texts, strict=True)}
-            return _layout(package, models, content)
-
-        super().__init__(text, "3mf", parse)
+        super().__init__(text, "3mf", _layout(package, text))
         self.data = data
         self.package = package
 
@@ -286,14 +264,15 @@ class ThreeMfFile(SlotFile):
             return self.replaced(vertices)
         self._require_free()
         style = SHORTEST_SINGLE if precision == "float32" else SHORTEST
-        edits = []
+        patches = []
         for slots, values in zip(self._layout.positions, self._to_file(vertices), strict=True):
-            assert isinstance(slots, Tokens)
+            is_all = np.ones(values.shape, dtype=bool)
             if style == SHORTEST_SINGLE:
-                require_range(values, np.ones(values.shape, dtype=bool), ("<f4",) * 3)
-            text, ends = print_numbers(values.reshape(-1), style)
-            edits.append((slots.starts, slots.stops, text, ends))
-        return self._pack(splice(as_bytes(self._data), edits))
+                require_range(values, is_all, ("<f4",) * 3)
+            styles = np.full(values.size, style, dtype=np.uint8)
+            assert isinstance(slots, TextSlots)
+            patches.append(slots.make_patch(values, is_all, styles))
+        return self._pack(replace_statements(as_bytes(self._data), patches))
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         old = self.package.archive
@@ -305,10 +284,10 @@ class ThreeMfFile(SlotFile):
                 assert before is not None
                 if after is None:
                     raise InternalError(f"{name} is missing in a 3MF file")
-                texts.append(new.content(after, after.size))
+                texts.append(new.content(after, after.file_size))
                 packed = new.packed(after)
                 if packed != old.packed(before):
-                    changed[name] = packed, after.numbers
+                    changed[name] = packed, numbers_of(after)
             expected = old.assemble(changed)
         except MsalError as failure:
             raise InternalError(f"the 3MF file that was made cannot be read: {failure}") from None
@@ -352,18 +331,16 @@ class ThreeMfFile(SlotFile):
         return result
 
 
-def _layout(package: Package, models: Mapping[str, Model], text: Buffer) -> Layout:
+def _layout(package: Package, text: Buffer) -> Layout:
     data = as_bytes(text)
     positions, faces = [], []
     begin = n_vertices = 0
-    for model in models.values():
+    for model in package.models.values():
         for mesh in model.meshes.values():
             if len(mesh.faces):
                 # In place, because they take more memory than anything else.
                 mesh.starts += begin
-                mesh.stops += begin
-                starts, stops = mesh.starts.reshape(-1), mesh.stops.reshape(-1)
-                positions.append(_Coordinates(data, starts, stops, values=mesh.vertices))
+                positions.append(_Coordinates(data, mesh.starts.reshape(-1), values=mesh.vertices))
                 faces.append(mesh.faces + n_vertices)
                 n_vertices += len(mesh.vertices)
         begin += model.size + len(_BETWEEN)

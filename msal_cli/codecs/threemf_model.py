@@ -256,7 +256,7 @@ class Model:
             if space == _MICROSOFT + "material/2015/02":
                 self.words["materials"] = None
         elif above == "vertices" and word == "vertex":
-            self._add_vertex(attributes)
+            self._add_vertex()
         elif above == "triangles" and word == "triangle":
             self._corners.extend(self._whole(attributes, word) for word in ("v1", "v2", "v3"))
             if len(attributes) > 3:
@@ -362,18 +362,19 @@ class Model:
             hint="remove the vertex, or export the mesh again",
         )
 
-    def _add_vertex(self, attributes: dict[str, str]) -> None:
+    def _add_vertex(self) -> None:
         at = self._here()
         spans = self._spans(at)
         for word in "xyz":
-            value = attributes.get(word, "").strip()
+            start, stop = spans.get(word, (at, at))
+            # As the text has it, so that a new number can take its place.
+            value = self._text[start:stop].decode("utf-8", "replace")
             is_number = _DECIMAL.fullmatch(value)
             if _NO_NUMBER.fullmatch(value) or (is_number and math.isinf(float(value))):
                 raise self._not_finite(len(self._starts) // 3)
             if not is_number:
                 raise self._damaged(f"{word} of a vertex is {value[:40]!r}, not a number")
             self._values.append(float(value))
-            start, stop = spans[word]
             self._starts.append(start)
             self._stops.append(stop)
 

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from msal_cli.arrays import Bytes, Flags, Longs
-from msal_cli.codecs.text_slots import Tokens, line_of, parse_floats
+from msal_cli.arrays import Bytes, Longs
+from msal_cli.codecs.text_slots import TextSlots, line_of, parse_floats
 from msal_cli.errors import CUT_SHORT, EXPORT_AGAIN, ContentError, TruncatedError, damaged
 from msal_cli.storage.regular import Buffer
-
-_BLOCK = 1 << 22
-"""Bytes looked at in one step, so that the temporaries stay small."""
 
 
 class Words:
@@ -33,17 +28,14 @@ class Words:
         *,
         comment: bytes = b"",
     ) -> None:
-        from msal_cli.kernels.text import as_bytes
+        from msal_cli.kernels.text import as_bytes, find_words
 
         self.data = as_bytes(data)
         stop = len(self.data) if stop is None else stop
-        table = np.zeros(256, dtype=bool)
-        table[list(b" \t\r\n\v\f")] = True
-        pieces = list(_pieces(self.data, start, stop, table, comment))
-        self.starts: Longs = np.concatenate([piece[0] for piece in pieces] or [_NONE])
-        self.stops: Longs = np.concatenate([piece[1] for piece in pieces] or [_NONE])
-        ends: Longs = np.concatenate([piece[2] for piece in pieces] or [_NONE])
-        self.lines: Longs = np.searchsorted(ends, self.starts)
+        sign = comment[0] if comment else -1
+        count = find_words(self.data, start, stop, sign, _NONE, _NONE, _NONE)
+        self.starts, self.stops, self.lines = (np.empty(count, dtype=np.int64) for _ in range(3))
+        find_words(self.data, start, stop, sign, self.starts, self.stops, self.lines)
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -84,11 +76,15 @@ class Words:
             raise damaged("a whole number is expected", f"line {line_of(self.data, at)}")
         return values.astype(np.int64)
 
-    def float_rows(self, first: Longs, *, unit_length: bool = False) -> Tokens:
+    def float_rows(self, first: Longs, *, unit_length: bool = False) -> TextSlots:
         """Rows of three numbers, ``first`` (n,) being the first word of each."""
         chosen = (first[:, None] + np.arange(3)).reshape(-1)
-        starts, stops = self.starts[chosen], self.stops[chosen]
-        return Tokens(self.data, starts, stops, unit_length=unit_length)
+        starts = self.starts[chosen]
+        values = parse_floats(self.data, starts, self.stops[chosen]).reshape(-1, 3)
+        # Between the words of a row that is on several lines there may be a comment.
+        if (self.lines[first + 2] == self.lines[first]).all():
+            starts = self.starts[first]
+        return TextSlots(self.data, starts, values=values, unit_length=unit_length)
 
     def first_of_lines(self) -> Longs:
         """The first word of each line that has one."""
@@ -98,53 +94,6 @@ class Words:
 
 
 _NONE = np.zeros(0, dtype=np.int64)
-
-
-def _pieces(
-    data: Bytes, start: int, stop: int, table: Flags, comment: bytes
-) -> Iterator[tuple[Longs, Longs, Longs]]:
-    """Starts and stops of words and ends of lines, a block at a time.
-
-    A block ends with a line where it can, so that a word cut in two is a very long line's alone.
-    """
-    while start < stop:
-        end = min(stop, start + _BLOCK)
-        if end < stop:
-            breaks = np.flatnonzero(_is_break(data[start:end]))
-            while not len(breaks) and end < stop:
-                start_of_more, end = end, min(stop, end + _BLOCK)
-                breaks = np.flatnonzero(_is_break(data[start_of_more:end])) + start_of_more - start
-            if len(breaks) and end < stop:
-                end = start + int(breaks[-1]) + 1
-        part = data[start:end]
-        is_blank = table[part]
-        is_end = _is_break(part)
-        if comment:
-            is_blank |= _is_comment(part, is_end, comment)
-        edges = np.diff(is_blank.view(np.int8), prepend=np.int8(1), append=np.int8(1))
-        yield (
-            np.flatnonzero(edges == -1) + start,
-            np.flatnonzero(edges == 1) + start,
-            np.flatnonzero(is_end) + start,
-        )
-        start = end
-
-
-def _is_break(part: Bytes) -> Flags:
-    is_break: Flags = (part == 10) | (part == 13)
-    return is_break
-
-
-def _is_comment(part: Bytes, is_end: Flags, comment: bytes) -> Flags:
-    """Which bytes stand between a comment's first letter and the end of its line."""
-    is_first: Flags = part == comment[0]
-    if not is_first.any():
-        return is_first
-    place = np.arange(len(part))
-    last_end = np.maximum.accumulate(np.where(is_end, place, -1))
-    last_first = np.maximum.accumulate(np.where(is_first, place, -1))
-    is_inside: Flags = last_first > last_end
-    return is_inside
 
 
 def require_indices(indices: Longs, count: int) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots, Strided, number_within
-from msal_cli.codecs.text_slots import Tokens, line_of
+from msal_cli.codecs.text_slots import line_of
 from msal_cli.codecs.tokens import Words
 from msal_cli.errors import (
     CUT_SHORT,
@@ -173,8 +173,8 @@ class _Reader:
     def _floats(self, count: int, code: str, *, is_normals: bool) -> Slots:
         if self._words is not None:
             chosen = self._next_words(3 * count)
-            starts, stops = self._words.starts[chosen], self._words.stops[chosen]
-            return Tokens(self._data, starts, stops, unit_length=is_normals)
+            first = np.arange(chosen.start, chosen.stop, 3)
+            return self._words.float_rows(first, unit_length=is_normals)
         size = np.dtype(code).itemsize
         at = self._next_bytes(3 * size * count)
         places = (0, size, 2 * size)

@@ -8,28 +8,36 @@ from __future__ import annotations
 
 import base64
 import binascii
-import functools
 import lzma
 import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Dependent, Layout, Parse, Shift
-from msal_cli.codecs.slots import UnitSlots, to_type
-from msal_cli.codecs.text_slots import Tokens
+from msal_cli.codecs.mesh_file import Layout
+from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.slots import Change, Slots, to_type
+from msal_cli.codecs.text_slots import (
+    Patch,
+    TextSlots,
+    plan_patches,
+    replace_statements,
+    require_replaced,
+)
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.vtk import Cells
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,
     FormatError,
+    InternalError,
+    MsalError,
     TooLargeError,
     TruncatedError,
     UnsupportedError,
@@ -240,10 +248,8 @@ class Coding:
             raise damaged("an array is cut", f"byte {array.start}")
         return np.frombuffer(content, dtype=code).astype(np.int64)
 
-    def numbers(self, array: Element, count: int, *, are_normals: bool = False) -> UnitSlots:
+    def numbers(self, array: Element, count: int, *, are_normals: bool = False) -> XmlSlots:
         """The rows (count, 3) of an array of floating-point numbers."""
-        from msal_cli.kernels.text import as_bytes
-
         code = self.code_of(array)
         if code[1] != "f":
             raise UnsupportedError(
@@ -251,11 +257,18 @@ class Coding:
                 where=f"byte {array.start}",
                 hint="write them as Float32 or Float64",
             )
-        data = as_bytes(self.data)
         if array.attributes.get("format", "ascii") == "ascii":
-            words = Words(data, array.inside, array.text_stop)
+            words = Words(self.data, array.inside, array.text_stop)
             _require_count(len(words), 3 * count, array)
-            return Tokens(data, words.starts, words.stops, unit_length=are_normals)
+            rows = words.float_rows(np.arange(0, 3 * count, 3), unit_length=are_normals)
+            return TextNumbers(
+                rows.data,
+                rows.at,
+                values=rows.values,
+                unit_length=are_normals,
+                start=array.inside,
+                stop=array.text_stop,
+            )
         return EncodedNumbers(self, array, code, count)
 
     def decode(self, array: Element) -> tuple[Buffer, int, int]:
@@ -300,37 +313,62 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
         )
 
 
-class EncodedNumbers(UnitSlots):
-    """An array that is one unit, since it may be compressed or written in base64."""
+@dataclass(eq=False)
+class TextNumbers(TextSlots):
+    """An array of words between the bytes ``start`` and ``stop``."""
+
+    start: int
+    stop: int
+
+    def encode(self, values: Floats, is_changed: Flags) -> bytes:
+        """The bytes of the array with new values (n, 3)."""
+        return bytes(replace_statements(*self._plan(values, is_changed)))
+
+    def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
+        """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
+        assert isinstance(new, TextNumbers)
+        data, patches = self._plan(values, is_changed)
+        require_replaced(data, new.data[new.start : new.stop], patches)
+
+    def _plan(self, values: Floats, is_changed: Flags) -> tuple[Bytes, list[Patch]]:
+        patches = plan_patches([Change(self, values, is_changed)])
+        own = [patch._replace(at=patch.at - self.start) for patch in patches]
+        return self.data[self.start : self.stop], own
+
+
+class EncodedNumbers(Slots):
+    """An array that is replaced as a whole, since it may be compressed or written in base64;
+    ``start`` and ``stop`` are as of ``TextNumbers``."""
 
     def __init__(self, coding: Coding, array: Element, code: str, count: int) -> None:
-        content, start, stop = coding.decode(array)
+        content, self.start, self.stop = coding.decode(array)
         _require_count(len(content), 3 * np.dtype(code).itemsize * count, array)
         self.codes = (code,) * 3
-        self.starts = np.array([start], dtype=np.int64)
-        self.stops = np.array([stop], dtype=np.int64)
         self._rows = np.frombuffer(content, dtype=code).reshape(-1, 3)
         self.values = self._rows.astype(np.float64)
         self._coding, self._is_raw = coding, coding.place(array)[2]
 
-    def units(self, is_changed: Flags) -> Flags:
-        return np.array([is_changed.any()])
+    def encode(self, values: Floats, is_changed: Flags) -> bytes:
+        """The bytes of the array with new values (n, 3), compressed and written as those that they
+        replace."""
+        return self._pack(self._new_content(values))
 
-    def encode(self, values: Floats, units: Flags) -> tuple[Bytes, Longs]:
+    def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
+        """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
+        assert isinstance(new, EncodedNumbers)
+        if new._rows.tobytes() != self._new_content(values):
+            raise InternalError("an array of the file that was made is not what it should be")
+
+    def _new_content(self, values: Floats) -> bytes:
         # Rows that did not move keep their bits, the signs of zeros included.
         is_same = (values == self.values).all(axis=1)[:, None]
         new = np.where(is_same, self._rows, to_type(values, self.codes[0]))
-        text = np.frombuffer(self._pack(new.astype(self._rows.dtype).tobytes()), dtype=np.uint8)
-        return text, np.array([len(text)], dtype=np.int64)
-
-    def rounded(self, values: Floats) -> tuple[Floats, float]:
-        return to_type(values, self.codes[0]).astype(np.float64), 0.0
+        return new.astype(self._rows.dtype).tobytes()
 
     def _pack(self, content: bytes) -> bytes:
-        """Bytes compressed and written as those that they replace."""
         coding = self._coding
-        view = memoryview(coding.data).cast("B")[: int(self.stops[0])]
-        source = _Source(view, int(self.starts[0]), is_raw=self._is_raw)
+        view = memoryview(coding.data).cast("B")[: self.stop]
+        source = _Source(view, self.start, is_raw=self._is_raw)
         head = source.take(coding.head_bytes)
         is_split = source.is_split
         if coding.compressor:
@@ -346,6 +384,9 @@ class EncodedNumbers(UnitSlots):
         if is_split:
             return base64.b64encode(head) + base64.b64encode(content)
         return base64.b64encode(head + content)
+
+
+XmlSlots = TextNumbers | EncodedNumbers
 
 
 def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
@@ -406,8 +447,102 @@ def _cut(message: str, at: int) -> TruncatedError:
     return TruncatedError(message, where=f"byte {at}", hint=EXPORT_AGAIN)
 
 
+Shift = Callable[[int], int]
+"""By how many bytes a place of the input moves, new positions and normals being written."""
+
 Text = Callable[[bytes, Sequence[Floats], Shift], bytes]
-"""What makes the bytes of a ``Dependent``."""
+"""``text(old, positions, shift)`` are the bytes that stand for ``old``."""
+
+
+class Dependent(NamedTuple):
+    """Bytes that depend on positions: counts of bytes up to a place, or bounds."""
+
+    start: int
+    stop: int
+    text: Text
+
+
+@dataclass(eq=False, kw_only=True)
+class XmlLayout(Layout):
+    """``dependents`` are what changes with positions, none of it inside an array of theirs."""
+
+    dependents: tuple[Dependent, ...]
+
+    @property
+    def arrays(self) -> list[XmlSlots]:
+        """All positions and normals."""
+        return [*self.positions, *self.normals]  # type: ignore[list-item]
+
+
+class VtkXmlFile(SlotFile):
+    """An opened VTU or VTP file; see ``mesh_file.MeshFile`` for the attributes."""
+
+    _layout: XmlLayout
+
+    def __init__(self, data: Buffer, format: str) -> None:
+        super().__init__(data, format, _parse(format, data))
+
+    def _write(self, changes: Sequence[Change], vertices: Floats) -> bytes:
+        edits = [
+            (slots.start, slots.stop, slots.encode(values, is_changed))
+            for slots, values, is_changed in changes
+        ]
+        edits += self._dependent_texts(vertices, _shift_by(edits))
+        pieces: list[Buffer] = []
+        done = 0
+        for start, stop, new in sorted(edits):
+            pieces += [memoryview(self._data)[done:start], new]
+            done = stop
+        return b"".join([*pieces, memoryview(self._data)[done:]])
+
+    def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
+        if not changes:
+            super()._compare(result, changes, vertices)
+            return
+        what = f"the {self.format} file that was made"
+        output = result.tobytes()
+        try:
+            there = _parse(self.format, output)
+        except MsalError as failure:
+            raise InternalError(f"{what} cannot be read: {failure}") from failure
+        ours, theirs = self._layout.arrays, there.arrays
+        shapes = [[(type(slots), slots.values.shape) for slots in own] for own in (ours, theirs)]
+        if shapes[0] != shapes[1] or len(there.dependents) != len(self._layout.dependents):
+            raise InternalError(f"{what} has other arrays")
+        edits, places = [], []
+        for slots, values, is_changed in changes:
+            new = theirs[next(i for i, own in enumerate(ours) if own is slots)]
+            slots.require(new, values, is_changed)
+            edits.append((slots.start, slots.stop, output[new.start : new.stop]))
+            places.append((new.start, new.stop))
+        edits += self._dependent_texts(vertices, _shift_by(edits))
+        places += [(dependent.start, dependent.stop) for dependent in there.dependents]
+        for (_, _, text), (start, stop) in zip(edits, places, strict=True):
+            if output[start:stop] != text:
+                raise InternalError(f"an attribute of {what} is not what it should be")
+        if _rest(self._data, [edit[:2] for edit in edits]) != _rest(output, places):
+            raise InternalError(f"{what} differs in more than positions and normals")
+
+    def _dependent_texts(self, vertices: Floats, shift: Shift) -> list[tuple[int, int, bytes]]:
+        """What depends on positions, and the bytes that it should have."""
+        positions, view = self._to_file(vertices), memoryview(self._data)
+        return [
+            (start, stop, text(bytes(view[start:stop]), positions, shift))
+            for start, stop, text in self._layout.dependents
+        ]
+
+
+def _shift_by(edits: Sequence[tuple[int, int, bytes]]) -> Shift:
+    growths = [(stop, len(new) - (stop - start)) for start, stop, new in edits]
+    return lambda at: sum(growth for stop, growth in growths if stop <= at)
+
+
+def _rest(data: Buffer, spans: Sequence[tuple[int, int]]) -> bytes:
+    """All bytes outside the spans."""
+    view = memoryview(data)
+    starts, stops = zip(*sorted(spans), strict=True)
+    return b"".join(view[at:to] for at, to in zip((0, *stops), (*starts, None), strict=True))
+
 
 _TYPES = {"vtu": "UnstructuredGrid", "vtp": "PolyData"}
 _COMPRESSORS = ("", "vtkZLibDataCompressor", "vtkLZMADataCompressor")
@@ -415,7 +550,7 @@ _APPENDED = re.compile(rb"<AppendedData(?:\s+encoding\s*=\s*[\"'](\w+)[\"'])?\s*
 _POLYGONS = (("Verts", "vertex"), ("Lines", "line"), ("Strips", "strip"), ("Polys", "polygon"))
 
 
-def _parse(format: str, data: Buffer) -> Layout:
+def _parse(format: str, data: Buffer) -> XmlLayout:
     """Read a VTU or VTP file.
 
     Raises UnsupportedError for another compression, another type of VTK file, and curved cells,
@@ -451,7 +586,7 @@ def _parse(format: str, data: Buffer) -> Layout:
         warnings.append("normals of cells are kept as they are")
     is_text = any(part.points_array.attributes.get("format") == "ascii" for part in parts)
     codes = {coding.code_of(part.points_array) for part in parts}
-    return Layout(
+    return XmlLayout(
         "ascii" if is_text else "binary",
         "float64" if coding.order + "f8" in codes else "float32",
         tuple(part.points for part in parts),
@@ -468,17 +603,13 @@ def _parse(format: str, data: Buffer) -> Layout:
     )
 
 
-parse_vtu: Parse = functools.partial(_parse, "vtu")
-parse_vtp: Parse = functools.partial(_parse, "vtp")
-
-
 class _Piece:
     """A piece of a grid."""
 
     def __init__(self, piece: Element, coding: Coding) -> None:
         self.n_points = _count(piece, "NumberOfPoints")
         self.cells = Cells()
-        self.normals: UnitSlots | None = None
+        self.normals: XmlSlots | None = None
         self.properties: list[str] = []
         if not self.n_points:
             return

@@ -1,19 +1,23 @@
 """ZIP archives whose members are replaced one by one while all other bytes stay.
 
-The library's ``zipfile`` writes an archive anew: other times, other flags, another order.  Here
-only the compressed data of a changed member, its sizes and checksum, and the offsets behind it
-change.
+The library's ``zipfile`` reads an archive, and would write it anew: other times, other flags,
+another order.  Here only the compressed data of a changed member, its sizes and checksum, and the
+offsets behind it change.
 
-An archive that could be read in two ways is refused: members that overlap or share a name, local
-headers that contradict the central directory, archives in several files.
+An archive that could be read in two ways is refused: members that overlap or share a name, or have
+another name in front of their data.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
+import itertools
 import struct
+import zipfile
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from zipfile import ZipInfo
 
 from msal_cli.errors import (
     CUT_SHORT,
@@ -24,335 +28,245 @@ from msal_cli.errors import (
 )
 from msal_cli.storage.regular import Buffer
 
-_LOCAL, _CENTRAL, _END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
-_END_64, _LOCATOR_64, _DESCRIPTOR = b"PK\x06\x06", b"PK\x06\x07", b"PK\x07\x08"
-_END_SIZE, _LOCATOR_SIZE = 22, 20
-_MAX_COMMENT = 0xFFFF
+_LOCAL, _END, _END_64, _DESCRIPTOR = b"PK\x03\x04", b"PK\x05\x06", b"PK\x06\x06", b"PK\x07\x08"
+_LOCAL_SIZE, _ENTRY_SIZE, _END_SIZE, _LOCATOR_SIZE = 30, 46, 22, 20
 _SEE_EXTRA = 0xFFFFFFFF
 """In place of a size or an offset that is in the ZIP64 field."""
 
 _LEVEL = 5
 """Of deflate: on a million faces 0.4 % larger than level 6, in 0.6 of its time."""
 
-_IS_ENCRYPTED, _HAS_DESCRIPTOR, _IS_UTF8 = 1, 8, 1 << 11
-_STORED, _DEFLATED = 0, 8
-
-_NEWEST_VERSION = 63
-"""Of the zip format, in tenths, that other readers know, too."""
-
+_IS_ENCRYPTED, _HAS_DESCRIPTOR = 1, 8
 _DAMAGED = "the archive is damaged; copy or export it again"
 _REPACK = "pack it again as a plain zip archive"
-
-
-@dataclass(frozen=True)
-class _Header:
-    """Offsets inside a kind of header: its ``size``, the lengths of its name and of its extra field
-    (two 16-bit numbers), its checksum, and those numbers that ZIP64 may move to the extra field."""
-
-    size: int
-    lengths: int
-    crc: int
-    numbers: dict[str, int]
-
-
-_ENTRY = _Header(46, 28, 16, {"size": 24, "packed": 20, "offset": 42})
-"""An entry of the central directory."""
-
-_LOCAL_HEADER = _Header(30, 26, 14, {"size": 22, "packed": 18})
 
 _Places = dict[str, tuple[int, str]]
 """The first byte of each number of a header, and its type for ``struct``."""
 
-_Numbers = dict[str, int]
-"""``crc``, ``packed`` and ``size`` of a member, and ``offset``, the first byte of its header."""
-
-
-@dataclass(frozen=True, slots=True)
-class Member:
-    """A file in an archive.
-
-    Attributes
-    ----------
-    header_at, data_at : first bytes of the local header and of the compressed data.
-    entry_at : first byte of its entry in the central directory.
-    name : as the directory has it, with slashes.
-    flags, method, crc, packed_size, size : as the central directory has them.
-    stop : first byte of the next member's header, or of the central directory.
-    """
-
-    header_at: int
-    data_at: int
-    entry_at: int
-    name: str
-    flags: int
-    method: int
-    crc: int
-    packed_size: int
-    size: int
-    stop: int
-
-    @property
-    def numbers(self) -> _Numbers:
-        return {"crc": self.crc, "packed": self.packed_size, "size": self.size}
+Numbers = dict[str, int]
+"""``crc``, ``packed`` and ``size`` of a member."""
 
 
 class Archive:
     """An archive taken apart."""
 
     def __init__(self, data: Buffer) -> None:
-        self.data = memoryview(data).cast("B")
-        self._end_at = _find_end(self.data)
-        self._central_at, self._central_size, self._count = self._read_end()
-        self.members = self._read_members()
-        self._by_key = {_key(member.name): member for member in self.members}
-        if len(self._by_key) < len(self.members):
+        self._data = memoryview(data).cast("B")
+        file = io.BytesIO(data)
+        if self._data[:4] not in (_LOCAL, _END):
+            raise FormatError("the file is not a zip archive", where="byte 0", hint=_DAMAGED)
+        if not zipfile.is_zipfile(file):
+            where = f"byte {len(self._data)}"
+            raise TruncatedError("the archive has no end record", where=where, hint=CUT_SHORT)
+        with _errors("central directory"):
+            self._zip = zipfile.ZipFile(file)
+        self._central_at = self._zip.start_dir
+        self._entries: dict[str, int] = {}
+        at = self._central_at
+        for member in self._zip.infolist():
+            self._entries[_key(member.filename)] = at
+            at += _ENTRY_SIZE + sum(struct.unpack_from("<3H", self._data, at + 28))
+        self._behind_entries = at
+        self._end_at = self._find_end(at)
+        self._members = {_key(member.filename): member for member in self._zip.infolist()}
+        if len(self._members) < len(self._zip.infolist()):
             raise FormatError("two members have one name", where="central directory", hint=_DAMAGED)
-
-    def find(self, name: str) -> Member | None:
-        """The member of that name, a leading slash and the case of letters disregarded."""
-        return self._by_key.get(_key(name))
-
-    def _read_end(self) -> tuple[int, int, int]:
-        """Offset, size and number of entries of the central directory."""
-        disk, first_disk, here, count, size, at = struct.unpack_from(
-            "<4H2L", self.data, self._end_at + 4
-        )
-        self._end_64_at = -1
-        disks = 1
-        locator_at = self._end_at - _LOCATOR_SIZE
-        if locator_at >= 0 and self.data[locator_at : locator_at + 4] == _LOCATOR_64:
-            end_64_at, disks = struct.unpack_from("<QL", self.data, locator_at + 8)
-            is_there = end_64_at + 56 == locator_at and self.data[end_64_at:][:4] == _END_64
-            if disks <= 1 and not is_there:
+        # By what lies behind one another: each member ends where the next one begins.
+        ordered = sorted(self._members.values(), key=lambda member: member.header_offset)
+        self._stops: dict[str, int] = {}
+        behind = [member.header_offset for member in ordered[1:]]
+        for member, stop in zip(ordered, [*behind, self._central_at], strict=False):
+            self._stops[member.filename] = stop
+            if self._data_at(member) + member.compress_size > stop:
                 raise FormatError(
-                    "the archive has no end record where it is said to lie", hint=_DAMAGED
+                    f"{member.filename} reaches into what follows it",
+                    where=f"byte {member.header_offset}",
+                    hint=_DAMAGED,
                 )
-            if is_there:
-                disk, first_disk, here, count, size, at = struct.unpack_from(
-                    "<LLQQQQ", self.data, end_64_at + 16
-                )
-                self._end_64_at = end_64_at
-        if disks > 1 or disk or first_disk or here != count:
+        self._ordered = ordered
+
+    def _find_end(self, at: int) -> int:
+        """The first byte of the end record, which lies at ``at``, or behind those of ZIP64."""
+        if self._data[at : at + 4] == _END_64:
+            at += 12 + self._value((at + 4, "<Q")) + _LOCATOR_SIZE
+        if self._data[at : at + 4] != _END or at + _END_SIZE > len(self._data):
+            raise FormatError(
+                "no end record follows the directory", where=f"byte {at}", hint=_DAMAGED
+            )
+        disk, first_disk, here, count = struct.unpack_from("<4H", self._data, at + 4)
+        if at == self._behind_entries and (disk or first_disk or here != count):
             raise UnsupportedError("the archive is split into several files", hint=_REPACK)
-        if at + size != (self._end_at if self._end_64_at < 0 else self._end_64_at):
-            raise _damaged("the central directory does not end where it should", at)
-        return at, size, count
-
-    def _read_members(self) -> tuple[Member, ...]:
-        """All members in the order of their bytes."""
-        entries = []
-        at, stop = self._central_at, self._central_at + self._central_size
-        while at < stop:
-            if at + _ENTRY.size > stop or self.data[at : at + 4] != _CENTRAL:
-                raise _damaged("an entry of the central directory is damaged", at)
-            version, flags, method = struct.unpack_from("<3H", self.data, at + 6)
-            name_size, extra_size, comment_size, disk = struct.unpack_from(
-                "<4H", self.data, at + _ENTRY.lengths
+        if at + _END_SIZE + struct.unpack_from("<H", self._data, at + 20)[0] != len(self._data):
+            raise TruncatedError(
+                "the comment of the archive is cut", where=f"byte {len(self._data)}", hint=CUT_SHORT
             )
-            raw_name = bytes(self.data[at + _ENTRY.size :][:name_size])
-            name = raw_name.decode("utf-8" if flags & _IS_UTF8 else "cp437", "replace")
-            if version & 0xFF > _NEWEST_VERSION:
-                raise UnsupportedError(
-                    f"{name} needs version {(version & 0xFF) / 10:.1f} of the zip format",
-                    where=f"byte {at}",
-                    hint=_REPACK,
-                )
-            if disk not in (0, 0xFFFF):
-                raise UnsupportedError("the archive is split into several files", hint=_REPACK)
-            numbers = self._read(_ENTRY, at)
-            header_at = numbers["offset"]
-            data_at = self._read_local(header_at, raw_name, name)
-            sizes = numbers["crc"], numbers["packed"], numbers["size"]
-            entries.append((header_at, data_at, at, name, flags, method, *sizes))
-            at += _ENTRY.size + name_size + extra_size + comment_size
-        if at != stop or len(entries) != self._count:
-            raise _damaged(
-                f"the central directory has {len(entries)} entries, not {self._count}",
-                self._central_at,
-            )
-        entries.sort()
-        stops = [*(entry[0] for entry in entries[1:]), self._central_at]
-        members = tuple(Member(*entry, end) for entry, end in zip(entries, stops, strict=False))
-        for member in members:
-            if member.data_at + member.packed_size > member.stop:
-                raise _damaged(f"{member.name} reaches into what follows it", member.header_at)
-        return members
+        return at
 
-    def _read_local(self, at: int, raw_name: bytes, name: str) -> int:
-        """The first byte of a member's data, behind the local header at ``at``."""
-        begin = at + _LOCAL_HEADER.size
-        if begin > self._central_at or self.data[at : at + 4] != _LOCAL:
-            raise _damaged(f"{name} has no local header", at)
-        name_size, extra_size = struct.unpack_from("<2H", self.data, at + _LOCAL_HEADER.lengths)
-        if self.data[begin : begin + name_size] != raw_name:
-            raise _damaged(f"{name} has another name in its local header", at)
-        return int(begin + name_size + extra_size)
+    def find(self, name: str) -> ZipInfo | None:
+        """The member of that name, a leading slash and the case of letters disregarded."""
+        return self._members.get(_key(name))
 
-    def _places(self, header: _Header, at: int) -> _Places:
-        """Where the numbers of the header at ``at`` lie, in it or in its ZIP64 field."""
-        places = {word: (at + offset, "<L") for word, offset in header.numbers.items()}
-        wide = [w for w, place in places.items() if self._value(place) == _SEE_EXTRA]
-        name_size, extra_size = struct.unpack_from("<2H", self.data, at + header.lengths)
-        field_at = at + header.size + name_size
-        stop = min(field_at + extra_size, len(self.data))
-        while wide and field_at + 4 <= stop:
-            kind, length = struct.unpack_from("<2H", self.data, field_at)
-            field_at += 4
-            if kind == 1:
-                ends = range(field_at + 8, min(field_at + length, stop) + 1, 8)
-                places |= {w: (end - 8, "<Q") for w, end in zip(wide, ends, strict=False)}
-                break
-            field_at += length
-        return places | {"crc": (at + header.crc, "<L")}
-
-    def _value(self, place: tuple[int, str]) -> int:
-        return int(struct.unpack_from(place[1], self.data, place[0])[0])
-
-    def _read(self, header: _Header, at: int) -> _Numbers:
-        return {word: self._value(place) for word, place in self._places(header, at).items()}
-
-    def content(self, member: Member, room: int) -> bytes:
+    def content(self, member: ZipInfo, room: int) -> bytes:
         """The expanded content of a member, of at most ``room`` bytes.
 
         Nothing beyond the size in the directory is ever expanded.
         """
-        if member.flags & _IS_ENCRYPTED:
+        if member.flag_bits & _IS_ENCRYPTED:
             raise UnsupportedError(
-                f"{member.name} is encrypted", hint="export it without a password"
+                f"{member.filename} is encrypted", hint="export it without a password"
             )
-        if member.size > room:
+        if member.file_size > room:
             raise TooLargeError(
-                f"it expands to {member.size:,} bytes, and there is room for {room:,}",
-                where=member.name,
+                f"it expands to {member.file_size:,} bytes, and there is room for {room:,}",
+                where=member.filename,
                 hint="no mesh compresses so well; if you trust it, pack it without compression",
             )
-        is_in_header = not member.flags & _HAS_DESCRIPTOR
-        if is_in_header and self._read(_LOCAL_HEADER, member.header_at) != member.numbers:
-            raise _damaged(f"{member.name} has other sizes in its local header", member.header_at)
-        packed = self.packed(member)
-        if member.method == _STORED:
-            content = bytes(packed)
-        elif member.method == _DEFLATED:
-            content = _inflate(packed, member)
-        else:
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise UnsupportedError(
-                f"{member.name} is compressed by method {member.method}", hint=_REPACK
+                f"{member.filename} is compressed by method {member.compress_type}", hint=_REPACK
             )
-        if len(content) != member.size or zlib.crc32(content) != member.crc:
+        places, numbers = self._places(member.header_offset), numbers_of(member)
+        is_in_header = not member.flag_bits & _HAS_DESCRIPTOR
+        if is_in_header and any(self._value(places[word]) != numbers[word] for word in numbers):
             raise FormatError(
-                "it has another size or checksum than it should",
-                where=member.name,
+                f"{member.filename} has other sizes in its local header",
+                where=f"byte {member.header_offset}",
                 hint=_DAMAGED,
+            )
+        # Without a limit all that is compressed would be expanded before it is counted.
+        with _errors(member.filename), self._zip.open(member) as file:
+            content = file.read(member.file_size + 1)
+        if len(content) != member.file_size:
+            raise FormatError(
+                "it has another size than it should", where=member.filename, hint=_DAMAGED
             )
         return content
 
-    def packed(self, member: Member) -> memoryview:
+    def packed(self, member: ZipInfo) -> memoryview:
         """The data of a member as they are stored."""
-        return self.data[member.data_at : member.data_at + member.packed_size]
+        at = self._data_at(member)
+        return self._data[at : at + member.compress_size]
 
     def replace(self, contents: Mapping[str, Buffer]) -> bytes:
         """The archive with new contents for the members of these names; all else is kept."""
         new = {}
         for name, content in contents.items():
             packed = content
-            if self._by_key[_key(name)].method == _DEFLATED:
+            if self._members[_key(name)].compress_type == zipfile.ZIP_DEFLATED:
                 deflate = zlib.compressobj(_LEVEL, zlib.DEFLATED, -15)
                 packed = deflate.compress(content) + deflate.flush()
             numbers = {"crc": zlib.crc32(content), "packed": len(packed), "size": len(content)}
             new[name] = packed, numbers
         return self.assemble(new)
 
-    def assemble(self, contents: Mapping[str, tuple[Buffer, _Numbers]]) -> bytes:
+    def assemble(self, contents: Mapping[str, tuple[Buffer, Numbers]]) -> bytes:
         """The archive with new data, as they are stored, and new numbers of some members."""
         pieces: list[Buffer] = []
-        size = done = 0
-        tail = bytearray(self.data[self._central_at :])
-        for member in self.members:
-            pieces.append(self.data[done : member.header_at])
-            size += member.header_at - done
-            new = {"offset": size}
-            if member.name in contents:
-                own = self._wrap(member, *contents[member.name])
-                new |= contents[member.name][1]
-            else:
-                own = [self.data[member.header_at : member.stop]]
-            pieces += own
-            size += sum(map(len, own))
-            done = member.stop
-            _write(tail, self._places(_ENTRY, member.entry_at), new, self._central_at)
-        pieces.append(self.data[done : self._central_at])
-        if size > _SEE_EXTRA - (1 << 24) and self._end_64_at < 0:
+        shift = done = 0
+        tail = bytearray(self._data[self._central_at :])
+        for member in self._ordered:
+            entry_at, stop = self._entries[_key(member.filename)], self._stops[member.filename]
+            places = self._places(entry_at, 42)
+            new = {"offset": self._value(places["offset"]) + shift}
+            if member.filename in contents:
+                packed, numbers = contents[member.filename]
+                own = self._wrap(member, packed, numbers, stop)
+                pieces += [self._data[done : member.header_offset], *own]
+                done = stop
+                shift += sum(map(len, own)) - (stop - member.header_offset)
+                new |= numbers
+            _write(tail, places, new, self._central_at)
+        pieces.append(self._data[done : self._central_at])
+        if self._central_at + shift > _SEE_EXTRA - (1 << 24):
             raise TooLargeError(
                 "the archive would have more than 4 GB", hint="cut the mesh into parts"
             )
-        self._move_end(tail, size - done)
+        self._move_end(tail, shift)
         return b"".join([*pieces, tail])
 
-    def _wrap(self, member: Member, packed: Buffer, new: _Numbers) -> list[Buffer]:
+    def _data_at(self, member: ZipInfo) -> int:
+        at = member.header_offset
+        if at + _LOCAL_SIZE > self._central_at or self._data[at : at + 4] != _LOCAL:
+            raise FormatError(
+                f"{member.filename} has no local header", where=f"byte {at}", hint=_DAMAGED
+            )
+        return int(at + _LOCAL_SIZE + sum(struct.unpack_from("<2H", self._data, at + 26)))
+
+    def _places(self, at: int, offset: int = 0) -> _Places:
+        """Where the numbers of the local header, or with ``offset`` the entry of the directory, at
+        ``at`` lie: in it or in its ZIP64 field."""
+        begin, size = (16, _ENTRY_SIZE) if offset else (14, _LOCAL_SIZE)
+        places = {"size": (at + begin + 8, "<L"), "packed": (at + begin + 4, "<L")}
+        if offset:
+            places["offset"] = at + offset, "<L"
+        wide = [word for word, place in places.items() if self._value(place) == _SEE_EXTRA]
+        name_size, extra_size = struct.unpack_from("<2H", self._data, at + begin + 12)
+        field_at = at + size + name_size
+        stop = field_at + extra_size
+        while wide and field_at + 4 <= stop:
+            kind, length = struct.unpack_from("<2H", self._data, field_at)
+            field_at += 4
+            if kind == 1:
+                firsts = range(field_at, min(field_at + length, stop) - 7, 8)
+                places |= {w: (first, "<Q") for w, first in zip(wide, firsts, strict=False)}
+                break
+            field_at += length
+        return places | {"crc": (at + begin, "<L")}
+
+    def _value(self, place: tuple[int, str]) -> int:
+        return int(struct.unpack_from(place[1], self._data, place[0])[0])
+
+    def _wrap(self, member: ZipInfo, packed: Buffer, new: Numbers, stop: int) -> list[Buffer]:
         """New data of a member between its header and what follows, with new numbers in both."""
-        head = bytearray(self.data[member.header_at : member.data_at])
-        tail = bytearray(self.data[member.data_at + member.packed_size : member.stop])
+        begin, data_at = member.header_offset, self._data_at(member)
+        head = bytearray(self._data[begin:data_at])
+        tail = bytearray(self._data[data_at + member.compress_size : stop])
         # With a descriptor the header need not have them, but some programs write them twice.
-        places = self._places(_LOCAL_HEADER, member.header_at)
-        if self._read(_LOCAL_HEADER, member.header_at) == member.numbers:
-            _write(head, places, new, member.header_at)
-        if member.flags & _HAS_DESCRIPTOR:
-            _write_descriptor(tail, member, new)
+        places, old = self._places(begin), numbers_of(member)
+        if {word: self._value(places[word]) for word in old} == old:
+            _write(head, places, new, begin)
+        if member.flag_bits & _HAS_DESCRIPTOR:
+            for start, form in itertools.product((_DESCRIPTOR, b""), ("<LQQ", "<LLL")):
+                if tail.startswith(before := start + struct.pack(form, *old.values())):
+                    tail[: len(before)] = start + struct.pack(form, *new.values())
+                    break
+            else:
+                where = f"byte {data_at + member.compress_size}"
+                raise FormatError(f"{member.filename} has no data descriptor", where=where)
         return [head, packed, tail]
 
     def _move_end(self, tail: bytearray, shift: int) -> None:
         """Move the directory's offset in the end records of ``tail`` by ``shift``."""
-        new = self._central_at + shift
-        end_at = self._end_at - self._central_at
+        at, end_at = (k - self._central_at for k in (self._behind_entries, self._end_at))
+        places = [(at + 48, "<Q"), (end_at - _LOCATOR_SIZE + 8, "<Q")] if at < end_at else []
         if struct.unpack_from("<L", tail, end_at + 16)[0] != _SEE_EXTRA:
-            struct.pack_into("<L", tail, end_at + 16, new)
-        if self._end_64_at >= 0:
-            struct.pack_into("<Q", tail, self._end_64_at - self._central_at + 48, new)
-            struct.pack_into("<Q", tail, end_at - _LOCATOR_SIZE + 8, self._end_64_at + shift)
+            places.append((end_at + 16, "<L"))
+        for place, code in places:
+            struct.pack_into(code, tail, place, struct.unpack_from(code, tail, place)[0] + shift)
 
 
-def _damaged(message: str, at: int) -> FormatError:
-    return FormatError(message, where=f"byte {at}", hint=_DAMAGED)
+def numbers_of(member: ZipInfo) -> Numbers:
+    """What the directory says of a member."""
+    return {"crc": member.CRC, "packed": member.compress_size, "size": member.file_size}
+
+
+@contextlib.contextmanager
+def _errors(where: str) -> Iterator[None]:
+    """Make FormatError or UnsupportedError of what ``zipfile`` raises."""
+    try:
+        yield
+    except NotImplementedError as failure:
+        raise UnsupportedError(f"the archive cannot be read: {failure}", hint=_REPACK) from None
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, struct.error) as failure:
+        message = f"the archive is damaged: {failure}"
+        raise FormatError(message, where=where, hint=_DAMAGED) from None
 
 
 def _key(name: str) -> str:
     return name.lstrip("/").lower()
 
 
-def _find_end(data: memoryview) -> int:
-    """The first byte of the end record, whose comment reaches to the end of the file."""
-    if data[:4] not in (_LOCAL, _END):
-        raise _damaged("the file is not a zip archive", 0)
-    first = max(0, len(data) - _END_SIZE - _MAX_COMMENT)
-    tail = bytes(data[first:])
-    at = len(tail)
-    while (at := tail.rfind(_END, 0, at)) >= 0:
-        if at + _END_SIZE <= len(tail):
-            (length,) = struct.unpack_from("<H", tail, at + 20)
-            if at + _END_SIZE + length == len(tail):
-                return first + at
-    raise TruncatedError(
-        "the archive has no end record",
-        where=f"byte {len(data)}",
-        hint=CUT_SHORT,
-    )
-
-
-def _inflate(packed: memoryview, member: Member) -> bytes:
-    inflate = zlib.decompressobj(-15)
-    try:
-        content = inflate.decompress(packed, member.size + 1)
-    except zlib.error as failure:
-        raise FormatError(
-            f"{member.name} cannot be expanded ({failure})", where=member.name, hint=_DAMAGED
-        ) from failure
-    if len(content) == member.size and not inflate.eof:
-        # Its end mark may be all that is left.
-        content += inflate.decompress(inflate.unconsumed_tail, 1)
-    return content
-
-
-def _write(target: bytearray, places: _Places, numbers: _Numbers, begin: int) -> None:
+def _write(target: bytearray, places: _Places, numbers: Numbers, begin: int) -> None:
     """Write numbers to their places in ``target``, the bytes of the archive from ``begin`` on."""
     for word, value in numbers.items():
         at, code = places[word]
@@ -361,14 +275,3 @@ def _write(target: bytearray, places: _Places, numbers: _Numbers, begin: int) ->
                 "a member would have more than 4 GB", hint="cut the mesh into parts"
             )
         struct.pack_into(code, target, at - begin, value)
-
-
-def _write_descriptor(tail: bytearray, member: Member, new: _Numbers) -> None:
-    """Put new numbers into the data descriptor at the beginning of ``tail``, in its own form."""
-    for head in (_DESCRIPTOR, b""):
-        for form in ("<LQQ", "<LLL"):
-            old = head + struct.pack(form, *member.numbers.values())
-            if tail[: len(old)] == old:
-                tail[: len(old)] = head + struct.pack(form, *new.values())
-                return
-    raise _damaged(f"{member.name} has no data descriptor", member.data_at + member.packed_size)

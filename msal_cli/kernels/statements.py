@@ -1,6 +1,6 @@
 """Walks over the bytes of a text file that put new numbers in, or look whether others did.
 
-A *statement* is three numbers one behind the other, with blanks between them: the position or the
+A *run* is some numbers one behind the other with blanks between them, such as the position or the
 normal of a vertex.
 """
 
@@ -20,7 +20,7 @@ from msal_cli.kernels.numbers import (
 )
 
 DONE = 0
-"""All statements are dealt with."""
+"""All runs are dealt with."""
 DIFFERENT = 1
 """A byte differs that must be the same."""
 WRONG_VALUE = 2
@@ -43,11 +43,12 @@ def _skip_blanks(buf, at):  # type: ignore[no-untyped-def]
 
 @compiled
 def _skip_number(buf, at):  # type: ignore[no-untyped-def]
-    """The end of the number at ``at``: a blank, the end of a line, or a backslash."""
+    """The end of the number at ``at``: a blank, the end of a line, a quote or a backslash."""
     while at < len(buf):
         word = load_eight(buf, at)
         slashes = word ^ np.uint64(0x5C5C5C5C5C5C5C5C)
-        found = (word - np.uint64(0x2121212121212121)) & ~word
+        # No byte below 43, the plus, is a part of a number.
+        found = (word - np.uint64(0x2B2B2B2B2B2B2B2B)) & ~word
         found |= (slashes - np.uint64(0x0101010101010101)) & ~slashes
         found &= np.uint64(0x8080808080808080)
         if found != 0:
@@ -57,15 +58,36 @@ def _skip_number(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def find_tokens(buf, begins, starts, stops):  # type: ignore[no-untyped-def]
-    """Where the three numbers of each statement begin and end, (3 n,) each."""
+def find_numbers(buf, begins, starts):  # type: ignore[no-untyped-def]
+    """Where each number of the runs that begin at ``begins`` (q,) begins, (q * width,)."""
+    width = len(starts) // max(len(begins), 1)
     for i in range(len(begins)):
         end = begins[i]
-        for axis in range(3):
+        for axis in range(width):
             start = _skip_blanks(buf, end)
             end = _skip_number(buf, start)
-            starts[3 * i + axis] = start
-            stops[3 * i + axis] = end
+            starts[width * i + axis] = start
+
+
+@compiled
+def count_decimals(buf, begins, width, used):  # type: ignore[no-untyped-def]
+    """The most decimals (q,) of each run, at most 255; ``1.5e-3`` has four."""
+    for i in range(len(begins)):
+        end = begins[i]
+        used[i] = 0
+        for _ in range(width):
+            start = _skip_blanks(buf, end)
+            end = _skip_number(buf, start)
+            _, _, _, decimals = read_number(buf, start, end)
+            used[i] = max(used[i], min(decimals, 255))
+
+
+@compiled
+def _is_kept(old, new, i):  # type: ignore[no-untyped-def]
+    is_kept = True
+    for axis in range(new.shape[1]):
+        is_kept = is_kept and new[i, axis] == old[i, axis]
+    return is_kept
 
 
 @compiled
@@ -76,21 +98,21 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals): 
     ----------
     buf : (size,) uint8, the file.
     out : uint8, with room for the result and eight bytes more.
-    first, first_axis : the statement and the number in it to begin with.
-    begins : (n,) int64, ascending, where the statements begin, behind their keywords.
-    old, new : (n, 3) float64; a number is replaced where they differ.
-    decimals : (n,) uint8, of new numbers, see ``digit_writing.write_number``.
+    first, first_axis : the run and the number in it to begin with.
+    begins : (n,) int64, ascending, where the runs begin, behind their keywords.
+    old, new : (n, width) float64; a number is replaced where they differ.
+    decimals : (n,) uint8, of new numbers, see ``numbers.write_number``.
 
-    Returns the end of what was copied, in both, and the statement and the number that Python has to
+    Returns the end of what was copied, in both, and the run and the number that Python has to
     write next; (n, 0) where all are written: the rest of the file is yet to be copied.
     """
     for i in range(first, len(begins)):
-        if new[i, 0] == old[i, 0] and new[i, 1] == old[i, 1] and new[i, 2] == old[i, 2]:
+        if _is_kept(old, new, i):
             continue
         start = begins[i]
         if i == first:
             start = max(start, done)
-        for axis in range(first_axis if i == first else 0, 3):
+        for axis in range(first_axis if i == first else 0, new.shape[1]):
             start = _skip_blanks(buf, start)
             stop = _skip_number(buf, start)
             if new[i, axis] != old[i, axis]:
@@ -112,21 +134,21 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals): 
 def compare(  # type: ignore[no-untyped-def]
     a, a_done, b, b_done, first, first_axis, begins, old, new, decimals, tolerances
 ):
-    """Whether ``b`` is ``a`` with only numbers of the statements replaced, as expected.
+    """Whether ``b`` is ``a`` with only numbers of the runs replaced, as expected.
 
     A number that did not change keeps its bytes; one that did is within ``tolerances[decimals[i]]``
     of its new value, and 2 units in the last place of a double.  Other parameters as in
     ``replace``.  Returns DONE, what is wrong, or ASIDE for the number at ``b_done``; how far both
-    files are dealt with; the statement and the number in it.
+    files are dealt with; the run and the number in it.
     """
     for i in range(first, len(begins)):
-        if new[i, 0] == old[i, 0] and new[i, 1] == old[i, 1] and new[i, 2] == old[i, 2]:
+        if _is_kept(old, new, i):
             continue
         start = begins[i]
         if i == first:
             start = max(start, a_done)
         tolerance = tolerances[decimals[i]]
-        for axis in range(first_axis if i == first else 0, 3):
+        for axis in range(first_axis if i == first else 0, new.shape[1]):
             start = _skip_blanks(a, start)
             stop = _skip_number(a, start)
             expected = new[i, axis]

@@ -1,10 +1,8 @@
 """Walks over STL: facets out of text, new numbers into text and records, the check of the result.
 
-The *tokens* of a facet of ascii STL are its twelve numbers in file order: the normal's three, then
-three for each corner.  Their places are kept as the facet's first byte, ``facet_at`` (n,) int64,
-and the distance of each token from it, ``offsets`` (n, 12) int32, a fifth of what two int64 per
-token take.  A facet may be without a normal, and a normal's words need not be numbers: their values
-are NaN, and nothing is ever written there.
+A facet of ascii STL is four *runs* of three numbers: its normal and its corners.  It may be without
+a normal, and a normal's words need not be numbers: their values are NaN, and nothing is ever
+written there.
 The bytes come from strangers: compiled code does not check bounds, so every walk here compares
 with the end of the data before it reads.
 """
@@ -17,9 +15,9 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.geometry import DEGENERATE
-from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number, write_fixed
+from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.text import is_same, skip_token
+from msal_cli.kernels.text import skip_token
 from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 WHOLE = 0
@@ -34,8 +32,6 @@ BAD_NUMBER = 4
 """A word that must be a number is none."""
 OUTSIDE = 5
 """Behind a solid there is something that is not another solid."""
-TOO_LONG = 6
-"""A single facet takes 2 GiB of text."""
 
 FACET, NORMAL, OUTER, LOOP, VERTEX, ENDLOOP, ENDFACET, SOLID, ENDSOLID = range(9)
 WORDS = ("facet", "normal", "outer", "loop", "vertex", "endloop", "endfacet", "solid", "endsolid")
@@ -155,12 +151,13 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: ignore[no-untyped-def]
+def scan(buf, state, run_at, numbers, solid_at, decimals):  # type: ignore[no-untyped-def]
     """Read facets from ``buf`` (size,) uint8 until the arrays are full or the text ends.
 
     state (N_STATE,) int64 : next byte, facets read, solids read, 1 within a solid, and facets
         without a normal; carried on.
-    numbers (n, 12) float64 : the tokens' values; see ``_number``.
+    run_at (n, 4) int64 : first byte of each run.
+    numbers (n, 12) float64 : their values; see ``_number``.
     solid_at (MAX_SOLIDS,) int64 : where the first solids' names begin.
     decimals (4,) int64 : most decimals of normals and of corners, in plain numbers, and in
         numbers with an exponent.
@@ -191,9 +188,8 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
             continue
         if not inside:
             return OUTSIDE, at, SOLID
-        if n == len(facet_at) and _skip_word(buf, at, FACET) >= 0:
+        if n == len(run_at) and _skip_word(buf, at, FACET) >= 0:
             return FULL, at, FACET
-        facet = at
         token = 0
         for word in (FACET, NORMAL, OUTER, LOOP, VERTEX, VERTEX, VERTEX, ENDLOOP, ENDFACET):
             end = at
@@ -216,18 +212,16 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                 value, stop, used = _number(buf, at)
                 if stop < 0:
                     if _is_bare(buf, at, word) and token == 0:
-                        for token in range(3):
-                            offsets[n, token] = at - facet
-                            numbers[n, token] = np.nan
+                        run_at[n, 0] = at
+                        numbers[n, :3] = np.nan
                         token = 3
                         state[WITHOUT_NORMAL] += 1
                         break
                     if word != NORMAL or _is_bare(buf, at, word):
                         return BAD_NUMBER, at, word
                     value, stop, used = np.nan, skip_token(buf, at), 0
-                if stop - facet > 0x7FFFFFFF:
-                    return TOO_LONG, facet, word
-                offsets[n, token] = at - facet
+                if token % 3 == 0:
+                    run_at[n, token // 3] = at
                 numbers[n, token] = value
                 kind = 0 if word == NORMAL else 1
                 if used > decimals[kind]:
@@ -240,55 +234,8 @@ def scan(buf, state, facet_at, offsets, numbers, solid_at, decimals):  # type: i
                         decimals[kind] = used
                 token += 1
                 at = stop
-        facet_at[n] = facet
         n += 1
         behind = at
-
-
-@compiled
-def write_tokens(buf, facet_at, offsets, replace, numbers, decimals, out):  # type: ignore[no-untyped-def]
-    """Copy ``buf`` to ``out`` with the tokens that ``replace`` (n, 12) marks printed anew.
-
-    decimals (2,) int64 : of normals and of corners.  The numbers must fit fixed-point text and
-    ``out`` must be long enough.  Returns the length of the result.
-    """
-    copied = 0
-    to = 0
-    for f in range(len(facet_at)):
-        for token in range(12):
-            if not replace[f, token]:
-                continue
-            start = facet_at[f] + offsets[f, token]
-            for k in range(copied, start):
-                out[to + k - copied] = buf[k]
-            to += start - copied
-            to = write_fixed(numbers[f, token], decimals[0 if token < 3 else 1], out, to)
-            copied = skip_token(buf, start)
-    for k in range(copied, len(buf)):
-        out[to + k - copied] = buf[k]
-    return to + len(buf) - copied
-
-
-@compiled
-def is_same_outside(  # type: ignore[no-untyped-def]
-    buf, facet_at, offsets, other, other_facet_at, other_offsets, replace
-):
-    """Whether two texts of n facets each are equal outside the tokens that ``replace`` marks."""
-    a = b = 0
-    for f in range(len(facet_at) + 1):
-        for token in range(12):
-            if f == len(facet_at):
-                a_stop, b_stop = len(buf), len(other)
-            elif replace[f, token]:
-                a_stop = facet_at[f] + offsets[f, token]
-                b_stop = other_facet_at[f] + other_offsets[f, token]
-            else:
-                continue
-            if a_stop - a != b_stop - b or not is_same(buf, a, other, b, a_stop - a):
-                return False
-            a = skip_token(buf, a_stop)
-            b = skip_token(other, b_stop)
-    return True
 
 
 RIGHT, WRONG_CORNER, WRONG_NORMAL, WRONG_ATTRIBUTE = range(4)

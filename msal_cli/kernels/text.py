@@ -107,21 +107,34 @@ def read_numbers(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
 
 
 @compiled
-def _count_decimals(buf, starts, stops, decimals):  # type: ignore[no-untyped-def]
-    for i in range(len(starts)):
-        _, _, _, used = read_number(buf, starts[i], stops[i])
-        decimals[i] = min(used, 255)
+def find_words(buf, start, stop, comment, starts, stops, lines):  # type: ignore[no-untyped-def]
+    """Find the words of ``buf[start:stop]``; a byte ``comment`` (-1 for none) hides the rest of its
+    line.
 
-
-def count_decimals(buf: Bytes, starts: Longs, stops: Longs) -> Bytes:
-    """Decimals behind the point of each of these tokens, exponents counted in, at most 255.
-
-    ``1.5e-3`` has four.
+    starts, stops, lines (q,) int64 : receive the places of the first q words, and numbers of their
+        lines, which ascend.  Returns how many words there are.
     """
-    starts, stops = np.ascontiguousarray(starts), np.ascontiguousarray(stops)
-    decimals = np.empty(len(starts), dtype=np.uint8)
-    _count_decimals(as_bytes(buf), starts, stops, decimals)
-    return decimals
+    n_words = line = 0
+    at = start
+    while at < stop:
+        c = buf[np.uint64(at)]
+        if c == 32 or 9 <= c <= 13:
+            line += c == 10 or c == 13
+            at += 1
+        elif c == comment:
+            while at < stop and buf[np.uint64(at)] != 10 and buf[np.uint64(at)] != 13:
+                at += 1
+        else:
+            begin = at
+            while at < stop and not (c == 32 or 9 <= c <= 13 or c == comment):
+                at += 1
+                c = buf[np.uint64(min(at, stop - 1))]
+            if n_words < len(starts):
+                starts[n_words] = begin
+                stops[n_words] = at
+                lines[n_words] = line
+            n_words += 1
+    return n_words
 
 
 # Writing
@@ -253,35 +266,6 @@ def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
             return False
         done += size
     return True
-
-
-@compiled
-def _is_same_outside(a, a_starts, a_stops, b, b_starts, b_stops):  # type: ignore[no-untyped-def]
-    a_done = b_done = 0
-    for i in range(len(a_starts)):
-        count = a_starts[i] - a_done
-        if (
-            count < 0
-            or b_starts[i] - b_done != count
-            or a_starts[i] > len(a)
-            or b_starts[i] > len(b)
-            or not is_same(a, a_done, b, b_done, count)
-        ):
-            return False
-        a_done, b_done = a_stops[i], b_stops[i]
-    count = len(a) - a_done
-    return count >= 0 and len(b) - b_done == count and is_same(a, a_done, b, b_done, count)
-
-
-def is_same_outside(
-    a: Bytes, a_starts: Longs, a_stops: Longs, b: Bytes, b_starts: Longs, b_stops: Longs
-) -> bool:
-    """Whether two texts are equal byte for byte outside their k tokens."""
-    if len(a_starts) != len(b_starts):
-        return False
-    a_starts, a_stops = np.ascontiguousarray(a_starts), np.ascontiguousarray(a_stops)
-    b_starts, b_stops = np.ascontiguousarray(b_starts), np.ascontiguousarray(b_stops)
-    return bool(_is_same_outside(as_bytes(a), a_starts, a_stops, as_bytes(b), b_starts, b_stops))
 
 
 _BLOCK = 1 << 14

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs.slots import require_range, splice
+from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import line_of, number_hint, parse_floats
 from msal_cli.errors import ContentError, FormatError
 
@@ -56,16 +56,3 @@ def test_words_are_numbers():
         assert caught.value.where == f"line {line}"
     assert "comma" in number_hint(b"1,5") and number_hint(b"1.5", "other") == "other"
     assert [line_of(b"a\nb\rc\r\nd", at) for at in (0, 2, 4, 5, 6, 7)] == [1, 2, 3, 3, 4, 4]
-
-
-def test_edits_in_any_order():
-    data = as_bytes(b"0123456789")
-    ints = np.array
-
-    def edit(starts, stops, text, ends):
-        return ints(starts), ints(stops), as_bytes(text), ints(ends)
-
-    first, second = edit([2, 6], [3, 8], b"AAB", [2, 3]), edit([4, 0], [5, 1], b"CDDD", [1, 4])
-    assert bytes(splice(data, [first])) == b"01AA345B89"
-    assert bytes(splice(data, [first, second])) == b"DDD1AA3C5B89"
-    assert bytes(splice(data, [second])) == b"DDD123C56789"
