@@ -257,8 +257,8 @@ def _errors(where: str) -> Iterator[None]:
         yield
     except NotImplementedError as failure:
         raise UnsupportedError(f"the archive cannot be read: {failure}", hint=_REPACK) from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, struct.error) as failure:
-        message = f"the archive is damaged: {failure}"
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, struct.error):
+        message = "the archive contradicts itself, or a checksum is wrong"
         raise FormatError(message, where=where, hint=_DAMAGED) from None
 
 
