@@ -12,7 +12,7 @@ from msal_cli.errors import UsageError
 from tests import paper
 from tests.methods.plain_normals import normals_and_areas
 from tests.methods.runs import SHAPES, run_in_file
-from tests.shapes import fan, grid, noisy
+from tests.shapes import grid, noisy
 
 run = functools.partial(run_in_file, "bilateral")
 
@@ -100,17 +100,6 @@ def test_tiny_widths_do_not_underflow(variant, width):
     vertices, faces = SHAPES["torus"]
     out = run(vertices, faces, variant=variant, closeness=width, similarity=width)
     assert np.isfinite(out).all()
-
-
-def test_a_short_edge_stops_the_automatic_width_but_not_a_given_one():
-    # The middle of a fan stands out by 0.2 and has one neighbour at a hundredth of an edge.
-    vertices, faces = fan([0.0] * 8)
-    vertices[0, 2] = 0.2
-    vertices[1] = [0.01, 0.0, 0.2]
-    automatic = run(vertices, faces, variant="fleishman", iterations=1)
-    given = run(vertices, faces, variant="fleishman", iterations=1, closeness=1)
-    assert abs(automatic[0, 2] - 0.2) < 0.01
-    assert given[0, 2] < 0.18
 
 
 def test_a_radius_needs_the_variant_that_has_one():

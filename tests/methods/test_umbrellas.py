@@ -9,7 +9,6 @@ from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume
 from msal_cli.errors import UsageError
 from msal_cli.kernels.umbrellas import sinc_coefficients
-from msal_cli.mesh import prepare_mesh
 from tests.methods.plain_rings import hc, rows, scale_dependent_umbrella, umbrella
 from tests.methods.runs import SHAPES, denoise, run
 from tests.shapes import fan, grid, noisy, torus
@@ -168,11 +167,3 @@ def test_the_scale_dependent_umbrella_agrees_with_the_plain_twin(shape, boundary
     for _ in range(3):
         x = x + scale_dependent_umbrella(x, ring, time_step * mesh.mean_edge_length**2)
     assert_twin(mesh, out, x, 1e-3)
-
-
-def test_no_step_overshoots():
-    # Without the limit of each vertex the default step would throw the small triangles about.
-    mesh = prepare_mesh(*stretched()).mesh
-    out = denoise("scale_dependent_umbrella", mesh, iterations=200, time_step=100.0)
-    assert (out >= mesh.vertices.min(axis=0) - 1e-9).all()
-    assert (out <= mesh.vertices.max(axis=0) + 1e-9).all()
