@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks import machine, scans
 from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral, RingOperator
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.sweeps import Multiscale, Plain, Schedule, run_sweeps
+from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.machine import usable_cores
 from msal_cli.mesh import Mesh
 
@@ -58,9 +58,9 @@ def runs(mesh: Mesh, sweeps: int) -> dict[str, Callable[[], object]]:
 
     return {
         "copy": lambda: over_ranges(copied_part, len(free)),
-        "al": run(laplacian, Plain()),
-        "msal": run(laplacian, Multiscale()),
-        "bilateral": run(bilateral, Plain()),
+        "al": run(laplacian, Schedule()),
+        "msal": run(laplacian, Schedule(decay=0.5, quantile=1.0)),
+        "bilateral": run(bilateral, Schedule()),
     }
 
 

@@ -15,6 +15,7 @@ from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import exponentials
+from msal_cli.kernels.faces import face_centroids
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vertex_normals
 from msal_cli.kernels.operators import MIN_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
@@ -343,8 +344,7 @@ class ProjectionAverage:
         """The moves (n, 3) at ``positions``, all from the same positions."""
         own, areas = face_normals_and_areas(positions, self.faces)
         areas /= self.mean_edge_length**2
-        corners = positions[self.faces]
-        centroids = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+        centroids = face_centroids(positions, self.faces)
         everywhere = np.ones_like(self.free)
         smooth = positions + self._average(
             positions, centroids, areas, own, everywhere, 0.5 * self.closeness, _CENTROIDS

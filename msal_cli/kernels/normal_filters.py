@@ -537,26 +537,13 @@ class NormalSystem:
 
     def times(self, x: Floats, product: Floats) -> None:
         """Write A x into ``product``; both (m, 3), not the same array."""
-        rows = (self.values, self.ring_start, self.ring)
+        rows, own, share = (self.values, self.ring_start, self.ring), self.own, self.fidelity
         difference = np.empty_like(x)
-        m = len(x)
-        over_ranges(
-            _differences, m, *rows, self.areas, self.inverse, self.own, x, 1.0, x, 0.0, difference
-        )
+        known = *rows, self.areas, self.inverse, own, x, 1.0, x, 0.0
+        over_ranges(_differences, len(x), *known, difference)
         # The transpose has the two factors of the symmetric part in the other order.
-        over_ranges(
-            _differences,
-            m,
-            *rows,
-            self.inverse,
-            self.areas,
-            self.own,
-            difference,
-            1.0 - self.fidelity,
-            x,
-            self.fidelity,
-            product,
-        )
+        known = *rows, self.inverse, self.areas, own, difference, 1.0 - share, x, share
+        over_ranges(_differences, len(x), *known, product)
 
 
 def normal_system(

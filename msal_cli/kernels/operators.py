@@ -311,13 +311,9 @@ class RingOperator:
 
     def __call__(self, positions: Floats) -> Step:
         """Heights and sigma at ``positions`` (n, 3), all from the same positions."""
-        heights, sigma = np.empty(len(positions)), np.empty(len(positions))
-        return Step(heights, sigma, self.measure(positions, heights, sigma))
-
-    def measure(self, positions: Floats, heights: Floats, sigma: Floats) -> float:
-        """Write heights (n,) and sigma (n,) at ``positions`` (n, 3); returns the largest sigma."""
-        none = np.empty(0)
-        return self._run(positions, heights, sigma, none, none, 0.0, 0.0, none)
+        heights, sigma, none = np.empty(len(positions)), np.empty(len(positions)), np.empty(0)
+        largest = self._run(positions, heights, sigma, none, none, 0.0, 0.0, none)
+        return Step(heights, sigma, largest)
 
     def advance(
         self,

@@ -42,19 +42,6 @@ def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:
 
 
 @compiled
-def parse_number(buf, start, stop):  # type: ignore[no-untyped-def]
-    """The value of a whole token and its status.
-
-    Sign, digits, point, exponent (e or E), ``nan`` and ``inf`` in any case.  UNDECIDED has more
-    than 19 digits, a large exponent, or lies too near the middle of two doubles.
-    """
-    value, status, end, _ = read_number(buf, start, stop)
-    if end != stop:
-        return 0.0, NOT_A_NUMBER
-    return value, status
-
-
-@compiled
 def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
     """The int64 value of a whole token and its status; UNDECIDED where it does not fit."""
     at = start
@@ -82,8 +69,8 @@ def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
 def _read_numbers(buf, starts, stops, values, undecided):  # type: ignore[no-untyped-def]
     n_undecided = 0
     for i in range(len(starts)):
-        value, status = parse_number(buf, starts[i], stops[i])
-        if status == NOT_A_NUMBER:
+        value, status, end, _ = read_number(buf, starts[i], stops[i])
+        if end != stops[i] or status == NOT_A_NUMBER:
             return i, n_undecided
         values[i] = value
         undecided[i] = status == UNDECIDED
@@ -94,7 +81,8 @@ def _read_numbers(buf, starts, stops, values, undecided):  # type: ignore[no-unt
 def read_numbers(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
     """The values (k,) of k tokens, correctly rounded, and the first that is no number, or -1.
 
-    Behind such a token the values are undefined.
+    Numbers have a sign, digits, point, exponent (e or E), or are ``nan`` or ``inf`` in any case.
+    Behind a token that is none the values are undefined.
     """
     values = np.empty(len(starts))
     undecided = np.zeros(len(starts), dtype=np.bool_)

@@ -35,13 +35,6 @@ THIRD = 1.0 / 3.0
 
 
 @compiled
-def _planes(start, stop, normals, planes):
-    """The first three numbers of every plane: its normal n'."""
-    for f in range(np.uint64(start), np.uint64(stop)):
-        planes[f, 0], planes[f, 1], planes[f, 2] = normals[f, 0], normals[f, 1], normals[f, 2]
-
-
-@compiled
 def _shares(start, stop, planes, face_start, incident, free, share):
     """One over the number of faces that have a normal; zero for vertices that stay."""
     for i in range(np.uint64(start), np.uint64(stop)):
@@ -114,7 +107,7 @@ def update_vertices(
     """
     n, m = len(vertices), len(faces)
     planes = np.empty(4 * m)
-    over_ranges(_planes, m, normals, planes.reshape(-1, 4))
+    planes.reshape(-1, 4)[:, :3] = normals
     around = planes, *[rows.view(np.uint32) for rows in links.incidence]
     share = np.empty(n)
     over_ranges(_shares, n, *around, free, share)

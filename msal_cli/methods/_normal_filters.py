@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import (
-    sliding_parameter,
-    undo_sliding,
-)
+from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 
@@ -100,3 +99,35 @@ def run(
     )
     vertices = undo_sliding(mesh, vertices, parameters.sliding, parameters.boundary)
     return timer.finish(vertices)
+
+
+def run_rounds(
+    mesh: Mesh,
+    parameters: Any,
+    filtered_normals: Callable[[Floats, Callable[[], None]], Floats],
+    on_sweep: OnSweep,
+    timer: Timer,
+) -> Result:
+    """``iterations`` rounds: normals (m, 3) from positions (n, 3), and vertices fitted to them.
+
+    ``filtered_normals`` may report progress by its second argument, so that the caller may end the
+    run within a round.
+    """
+    free = free_vertices(mesh, parameters.boundary)
+    timer.start_sweeps()
+    positions = mesh.vertices.copy()
+    for done in range(parameters.iterations):
+        on_step = partial(on_sweep, done, parameters.iterations)
+        positions = update_vertices(
+            positions,
+            filtered_normals(positions, on_step),
+            mesh.faces,
+            mesh.topology,
+            free,
+            parameters.vertex_iterations,
+            on_step,
+        )
+        on_sweep(done + 1, parameters.iterations)
+    if parameters.iterations:
+        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
+    return timer.finish(positions)

@@ -15,7 +15,7 @@ from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.kernels.restoration import restoration
-from msal_cli.kernels.sweeps import Plain, run_sweeps
+from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, parameter
@@ -114,7 +114,8 @@ def restore(
     on_sweep: OnSweep,
 ) -> Restored:
     """The sweeps of ``mesh``, and what comes back for ``noise`` in file units."""
-    smooth = run_sweeps(mesh.vertices, laplacian, Plain(), parameters.iterations, on_sweep).vertices
+    iterations = parameters.iterations
+    smooth = run_sweeps(mesh.vertices, laplacian, Schedule(), iterations, on_sweep).vertices
     normals, links = laplacian.normals, mesh.topology
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
     found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)

@@ -19,9 +19,6 @@ from msal_cli.kernels.operators import (
     RobustLaplacian,
 )
 from msal_cli.kernels.sweeps import (
-    Constant,
-    Multiscale,
-    Plain,
     Schedule,
     SweepResult,
     Wiener,
@@ -71,9 +68,32 @@ passes of Taubin's filter have the smaller angles on most models of benchmarks/g
 
 
 class ScheduleTraits:
-    """What the parameter ``schedule`` of a method implies for its memory and for warnings."""
+    """What the parameter ``schedule`` of a method and those that belong to it mean."""
 
     schedule: str
+    K: float
+    quantile: float
+    noise: float
+    caution: float
+    time_step = 1.0
+    fidelity = 0.0
+
+    def build_schedule(self) -> Schedule:
+        """The schedule that these parameters describe."""
+        if self.schedule == "constant":
+            return Schedule(self.time_step, self.fidelity)
+        if self.schedule == "multiscale":
+            return Schedule(self.time_step, decay=self.K, quantile=1.0)
+        if self.schedule == "robust":
+            return Schedule(self.time_step, decay=self.K, quantile=self.quantile)
+        if self.schedule == "wiener":
+            return Wiener(self.time_step, noise=self.noise or None, caution=self.caution)
+        return Schedule(self.time_step)
+
+    @property
+    def has_data_term(self) -> bool:
+        """Whether vertices are pulled back to where they were scanned."""
+        return self.schedule != "plain"
 
     @property
     def bytes_per_face(self) -> int:
@@ -168,23 +188,6 @@ class ScheduledParameters(ScheduleTraits, NormalParameters):
     quantile: float = quantile_parameter()
     noise: float = noise_parameter()
     caution: float = caution_parameter()
-
-    @property
-    def has_data_term(self) -> bool:
-        """Whether vertices are pulled back to where they were scanned."""
-        return self.schedule != "plain"
-
-    def build_schedule(self) -> Schedule:
-        """The schedule that these parameters describe."""
-        if self.schedule == "constant":
-            return Constant(self.time_step, self.fidelity)
-        if self.schedule == "multiscale":
-            return Multiscale(self.K, self.time_step)
-        if self.schedule == "robust":
-            return Multiscale(self.K, self.time_step, self.quantile)
-        if self.schedule == "wiener":
-            return Wiener(self.time_step, self.noise or None, self.caution)
-        return Plain(self.time_step)
 
 
 @dataclass(frozen=True)

@@ -37,19 +37,17 @@ IEEE TVCG 13 (2007), 925-938.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_centroids, faces_within, mean_centroid_distance, patches
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_filters import joint_bilateral
-from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import (
-    sliding_parameter,
-    undo_sliding,
-)
-from msal_cli.methods._sweeps import free_vertices
+from msal_cli.methods._normal_filters import run_rounds
+from msal_cli.methods._sliding import sliding_parameter
 
 MAX_NEAR = 64
 """Faces near one at most; ten are usual."""
@@ -124,15 +122,12 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     centroids = face_centroids(mesh.vertices, faces)
     radius = parameters.radius * mean_centroid_distance(centroids, *edges)
     near = faces_within(centroids, around.ring_start, around.ring, radius, MAX_NEAR)
-    free = free_vertices(mesh, parameters.boundary)
-    timer.start_sweeps()
 
-    positions = mesh.vertices.copy()
-    for iteration in range(parameters.iterations):
+    def filtered(positions: Floats, on_step: Callable[[], None]) -> Floats:
         centroids = face_centroids(positions, faces)
         unit = mean_centroid_distance(centroids, *edges)
         normals, areas = face_normals_and_areas(positions, faces)
-        wanted = joint_bilateral(
+        return joint_bilateral(
             normals,
             around.guides(normals, areas),
             centroids,
@@ -141,10 +136,5 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             sigma_s=parameters.closeness * (unit or edge_length),
             sigma_r=parameters.similarity,
         )
-        positions = update_vertices(
-            positions, wanted, faces, links, free, parameters.vertex_iterations
-        )
-        on_sweep(iteration + 1, parameters.iterations)
-    if parameters.iterations:
-        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
-    return timer.finish(positions)
+
+    return run_rounds(mesh, parameters, filtered, on_sweep, timer)

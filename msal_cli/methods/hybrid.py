@@ -46,7 +46,7 @@ from msal_cli.kernels.bilateral import normal_spread, step_towards_planes
 from msal_cli.kernels.geometry import ring_means, vertex_normals
 from msal_cli.kernels.operators import Operator
 from msal_cli.kernels.quantiles import clusters
-from msal_cli.kernels.sweeps import Multiscale, Plain, run_sweeps
+from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
@@ -137,9 +137,10 @@ def _presmooth(
 ) -> tuple[Floats, Floats]:
     """Positions (n, 3) after ``sweeps`` of AL, and after as many of MSAL."""
     start = mesh.vertices
-    plain = run_sweeps(start, laplacian, Plain(), sweeps, lambda done, _: on_sweep(done, total))
+    plain = run_sweeps(start, laplacian, Schedule(), sweeps, lambda done, _: on_sweep(done, total))
     # Nothing new is done, but a long run must stay interruptible.
-    sharp = run_sweeps(start, laplacian, Multiscale(K), sweeps, lambda *_: on_sweep(sweeps, total))
+    multiscale = Schedule(decay=K, quantile=1.0)
+    sharp = run_sweeps(start, laplacian, multiscale, sweeps, lambda *_: on_sweep(sweeps, total))
     return plain.vertices, sharp.vertices
 
 

@@ -36,7 +36,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msal_cli.kernels.sweeps import Multiscale, Schedule, Wiener
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import (
@@ -73,19 +72,6 @@ class Parameters(ScheduleTraits, HeightParameters):
     quantile: float = quantile_parameter()
     noise: float = noise_parameter()
     caution: float = caution_parameter()
-
-    @property
-    def has_data_term(self) -> bool:
-        """Every schedule has one."""
-        return True
-
-    def build_schedule(self) -> Schedule:
-        """The schedule that these parameters describe."""
-        if self.schedule == "robust":
-            return Multiscale(self.K, quantile=self.quantile)
-        if self.schedule == "wiener":
-            return Wiener(noise=self.noise or None, caution=self.caution)
-        return Multiscale(self.K)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

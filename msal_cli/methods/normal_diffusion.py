@@ -33,20 +33,17 @@ P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
+from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import difference_width, diffused_normals
-from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import (
-    sliding_parameter,
-    undo_sliding,
-)
-from msal_cli.methods._sweeps import free_vertices
+from msal_cli.methods._normal_filters import run_rounds
+from msal_cli.methods._sliding import sliding_parameter
 
 BYTES_PER_FACE = 130
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -112,12 +109,9 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     similarity = parameters.similarity
     if similarity == 0.0:
         similarity = difference_width(face_normals(mesh.vertices, faces), *rings)
-    free = free_vertices(mesh, parameters.boundary)
-    timer.start_sweeps()
-    positions = mesh.vertices.copy()
-    for done in range(parameters.iterations):
-        on_step = partial(on_sweep, done, parameters.iterations)
-        normals = diffused_normals(
+
+    def filtered(positions: Floats, on_step: Callable[[], None]) -> Floats:
+        return diffused_normals(
             positions,
             faces,
             *rings,
@@ -126,10 +120,5 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             parameters.normal_iterations,
             on_step,
         )
-        positions = update_vertices(
-            positions, normals, faces, links, free, parameters.vertex_iterations, on_step
-        )
-        on_sweep(done + 1, parameters.iterations)
-    if parameters.iterations:
-        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
-    return timer.finish(positions)
+
+    return run_rounds(mesh, parameters, filtered, on_sweep, timer)

@@ -38,7 +38,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import (
@@ -50,11 +49,10 @@ from msal_cli.kernels.faces import (
 )
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_filters import minimising_normals, pair_weights
-from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import sliding_parameter, undo_sliding
-from msal_cli.methods._sweeps import free_vertices
+from msal_cli.methods._normal_filters import run_rounds
+from msal_cli.methods._sliding import sliding_parameter
 
 OnStep = Callable[[], object]
 
@@ -173,22 +171,8 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Static/dynamic filtering of ``mesh``; see the module's description."""
     timer = Timer()
     around = patches(mesh.faces, mesh.topology)
-    free = free_vertices(mesh, parameters.boundary)
-    timer.start_sweeps()
 
-    positions = mesh.vertices.copy()
-    for iteration in range(parameters.iterations):
-        # During a long filtering too, so that the caller may end the run.
-        on_step = partial(on_sweep, iteration, parameters.iterations)
-        positions = update_vertices(
-            positions,
-            _filtered_normals(positions, mesh, around, parameters, on_step),
-            mesh.faces,
-            mesh.topology,
-            free,
-            parameters.vertex_iterations,
-        )
-        on_sweep(iteration + 1, parameters.iterations)
-    if parameters.iterations:
-        positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
-    return timer.finish(positions)
+    def filtered(positions: Floats, on_step: OnStep) -> Floats:
+        return _filtered_normals(positions, mesh, around, parameters, on_step)
+
+    return run_rounds(mesh, parameters, filtered, on_sweep, timer)

@@ -26,7 +26,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-from msal_cli.kernels.sweeps import Alternating, run_sweeps
+from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
@@ -102,7 +102,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     result = run_sweeps(
         mesh.vertices,
         operator,
-        Alternating(parameters.shrink, parameters.outward_step),
+        Schedule(parameters.shrink, outward_step=parameters.outward_step),
         2 * parameters.iterations,
         on_pass,
     )
