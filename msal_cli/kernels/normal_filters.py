@@ -6,6 +6,14 @@ Bilateral (Zheng, Fu, Au and Tai 2011): with centroids c, areas A and unit norma
 
 joint bilateral: by differences of guides that are less noisy than the normals; and with a
 threshold (Sun et al. 2007): by how far the cosine between normals is above it.
+
+Throughout: ``normals`` (m, 3) are unit vectors, zeros for faces that have none, which stay so and
+do not count; ``areas`` (m,) and ``centroids`` (m, 3) of the faces, file units; ``ring_start`` and
+``ring`` are rows of neighbouring faces, ``near_start`` and ``near`` of the faces near each face,
+itself left out.  Widths sigma and mu of Gaussians are above zero: a closeness in the unit of the
+centroids, a similarity as a length of differences of unit normals.  Where a sum of normals vanishes
+the face keeps its normal.  ``on_pass`` is called after every pass or step; what it raises ends the
+run.
 """
 
 from __future__ import annotations
@@ -48,8 +56,7 @@ def distance_exponents(
 ) -> Floats:
     """|c_i - c_j|^2 / (2 sigma_c^2 ln 2) + handicap_j of all pairs in the rows, (pairs,).
 
-    2 to minus them are the Gaussians, if all handicaps are zero.  ``closeness`` is sigma_c > 0,
-    in the unit of the centroids (m, 3); ``handicaps`` are (m,).
+    2 to minus them are the Gaussians, if all ``handicaps`` (m,) are zero.
     """
     exponents = np.empty(len(ring))
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
@@ -120,17 +127,7 @@ def bilateral_averages(
     """Unit normals (m, 3) after ``passes`` passes, each from the normals that the one before left.
 
     n'_i is the normalised sum of w_ij n_j over the neighbours, n_i itself left out; areas and
-    distances stay those of the input.  Where a face has no neighbours, or the sum vanishes, it
-    keeps its normal.  Zero normals stay zero and do not count.
-
-    Parameters
-    ----------
-    normals, areas : (m, 3) unit normals, zeros for faces without, and (m,), any unit.
-    centroids : (m, 3), file units.
-    ring_start, ring : rows of neighbouring faces.
-    closeness : sigma_c > 0, file units.
-    similarity : sigma_s > 0, a length of differences of unit normals.
-    on_pass : called after every pass; what it raises ends the run.
+    distances stay those of the input.
     """
     with np.errstate(divide="ignore"):
         handicaps = -np.log2(usable_areas(normals, areas))
@@ -220,15 +217,7 @@ def joint_bilateral(
 
         A_j exp(-|c_i - c_j|^2 / (2 sigma_s^2)) exp(-|g_i - g_j|^2 / (2 sigma_r^2)) n_j.
 
-    Parameters
-    ----------
-    normals, guides : (m, 3), n and g; zeros where there is none.
-    centroids, areas : (m, 3) and (m,), c and A.
-    near_start, near : rows of the faces near each face, itself left out.
-    sigma_s : in the unit of the centroids, above zero.
-    sigma_r : of guide differences, a pure number above zero.
-
-    Where the sum vanishes the normal is kept.
+    g the ``guides`` (m, 3), zeros where there is none.
     """
     result = np.empty_like(normals)
     flat = normals.reshape(-1), guides.reshape(-1), centroids.reshape(-1)
@@ -272,14 +261,7 @@ def threshold_averages(
     """Unit normals (m, 3) after ``passes`` passes, each from the normals that the one before left.
 
     n'_i is the normalised sum of max(0, n_i . n_j - threshold)^2 n_j over face i itself and its
-    neighbours.  Zero normals stay zero and do not count.
-
-    Parameters
-    ----------
-    normals : (m, 3) unit normals, zeros for faces without; not changed.
-    ring_start, ring : rows of neighbouring faces.
-    threshold : 0 <= threshold < 1, a cosine.
-    on_pass : called after every pass; what it raises ends the run.
+    neighbours, 0 <= threshold < 1.
     """
     known = threshold, ring_start.view(np.uint32), ring.view(np.uint32)
     return _repeat(_average_similar, normals, known, passes, on_pass)
@@ -402,8 +384,7 @@ def _edge_differences(start, stop, n, ring_start, ring, lengths):
 def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
     """1.4826 times the median absolute deviation of |n - m| over neighbours n, m.
 
-    ``normals`` (m, 3), zero for faces that have none, which are left out; the rows are those of
-    ``face_rings``.  Zero where there are no neighbours.
+    Zero where there are none.
     """
     lengths = np.empty(len(ring))
     rows = ring_start.view(np.uint32), ring.view(np.uint32)
@@ -427,16 +408,9 @@ def diffused_normals(
     """Unit face normals (m, 3) after ``steps`` steps from those of the mesh.
 
     n_i <- n_i + sum(s_ij g_ij (n_j - n_i)), normalised, with g = exp(-|n_j - n_i|^2 / (2 mu^2))
-    and s_ij = tau l_ij / (d_ij A_i).  A face for which the s would add up to more than 3/4 takes a
-    shorter step.  Faces without area keep a zero normal and count not.
-
-    Parameters
-    ----------
-    vertices, faces : (n, 3) and (m, 3).
-    ring_start, ring : rows of the faces that share an edge with each, from ``face_rings``.
-    similarity : mu, a pure number.
-    time_step : tau, in squared file units.
-    on_step : called after every step; what it raises ends the run.
+    and s_ij = tau l_ij / (d_ij A_i), tau the ``time_step`` in squared file units.  A face for which
+    the s would add up to more than 3/4 takes a shorter step.  Neighbours share an edge, ``faces``
+    are (m, 3) and ``vertices`` (n, 3).
     """
     count = len(faces)
     normals, areas = face_normals_and_areas(vertices, faces)
@@ -556,16 +530,7 @@ def normal_system(
     similarity: float,
     fidelity: float,
 ) -> NormalSystem:
-    """The system for unit face normals (m, 3), zeros for faces without, and areas (m,).
-
-    Parameters
-    ----------
-    centroids : (m, 3), file units.
-    ring_start, ring : rows of neighbouring faces.
-    closeness : sigma_c > 0, file units.
-    similarity : sigma_s > 0, a length of differences of unit normals.
-    fidelity : lambda, 0 < lambda <= 1.
-    """
+    """The system for ``fidelity`` lambda, 0 < lambda <= 1."""
     m = len(normals)
     usable = (normals != 0.0).any(axis=1)
     relative = np.where(usable, areas, 0.0)
@@ -633,17 +598,8 @@ def pair_weights(
     eta: float,
     mu: float,
 ) -> tuple[Floats, float]:
-    """w (k,) for the rows ``near`` (k,), and lambda' / lambda.
-
-    Parameters
-    ----------
-    guides, centroids, areas : (m, 3), (m, 3) and (m,).
-    near_start, near : rows of the faces near each face, itself left out.
-    eta : in the unit of the centroids, above zero.
-    mu : a pure number, above zero.
-
-    lambda' / lambda is zero where no faces are near one another.
-    """
+    """w (k,) for the rows ``near`` (k,) and ``guides`` (m, 3), and lambda' / lambda, which is zero
+    where no faces are near one another."""
     weights = np.empty(len(near))
     sums = np.empty(len(areas))
     rows = near_start, near, -0.5 / eta**2, -0.5 / mu**2
@@ -710,18 +666,9 @@ def minimising_normals(
 
         2 nu^2 / lambda' A_i n0_i + sum_j w_ij exp(-|n_i - n_j|^2 / (2 nu^2)) n_j.
 
-    Parameters
-    ----------
-    areas : (m,).
-    near_start, near, weights : rows of the faces near each face, and w, (m + 1,), (k,) and (k,).
-    strength : lambda'; zero for none, which returns the normals.
-    nu : a pure number, above zero.
-    tolerance : the steps end when the root of the area-weighted mean square of the changes of
-        normals is at most this.
-    most_steps : the steps end here at the latest.
-    on_step : called after every step; what it raises ends the run.
-
-    Where a sum vanishes the normal is kept.
+    ``weights`` (k,) are w, and ``strength`` lambda', of which zero returns the normals.  The steps
+    end when the root of the area-weighted mean square of the changes of normals is at most
+    ``tolerance``, or after ``most_steps``.
     """
     if strength == 0.0:
         return normals.copy()
