@@ -48,7 +48,6 @@ DEVIATIONS = {"cad": 0.0, "organic": 1.0}
 """Automatic lambda, in standard deviations above the median."""
 
 BYTES_PER_FACE = 195
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

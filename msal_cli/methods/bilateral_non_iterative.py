@@ -35,7 +35,6 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 BYTES_PER_FACE = 210
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,6 @@ MAX_ITERATIONS = 5000
 """Of the conjugate gradients: 100 at the default lambda, 1000 at the least that is allowed."""
 
 BYTES_PER_FACE = 265
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,6 @@ MAX_NEAR = 64
 """Faces near one at most; ten are usual."""
 
 BYTES_PER_FACE = 385
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
 
 BYTES_PER_FACE = 10
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,6 @@ PUSHED_BACK = 0.5
 """Share of the neighbours' mean height that is taken off a flat vertex's own."""
 
 BYTES_PER_FACE = 95
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,6 @@ MAX_ITERATIONS = 100
 """Of the conjugate gradients in one step; noise of 0.3 mean edge lengths takes up to 84."""
 
 BYTES_PER_FACE = 455
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,6 @@ from msal_cli.methods._normal_filters import run_rounds
 from msal_cli.methods._sliding import sliding_parameter
 
 BYTES_PER_FACE = 130
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

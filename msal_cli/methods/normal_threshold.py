@@ -34,7 +34,6 @@ from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, run
 
 BYTES_PER_FACE = 120
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

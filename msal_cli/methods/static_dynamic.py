@@ -63,7 +63,6 @@ MAX_STEPS = 100
 """Towards the minimum of the energy."""
 
 BYTES_PER_FACE = 1450
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

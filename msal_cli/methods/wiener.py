@@ -44,7 +44,6 @@ from msal_cli.methods._restoration import RestorationParameters, fit_to_normals,
 from msal_cli.methods._sweeps import anisotropic_laplacian, resolve_noise_level
 
 BYTES_PER_FACE = 250
-"""Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 
 @dataclass(frozen=True)

@@ -163,18 +163,6 @@ def test_the_flow_agrees_with_the_literal_twin(variant, shape, boundary, time_st
     assert np.abs(found - mesh.vertices).max() > 0.01
 
 
-def test_long_steps_and_many_are_stable():
-    vertices, faces = torus()
-    mesh = prepare_mesh(noisy(vertices, 2, 0.3), faces).mesh
-    for given in (
-        {"variant": "explicit", "iterations": 300, "time_step": 1000.0},
-        {"variant": "implicit", "iterations": 10, "time_step": 1000.0},
-    ):
-        out = flowed(mesh, **given)
-        assert np.isfinite(out).all()
-        assert np.abs(out).max() <= np.abs(mesh.vertices).max()
-
-
 def test_volume_is_restored_about_the_centre_of_mass():
     vertices, faces = torus(40, 20)
     mesh = prepare_mesh(noisy(vertices, 6, 0.05) + [5.0, 1.0, 0.0], faces).mesh

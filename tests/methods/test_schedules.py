@@ -98,7 +98,7 @@ def test_wiener_estimates_the_noise_unless_it_is_given():
 
 @pytest.mark.parametrize("schedule", ["multiscale", "robust", "wiener"])
 @pytest.mark.parametrize("name", ["msal", "umbrella"])
-def test_trust_scales_the_pull_and_what_is_held_stays(schedule, name):
+def test_trust_scales_the_pull(schedule, name):
     vertices, faces = SHAPES["torus"]
     mesh = prepare_mesh(vertices, faces).mesh
     method = methods.find(name)
@@ -110,10 +110,6 @@ def test_trust_scales_the_pull_and_what_is_held_stays(schedule, name):
     assert np.allclose(
         scaled.fields["fidelity"], trust * whole.fields["fidelity"], rtol=1e-14, atol=0
     )
-    held = np.arange(len(vertices)) % 5 == 0
-    stays = method.denoise(mesh.with_constraints(held, None), parameters)
-    assert (stays.vertices[held] == mesh.vertices[held]).all()
-    assert (stays.vertices[~held] != mesh.vertices[~held]).any()
 
 
 SCHEDULED = [
