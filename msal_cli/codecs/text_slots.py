@@ -7,6 +7,7 @@ one walk over the file replaces or compares them.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -271,16 +272,36 @@ class _Block(NamedTuple):
 
 def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
     """The file with its runs' changed numbers replaced."""
-    from msal_cli.kernels.statements import replace
-    from msal_cli.kernels.text import fixed_width, format_shortest
+    from msal_cli.kernels.parallel import at_once
 
-    room = 8
-    for _, values, _, decimals in patches:
-        largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
-        room += values.size * fixed_width(largest, int(decimals.max(initial=0)))
-    out = np.empty(len(data) + room, dtype=np.uint8)
-    done = to = 0
-    for block in _blocks(patches):
+    pieces = _cut(data, patches)
+    # A piece has room for all that it may become; then the pieces move together.
+    places = np.cumsum([0, *[piece.stop - piece.start + piece.room for piece in pieces]]).tolist()
+    out = np.empty(places[-1], dtype=np.uint8)
+    tasks = [
+        functools.partial(_replace_piece, data, piece, out, place)
+        for piece, place in zip(pieces, places, strict=False)
+    ]
+    ends = at_once(sum(len(patch.at) for patch in patches), *tasks)
+    if None in ends:
+        # A run goes on behind a cut.
+        ends = [_replace_piece(data, _whole(data, patches), out, 0)]
+    view, size = memoryview(out), ends[0]
+    for place, end in zip(places[1:], ends[1:], strict=False):
+        # Bytes that overlap are moved as they should be.
+        view[size : size + end - place] = view[place:end]
+        size += end - place
+    return view[:size]
+
+
+def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | None:
+    """Write a piece to ``out`` from byte ``to`` on; returns its end, or None where a number that
+    is replaced lies behind the piece."""
+    from msal_cli.kernels.statements import replace
+    from msal_cli.kernels.text import format_shortest
+
+    done = piece.start
+    for block in _blocks(piece.patches):
         row = axis = 0
         while True:
             done, to, row, axis = replace(data, done, out, to, row, axis, *block)
@@ -290,18 +311,45 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
             text = format_shortest(float(block.new[row, axis]), is_single).encode()
             out[to : to + len(text)] = np.frombuffer(text, dtype=np.uint8)
             to, axis = to + len(text), axis + 1
-    size = to + len(data) - done
-    out[to:size] = data[done:]
-    return out[:size].data
+    if done > piece.stop:
+        return None
+    end = to + piece.stop - done
+    out[to:end] = data[done : piece.stop]
+    return end
 
 
 def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> None:
     """Raise InternalError unless ``result`` is the file with just that replaced."""
+    from msal_cli.kernels.parallel import at_once
+
+    pieces = _cut(data, patches)
+    # No number has a line end, so that a line of the result is the same line of the file.
+    places = [0]
+    for piece in pieces[:-1]:
+        places.append(_skip_lines(result, places[-1], _count_lines(data[piece.start : piece.stop])))
+    places.append(len(result))
+    tasks = [
+        functools.partial(_find_fault, data, piece, result[:stop], start)
+        for piece, (start, stop) in zip(pieces, itertools.pairwise(places), strict=True)
+    ]
+    faults = at_once(sum(len(patch.at) for patch in patches), *tasks)
+    if len(pieces) > 1 and any(faults):
+        # Or a run goes on behind a cut; without cuts it is known.
+        faults = [_find_fault(data, _whole(data, patches), result, 0)]
+    for fault in faults:
+        if fault is not None:
+            raise fault
+
+
+def _find_fault(data: Bytes, piece: _Piece, result: Bytes, start: int) -> InternalError | None:
+    """What is wrong with ``result`` from byte ``start`` on, which should be a piece; None if
+    nothing is."""
     from msal_cli.kernels import statements
 
     tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), [0.0, 0.0])
-    done = result_done = row = axis = 0
-    for block in _blocks(patches):
+    more = "the output differs from the input in more than positions and normals"
+    done, result_done = piece.start, start
+    for block in _blocks(piece.patches):
         row = axis = 0
         status = statements.ASIDE
         while status == statements.ASIDE:
@@ -317,13 +365,83 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
                 result_done, axis = result_done + len(token), axis + 1
         where = f"near byte {done}"
         if status == statements.WRONG_VALUE:
-            raise InternalError("the output holds another number than it should", where=where)
+            return InternalError("the output holds another number than it should", where=where)
         if status == statements.DIFFERENT:
-            raise InternalError(
-                "the output differs from the input in more than positions and normals", where=where
-            )
-    if not is_same(data[done:], result[result_done:]):
-        raise InternalError("the output differs from the input in more than positions and normals")
+            return InternalError(more, where=where)
+    if done > piece.stop or not is_same(data[done : piece.stop], result[result_done:]):
+        return InternalError(more)
+    return None
+
+
+class _Piece(NamedTuple):
+    """Bytes of a file from ``start`` to ``stop``, and the patches of the runs that begin there."""
+
+    start: int
+    stop: int
+    patches: list[Patch]
+
+    @property
+    def room(self) -> int:
+        """Most bytes that new numbers take, and those that are written beyond an end."""
+        from msal_cli.kernels.text import fixed_width
+
+        room = 8
+        for _, values, _, decimals in self.patches:
+            largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
+            room += values.size * fixed_width(largest, int(decimals.max(initial=0)))
+        return room
+
+
+def _whole(data: Bytes, patches: Sequence[Patch]) -> _Piece:
+    return _Piece(0, len(data), list(patches))
+
+
+def _cut(data: Bytes, patches: Sequence[Patch]) -> list[_Piece]:
+    """The file in pieces of whole lines, one for each thread; one where it has few runs."""
+    from msal_cli.kernels.parallel import is_worth_it, threads
+
+    if not is_worth_it(sum(len(patch.at) for patch in patches)):
+        return [_whole(data, patches)]
+    longest = max((patch.at for patch in patches), key=len)
+    cuts = [0]
+    for part in range(1, threads()):
+        begin = int(longest[len(longest) * part // threads()])
+        first = max(begin - MAX_LINE, cuts[-1])
+        line = data[first:begin].tobytes().rfind(b"\n") + 1
+        if line:
+            cuts.append(first + line)
+    pieces = []
+    for start, stop in itertools.pairwise([*cuts, len(data)]):
+        rows = [slice(*np.searchsorted(patch.at, (start, stop))) for patch in patches]
+        own = [
+            Patch(*[array[some] for array in patch])
+            for patch, some in zip(patches, rows, strict=True)
+        ]
+        pieces.append(_Piece(start, stop, own))
+    return pieces
+
+
+MAX_LINE = 4096
+"""Bytes before a run in which a line end is looked for."""
+
+_LINES = 1 << 20
+"""Bytes in which line ends are counted at a time."""
+
+
+def _count_lines(text: Bytes) -> int:
+    return sum(
+        int(np.count_nonzero(text[at : at + _LINES] == 10)) for at in range(0, len(text), _LINES)
+    )
+
+
+def _skip_lines(text: Bytes, at: int, n_lines: int) -> int:
+    """The byte behind so many line ends from ``at`` on; the end of the text where it has fewer."""
+    for begin in range(at, len(text), _LINES):
+        ends = np.flatnonzero(text[begin : begin + _LINES] == 10)
+        if len(ends) >= n_lines:
+            return begin + int(ends[n_lines - 1]) + 1 if n_lines else begin
+        n_lines -= len(ends)
+    return len(text)
 
 
 def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
