@@ -6,7 +6,6 @@ import copy
 import io
 import json
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import pytest
 from msal_cli.codecs import gltf
 from msal_cli.codecs.conversion import convert
 from msal_cli.codecs.mesh_file import PLACEMENT
-from msal_cli.errors import ContentError, InternalError, MsalError
+from msal_cli.errors import ContentError
 from tests.codecs.plain_glb import Scene, content_of
 from tests.shapes import cube, grid, noisy, torus
 
@@ -226,18 +225,6 @@ def test_a_mesh_in_two_places_counts_once():
     assert "instances" not in gltf.GlbFile(simple().data()).properties
 
 
-@pytest.mark.parametrize("at", [8, 12])
-def test_the_check_sees_a_wrong_length(at):
-    """Of the file and of its description, which some readers go by."""
-    file = gltf.GlbFile(simple().data())
-    vertices = noisy(file.vertices)
-    output = bytearray(file.replaced(vertices))
-    file.check(output, vertices)
-    output[at] -= 4
-    with pytest.raises(InternalError):
-        file.check(output, vertices)
-
-
 def test_the_text_of_the_description_is_kept_but_for_bounds():
     scene = simple()
     data = scene.data()
@@ -298,23 +285,15 @@ PRIMITIVE = ("meshes", 0, "primitives", 0)
 
 DAMAGED = {
     "empty": (b"", "E_TRUNCATED"),
-    "only a magic": (b"glTF", "E_TRUNCATED"),
     "version 1": (WHOLE[:4] + b"\x01" + WHOLE[5:], "E_UNSUPPORTED"),
     "not JSON first": (WHOLE[:16] + b"XXXX" + WHOLE[20:], "E_FORMAT"),
-    "broken JSON": (WHOLE[:20] + b"[" + WHOLE[21:], "E_FORMAT"),
     "cut": (WHOLE[:-1], "E_TRUNCATED"),
     "JSON beyond the end": (WHOLE[:12] + b"\xff\xff\xff\x7f" + WHOLE[16:], "E_TRUNCATED"),
     "no meshes": (edited(setting("meshes", value=None)), "E_NO_FACES"),
-    "mesh is a number": (edited(setting("meshes", 0, value=3)), "E_FORMAT"),
     "accessor out of range": (edited(setting(*PRIMITIVE, "attributes", "POSITION", value=99)),
         "E_FORMAT"),
-    "accessor is negative": (edited(setting(*PRIMITIVE, "attributes", "POSITION", value=-1)),
-        "E_FORMAT"),
-    "huge count": (edited(setting("accessors", 0, "count", value=10**9)), "E_TRUNCATED"),
     "count beyond all": (edited(setting("accessors", 0, "count", value=10**30)), "E_FORMAT"),
-    "offset beyond": (edited(setting("bufferViews", 0, "byteOffset", value=10**6)), "E_TRUNCATED"),
     "stride too small": (edited(setting("bufferViews", 0, "byteStride", value=4)), "E_TRUNCATED"),
-    "no view": (edited(setting("accessors", 0, "bufferView", value=None)), "E_FORMAT"),
     "other buffer": (edited(setting("bufferViews", 0, "buffer", value=1)), "E_FORMAT"),
     "sparse": (edited(setting("accessors", 0, "sparse", value={"count": 1})), "E_UNSUPPORTED"),
     "positions are uint": (edited(setting("accessors", 0, "componentType", value=5125)),
@@ -325,8 +304,6 @@ DAMAGED = {
         value={"EXT_meshopt_compression": {}})), "E_UNSUPPORTED"),
     "indices are floats": (edited(setting("accessors", 3, "componentType", value=5126)),
         "E_FORMAT"),
-    "index type is a list": (edited(setting("accessors", 3, "componentType", value=[5123])),
-        "E_FORMAT"),
     "the same indices for very many lists": (every_list_with_the_same_indices(300, 400),
         "E_TOO_LARGE"),
     "index out of range": (edited(setting("accessors", 0, "count", value=7)), "E_INDEX"),
@@ -335,28 +312,6 @@ DAMAGED = {
     "lines only": (edited(setting(*PRIMITIVE, "mode", value=1)), "E_NO_FACES"),
     "nested deeply": (nested(100_000), "E_FORMAT"),
 }  # fmt: skip
-
-
-def test_very_many_lists_over_the_same_bytes_are_refused_at_once():
-    scene = simple()
-    rows = 20_000
-    first = scene.positions(np.zeros((rows, 3)))
-    view = scene.content["accessors"][first]
-    scene.content["accessors"] += [dict(view, count=rows - k) for k in range(1_000)]
-    index = scene.content["meshes"][0]["primitives"][0]["indices"]
-    scene.mesh(
-        *({"attributes": {"POSITION": first + k}, "indices": index} for k in range(1, 1_001))
-    )
-    data = scene.data()
-    with pytest.raises(MsalError, match="overlap"):
-        gltf.GlbFile(data)
-    tracemalloc.start()
-    with pytest.raises(MsalError, match="overlap"):
-        gltf.GlbFile(data)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    # One number for each row of each list would be 160 MB.
-    assert peak < 40_000_000
 
 
 QUANTISED = [("<i1", 120), ("<u1", 250), ("<i2", 30_000), ("<u2", 60_000)]

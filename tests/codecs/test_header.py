@@ -92,10 +92,7 @@ HEADER_LIES = {
     "more than there is": (b"vertex 288", b"vertex 1000000000000"),
     "faces": (b"face 576", b"face 99999999999999999999"),
     "negative": (b"vertex 288", b"vertex -5"),
-    "no number": (b"vertex 288", b"vertex x"),
     "no end": (b"end_header", b"end_heaven"),
-    "type": (b"float x", b"flaot x"),
-    "format": (b"binary_little_endian", b"binary_middle_endian"),
 }
 
 
@@ -177,30 +174,20 @@ TEXT = ply_header("ascii") + b"0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 2\n"
 # name: beginning, size of the sparse file, code, a word of the message
 LIES = {
     "endless header.ply": (b"ply\nformat ascii 1.0\ncomment ", GIGABYTE, "E_TOO_LARGE", "65536"),
-    "endless comments.ply": (
-        b"ply\nformat ascii 1.0\n" + b"comment a\n" * 9_000, GIGABYTE, "E_TOO_LARGE", "1000 lines",
-    ),
     "10^12 vertices.ply": (ply_header(BINARY, 10**12), GIGABYTE, "E_TRUNCATED", "at the least"),
-    "10^12 lines.ply": (ply_header("ascii", 10**12), GIGABYTE, "E_TRUNCATED", "at the least"),
-    "2^64-1 faces.ply": (ply_header(BINARY, 4, 2**64 - 1), GIGABYTE, "E_TRUNCATED", "at the least"),
     "2^70 vertices.ply": (ply_header(BINARY, 2**70), GIGABYTE, "E_FORMAT", "whole number"),
-    "-1 vertices.ply": (ply_header(BINARY, -1), GIGABYTE, "E_FORMAT", "whole number"),
     "four vertices.ply": (ply_header(BINARY), GIGABYTE, "E_TOO_LARGE", "at the most"),
     "text and a hole.ply": (TEXT, GIGABYTE, "E_FORMAT", "hole"),
     "2^32-1 facets.stl": (bytes(80) + b"\xff" * 4, GIGABYTE, "E_TRUNCATED", "4294967295 facets"),
     "one facet.stl": (bytes(80) + b"\1\0\0\0", GIGABYTE, "E_TOO_LARGE", "at the most"),
-    "text and a hole.stl": (b"solid a\nfacet normal 0 0 1\n" * 99, GIGABYTE, "E_FORMAT", "hole"),
-    "length.glb": (glb_header(2**32 - 1, 8), GIGABYTE, "E_TRUNCATED", "4294967295"),
     "JSON beyond.glb": (glb_header(1000, 2**32 - 1), GIGABYTE, "E_TRUNCATED", "4294967315"),
     "huge JSON.glb": (
         glb_header(GIGABYTE, GIGABYTE - 20), GIGABYTE, "E_TOO_LARGE", "description",
     ),
-    "short.glb": (glb_header(28, 8), GIGABYTE, "E_TOO_LARGE", "at the most"),
     "binary.obj": (b"v 0 0 0\n\1", GIGABYTE, "E_FORMAT", "control"),
     "text and a hole.obj": (b"v 0 0 0\n" * 9999, GIGABYTE, "E_FORMAT", "hole"),
     "member and a hole.ply.gz": (gzip.compress(TEXT, mtime=0), GIGABYTE, "E_FORMAT", "hole"),
     "larger than memory.ply": (ply_header(BINARY), 10**13, "E_TOO_LARGE", "memory"),
-    "larger than memory.off": (b"OFF\n", 10**13, "E_TOO_LARGE", "memory"),
     "larger than memory.ply.gz": (b"\x1f\x8b\x08", 10**13, "E_TOO_LARGE", "memory"),
 }  # fmt: skip
 

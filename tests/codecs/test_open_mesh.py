@@ -69,13 +69,6 @@ def test_the_option_overrules_the_name_but_not_the_content():
         open_mesh(PLY, "scan.ply", "stl")
 
 
-def test_a_binary_stl_that_begins_like_other_formats_is_stl():
-    for header in (b"ply\nformat", b"solid facet", b"OFF", b"v 1 2 3", b"glTF", b"PK\x03\x04"):
-        data = plain_stl.binary(CORNERS, header=header)
-        assert open_mesh(data, "a.stl").format == "stl"
-        assert open_mesh(data, "-").format == "stl"
-
-
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb", "a.off", "a.vtk", "-", "a"])
 def test_empty_files(name):
     with pytest.raises(TruncatedError, match="empty"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import re
 
@@ -142,31 +141,6 @@ def test_links_that_lead_round_or_out(scene, tmp_path):
 )
 def test_texture_lines(line, name):
     assert sidecars._texture(line) == name
-
-
-def _carry(source, target, barrier, results):
-    barrier.wait()
-    try:
-        results.put(("done", carry(["mesh.mtl"], source, target)))
-    except OutputError as error:
-        results.put(("error", error.code))
-
-
-def test_many_processes_may_carry_the_same_files(scene):
-    source, target = scene
-    (source.parent / "tex/bump.png").write_bytes(os.urandom(3_000_000))
-    context = multiprocessing.get_context("spawn")
-    barrier, results = context.Barrier(3), context.Queue()
-    workers = [
-        context.Process(target=_carry, args=(source, target, barrier, results)) for _ in range(3)
-    ]
-    for worker in workers:
-        worker.start()
-    outcomes = [results.get(timeout=60) for _ in workers]
-    for worker in workers:
-        worker.join()
-    assert [kind for kind, _ in outcomes] == ["done"] * 3
-    assert tree(target.parent) == expected_beside(source)
 
 
 def test_files_of_any_size_are_not_copied(scene, monkeypatch):
