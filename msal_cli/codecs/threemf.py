@@ -12,7 +12,6 @@ import itertools
 import math
 import zipfile
 from collections import deque
-from xml.parsers import expat
 
 import numpy as np
 
@@ -33,8 +32,8 @@ from msal_cli.codecs.threemf_model import (
     Model,
     Use,
     place_of,
-    start_parser,
 )
+from msal_cli.codecs.xml_tree import parse_tree
 from msal_cli.codecs.zip_archive import Archive, numbers_of
 from msal_cli.errors import (
     ContentError,
@@ -121,13 +120,11 @@ class Package:
         """The path of the root model, by the relationships of the package."""
         root = self._member(_ROOT, "central directory")
         content = self.archive.content(root, _MAX_RELATIONSHIPS)
-        parser = start_parser(content, _ROOT)
-        targets: list[str] = []
-
-        def start(name: str, attributes: dict[str, str]) -> None:
-            if name != f"{_RELATIONSHIPS} Relationship":
-                return
-            kind = attributes.get("Type", "")
+        targets = []
+        for element in parse_tree(content, name=_ROOT).inner():
+            if element.space != _RELATIONSHIPS or element.name != "Relationship":
+                continue
+            kind = element.attributes.get("Type", "")
             if kind == _KEYSTORE_TYPE:
                 raise UnsupportedError(
                     "the file has encrypted content",
@@ -135,16 +132,8 @@ class Package:
                     hint="export it without encryption",
                 )
             self.is_signed |= kind == _ORIGIN_TYPE
-            if kind == _MODEL_TYPE and attributes.get("TargetMode") != "External":
-                targets.append(attributes.get("Target", ""))
-
-        parser.StartElementHandler = start
-        try:
-            parser.Parse(content, True)
-        except expat.ExpatError as failure:
-            where = place_of(content, _ROOT, parser.ErrorByteIndex)
-            message = f"the XML is damaged: {expat.ErrorString(failure.code)}"
-            raise damaged(message, where) from None
+            if kind == _MODEL_TYPE and element.attributes.get("TargetMode") != "External":
+                targets.append(element.attributes.get("Target", ""))
         if len(targets) != 1:
             raise damaged(f"the package names {len(targets)} models, not one", _ROOT)
         return targets[0]

@@ -11,10 +11,9 @@ import binascii
 import lzma
 import re
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
-from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +31,7 @@ from msal_cli.codecs.text_slots import (
 )
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.vtk import Cells
+from msal_cli.codecs.xml_tree import Element, parse_tree
 from msal_cli.errors import (
     EXPORT_AGAIN,
     ContentError,
@@ -54,129 +54,6 @@ _CODES = {
 _MAX_LZMA_BYTES = 256 << 20
 _BLANKS = b" \t\r\n"
 _TOO_SHORT = "an array ends before all its bytes are there"
-
-
-MAX_ELEMENTS = 1_000_000
-"""A file of more elements would take more memory as a tree than meshes take."""
-
-_MAX_DEPTH = 100
-_TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
-
-
-@dataclass(slots=True, eq=False)
-class Element:
-    """An element; ``name`` is without its namespace, ``start`` the first byte of its tag, and its
-    content is ``data[inside:stop]``."""
-
-    name: str
-    attributes: dict[str, str]
-    start: int
-    inside: int
-    stop: int
-    children: list[Element] = field(default_factory=list)
-
-    @property
-    def text_stop(self) -> int:
-        """The end of the text in front of the first element inside."""
-        return self.children[0].start if self.children else self.stop
-
-    def find(self, name: str) -> Element | None:
-        """The first child of that name."""
-        return next(self.all(name), None)
-
-    def all(self, name: str) -> Iterator[Element]:
-        return (child for child in self.children if child.name == name)
-
-    def inner(self) -> Iterator[Element]:
-        """All elements inside, in the order of the file."""
-        left = self.children[::-1]
-        while left:
-            element = left.pop()
-            yield element
-            left.extend(element.children[::-1])
-
-    def attribute_place(self, data: Buffer, name: str) -> tuple[int, int] | None:
-        """Between which bytes the value of an attribute stands, or None."""
-        tag = bytes(memoryview(data)[self.start : self.inside])
-        found = re.search(rb"\s%s\s*=\s*(?:\"([^\"]*)\"|'([^']*)')" % re.escape(name.encode()), tag)
-        if not found:
-            return None
-        group = 1 if found[1] is not None else 2
-        return self.start + found.start(group), self.start + found.end(group)
-
-
-def parse_tree(data: Buffer, stop: int | None) -> Element:
-    """The root of an XML file, or of its beginning up to the byte ``stop``, if there is one.
-
-    Entities are refused, so that nothing expands; no other file is opened, whatever is named.
-
-    Raises
-    ------
-    FormatError
-        if it is not well-formed XML.
-    UnsupportedError
-        for entities that the file declares, or letters of more than one byte as in UTF-16.
-    TooLargeError
-        for more than ``MAX_ELEMENTS`` elements.
-    """
-    root: Element | None = None
-    opened: list[Element] = []
-    count = 0
-    parser = expat.ParserCreate()
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal root, count
-        count += 1
-        if count > MAX_ELEMENTS or len(opened) > _MAX_DEPTH:
-            raise TooLargeError(
-                f"the file has more than {MAX_ELEMENTS:,} elements"
-                if count > MAX_ELEMENTS
-                else f"elements lie more than {_MAX_DEPTH} deep in one another",
-                hint="convert it to PLY",
-            )
-        at = parser.CurrentByteIndex
-        tag = _TAG.match(data, at)
-        if tag is None:
-            raise damaged("a tag does not end", f"byte {at}")
-        element = Element(name.rpartition(":")[2], attributes, at, tag.end(), tag.end())
-        if opened:
-            opened[-1].children.append(element)
-        elif root is None:
-            root = element
-        opened.append(element)
-
-    def end(name: str) -> None:
-        element = opened.pop()
-        # Of ``<a/>`` the end is reported where the tag begins.
-        element.stop = max(element.inside, parser.CurrentByteIndex)
-
-    def refuse_entity(*_: object) -> None:
-        raise UnsupportedError(
-            "the XML declares entities, which may expand to anything",
-            hint="remove the DOCTYPE, or export the mesh again",
-        )
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.EntityDeclHandler = refuse_entity
-    view = memoryview(data).cast("B")
-    if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe"):
-        raise UnsupportedError("the XML is UTF-16", hint="save it as UTF-8")
-    try:
-        parser.Parse(bytes(view[:stop]), stop is None)
-    except expat.ExpatError as failure:
-        message = f"it is not well-formed XML: {expat.errors.messages[failure.code]}"
-        raise damaged(message, f"line {failure.lineno}") from None
-    except (LookupError, ValueError) as failure:
-        raise UnsupportedError(
-            f"the XML is written in another way than UTF-8: {failure}", hint="save it as UTF-8"
-        ) from None
-    finally:
-        # They name the parser, so that nothing would be freed before long.
-        parser.StartElementHandler = parser.EndElementHandler = None
-    if root is None:
-        raise damaged("there is no VTKFile in the file")
-    return root
 
 
 class Coding:
@@ -685,7 +562,7 @@ def _offsets(data: Buffer, root: Element, coding: Coding) -> list[Dependent]:
         Dependent(*place, shifted(coding.place(array)[0]))
         for array in root.inner()
         if array.attributes.get("format") == "appended"
-        and (place := array.attribute_place(data, "offset"))
+        and (place := array.attribute_places(data).get("offset"))
     ]
 
 
@@ -702,7 +579,8 @@ def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
         return text
 
     texts = distance(np.min), distance(np.max)
-    places = [array.attribute_place(data, name) for name in ("RangeMin", "RangeMax")]
+    found = array.attribute_places(data)
+    places = [found.get(name) for name in ("RangeMin", "RangeMax")]
     bounds = [Dependent(*at, text) for at, text in zip(places, texts, strict=True) if at]
     for key in array.all("InformationKey"):
         values = list(key.all("Value"))

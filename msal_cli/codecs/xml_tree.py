@@ -1,0 +1,186 @@
+"""XML files taken apart so that their bytes can be replaced: elements and where they lie.
+
+The XML comes from strangers.  Expat reads it, which knows no files and no network; a document type,
+and with it every entity, is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import accumulate
+from xml.parsers import expat
+
+from msal_cli.errors import TooLargeError, UnsupportedError, damaged
+from msal_cli.storage.regular import Buffer
+
+MAX_ELEMENTS = 1_000_000
+"""A file of more elements would take more memory as a tree than meshes take."""
+
+_MAX_DEPTH = 100
+_TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
+_ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
+
+Span = tuple[int, int]
+"""The first byte, and the one behind the last."""
+
+
+@dataclass(slots=True, eq=False)
+class Element:
+    """An element.
+
+    Attributes
+    ----------
+    space, name : its namespace and its name within it.
+    attributes : by their names, with the namespace and a blank in front of those that have one.
+    start : the first byte of its tag; its content is ``data[inside:stop]``.
+    """
+
+    space: str
+    name: str
+    attributes: dict[str, str]
+    start: int
+    inside: int
+    stop: int
+    children: list[Element] = field(default_factory=list)
+
+    @property
+    def text_stop(self) -> int:
+        """The end of the text in front of the first element inside."""
+        return self.children[0].start if self.children else self.stop
+
+    def find(self, name: str) -> Element | None:
+        """The first child of that name."""
+        return next(self.all(name), None)
+
+    def all(self, name: str) -> Iterator[Element]:
+        return (child for child in self.children if child.name == name)
+
+    def inner(self) -> Iterator[Element]:
+        """All elements inside, in the order of the file."""
+        left = self.children[::-1]
+        while left:
+            element = left.pop()
+            yield element
+            left.extend(element.children[::-1])
+
+    def attribute_places(self, data: Buffer) -> dict[str, Span]:
+        """Between which bytes the values of attributes stand, by their names in the text."""
+        places = {}
+        for match in _ATTRIBUTE.finditer(memoryview(data)[: self.inside], self.start):
+            places[match[1].decode("utf-8", "replace")] = match.span(
+                2 if match[2] is not None else 3
+            )
+        return places
+
+
+def parse_tree(
+    data: Buffer,
+    stop: int | None = None,
+    *,
+    name: str = "",
+    left_out: Sequence[Span] = (),
+    prefixes: dict[str, str] | None = None,
+) -> Element:
+    """The root of an XML file, or of its beginning up to the byte ``stop``, if there is one.
+
+    Parameters
+    ----------
+    name : of the file, for the places of errors, where it is one of several.
+    left_out : parts of the file, in order, that hold plain elements which are not looked into.
+    prefixes : receives the namespaces by their prefixes.
+
+    Raises
+    ------
+    FormatError
+        if it is not well-formed XML.
+    UnsupportedError
+        for a document type, which may declare entities, or letters of more than one byte as in
+        UTF-16.
+    TooLargeError
+        for more than ``MAX_ELEMENTS`` elements, or very deep ones.
+    """
+    root: Element | None = None
+    opened: list[Element] = []
+    count = 0
+    parser = expat.ParserCreate(namespace_separator=" ")
+    # What Expat had got when each part was left out, and all that was left out until then.
+    skipped = list(accumulate((end - begin for begin, end in left_out), initial=0))
+    fed = [begin - size for (begin, _), size in zip(left_out, skipped, strict=False)]
+
+    def place(index: int) -> int:
+        """The byte of the file for a byte of what Expat got."""
+        return index + skipped[bisect_right(fed, index)]
+
+    of_name = f"{name}, " if name else ""
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        nonlocal root, count
+        count += 1
+        if count > MAX_ELEMENTS or len(opened) > _MAX_DEPTH:
+            raise TooLargeError(
+                f"the file has more than {MAX_ELEMENTS:,} elements"
+                if count > MAX_ELEMENTS
+                else f"elements lie more than {_MAX_DEPTH} deep in one another",
+                where=of_name.removesuffix(", "),
+                hint="convert it to PLY",
+            )
+        at = place(parser.CurrentByteIndex)
+        tag = _TAG.match(data, at)
+        if tag is None:
+            raise damaged("a tag does not end", f"{of_name}byte {at}")
+        space, _, word = name.rpartition(" ")
+        element = Element(space, word, attributes, at, tag.end(), tag.end())
+        if opened:
+            opened[-1].children.append(element)
+        elif root is None:
+            root = element
+        opened.append(element)
+
+    def end(name: str) -> None:
+        element = opened.pop()
+        # Of ``<a/>`` the end is reported where the tag begins.
+        element.stop = max(element.inside, place(parser.CurrentByteIndex))
+
+    def refuse_doctype(*_: object) -> None:
+        raise UnsupportedError(
+            "the XML has a document type, whose entities may expand to anything",
+            where=name,
+            hint="remove the DOCTYPE, or export the mesh again",
+        )
+
+    def note_prefix(prefix: str | None, uri: str | None) -> None:
+        if prefixes is not None:
+            prefixes[prefix or ""] = uri or ""
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.StartNamespaceDeclHandler = note_prefix
+    view = memoryview(data).cast("B")[:stop]
+    if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe") or b"\0" in bytes(view[:4]):
+        raise UnsupportedError("the XML is UTF-16", where=name, hint="save it as UTF-8")
+    try:
+        done = 0
+        for begin, behind in left_out:
+            parser.Parse(view[done:begin], False)
+            done = behind
+        parser.Parse(view[done:], stop is None)
+    except expat.ExpatError as failure:
+        message = f"it is not well-formed XML: {expat.errors.messages[failure.code]}"
+        line = 1 + bytes(view[: place(parser.ErrorByteIndex)]).count(b"\n")
+        raise damaged(message, f"{of_name}line {line}") from None
+    except (LookupError, ValueError) as failure:
+        raise UnsupportedError(
+            f"the XML is written in another way than UTF-8: {failure}",
+            where=name,
+            hint="save it as UTF-8",
+        ) from None
+    finally:
+        # They name the parser, so that nothing would be freed before long.
+        parser.StartElementHandler = parser.EndElementHandler = None
+    if root is None:
+        raise damaged("the file has no element", name)
+    return root
