@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 from msal_cli.codecs import ply_header
-from msal_cli.codecs.detection import OWN_FORMATS, content_format, format_of_name, refuse_utf16
+from msal_cli.codecs.detection import content_format, format_of_name, refuse_utf16
 from msal_cli.errors import FormatError, MsalError, TooLargeError, TruncatedError
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
@@ -231,13 +231,8 @@ def read_input(
         as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
     """
     name = os.fspath(path)
-    # A library would copy what is no ``bytes``.
-    is_own = (format or format_of_name(name)) in OWN_FORMATS
     return read_whole(
-        path,
-        size,
-        check=lambda file, n_bytes: check_beginning(file, n_bytes, name, format),
-        in_large_pages=is_own,
+        path, size, check=lambda file, n_bytes: check_beginning(file, n_bytes, name, format)
     )
 
 

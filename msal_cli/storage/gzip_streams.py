@@ -39,17 +39,16 @@ def read_whole(
     size: int | None = None,
     *,
     check: Callable[[BinaryIO, int], None] | None = None,
-    in_large_pages: bool = False,
 ) -> Buffer:
     """The bytes of a regular file, or of an object behind a URL.
+
+    A large file comes as an array of numpy's, to be read only.  It is in large pages where the
+    system has such: to clear thousands of small ones takes longer than to copy what the file holds.
 
     Parameters
     ----------
     size : bytes of an object, as far as that is known.
     check : called with the open file and its size before anything is read; what it raises passes.
-    in_large_pages : a large file may come as an array of numpy's, to be read only.  It is in large
-        pages where the system has such: to clear thousands of small ones takes longer than to copy
-        what the file holds.
 
     Raises
     ------
@@ -68,7 +67,7 @@ def read_whole(
             if check is not None:
                 check(file, expected)
                 file.seek(0)
-            return _read_to_end(file, expected, in_large_pages and expected >= LARGE_BYTES)
+            return _read_to_end(file, expected)
     except (OSError, ValueError) as failure:
         reason = getattr(failure, "strerror", None) or str(failure)
         is_missing = isinstance(failure, FileNotFoundError)
@@ -83,14 +82,14 @@ def read_whole(
         ) from failure
 
 
-def _read_to_end(file: BinaryIO, expected: int, in_large_pages: bool) -> Buffer:
+def _read_to_end(file: BinaryIO, expected: int) -> Buffer:
     """All bytes of an open file, which may have more than the ``expected``, but not without end."""
     if expected > largest_bytes():
         raise too_large(expected)
     # One byte more than there should be, so that the next piece is the empty one at the end.
     pieces: list[Buffer] = []
     size, room = 0, expected + 1
-    if in_large_pages:
+    if expected >= LARGE_BYTES:
         import numpy as np
 
         array = np.empty(room, dtype=np.uint8).data
