@@ -129,7 +129,7 @@ def test_whatever_call_fails_the_output_is_whole(tmp_path, monkeypatch, way, ste
 
 def test_a_manifest_that_is_full_hides_nothing(tmp_path):
     """What was written is counted, although it cannot be noted, and the report is written."""
-    scans = folder_of(tmp_path / "in", **{f"s{n:02}": closed_scan(n) for n in range(12)})
+    scans = folder_of(tmp_path / "in", **{f"s{n:02}": closed_scan(n) for n in range(24)})
     report = tmp_path / "r.csv"
     words = command(scans, tmp_path / "out", "-j", "2", "--report", report)
 
@@ -137,15 +137,15 @@ def test_a_manifest_that_is_full_hides_nothing(tmp_path):
         import resource
 
         # Enough for an output and for the report; the manifest of all files is larger.
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY))
 
     made = subprocess.run(words, capture_output=True, preexec_fn=limit, check=False)
     assert made.returncode == 1, made.stderr
     assert b"manifest" in made.stderr and b"File too large" in made.stderr
     there = sorted(contents(tmp_path / "out"))
-    assert 0 < len(there) < 12
+    assert 0 < len(there) < 24
     rows = list(csv.DictReader(io.StringIO(report.read_text())))
     reported = {row["output"].rpartition("/")[2] for row in rows if row["status"] == "written"}
     assert sorted(reported) == there
     assert ended(words)[0] == 0
-    assert len(contents(tmp_path / "out")) == 12
+    assert len(contents(tmp_path / "out")) == 24
