@@ -286,7 +286,7 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
     if None in ends:
         # A run goes on behind a cut.
         ends = [_replace_piece(data, _whole(data, patches), out, 0)]
-    view, size = memoryview(out), ends[0]
+    view, size = out.data, ends[0]
     for place, end in zip(places[1:], ends[1:], strict=False):
         # Bytes that overlap are moved as they should be.
         view[size : size + end - place] = view[place:end]
@@ -414,8 +414,8 @@ def _cut(data: Bytes, patches: Sequence[Patch]) -> list[_Piece]:
     for start, stop in itertools.pairwise([*cuts, len(data)]):
         rows = [slice(*np.searchsorted(patch.at, (start, stop))) for patch in patches]
         own = [
-            Patch(*[array[some] for array in patch])
-            for patch, some in zip(patches, rows, strict=True)
+            Patch(at[some], values[some], is_changed[some], decimals[some])
+            for (at, values, is_changed, decimals), some in zip(patches, rows, strict=True)
         ]
         pieces.append(_Piece(start, stop, own))
     return pieces
