@@ -7,8 +7,6 @@ import socket
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from msal_cli.batch.inputs import NothingMatched, Patterns, discover_inputs
 from msal_cli.errors import UsageError
@@ -232,12 +230,3 @@ def test_whole_patterns_do_not_match_a_name_alone():
     assert not Patterns(["*.ply"], whole=True).matches("left/a.ply")
     assert Patterns(["left"], whole=True).matches("left/a.ply")
     assert not Patterns(["left"], whole=True).is_exact("left/a.ply")
-
-
-@given(st.text(alphabet="ab*?[]!.\\-^ \n\udcff", min_size=1, max_size=12))
-def test_a_name_with_every_wildcard_bracketed_matches_itself_only(name):
-    quoted = "".join(f"[{c}]" if c in "*?[" else c for c in name)
-    if quoted in (".", "./"):
-        return
-    assert Patterns([quoted]).is_exact(name)
-    assert not Patterns([quoted]).is_exact(name + "x")

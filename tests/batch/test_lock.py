@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -38,27 +37,17 @@ def locked_elsewhere(folder, *shard):
         process.kill()
 
 
-@pytest.fixture
-def holder(tmp_path):
-    with locked_elsewhere(tmp_path) as process:
-        yield process
-
-
 def unsupported(handle, **how):
     raise OSError(38, "Function not implemented")
 
 
-def test_the_second_is_told_who_is_first(tmp_path, holder):
-    with pytest.raises(UsageError) as caught:
-        FolderLock(str(tmp_path))
-    assert caught.value.code == "E_LOCKED"
-    assert f"process {holder.pid} " in caught.value.message
-    assert str(tmp_path) in caught.value.message
-
-
-def test_the_dead_hold_nothing(tmp_path, holder):
-    holder.send_signal(getattr(signal, "SIGKILL", signal.SIGTERM))
-    holder.wait()
+def test_the_second_is_told_who_is_first_and_the_dead_hold_nothing(tmp_path):
+    with locked_elsewhere(tmp_path) as holder:
+        with pytest.raises(UsageError) as caught:
+            FolderLock(str(tmp_path))
+        assert caught.value.code == "E_LOCKED"
+        assert f"process {holder.pid} " in caught.value.message
+        assert str(tmp_path) in caught.value.message
     assert (tmp_path / NAME).exists()
     one = FolderLock(str(tmp_path))
     assert (tmp_path / NAME).read_text().split() == [str(os.getpid()), socket.gethostname()]

@@ -183,12 +183,6 @@ class TestSeveral:
         noted(tmp_path, line | {"settings": "third"})
         assert FolderManifest(str(tmp_path)).get("a.ply").settings == "third"
 
-    def test_a_few_spare_lines_stay_and_more_of_them_go(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(manifests, "_SPARE_LINES", 10)
-        for n, n_lines in ((13, 13), (1, 14), (1, 4)):
-            noted(tmp_path, *(intent_line(f"{k % 3}", "in") for k in range(n)))
-            assert (tmp_path / NAME).read_bytes().count(b"\n") == n_lines
-
     def test_compaction_drops_only_what_is_outdated_in_its_own(self, tmp_path, monkeypatch):
         monkeypatch.setattr(manifests, "_SPARE_LINES", 5)
         monkeypatch.setattr(manifests, "MAX_RUN_LINES", 3)

@@ -70,17 +70,6 @@ def test_files_in_other_formats_have_the_same_positions(tmp_path):
         start += len(vertices)
 
 
-def test_alone_the_files_come_apart(tmp_path):
-    # Without this the other tests would show nothing.
-    parts = in_tiles(*noisy_ball(), 2)
-    tasks = tasks_of(tmp_path, plies(parts))
-    records = [denoise_file(one, replace(MSAL, tile_set=False)) for one in tasks]
-    assert all(one.tile_gap is None and one.tile_set is None for one in records)
-    before, after = joined(parts)[0], np.concatenate([read(one.output).vertices for one in records])
-    _, first, place = np.unique(before, axis=0, return_index=True, return_inverse=True)
-    assert np.abs(after - after[first[place.reshape(-1)]]).max() > 1e-3
-
-
 def test_a_border_with_vertices_amid_edges_is_a_warning(tmp_path):
     coarse, faces = noisy_terrain(9, 9)
     fine, fine_faces = noisy_terrain(17, 17)
