@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats
     from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.job.constraints import Constraints
-    from msal_cli.mesh import Mesh, PreparedMesh
+    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.regular import Buffer
 
 OnProgress = Callable[[str, int, int], None]
@@ -299,20 +299,21 @@ class FileRun:
                     self.know(locked_vertices=int(constraints.held.sum()))
             mesh_file.forget_vertices()
         mesh = ready.mesh if constraints is None else constraints.mesh
-        chosen = self._prepare(mesh)
-        moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
-        measured = self._measure(chosen, ready, moved)
+        # Where the same is run on every mesh, choosing takes no time.
+        with self.stage("choose") if looks_at_mesh(settings) else nullcontext():
+            chosen = first = prepare(mesh, settings, functools.partial(self._on_progress, "choose"))
+        self.know(**chosen.known)
+        self.warn(*chosen.warnings)
         choice = self._record.choice
-        softened: tuple[str, ...] = ()
-        for share in MILDER:
-            if measured.harm is None or choice is None:
+        for share in (*MILDER, None):
+            moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
+            measured = self._measure(chosen, ready, moved)
+            if measured.harm is None or choice is None or share is None:
                 break
             chosen = soften_choice(mesh, chosen, choice, measured.harm, share)
-            softened = chosen.warnings
             self.know(**chosen.known)
-            moved, fidelity, _ = self._run_method(chosen, ready, constraints)
-            measured = self._measure(chosen, ready, moved)
-        self.warn(*softened)
+        if chosen is not first:
+            self.warn(*chosen.warnings)
         with self.stage("measure"):
             self.know_changes(measured)
             noise, displacement = self._record.noise_estimate, self._record.displacement
@@ -380,21 +381,11 @@ class FileRun:
             after = ready.mesh.with_vertices(moved)
             self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
 
-    def _prepare(self, given: Mesh) -> Preparation:
-        """What is to be run on a mesh; the record has how that came about."""
-        # Where the same is run on every mesh, that takes no time.
-        with self.stage("choose") if looks_at_mesh(self._settings) else nullcontext():
-            on_step = functools.partial(self._on_progress, "choose")
-            chosen = prepare(given, self._settings, on_step)
-        self.know(**chosen.known)
-        self.warn(*chosen.warnings)
-        return chosen
-
     def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
         import numpy as np
 
-        name = self._settings.method if self._record.method is None else self._record.method.name
+        name = self._record.method and self._record.method.name
         if vertices.shape != ready.mesh.vertices.shape:
             raise InternalError(f"{name} changed the number of vertices")
         if not np.isfinite(vertices).all():
