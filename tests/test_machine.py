@@ -136,3 +136,12 @@ print(resident() - before < 16 << 20)
 def test_what_is_let_go_of_goes_back():
     run = subprocess.run([sys.executable, "-c", SEEN], capture_output=True, text=True, check=True)
     assert run.stdout == "True\n"
+
+
+@linux
+def test_a_peak_is_forgotten():
+    block = bytearray(b"x") * 80_000_000
+    before = machine.peak_bytes()
+    del block
+    machine.forget_peak()
+    assert machine.peak_bytes() < before - 50_000_000

@@ -45,7 +45,7 @@ from msal_cli.batch.schedule import (
 )
 from msal_cli.errors import ResourceError
 from msal_cli.job.settings import FORECAST
-from msal_cli.machine import memory_bytes, oom_kills, peak_bytes, usable_cores
+from msal_cli.machine import forget_peak, memory_bytes, oom_kills, peak_bytes, usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
@@ -672,6 +672,8 @@ def limited_memory(limit: int | None) -> Iterator[None]:
     import resource
 
     _load_libraries()
+    # The peak before may have counted pages of files.
+    forget_peak()
     own = memory_bytes("self", "VmData") - memory_bytes("self", "VmRSS")
     # Kernels will start threads, and a limit may leave less than their stacks.
     own += (usable_cores() + 1) * _STACK_BYTES

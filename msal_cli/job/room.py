@@ -198,8 +198,6 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
             f"{os.strerror(error)}",
             hint="name a folder with more space by --scratch",
         ) from None
-    finally:
-        machine.forget_peak()
 
 
 def _folder_of(output: str | None) -> str:
