@@ -34,13 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.kernels.spatial_order import morton_keys
 
 Bounds = tuple[Floats, Floats]
 
 NODE_PAIRS_AT_ONCE = 1 << 18
 """Pairs that are expanded at a time; it bounds the memory, however many overlap."""
 
-_MORTON_BITS = 20
 _SIZES_PER_CLASS = 3  # powers of two
 
 
@@ -76,29 +76,12 @@ def _bounds(triangles: Floats) -> Bounds:
 
 
 def _spatial_order(low: Floats, high: Floats) -> Longs:
-    centres = 0.5 * low + 0.5 * high
-    least = centres.min(axis=1, keepdims=True)
-    extent = float(np.ptp(centres, axis=1).max())
-    cells = ((centres - least) / (extent or 1.0) * (2**_MORTON_BITS - 1)).astype(np.uint64)
-    code = np.zeros(cells.shape[1], dtype=np.uint64)
-    for axis in range(3):
-        code |= _spread(cells[axis]) << np.uint64(axis)
+    centres = np.ascontiguousarray((0.5 * low + 0.5 * high).T)
+    extent = float(np.ptp(centres, axis=0).max())
+    code = morton_keys(centres, centres.min(axis=0), extent or 1.0) >> np.uint64(32)
     # Of a box without any extent the exponent is 0, which puts it with those of size 1.
     sizes = np.frexp((high - low).max(axis=0))[1] // _SIZES_PER_CLASS
     return np.lexsort((code, -sizes))
-
-
-def _spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Each of the lowest 21 bits at three times its place."""
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
-    return bits
 
 
 def _levels(low: Floats, high: Floats) -> list[Bounds]:

@@ -122,19 +122,6 @@ def _second_look(start, stop, levels, powers, noise, returned, share):
         share[i] = given / power if power > 0.0 else 0.0
 
 
-@compiled
-def _move_back(start, stop, normals, pulls, x):
-    for i in range(start, stop):
-        for axis in range(3):
-            x[i, axis] -= pulls[i] * normals[i, axis]
-
-
-def move_back(positions: Floats, normals: Floats, pulls: Floats) -> Floats:
-    """``positions`` (n, 3), in their own memory, moved back along ``normals`` by ``pulls`` (n,)."""
-    over_ranges(_move_back, len(positions), normals, pulls, positions)
-    return positions
-
-
 @dataclass(frozen=True, eq=False)
 class Restoration:
     """What a residual holds beside noise."""

@@ -113,6 +113,14 @@ def blocks(count: int, row_bytes: int) -> list[tuple[int, int]]:
     return [(first, min(first + step, count)) for first in range(0, count, step)]
 
 
+def morton_keys(vertices: Floats, low: Floats, extent: float) -> NDArray[np.uint64]:
+    """The cell (n,) of each vertex (n, 3) along a Morton curve through its box, in the upper 32
+    bits, and the number of the vertex; see ``sort_in_space``."""
+    keys = np.empty(len(vertices), dtype=np.uint64)
+    over_ranges(_key_vertices, len(vertices), vertices, low, _CELLS / extent, keys)
+    return keys
+
+
 def sort_in_space(
     vertices: Floats, faces: Ints, low: Floats, extent: float
 ) -> tuple[Floats, Ints, Ints]:
@@ -121,21 +129,17 @@ def sort_in_space(
 
     ``low`` (3,) is a corner of the box, and ``extent`` its longest side.
     """
-    n, m = len(vertices), len(faces)
-    keys = np.empty(n, dtype=np.uint64)
-    over_ranges(_key_vertices, n, vertices, low, _CELLS / extent, keys)
+    keys = morton_keys(vertices, low, extent)
     vertices, faces, ranks = order_vertices(vertices, faces, keys)
-    keys = np.empty(m, dtype=np.uint64)
-    over_ranges(_key_faces, m, faces, keys)
+    keys = np.empty(len(faces), dtype=np.uint64)
+    over_ranges(_key_faces, len(faces), faces, keys)
     keys.sort()
     return vertices, _gather_rows(faces, keys), ranks
 
 
 def begins_cell(vertices: Floats, low: Floats, extent: float) -> Flags:
     """Whether each of the vertices (n, 3) of ``sort_in_space`` is the first in its cell, (n,)."""
-    keys = np.empty(len(vertices), dtype=np.uint64)
-    over_ranges(_key_vertices, len(vertices), vertices, low, _CELLS / extent, keys)
-    keys >>= _HIGH
+    keys = morton_keys(vertices, low, extent) >> _HIGH
     is_first = np.ones(len(vertices), dtype=bool)
     np.not_equal(keys[1:], keys[:-1], out=is_first[1:])
     return is_first

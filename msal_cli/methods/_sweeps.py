@@ -283,7 +283,7 @@ def _restore(
 
     What comes back comes along the mesh's normals.
     """
-    from msal_cli.kernels.restoration import move_back, restoration
+    from msal_cli.kernels.restoration import restoration
 
     noise = resolve_noise_level(mesh, schedule.noise or 0.0)
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
@@ -292,7 +292,8 @@ def _restore(
     found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
     pull = found.returned if mesh.trust is None else mesh.trust * found.returned
     share = found.share if mesh.trust is None else mesh.trust * found.share
-    return SweepResult(move_back(smooth, normals, pull), share)
+    smooth -= pull[:, None] * normals
+    return SweepResult(smooth, share)
 
 
 @dataclass(frozen=True)
