@@ -223,7 +223,6 @@ def _as_cells(points: NDArray[Any], faces: Ints, to: str, encoding: str) -> byte
 
 
 def _as_scene(points: Floats, mesh: _Mesh, to: str) -> Buffer:
-    """A GLB or .gltf file."""
     import trimesh
 
     from msal_cli.codecs import gltf

@@ -141,7 +141,6 @@ def resolve_format(data: Buffer, name: str, format: str | None) -> str:
 
 
 def _wanted(data: Buffer, name: str, format: str | None) -> str:
-    """The format to read, by the option, the suffix or, where there is no suffix, the content."""
     known = f"known are: {', '.join(READABLE)}"
     if format is not None:
         wanted = format.lower().removeprefix(".")

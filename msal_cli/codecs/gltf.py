@@ -227,7 +227,6 @@ def _split_glb(data: Buffer) -> tuple[bytes, memoryview, int]:
 
 
 def _glb_head(text: bytes, size: int) -> bytes:
-    """The beginning of a file with ``size`` bytes behind its description."""
     text += b" " * (-len(text) % 4)
     return struct.pack("<4sIIII", b"glTF", 2, _HEAD + len(text) + size, len(text), _JSON) + text
 
@@ -550,7 +549,6 @@ class GltfFile(SceneFile):
 
 
 def _replace_uris(text: Buffer, uris: dict[int, str]) -> Buffer:
-    """A description with other references of its buffers, by their numbers."""
     if not uris:
         return text
     plain = bytes(text).decode("latin-1")

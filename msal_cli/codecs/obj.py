@@ -230,7 +230,6 @@ def _empty_rows(n_rows: int) -> _Rows:
 
 
 def _enlarge(n_rows: int, *arrays: NDArray[Any]) -> None:
-    """Make room for ``n_rows`` rows in place."""
     for array in arrays:
         array.resize((n_rows, *array.shape[1:]), refcheck=False)
 
@@ -267,7 +266,6 @@ class _Reader:
         self._state = self._begin()
 
     def _begin(self) -> Longs:
-        """The state of a walk that is about to start."""
         state = np.zeros(scan.N_STATE, dtype=np.int64)
         state[scan.LARGEST_VERTEX] = -1
         if self._buf[:3].tobytes() == BYTE_ORDER_MARK:
@@ -346,7 +344,6 @@ class _Reader:
             _enlarge(room, self._corners, *[self._corner_normals] * bool(len(self._corner_normals)))
 
     def _decide_numbers(self) -> None:
-        """Read the statements with numbers that need Python's ``float``."""
         view = memoryview(self._data)
         for is_normal, row in self._undecided[: self._state[scan.UNDECIDED_ROWS]].tolist():
             rows = self._normals if is_normal else self._positions
@@ -365,7 +362,6 @@ class _Reader:
         return f"line {line_of(self._data, at)}"
 
     def _scan_error(self, result: int) -> InputError:
-        """The error for what the walk returned."""
         state = self._state
         at = int(state[scan.WORD])
         place = self._place(at)
@@ -447,7 +443,6 @@ class _Reader:
 
 
 def _name_properties(state: Longs, keywords: Keywords) -> tuple[str, ...]:
-    """What is carried along beside positions and faces."""
     is_there = {
         "texture coordinates": state[scan.TEXTURE],
         "normals": state[scan.NORMALS],

@@ -118,7 +118,6 @@ class _Parsed:
 
 
 def _by_lines(words: Words, start: int, n_vertices: int, n_faces: int) -> _Parsed:
-    """A vertex or a face on each line."""
     lines = words.first_of_lines()
     lines = lines[lines >= start]
     if len(words) > start and (not len(lines) or lines[0] != start):

@@ -262,7 +262,6 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
 
 
 def _grid_samples(section: Section, name: str, header: Header, n_vertices: int) -> Ints:
-    """The samples (rows, columns) of a range grid, -1 for none."""
     shape = grid_shape(header, section.element)
     lengths = section.items(name)[1]
     if (lengths > 1).any():
@@ -277,7 +276,6 @@ def _grid_samples(section: Section, name: str, header: Header, n_vertices: int) 
 
 
 def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
-    """The error for a file without triangles; ``faces`` is its element ``face``."""
     if faces is None or not faces.element.count:
         return ContentError(
             f"the file has {n_vertices} vertices but no faces: it is a point cloud",
@@ -517,7 +515,6 @@ def parse(data: Buffer) -> PlyLayout:
 def _renew_normals(
     surface: Surface, normals: Mapping[str, Slots], old: Floats, new: Floats
 ) -> list[tuple[Floats, Flags]]:
-    """The normals of each element for new vertices, and which rows changed."""
     from msal_cli.kernels.geometry import regroup_normals
 
     faces = surface.triangles

@@ -300,7 +300,6 @@ def _has_line_end(part: Bytes) -> bool:
 
 
 def _find_tokens(part: Part, kept: Sequence[str], is_stream: bool) -> tuple[Places, int]:
-    """The places of the tokens of the properties ``kept``, and the end of the element's last."""
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, WHOLE, walk_text
 
     data, header, element = part.data, part.header, part.element

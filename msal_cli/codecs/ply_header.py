@@ -181,7 +181,6 @@ def _decode(text: bytes) -> str:
 
 
 def _show(text: bytes) -> str:
-    """A word of the file fit for a message: printable and short."""
     word = _decode(text[:60])
     return repr(word if len(text) <= 60 else word + "...")
 

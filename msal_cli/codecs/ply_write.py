@@ -120,7 +120,6 @@ def find_body_comments(body: bytes) -> list[bytes]:
 def _require_all(
     fits: Flags, section: Section, prop: Property, lengths: Longs | None = None
 ) -> None:
-    """Raise ContentError unless every value (count,), or item of a list, fits its type."""
     if fits.all():
         return
     record = int(np.argmin(fits))
@@ -179,7 +178,6 @@ def _long_integers(
 
 
 def _append_binary(output: bytearray, columns: Sequence[Numbers], count: int, order: str) -> None:
-    """Append ``count`` records whose numbers have the byte order ``order``."""
     from msal_cli.kernels.ply_scan import scatter
 
     arrays = [values.astype(order + values.dtype.str[1:]) for values, _ in columns]
@@ -197,7 +195,6 @@ def _append_binary(output: bytearray, columns: Sequence[Numbers], count: int, or
 
 
 def _append_text(output: bytearray, columns: Sequence[Numbers], count: int, newline: bytes) -> None:
-    """Append ``count`` lines of the columns."""
     if not columns:
         return
     firsts = [

@@ -74,7 +74,6 @@ class SlotFile:
         return self._vertices
 
     def _cut_faces(self) -> Ints:
-        """The triangles (m, 3) of the polygons; ContentError for a file that is no mesh."""
         layout = self._layout
         if not len(layout.sizes):
             raise ContentError(
@@ -125,7 +124,6 @@ class SlotFile:
         return plan_patches(changes)
 
     def _require_ranges(self, changes: Sequence[Change]) -> None:
-        """Raise ContentError (``E_RANGE``) for a position that its number type cannot store."""
         for slots, values, is_changed in changes:
             if slots in self._layout.positions and slots.codes:
                 require_range(values, is_changed, slots.codes)
@@ -194,7 +192,6 @@ class SlotFile:
         return [change for change in changes if change.is_changed.any()]
 
     def _changed_normals(self, vertices: Floats) -> list[Change]:
-        """The normals of what moved."""
         if not self._layout.normals:
             return []
         changes = []

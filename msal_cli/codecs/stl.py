@@ -144,8 +144,6 @@ def is_text(head: bytes, size: int) -> bool:
 
 
 def _check_count(n_facets: int, n_trailing: int = 0) -> None:
-    """Raise ContentError ``E_NO_FACES`` if there is no facet, and TooLargeError if the corners
-    cannot be numbered; ``n_trailing`` bytes follow the last facet."""
     if not n_facets:
         more = f"; {n_trailing} bytes follow that it does not count" if n_trailing else ""
         raise ContentError(
@@ -161,7 +159,6 @@ def _check_count(n_facets: int, n_trailing: int = 0) -> None:
 
 
 def _not_finite(facet: int, corner: int, line: int | None = None) -> ContentError:
-    """The error for a position that is NaN or infinite; all counts from zero but the line's."""
     return ContentError(
         "a position is not finite",
         code="E_NONFINITE",
@@ -220,7 +217,6 @@ class _FacetFile(SlotFile):
         return binary_stl(corners, normals, self._name)
 
     def _facet_normals(self, vertices: Floats) -> tuple[Floats, Flags]:
-        """The facets' normals (m, 3) for new vertices, and which changed (m,)."""
         from msal_cli.kernels.stl_facets import renew_facet_normals
 
         require_shape(vertices, self.vertices)
@@ -415,7 +411,6 @@ def _decide_numbers(data: Buffer, run_at: Longs, numbers: Floats) -> None:
 
 
 def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> InputError:
-    """The error for a text that ``stl_facets.scan`` does not accept."""
     from msal_cli.kernels import stl_facets
 
     token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]

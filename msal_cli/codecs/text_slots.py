@@ -253,7 +253,6 @@ def plan_patches(changes: Sequence[Change], *, have_own: bool = True) -> list[Pa
 
 
 def _is_interleaved(places: Sequence[Longs]) -> bool:
-    """Whether runs of different arrays take turns more than ``MAX_TURNS`` times."""
     if len(places) == 1:
         return False
     owners = np.repeat(np.arange(len(places)), [len(at) for at in places])

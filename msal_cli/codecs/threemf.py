@@ -117,7 +117,6 @@ class Package:
         return member
 
     def _root_target(self) -> str:
-        """The path of the root model, by the relationships of the package."""
         root = self._member(_ROOT, "central directory")
         content = self.archive.content(root, _MAX_RELATIONSHIPS)
         targets = []
@@ -285,7 +284,6 @@ class ThreeMfFile(SlotFile):
         super().check(_BETWEEN.join(texts), vertices)
 
     def _pack(self, content: Buffer) -> bytes:
-        """The archive with other texts of the model parts, those that changed."""
         if content is self._data:
             return bytes(self.data)
         names = list(self.package.models)

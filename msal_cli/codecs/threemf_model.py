@@ -237,8 +237,6 @@ class Model:
         self.meshes[number] = ThreeMfMesh(vertices, starts, faces)
 
     def _read_vertices(self, element: Element, number: int) -> tuple[Floats, Longs]:
-        """The positions (n, 3) of a list, and the first byte of each number."""
-
         def not_finite(at: int, row: int) -> ContentError:
             return ContentError(
                 "a position is not finite",
@@ -273,7 +271,6 @@ class Model:
         return np.array(values).reshape(-1, 3), np.array(places, dtype=np.int64).reshape(-1, 3)
 
     def _read_triangles(self, element: Element) -> NDArray[np.int64]:
-        """The corners (m, 3) of a list."""
         if span := self._lists.get(element.start):
             region = np.frombuffer(self._text, np.uint8)[slice(*span)]
             starts, stops = find_quoted(region, span[0])
@@ -289,7 +286,6 @@ class Model:
         return np.array(corners, dtype=np.int64).reshape(-1, 3)
 
     def _numbers(self, starts: Longs, stops: Longs) -> Floats:
-        """The numbers (k, 3) at these bytes of the text."""
         from msal_cli.kernels import text
 
         buffer = text.as_bytes(self._text)

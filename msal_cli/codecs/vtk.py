@@ -145,7 +145,6 @@ class _Reader:
         return found[1][:1000].decode("ascii", "replace").split()
 
     def _skip_paragraph(self) -> None:
-        """Skip to after the next blank line, which ends METADATA."""
         found = _PARAGRAPH_END.search(self._bytes, max(self._at - 1, 0))
         assert found is not None
         self._at = found.end()
@@ -181,7 +180,6 @@ class _Reader:
         return Strided(self._data, at, count, 3 * size, places, (code,) * 3)
 
     def _integers(self, count: int, kind: str) -> Longs:
-        """The whole numbers that follow."""
         code = self._code(kind)
         if self._words is not None:
             return self._words.integers(self._next_words(count))
@@ -228,7 +226,6 @@ class _Reader:
         return numbers[firsts], numbers[is_corner]
 
     def _skip(self, count: int, kind: str) -> None:
-        """Skip an array of so many numbers."""
         if self._words is not None:
             self._next_words(count)
         elif kind.lower() == "bit":
@@ -357,7 +354,6 @@ class _Reader:
         self.properties.append(f"{owner}.{name}")
 
     def _read_field(self, words: list[str], owner: str, n_points: int = -1) -> None:
-        """Read the arrays of a FIELD; one of normals of the points is replaced."""
         for _ in range(self.count_of(words, 2, "arrays")):
             header = self.line()
             if header and header[0].upper() == "METADATA":

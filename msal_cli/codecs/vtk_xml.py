@@ -267,7 +267,6 @@ XmlSlots = TextNumbers | EncodedNumbers
 
 
 def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
-    """A block of ``size`` bytes."""
     try:
         if compressor == "vtkZLibDataCompressor":
             content = zlib.decompressobj().decompress(block, size + 1)
@@ -415,7 +414,6 @@ def _shift_by(edits: Sequence[tuple[int, int, bytes]]) -> Shift:
 
 
 def _rest(data: Buffer, spans: Sequence[tuple[int, int]]) -> bytes:
-    """All bytes outside the spans."""
     view = memoryview(data)
     starts, stops = zip(*sorted(spans), strict=True)
     return b"".join(view[at:to] for at, to in zip((0, *stops), (*starts, None), strict=True))
@@ -537,7 +535,6 @@ def _array(group: Element, name: str) -> Element:
 
 
 def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
-    """Sizes (k,) and corners of the cells of a group."""
     sizes = np.diff(coding.integers(_array(group, "offsets")), prepend=0)
     corners = coding.integers(_array(group, "connectivity"))
     if (sizes < 0).any() or sizes.sum() > len(corners):

@@ -266,7 +266,6 @@ def _move(temporary: Path, target: Path) -> bool:
 
 
 def _place(temporary: Path, target: Path) -> bool:
-    """Give the file its name unless that is taken."""
     try:
         if os.name == "nt":
             temporary.rename(target)  # which does not replace there

@@ -159,7 +159,6 @@ def _gather(pieces: Iterable[bytes]) -> memoryview:
 
 
 def _expand_pieces(data: memoryview) -> Iterator[bytes]:
-    """What gzip's members expand to, piece by piece; errors as in ``expand``."""
     size = len(data)
     expanded = 0
     position = 0

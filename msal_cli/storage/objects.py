@@ -241,7 +241,6 @@ def remove_objects(object_urls: Sequence[str]) -> None:
 
 
 def _open(url: str) -> tuple[Any, str]:
-    """The file system of a URL and the path in it."""
     protocol = urls.split(url)[0]
     kind = _kind(protocol)
     full = urls.restore_secrets(url)
@@ -280,7 +279,6 @@ def _connect(protocol: str, options: dict[str, Any]) -> Any:
 
 
 def _kind(protocol: str) -> Any:
-    """The class of file systems of a protocol; UsageError says what to install."""
     try:
         import fsspec
         from fsspec.registry import known_implementations
@@ -345,7 +343,6 @@ _WITHOUT_CREDENTIALS = re.compile(
 
 
 def _explain(failure: BaseException) -> tuple[str, str]:
-    """The reason of a failure in words, and a hint, for any file system."""
     kinds = {
         kind.__name__
         for error in (failure, failure.__cause__)

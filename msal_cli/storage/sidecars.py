@@ -27,13 +27,16 @@ MAX_BYTES = 4 << 30
 """Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
 
 _PIECE = 8 << 20
-_TEXTURE_KEYS = (b"bump", b"disp", b"decal", b"refl", b"norm")
-_NUMBER = rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
-# The arguments of the options of a texture line: a fixed number of words, or up to three numbers.
-_ONE_WORD = frozenset(
-    b"-blendu -blendv -cc -clamp -boost -texres -bm -imfchan -type -colorspace".split()
+_NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_OPTION = (
+    rb"-(?:(?:blend[uv]|cc|clamp|boost|texres|bm|imfchan|type|colorspace)\s+\S+|mm\s+\S+\s+\S+"
+    rb"|[ost](?:\s+" + _NUMBER + rb"(?!\S)){1,3})(?:\s+|$)"
 )
-_NUMBERS = (b"-o", b"-s", b"-t")
+_TEXTURE = re.compile(
+    rb"\s*(?:map_\S*|bump|disp|decal|refl|norm)\s+(?:" + _OPTION + rb")*+(.*)", re.IGNORECASE
+)
+"""A line that names a texture: a keyword, options with a fixed number of words or up to three
+numbers, and the name, which may have blanks and begin with a hyphen."""
 
 
 def carry(
@@ -204,7 +207,6 @@ def _pieces(source: Path) -> Iterator[bytes]:
 
 
 def _textures(library: Path) -> list[str]:
-    """Files that a material library names, in order; none if it cannot be read."""
     try:
         with open_regular(library) as stream:
             text = stream.read(MAX_MATERIAL_BYTES)
@@ -215,23 +217,5 @@ def _textures(library: Path) -> list[str]:
 
 
 def _texture(line: bytes) -> str:
-    """The file that a line of a material library names, or nothing."""
-    key, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
-    key = key.lower()
-    if not key.startswith(b"map_") and key not in _TEXTURE_KEYS:
-        return ""
-    while (rest := rest.strip()).startswith(b"-"):
-        words = rest.split()
-        option = words[0].lower()
-        if option in _NUMBERS:
-            count = 1
-            while count < min(4, len(words)) and re.match(_NUMBER, words[count]):
-                count += 1
-        elif option == b"-mm":
-            count = 3
-        elif option in _ONE_WORD:
-            count = 2
-        else:
-            break  # a name may begin with a hyphen
-        rest = b" ".join(rest.split(None, count)[count:])
-    return rest.strip(b' "').decode("utf-8", "surrogateescape")
+    match = _TEXTURE.match(line)
+    return match[1].strip(b' "\t').decode("utf-8", "surrogateescape") if match else ""
