@@ -25,9 +25,6 @@ _PLY_NAMES = (
     ("diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"),
 )
 _CONTINUED = re.compile(rb"\\\r?\n")
-_OFF_HEADER = re.compile(r"\s*(?:ST)?(C)?(N)?OFF\b")
-_STL_VALID = 0x8000
-_MATERIALISE = b"COLOR="
 
 _GLTF_TYPES = {5126: "<f4", 5121: "<u1", 5123: "<u2"}
 """Number types of colours; the largest whole number stands for 1."""
@@ -59,10 +56,6 @@ def surface_colours(mesh_file: MeshFile) -> Colours | None:
         from msal_cli.codecs.gltf import SceneFile
 
         return _of_gltf(mesh_file) if isinstance(mesh_file, SceneFile) else None
-    if mesh_file.format == "off":
-        return _of_off(mesh_file)
-    if mesh_file.format == "stl":
-        return _of_stl(mesh_file)
     colours = vertex_colours(mesh_file)
     return None if colours is None else colours[:, :3]
 
@@ -105,62 +98,6 @@ def _of_obj(mesh_file: MeshFile) -> Colours | None:
     if colours.shape != mesh_file.vertices.shape or not np.isfinite(colours).all():
         return None
     return _to_bytes(colours, 255.0 if colours.max(initial=0.0) <= 1.0 else 1.0)
-
-
-def _of_off(mesh_file: MeshFile) -> Colours | None:
-    """Behind the positions (and normals): whole numbers to 255, or others to 1."""
-    text = bytes(mesh_file.replaced(mesh_file.vertices)).decode("latin-1")
-    lines = [plain for line in text.splitlines() if (plain := line.partition("#")[0].strip())]
-    header = _OFF_HEADER.match(lines[0].lstrip("\xef\xbb\xbf"))
-    if header is None:
-        return None
-    has_colours, has_normals = header.groups()
-    n_vertices = len(mesh_file.vertices)
-    n_heads, n_counts = 0, 0
-    for line in lines:
-        n_counts += len(line.split()) - (n_heads == 0)
-        n_heads += 1
-        if n_counts >= 2:
-            break
-    first = 6 if has_normals else 3
-    rows = [line.split()[first : first + 3] for line in lines[n_heads : n_heads + n_vertices]]
-    if len(rows) != n_vertices or any(len(row) < 3 for row in rows):
-        return None
-    values = np.array(rows, dtype=np.float64)
-    if not has_colours and (values.min() < 0.0 or values.max() > 255.0):
-        return None  # other numbers, such as normals
-    are_whole = not any("." in word for row in rows for word in row)
-    return _to_bytes(values, 1.0 if are_whole or values.max() > 1.0 else 255.0)
-
-
-def _of_stl(mesh_file: MeshFile) -> Colours | None:
-    """The words of a binary file's facets: 15 bits as VisCAM (and SolidView) or, where the header
-    has the colour of all, Materialise Magics writes them; means at the vertices."""
-    from msal_cli.codecs.stl import FACET, HEADER_BYTES
-
-    properties = mesh_file.properties
-    has_default = "colour in the header" in properties
-    if mesh_file.encoding == "ascii" or not ("facet attribute words" in properties or has_default):
-        return None
-    data = bytes(mesh_file.replaced(mesh_file.vertices))
-    count, n_vertices = len(mesh_file.faces), len(mesh_file.vertices)
-    facets = np.frombuffer(data, dtype=FACET, count=count, offset=HEADER_BYTES + 4)
-    words = facets["attribute"].reshape(count, -1)[:, 0].astype(np.int64)
-    fifths = np.stack([(words >> shift) & 31 for shift in (10, 5, 0)], axis=1)
-    own = (words & _STL_VALID) != 0
-    colours = np.tile(np.array(UNPAINTED, dtype=np.float64), (count, 1))
-    at = data[:HEADER_BYTES].find(_MATERIALISE)
-    if at >= 0:
-        colours[:] = np.frombuffer(data, np.uint8, 3, at + len(_MATERIALISE))
-        fifths, own = fifths[:, ::-1], ~own
-    elif not own.any():
-        return None
-    colours[own] = fifths[own] * (255.0 / 31.0)
-    corners = mesh_file.faces.reshape(-1)
-    n_facets = np.maximum(np.bincount(corners, minlength=n_vertices), 1)
-    shares = np.repeat(colours, 3, axis=0).T
-    sums = [np.bincount(corners, weights=share, minlength=n_vertices) for share in shares]
-    return _to_bytes(np.stack(sums, axis=1) / n_facets[:, None])
 
 
 def _of_gltf(scene_file: SceneFile) -> Colours | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-
 import numpy as np
 import pytest
 
@@ -51,33 +49,6 @@ def test_ply(tmp_path, prefix):
 def test_obj(tmp_path):
     text = "v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n"
     assert _colours(tmp_path, "a.obj", text).vertices.tolist() == RED_GREEN_BLUE
-
-
-@pytest.mark.parametrize("head", ["COFF\n3 1 0\n", "OFF 3 1 0\n", "COFF\n# made\n3 1\n"])
-def test_off(tmp_path, head):
-    text = f"{head}{_rows(RED_GREEN_BLUE)}3 0 1 2\n"
-    assert _colours(tmp_path, "a.off", text).vertices.tolist() == RED_GREEN_BLUE
-
-
-def _stl(header, words):
-    data = header.ljust(80, b"\0") + struct.pack("<I", len(words))
-    for k, word in enumerate(words):
-        corners = [(x + 5 * k, y, z) for x, y, z in CORNERS]
-        data += struct.pack("<12fH", 0, 0, 1, *np.ravel(corners), word)
-    return data
-
-
-@pytest.mark.parametrize(
-    ("header", "words", "colours"),
-    [
-        # VisCAM.
-        (b"", [0x8000 | 31 << 10, 0], [[255, 0, 0]] * 3 + [[204, 204, 204]] * 3),
-        # Magics.
-        (b"COLOR=\x0a\x14\x1e\xff", [31, 0x8000], [[255, 0, 0]] * 3 + [[10, 20, 30]] * 3),
-    ],
-)
-def test_stl_words(tmp_path, header, words, colours):
-    assert _colours(tmp_path, "a.stl", _stl(header, words)).vertices.tolist() == colours
 
 
 @pytest.mark.parametrize(
