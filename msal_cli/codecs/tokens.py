@@ -79,12 +79,9 @@ class Words:
     def float_rows(self, first: Longs, *, unit_length: bool = False) -> TextSlots:
         """Rows of three numbers, ``first`` (n,) being the first word of each."""
         chosen = (first[:, None] + np.arange(3)).reshape(-1)
-        starts = self.starts[chosen]
-        values = parse_floats(self.data, starts, self.stops[chosen]).reshape(-1, 3)
-        # Between the words of a row that is on several lines there may be a comment.
-        if (self.lines[first + 2] == self.lines[first]).all():
-            starts = self.starts[first]
-        return TextSlots(self.data, starts, values=values, unit_length=unit_length)
+        values = parse_floats(self.data, self.starts[chosen], self.stops[chosen]).reshape(-1, 3)
+        at = self.starts[first]
+        return TextSlots(self.data, at, values=values, unit_length=unit_length)
 
     def first_of_lines(self) -> Longs:
         """The first word of each line that has one."""

@@ -92,28 +92,6 @@ def test_faces_keep_their_colours_and_corners():
     assert output.splitlines()[-3:] == [face.encode() for face in faces]
 
 
-@pytest.mark.parametrize(
-    "body",
-    [
-        "4 4 6 0 0 0 1 0 0\n0 1 0 0 0 1 3 0 2 1 3 0 1 3\n3 1 2 3 3 2 0 3\n",
-        "4 4 6\n0 0 0 1 0 0 0 1 0 0 0 1\n3 0 2 1 3 0 1 3 3 1 2 3 3 2 0 3\n",
-        "4 4 6\n0 0\n0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0\n1 3\n3 1 2 3\n3 2 0 3\n",
-    ],
-)
-def test_words_may_stand_on_any_line(body):
-    file, _, _ = patched(b"OFF\n" + body.encode(), "a.off")
-    usual = open_mesh(off(), "a.off")
-    assert np.array_equal(file.vertices, usual.vertices)
-    assert np.array_equal(file.faces, usual.faces)
-
-
-def test_colours_on_lines_of_their_own_are_no_vertices():
-    points = [part for point in POINTS for part in (point, "255 0 0 255")]
-    file, _, output = patched(off("COFF\n4 4 0", points), "a.off")
-    assert np.array_equal(file.vertices, open_mesh(off(), "a.off").vertices)
-    assert output.count(b"255 0 0 255\n") == 4
-
-
 DAMAGED = {
     "empty.off": (b"", "E_TRUNCATED"),
     "cut.off": (off()[:40], "E_TRUNCATED"),
