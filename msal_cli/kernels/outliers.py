@@ -49,6 +49,9 @@ MIN_PER_THREAD = 256
 MIN_WAY = 0.75
 """Local edges from its place on the fit from which a vertex can be an outlier."""
 
+EARLY_WAY = 0.65
+"""The same after the first of the fits: the others move it by much less than the difference."""
+
 NEAR = 0.5
 """Local edges from the middle of its neighbours up to which it is none, and no fit is made."""
 
@@ -227,15 +230,21 @@ def _median(values, count, below, ranking):
 
 
 @compiled
-def _fit(count, local, weights, rests, below, ranking, terms, equations, coefficients):
+def _fit(
+    count, local, weights, rests, below, ranking, terms, equations, coefficients, height, least
+):
     """Fit degree 2 to the points ``local``[:, 1:count] (u, w, height) by weights that get less for
-    those far from it; the median of what is left over."""
+    those far from it; the median of what is left over.
+
+    After the first fit it ends with -1 where that is nearer to ``height`` in the middle than
+    ``least``.
+    """
     for at in range(1, count):
         u, w = local[0, at], local[1, at]
         terms[at, 0], terms[at, 1], terms[at, 2] = 1.0, u, w
         terms[at, 3], terms[at, 4], terms[at, 5] = u * u, u * w, w * w
     median = 0.0
-    for _ in range(FITS):
+    for done in range(FITS):
         for row in range(TERMS):
             # Sums that are variables stay in registers.
             c0 = c1 = c2 = c3 = c4 = c5 = right = 0.0
@@ -254,6 +263,8 @@ def _fit(count, local, weights, rests, below, ranking, terms, equations, coeffic
         for row in range(3, TERMS):
             equations[row, row] += STIFFNESS
         _solve(equations, coefficients)
+        if done == 0 and abs(height - coefficients[0]) < least:
+            return -1.0
         for at in range(1, count):
             rests[at] = abs(local[2, at] - _height(local[0, at], local[1, at], coefficients))
         median = _median(rests, count, below, ranking)
@@ -419,11 +430,26 @@ def _judge(
             local[1, near] = dx * wx + dy * wy + dz * wz
             local[2, near] = dx * nx + dy * ny + dz * nz
             weights[near] = agreements[k] ** 4
-        noise = _fit(count, local, weights, rests, below, ranking, terms, equations, coefficients)
         dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
         u, w = dx * ux + dy * uy + dz * uz, dx * wx + dy * wy + dz * wz
-        along = np.sqrt(u * u + w * w)
-        across = abs(dx * nx + dy * ny + dz * nz - coefficients[0])
+        along, rise = np.sqrt(u * u + w * w), dx * nx + dy * ny + dz * nz
+        least = 0.0 if is_known else np.sqrt(max(EARLY_WAY**2 - along * along, 0.0))
+        noise = _fit(
+            count,
+            local,
+            weights,
+            rests,
+            below,
+            ranking,
+            terms,
+            equations,
+            coefficients,
+            rise,
+            least,
+        )
+        if noise < 0.0:
+            continue
+        across = abs(rise - coefficients[0])
         if along > KEPT_WAY:
             u = w = 0.0
         height = _height(u, w, coefficients)
