@@ -175,7 +175,7 @@ def test_the_legend_shows_its_colours_in_order():
 @pytest.mark.parametrize(
     ("name", "part"),
     [
-        ("a\nb", "\\x0a"),
+        ("a\nb", "\\n"),
         ("\x1b[31mred", "\\x1b"),
         ("evil\u202egnp.ply", "\\u202e"),
         ("byte\udcff.ply", "\\xff"),
