@@ -20,6 +20,7 @@ SHADES = 256
 UNKNOWN = (128, 128, 128)
 """The colour of what is not a number."""
 
+# Maps for what has a least value and for what has a sign.
 # Position, lightness, chroma, hue in degrees.  A low value is pale, so that the shading of a
 # surface stays visible where little is going on.
 _CONTROL_POINTS = {
@@ -54,11 +55,6 @@ _TO_LINEAR = np.array(
         [-0.0041960863, -0.7034186147, 1.7076147010],
     ]
 )
-
-
-def map_names() -> tuple[str, ...]:
-    """The maps: ``sequential`` for what has a least value, ``diverging`` for what has a sign."""
-    return tuple(_CONTROL_POINTS)
 
 
 @functools.cache

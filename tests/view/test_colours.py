@@ -101,7 +101,7 @@ def test_the_legend_says_both_units():
     assert [tick[2] for tick in legend.ticks] == ["-0.5", "-0.25", "0", "0.25", "0.5"]
 
 
-@pytest.mark.parametrize("name", colours.map_names())
+@pytest.mark.parametrize("name", ["sequential", "diverging"])
 def test_ends_beyond_and_not_a_number(name):
     table = colours.colour_table(name)
     got = colours.map_colours(np.array([-9.0, 1.0, 3.0, np.inf, -np.inf, np.nan]), 1.0, 3.0, name)
