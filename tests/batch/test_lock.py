@@ -55,6 +55,19 @@ def test_the_second_is_told_who_is_first_and_the_dead_hold_nothing(tmp_path):
     one.release()
 
 
+def test_a_file_that_its_last_owner_removes_meanwhile_locks_nothing(tmp_path, monkeypatch):
+    real, removed = lock._flock, []
+
+    def flock(handle, **how):
+        if not removed:
+            removed.append((tmp_path / NAME).unlink())
+        return real(handle, **how)
+
+    monkeypatch.setattr(lock, "_flock", flock)
+    with FolderLock(str(tmp_path)), pytest.raises(UsageError, match="already working"):
+        FolderLock(str(tmp_path))
+
+
 class TestWithoutLocks:
     """Some network file systems know no locks: then the word of a living process counts."""
 
