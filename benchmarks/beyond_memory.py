@@ -38,6 +38,13 @@ _BETWEEN_LOOKS_S = 0.05
 _GROUPS = Path("/sys/fs/cgroup")
 _MB = 1e6
 
+_COUNTED = (
+    ("anonymous_bytes", "status", "RssAnon"),
+    ("read_bytes", "io", "read_bytes"),
+    ("written_bytes", "io", "write_bytes"),
+)
+"""Fields of ``Used``, and the files and keys of /proc that they are the most of."""
+
 
 @dataclass
 class Used:
@@ -94,10 +101,10 @@ def measure(command: list[str], n_bytes: int | None, output: Path) -> Used:
         before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         process = subprocess.Popen(command, stderr=said, preexec_fn=enter)
         while process.poll() is None:
-            anonymous = _number(process.pid, "status", "RssAnon")
-            used.anonymous_bytes = max(used.anonymous_bytes, anonymous)
-            used.read_bytes = _number(process.pid, "io", "read_bytes") or used.read_bytes
-            used.written_bytes = _number(process.pid, "io", "write_bytes") or used.written_bytes
+            members = _family(process.pid)
+            for field, name, key in _COUNTED:
+                total = sum(_number(pid, name, key) for pid in members)
+                setattr(used, field, max(getattr(used, field), total))
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_BETWEEN_LOOKS_S)
         used.seconds = time.perf_counter() - began
@@ -111,6 +118,15 @@ def measure(command: list[str], n_bytes: int | None, output: Path) -> Used:
         used.digest = hashlib.file_digest(file, "sha256").hexdigest()
     output.unlink()
     return used
+
+
+def _family(pid: int) -> list[int]:
+    """A process and those that it started: a limit without a cgroup is that of a worker."""
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        children = []
+    return [pid, *(member for child in children for member in _family(int(child)))]
 
 
 def _number(pid: int, name: str, key: str) -> int:
