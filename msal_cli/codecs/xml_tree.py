@@ -160,7 +160,7 @@ def parse_tree(
     parser.StartDoctypeDeclHandler = refuse_doctype
     parser.StartNamespaceDeclHandler = note_prefix
     view = memoryview(data).cast("B")[:stop]
-    if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe") or b"\0" in bytes(view[:4]):
+    if bytes(view[:2]) in (b"\xfe\xff", b"\xff\xfe", b"<\0", b"\0<"):
         raise UnsupportedError("the XML is UTF-16", where=name, hint="save it as UTF-8")
     try:
         done = 0
