@@ -121,9 +121,9 @@ def conjugate_gradients(
     right: Floats,
     start: Floats,
     *,
-    tolerance: float = 1e-10,
-    unit: float | None = None,
-    most_iterations: int = 1000,
+    tolerance: float,
+    unit: float,
+    most_iterations: int,
     held: Flags | None = None,
     on_iteration: OnIteration | None = None,
 ) -> Solution:
@@ -136,8 +136,7 @@ def conjugate_gradients(
     Parameters
     ----------
     tolerance : the run ends when the residual is at most ``tolerance * unit``.
-    unit : by default the same measure of ``right`` itself.  A length of the problem, such as the
-        mean edge length, makes the result independent of where the origin lies.
+    unit : a length of the problem, such as the mean edge length.
     most_iterations : the run ends here at the latest.
     held : (n,) bool, True for rows whose X is given by ``start`` and stays: the other rows are
         solved with them as data.  Rows whose diagonal is not positive stay as well.
@@ -157,8 +156,6 @@ def conjugate_gradients(
     matrix.times(x, q)
     r = np.ascontiguousarray(right - q)
     p = np.zeros_like(x)
-    if unit is None:
-        unit = _measure(_total(inverse * (right * right).sum(axis=1)), total_weight)
     goal = tolerance * unit
 
     square = _total(inverse * (r * r).sum(axis=1))

@@ -221,9 +221,9 @@ class ImplicitMeanCurvature:
     free: Flags  # (n,) bool, False for vertices that must stay
     time_step: float  # tau, in squared file units
     mean_edge_length: float  # file units; sets the accuracy of the solution
-    areas: str = "mixed"  # ``"mixed"`` or ``"ring"``
+    areas: str  # ``"mixed"`` or ``"ring"``
     # called after every iteration of the solver; what it raises ends the run
-    on_iteration: Callable[[], object] | None = None
+    on_iteration: Callable[[], object]
     normals: None = None
 
     def __call__(self, positions: Floats) -> Step:
@@ -239,7 +239,6 @@ class ImplicitMeanCurvature:
         matrix = RowMatrix(areas / self.time_step - sums, *links.one_ring, values)
         right = np.empty_like(positions)
         RowMatrix(sums, *links.one_ring, -values).times(positions, right)
-        on_iteration = self.on_iteration
         solution = conjugate_gradients(
             matrix,
             right,
@@ -248,7 +247,7 @@ class ImplicitMeanCurvature:
             unit=self.mean_edge_length,
             most_iterations=MAX_ITERATIONS,
             held=~self.free,
-            on_iteration=None if on_iteration is None else lambda *_: on_iteration(),
+            on_iteration=lambda *_: self.on_iteration(),
         )
         return Step(solution.values)
 

@@ -403,7 +403,7 @@ def diffused_normals(
     similarity: float,
     time_step: float,
     steps: int,
-    on_step: Callable[[], object] | None = None,
+    on_step: Callable[[], object],
 ) -> Floats:
     """Unit face normals (m, 3) after ``steps`` steps from those of the mesh.
 
@@ -425,8 +425,7 @@ def diffused_normals(
         flat = normals.reshape(-1), shares, inverse, *rows, spare.reshape(-1)
         over_ranges(_diffuse, count, *flat)
         normals, spare = spare, normals
-        if on_step is not None:
-            on_step()
+        on_step()
     return normals
 
 
@@ -658,7 +657,7 @@ def minimising_normals(
     nu: float,
     tolerance: float,
     most_steps: int,
-    on_step: Callable[[], object] | None = None,
+    on_step: Callable[[], object],
 ) -> Floats:
     """Unit normals (m, 3) near a minimum of E, from ``normals`` (m, 3), which are n0.
 
@@ -680,8 +679,7 @@ def minimising_normals(
         rows = near_start, near, weights, -0.5 / nu**2, areas
         over_ranges(_step, len(normals), result, pull, *rows, following, changes)
         result, following = following, result
-        if on_step is not None:
-            on_step()
+        on_step()
         # In one thread and over one array, numpy's sum has a fixed order.
         if float(changes.sum()) <= goal:
             break

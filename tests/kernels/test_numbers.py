@@ -150,7 +150,8 @@ def test_the_residual_is_the_true_one():
     rng = np.random.default_rng(3)
     dense = spd(rng, 25, 2.0)
     right = rng.normal(size=(25, 3))
-    found = conjugate_gradients(row_matrix(dense), right, np.zeros((25, 3)), most_iterations=7)
+    goal = {"tolerance": 1e-10, "unit": 1.0, "most_iterations": 7}
+    found = conjugate_gradients(row_matrix(dense), right, np.zeros((25, 3)), **goal)
     rest = right - dense @ found.values
     d = np.diag(dense)
     expected = np.sqrt((rest**2 / d[:, None]).sum() / d.sum())
@@ -161,5 +162,6 @@ def test_the_residual_is_the_true_one():
 
 def test_an_empty_row_stays():
     dense = np.diag([2.0, 0.0, 4.0])
-    found = conjugate_gradients(row_matrix(dense), np.ones((3, 3)), np.full((3, 3), 7.0))
+    goal = {"tolerance": 1e-10, "unit": 1.0, "most_iterations": 9}
+    found = conjugate_gradients(row_matrix(dense), np.ones((3, 3)), np.full((3, 3), 7.0), **goal)
     assert np.allclose(found.values[:, 0], [0.5, 7.0, 0.25])
