@@ -106,16 +106,6 @@ def _turn(start, stop, share, r, inverse, p):
             p[i, axis] = scale * r[i, axis] + share * p[i, axis]
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Where the conjugate gradients ended."""
-
-    values: Floats  # X, (n, 3)
-    iterations: int  # number of products with A, but for the first
-    residual: float  # of X, in the measure and unit that ``conjugate_gradients`` stops by
-    converged: bool  # whether that is small enough
-
-
 def conjugate_gradients(
     matrix: SymmetricMatrix,
     right: Floats,
@@ -126,8 +116,8 @@ def conjugate_gradients(
     most_iterations: int,
     held: Flags | None = None,
     on_iteration: OnIteration | None = None,
-) -> Solution:
-    """Solve A X = ``right`` from ``start`` (both (n, 3), neither is changed).
+) -> Floats:
+    """X (n, 3) of A X = ``right`` from ``start`` (both (n, 3), neither is changed).
 
     The residual R = ``right`` - A X is measured as sqrt(sum(R^2 / d) / sum(d)) with the diagonal
     d: the root mean square, weighted by d, of R / d, which is about how far the entries of X have
@@ -174,8 +164,7 @@ def conjugate_gradients(
         done += 1
         if on_iteration is not None:
             on_iteration(done, _measure(square, total_weight))
-    residual = _measure(square, total_weight)
-    return Solution(x, done, residual, residual <= goal)
+    return x
 
 
 def _measure(square: float, total_weight: float) -> float:

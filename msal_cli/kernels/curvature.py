@@ -239,7 +239,7 @@ class ImplicitMeanCurvature:
         matrix = RowMatrix(areas / self.time_step - sums, *links.one_ring, values)
         right = np.empty_like(positions)
         RowMatrix(sums, *links.one_ring, -values).times(positions, right)
-        solution = conjugate_gradients(
+        moves = conjugate_gradients(
             matrix,
             right,
             np.zeros_like(positions),
@@ -249,7 +249,7 @@ class ImplicitMeanCurvature:
             held=~self.free,
             on_iteration=lambda *_: self.on_iteration(),
         )
-        return Step(solution.values)
+        return Step(moves)
 
 
 # Mean curvature made of edges, in which an edge that is bent more than a threshold counts less.

@@ -112,7 +112,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
         unit=1.0,
         most_iterations=MAX_ITERATIONS,
         on_iteration=lambda done, residual: passes.on_step(),
-    ).values
+    )
     passes.count_pass()
     length = np.sqrt((solved * solved).sum(axis=1))[:, None]
     vanished = length <= VANISHED

@@ -121,7 +121,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             most_iterations=MAX_ITERATIONS,
             held=fixed,
             on_iteration=lambda *_: on_step(),  # noqa: B023
-        ).values
+        )
         on_sweep(step + 1, parameters.iterations)
     if parameters.iterations:
         positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
