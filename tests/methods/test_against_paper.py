@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth
-from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS
+from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, AnisotropicLaplacian
 from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.runs import SHAPES, denoise, errors, opened
@@ -33,6 +33,14 @@ def test_kernels_agree_with_the_paper(shape, mollify, iterations):
         actual = run(name, vertices, faces, iterations=iterations, mollify=mollify, **chosen)
         assert np.abs(actual - expected).max() <= 1e-12 * size + 2 * rounding
         assert np.abs(actual - vertices).max() > 1e-3 * size  # it did something
+
+
+def test_the_flattest_neighbours_count_where_sigma_is_tiny():
+    # exp(-h^2 / (2 sigma^2)) is 1e-7000 and less; the quotient of eq. (5) is that of the others.
+    mesh = prepare_mesh(*fan([1.0] * 5 + [1.01])).mesh
+    up, free = np.tile([0.0, 0.0, 1.0], (7, 1)), np.ones(7, dtype=bool)
+    step = AnisotropicLaplacian(up, *mesh.topology.one_ring, free, 1.0)(mesh.vertices)
+    assert step.move[0] == pytest.approx(1.0, abs=1e-9)
 
 
 def test_zero_area_faces_have_no_normal():
