@@ -54,7 +54,7 @@ def project(tmp_path):
 
 def test_action_reports_and_stops_at_a_gate(project):
     given = {
-        "gates": "volume.valid and abs(volume_change) > 50%\nmax_displacement > 3e\n",
+        "gates": "volume.valid and abs(volume_change) > 50%\nmax_displacement > 1e\n",
         "options": "--method msal\n--timeout 10m",
         "report": "a b.json\nc.html",
     }
