@@ -6,10 +6,8 @@ ARG SOURCE=.
 WORKDIR /source
 COPY . .
 # Without a C compiler the build links with zig, which pip brings into the build's own environment.
-# fcpw needs libX11, which a slim image does not have; msal compare says what it leaves out without it.
 RUN python -m venv --without-pip /opt/msal \
     && pip --python /opt/msal install --no-cache-dir "./$SOURCE" \
-    && pip --python /opt/msal uninstall --yes fcpw \
     && find /opt/msal -type d -name tests -prune -exec rm -r {} +
 
 FROM python:3.12-slim

@@ -41,7 +41,6 @@ ONLY_IN = {
     "fsspec": {"storage.objects"},
     "s3fs": set(),
     "PIL": {"view"},
-    "fcpw": {"analysis"},
     "scipy": set(),
     "skimage": set(),
 }

@@ -83,7 +83,6 @@ def test_action_runs_nothing_of_its_inputs(project):
 
 
 def test_the_example_passes_its_check_and_fails_for_a_worse_and_a_lost_scan(project):
-    pytest.importorskip("fcpw", reason="the Hausdorff distance needs fcpw", exc_type=ImportError)
     shutil.rmtree(project)
     shutil.copytree(EXAMPLE, project)
     steps = load_yaml(EXAMPLE / ".github/workflows/meshes.yml")["jobs"]["meshes"]["steps"]

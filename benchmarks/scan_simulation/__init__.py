@@ -55,8 +55,6 @@ def simulate_scan(mesh: Mesh, settings: ScannerSettings) -> Scan:
 
     Raises
     ------
-    UnsupportedError
-        with code ``E_NO_LIBRARY`` where FCPW, for cameras, is not installed.
     ContentError
         with code ``E_NO_FACES`` where the scanner sees nothing at its resolution.
     TooLargeError

@@ -4,39 +4,39 @@ from __future__ import annotations
 
 from typing import Any
 
+import fcpw
 import numpy as np
+from numpy.typing import NDArray
 
-from msal_cli.analysis.surface_distance import AT_ONCE, build_scene, single
 from msal_cli.arrays import Floats, Longs
 from msal_cli.mesh import Mesh
 
+AT_ONCE = 1 << 17
+"""Rays and points that are looked up at a time: the library answers with an object for each."""
+
 
 class Surface:
-    """A mesh that rays are sent to.
-
-    Raises
-    ------
-    UnsupportedError
-        with code ``E_NO_LIBRARY`` where FCPW is not installed.
-    """
+    """A mesh that rays are sent to."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._corners = mesh.vertices[mesh.faces]
         self._scale = float(np.abs(mesh.vertices).max())
-        self._scene = build_scene(mesh, self._scale)
+        self._scene = fcpw.scene_3D()
+        self._scene.set_object_count(1)
+        self._scene.set_object_vertices(_single(mesh.vertices, self._scale), 0)
+        self._scene.set_object_triangles(np.asfortranarray(mesh.faces), 0)
+        self._scene.build(fcpw.aggregate_type.bvh_surface_area, True)
 
     def cast_rays(self, origin: Floats, directions: Floats) -> tuple[Floats, Longs]:
         """How far (n,) rays from ``origin`` (3,) along unit vectors (n, 3) run, and the faces (n,)
         that they meet: infinity and -1 for none."""
-        import fcpw
-
         distances, faces = np.full(len(directions), np.inf), np.full(len(directions), -1)
         for start in range(0, len(directions), AT_ONCE):
             some = directions[start : start + AT_ONCE]
             hits = fcpw.interaction_3D_list()
             origins = np.broadcast_to(origin, some.shape)
             reach = np.full(len(some), np.inf, dtype=np.float32)
-            self._scene.intersect(single(origins, self._scale), single(some, 1.0), reach, hits)
+            self._scene.intersect(_single(origins, self._scale), _single(some, 1.0), reach, hits)
             face, rough = _read_hits(hits, len(some))
             met = np.flatnonzero(face >= 0)
             rows = start + met
@@ -56,17 +56,20 @@ class Surface:
 
     def closest_points(self, points: Floats) -> Floats:
         """The nearest point (n, 3) of the surface for each of the points (n, 3)."""
-        import fcpw
-
         nearest = np.empty_like(points)
         for start in range(0, len(points), AT_ONCE):
             some = points[start : start + AT_ONCE]
             hits = fcpw.interaction_3D_list()
             reach = np.full(len(some), np.inf, dtype=np.float32)
-            self._scene.find_closest_points(single(some, self._scale), reach, hits)
+            self._scene.find_closest_points(_single(some, self._scale), reach, hits)
             face, _ = _read_hits(hits, len(some))
             nearest[start : start + len(some)] = closest_on_triangles(some, self._corners[face])
         return nearest
+
+
+def _single(positions: Floats, scale: float) -> NDArray[np.float32]:
+    """Positions divided by ``scale``, as the library takes them."""
+    return np.asfortranarray(positions / scale, dtype=np.float32)
 
 
 def _read_hits(hits: Any, count: int) -> tuple[Longs, Floats]:

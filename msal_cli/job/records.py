@@ -302,9 +302,7 @@ class Reference:
         "how much the volume is off, in percent; null if the volume means nothing"
     )
     area_change_percent: float | None = known("how much the area is off, in percent")
-    hausdorff: float | None = known(
-        "Hausdorff distance as in a ComparisonRecord, null if fcpw is not installed, file units"
-    )
+    hausdorff: float | None = known("Hausdorff distance as in a ComparisonRecord, file units")
     hausdorff_edges: float | None = known("the same in mean edge lengths")
     warnings: tuple[str, ...] = known("what a user should know although the two were compared", ())
     error: Failure | None = known("why they were not compared; null if they were")
@@ -571,7 +569,7 @@ class ComparisonRecord(ScreenRepr):
     area: Area | None = None
     hausdorff: float | None = known(
         "largest distance from a vertex or the centre of a face of one mesh to the surface of the "
-        "other, whichever is further, file units; null if fcpw is not installed"
+        "other, whichever is further, file units"
     )
     hausdorff_edges: float | None = known("the same in mean edge lengths")
     distance_to_before: SurfaceDistance | None = known(

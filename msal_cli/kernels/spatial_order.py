@@ -27,7 +27,8 @@ BLOCK_BYTES = 1 << 27
 _PLACES, _TOGETHER, _PER_PAGE = 64, 64, 4096 // 24
 
 _CELLS = 1024
-_LOW_BITS = np.uint64(0xFFFFFFFF)
+LOW_BITS = np.uint64(0xFFFFFFFF)
+"""The number of a vertex or a face in its key."""
 _HIGH = np.uint64(32)
 
 
@@ -64,7 +65,7 @@ def _key_faces(start, stop, faces, keys):
 def _rank(start, stop, keys, first, last, ranks):
     """Of the vertices from ``first`` to ``last`` the places of their keys."""
     for at in range(start, stop):
-        i = np.int64(keys[at] & _LOW_BITS)
+        i = np.int64(keys[at] & LOW_BITS)
         if first <= i < last:
             ranks[i] = at
 
@@ -73,7 +74,7 @@ def _rank(start, stop, keys, first, last, ranks):
 def _gather(start, stop, rows, keys, first, last, ordered):
     """The rows in the order of ``keys``, of those from ``first`` to ``last``."""
     for at in range(start, stop):
-        i = np.int64(keys[at] & _LOW_BITS)
+        i = np.int64(keys[at] & LOW_BITS)
         if first <= i < last:
             for axis in range(3):
                 ordered[at, axis] = rows[i, axis]

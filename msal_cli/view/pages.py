@@ -173,8 +173,6 @@ def _warnings(scene: Scene) -> list[str]:
     if scene.record is None:
         return texts
     texts += scene.record.warnings
-    if scene.deviation is None:
-        texts.append("Other faces: no deviation without the package fcpw.")
     if scene.record.volume is not None and scene.record.volume.reason:
         texts.append(f"No volume: {scene.record.volume.reason}.")
     return texts

@@ -107,8 +107,8 @@ def scene_of(
 ) -> Scene:
     """Two surfaces, or one, made ready and measured against each other.
 
-    Where the faces are not the same, the distance to the surface is measured if ``to_surface`` and
-    if the library for that is installed.  ContentError names a file without a surface to draw.
+    Where the faces are not the same, the distance to the surface is measured if ``to_surface``.
+    ContentError names a file without a surface to draw.
     """
     if is_to_be_thinned(before) or (after is not None and is_to_be_thinned(after)):
         return _thinned_scene(before, after, names)
@@ -123,7 +123,6 @@ def scene_of(
         along *= measure_enclosure(first).outward_signs(first.mesh)
         scene = Scene(names, first.mesh, moved, along, True, record)
         return _with_colours(scene, (before, after), (first, first))
-    to_surface = to_surface and not surface_distance.find_obstacle()
     record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
     second = prepare_surface(after, names[1])
     there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
@@ -212,8 +211,6 @@ def draw_picture(scene: Scene, view: View) -> Image:
     if scene.after is None or record is None:
         return draw_panels(panels, style=style)
     lines = [_counts(scene, 1), *_changes(record)]
-    if scene.deviation is None:
-        lines.append("Other faces: no deviation without the package fcpw")
     panels.append((image(scene.after, 1), titles[1], lines))
     scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,21 +18,36 @@ from msal_cli.analysis.shared_borders import (
 from msal_cli.analysis.surface_distance import (
     at_other_positions,
     distances_to_surface,
-    distances_to_triangles,
+    nearest_on_surface,
     surface_distances,
 )
 from msal_cli.codecs import open_mesh
-from msal_cli.errors import UnsupportedError
 from msal_cli.job import room
+from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 from msal_cli.mesh import Mesh, prepare_mesh
 from tests.batch.tile_files import ply
 from tests.shapes import cube, grid, noisy, torus
 
-needs_library = pytest.mark.skipif(
-    importlib.util.find_spec("fcpw") is None, reason="fcpw is not installed"
-)
-
 TRIANGLE = np.array([[[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]])
+
+
+def distances_to_triangles(points, corners):
+    """Distances (n,) from points (n, 3) each to its own triangle, (n, 3, 3)."""
+    best = np.full(len(points), np.inf)
+    first = corners[:, 0]
+    normals = np.cross(corners[:, 1] - first, corners[:, 2] - first)
+    squared = (normals * normals).sum(axis=1)
+    within = squared > 0.0
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        edge, offset = corners[:, end] - corners[:, start], points - corners[:, start]
+        length = (edge * edge).sum(axis=1)
+        share = (offset * edge).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+        rest = offset - np.clip(share, 0.0, 1.0)[:, None] * edge
+        best = np.minimum(best, (rest * rest).sum(axis=1))
+        within &= (np.cross(edge, offset) * normals).sum(axis=1) >= 0.0
+    height = ((points - first) * normals).sum(axis=1)
+    flat = height * height / np.where(squared > 0.0, squared, 1.0)
+    return np.sqrt(np.where(within, np.minimum(flat, best), best))
 
 
 @pytest.mark.parametrize(
@@ -52,33 +64,38 @@ TRIANGLE = np.array([[[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]])
     ],
 )
 def test_a_point_and_a_triangle(point, distance):
-    got = distances_to_triangles(np.array([point], dtype=float), TRIANGLE)
+    surface = Mesh(TRIANGLE[0], np.array([[0, 1, 2]], dtype=np.int32))
+    got = distances_to_surface(np.array([point], dtype=float), surface)
     assert got[0] == pytest.approx(distance, abs=1e-15)
 
 
-@pytest.mark.parametrize(
-    "corners", [[[0, 0, 0], [1, 0, 0], [3, 0, 0]], [[0, 0, 0], [3, 0, 0], [0, 0, 0]]]
-)
-def test_a_triangle_without_area_is_its_edges(corners):
-    points = np.array([[2.0, 1, 0], [5, 0, 0], [-1, 0, 0]])
-    repeated = np.array([corners] * 3, dtype=float)
-    assert distances_to_triangles(points, repeated) == pytest.approx([1, 2, 1])
-
-
-@needs_library
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
-def test_as_a_search_through_all_triangles(scale):
+@pytest.mark.parametrize("count", [1, 5, 9, 576])
+def test_as_a_search_through_all_triangles(scale, count):
     vertices, faces = torus()
-    surface = Mesh(scale * noisy(vertices, 3, 0.1), faces)
+    # The last one has no area.
+    faces = np.concatenate([faces[: count - 1], [[0, 1, 1]]]).astype(np.int32)
+    vertices = scale * noisy(vertices, 3, 0.1)
     points = scale * np.random.default_rng(1).uniform(-5.0, 5.0, (200, 3))
-    got = distances_to_surface(points, surface)
-    triangles = surface.vertices[surface.faces]
-    for point, distance in zip(points, got, strict=True):
+    points[:20] = vertices[:20]
+    found, distances = find_nearest_triangles(points, vertices, faces)
+    triangles = vertices[faces]
+    for point, nearest, distance in zip(points, found, distances, strict=True):
         everywhere = distances_to_triangles(np.tile(point, (len(triangles), 1)), triangles)
-        assert distance == pytest.approx(everywhere.min(), rel=1e-6, abs=0.0)
+        assert distance == pytest.approx(everywhere.min(), rel=1e-12, abs=1e-14 * scale)
+        assert everywhere[nearest] == pytest.approx(distance, rel=1e-12, abs=1e-14 * scale)
 
 
-@needs_library
+def test_the_first_of_triangles_that_are_equally_near(monkeypatch):
+    vertices, faces = torus()
+    expected = [int(np.flatnonzero((faces == i).any(axis=1))[0]) for i in range(len(vertices))]
+    surface = Mesh(vertices, faces)
+    assert nearest_on_surface(vertices, surface)[0].tolist() == expected
+    # Whatever was looked up before.
+    back = nearest_on_surface(vertices[::-1].copy(), surface)[0]
+    assert back[::-1].tolist() == expected
+
+
 def test_both_ways_and_hausdorff_of_two_cubes():
     small = prepare_mesh(*cube()).mesh
     large = small.with_vertices(3.0 * small.vertices)
@@ -89,7 +106,6 @@ def test_both_ways_and_hausdorff_of_two_cubes():
     assert surface_distances(small, small)[2] == pytest.approx(0.0, abs=1e-12)
 
 
-@needs_library
 def test_centres_of_faces_count_for_hausdorff():
     flat, faces = grid(2, 2)
     raised = Mesh(
@@ -104,17 +120,15 @@ def test_centres_of_faces_count_for_hausdorff():
     assert to_raised.max == 2.0
 
 
-def test_without_the_library_the_error_says_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "fcpw", None)
-    with pytest.raises(UnsupportedError) as caught:
-        distances_to_surface(np.zeros((1, 3)), Mesh(*cube()))
-    assert caught.value.code == "E_NO_LIBRARY"
-    assert "pip install fcpw" in caught.value.hint
-    with pytest.raises(UnsupportedError):
-        surface_distance.build_scene(Mesh(*cube()), 1.0)
-    for found in (None, "a module"):
-        monkeypatch.setattr("importlib.util.find_spec", lambda name, found=found: found)
-        assert (not surface_distance.find_obstacle()) is (found is not None)
+def test_large_meshes_are_sampled(monkeypatch):
+    small = prepare_mesh(*torus()).mesh
+    large = small.with_vertices(1.1 * small.vertices)
+    exact = surface_distances(small, large)
+    monkeypatch.setattr(surface_distance, "MAX_POINTS", 300)
+    assert surface_distance.sampling_step(small) == 3
+    sampled = surface_distances(small, large)
+    assert sampled[0].mean == pytest.approx(exact[0].mean, rel=0.15)
+    assert sampled[2] <= exact[2]
 
 
 def test_of_vertices_that_are_one_the_first_counts():

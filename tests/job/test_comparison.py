@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis import surface_distance
 from msal_cli.errors import ContentError
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, compare_meshes
@@ -23,7 +22,7 @@ def test_a_mesh_and_itself():
     assert made.vertex_error_percent == made.displacement.max == 0.0
     assert made.volume_change_percent == made.area_change_percent == 0.0
     assert made.flipped_faces == made.seam_gap == 0
-    assert made.hausdorff == 0.0 or "fcpw" in made.warnings[0]
+    assert made.hausdorff == 0.0
 
 
 def test_a_mesh_that_was_shifted_far_from_the_origin():
@@ -60,7 +59,6 @@ def test_a_seam_that_opened_is_told():
     assert made.displacement.max == 0.0
 
 
-@pytest.mark.skipif(bool(surface_distance.find_obstacle()), reason="fcpw is not installed")
 class TestOtherFaces:
     def test_surfaces_are_compared(self):
         vertices, faces = cube()
@@ -79,13 +77,6 @@ class TestOtherFaces:
         raised = np.concatenate([vertices, [[0.5, 0.5, 0.5]]])
         got = comparison.deviations(Surface(vertices, faces), Surface(raised, faces))
         assert got == pytest.approx([0.0] * 9 + [0.5])
-
-
-def test_without_the_library_all_else_is_told(monkeypatch):
-    monkeypatch.setattr(surface_distance, "find_obstacle", lambda: "pip install fcpw")
-    made = between(cube(), cube())
-    assert made.hausdorff is made.distance_to_before is None and made.vertex_error_percent == 0.0
-    assert "pip install fcpw" in made.warnings[0]
 
 
 def test_a_position_that_is_not_finite():

@@ -69,8 +69,7 @@ def test_conda_recipe_needs_what_the_wheel_needs():
         (ROOT / "packaging/conda/recipe.yaml").read_text("utf-8")
     )
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    # fcpw is not on conda-forge; without it some distances are not measured.
-    needed = {one for one in project["dependencies"] if not one.startswith("fcpw")}
+    needed = set(project["dependencies"])
     needed.add(f"python{project['requires-python']}")
     assert {one.replace(" ", "") for one in recipe["requirements"]["run"]} == needed
     assert recipe["package"]["name"] == project["name"]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from msal_cli.analysis import surface_distance
 from msal_cli.codecs.colours import SurfaceColours
 from msal_cli.job.comparison import Surface
 from msal_cli.view import pages, pictures
@@ -54,23 +53,14 @@ def test_split_vertices_are_drawn_as_one():
     assert len(scene.before.vertices) == len(scene.after.vertices) == len(scene.deviation) == 8
 
 
-def test_other_faces_are_measured_from_the_surface(monkeypatch):
-    vertices, faces = ball()
-    other = Surface(*cube())
-    monkeypatch.setattr(surface_distance, "find_obstacle", lambda: "it needs the package fcpw")
-    scene = pictures.scene_of(Surface(vertices, faces), other, NAMES)
-    assert scene.deviation is None
-    assert pictures.draw_picture(scene, View(size=64)).shape[1] > 2 * 64
-
-
 def test_distances_to_the_surface():
-    pytest.importorskip("fcpw")
     vertices, faces = cube()
     there = vertices.copy()
     there[vertices[:, 2] == 1, 2] = 1.25
     scene = pictures.scene_of(Surface(vertices, faces), Surface(there, faces[::-1]), NAMES)
     assert not scene.is_signed
     assert scene.deviation == pytest.approx(np.where(there[:, 2] > 1, 0.25, 0.0), abs=1e-6)
+    assert pictures.draw_picture(scene, View(size=64)).shape[1] > 2 * 64
 
 
 # With colours

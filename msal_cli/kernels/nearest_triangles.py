@@ -1,0 +1,170 @@
+"""The triangle of a mesh that is nearest to a point, by a tree of boxes.
+
+Triangles are sorted along a Morton curve, and ``LEAF`` of them one behind the other make a leaf.
+The tree is complete: node k has the children 2 k and 2 k + 1, and the root is 1.  A box that is
+farther than the nearest triangle so far is not opened.  Of triangles that are equally near the
+first in the order of the mesh counts.  Each point starts at the root, so that its outcome depends
+on no other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels.compiled import compiled
+from msal_cli.kernels.parallel import over_ranges
+from msal_cli.kernels.spatial_order import LOW_BITS, gather_corners, morton_keys
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
+
+LEAF = np.uint64(2)
+"""Triangles of a leaf."""
+
+MIN_POINTS = 4096
+"""Points for which a thread of its own is worth starting."""
+
+_DEPTH = 64
+
+_FOUR, _FIVE, _SIX, _SEVEN = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(7)
+_EIGHT, _NINE = np.uint64(8), np.uint64(9)
+
+
+@compiled
+def _fill_leaves(start, stop, corners, count, first_leaf, boxes):
+    """Lower and upper bounds of each leaf, from the ``corners`` (count, 3, 3) of its triangles."""
+    for leaf in range(start, stop):
+        first = LEAF * np.uint64(leaf)
+        for slot in range(first, min(first + LEAF, np.uint64(count))):
+            for k in range(3):
+                for axis in range(3):
+                    value = corners[slot, k, axis]
+                    node = first_leaf + leaf
+                    boxes[node, axis] = min(boxes[node, axis], value)
+                    boxes[node, 3 + axis] = max(boxes[node, 3 + axis], value)
+
+
+@compiled
+def _join_boxes(start, stop, level, boxes):
+    """The boxes of the nodes ``level`` + start and so on, from those of their children."""
+    for at in range(start, stop):
+        node = level + at
+        for axis in range(3):
+            boxes[node, axis] = min(boxes[2 * node, axis], boxes[2 * node + 1, axis])
+            high = max(boxes[2 * node, 3 + axis], boxes[2 * node + 1, 3 + axis])
+            boxes[node, 3 + axis] = high
+
+
+@compiled
+def _square_to_box(x, y, z, boxes, node):
+    at = _SIX * node
+    dx = max(max(boxes[at] - x, x - boxes[at + THREE]), 0.0)
+    dy = max(max(boxes[at + ONE] - y, y - boxes[at + _FOUR]), 0.0)
+    dz = max(max(boxes[at + TWO] - z, z - boxes[at + _FIVE]), 0.0)
+    return dx * dx + dy * dy + dz * dz
+
+
+@compiled
+def _square_to_edge(ox, oy, oz, ex, ey, ez, nx, ny, nz):
+    """The squared distance of a point at o from the edge e that begins at the origin, and whether
+    it is on the inner side of it, seen along n."""
+    length = ex * ex + ey * ey + ez * ez
+    share = ox * ex + oy * ey + oz * ez
+    share = min(max(share / length, 0.0), 1.0) if length > 0.0 else 0.0
+    dx, dy, dz = ox - share * ex, oy - share * ey, oz - share * ez
+    side = (ey * oz - ez * oy) * nx + (ez * ox - ex * oz) * ny + (ex * oy - ey * ox) * nz
+    return dx * dx + dy * dy + dz * dz, side >= 0.0
+
+
+@compiled
+def _square_to_triangle(x, y, z, corners, at):
+    """The squared distance to the triangle whose nine numbers begin at ``at`` of ``corners``.
+
+    The nearest point lies on one of the edges, or within where the foot of the point on the plane
+    does.  A triangle without area is its edges.
+    """
+    px, py, pz = x - corners[at], y - corners[at + ONE], z - corners[at + TWO]
+    ux, uy = corners[at + THREE] - corners[at], corners[at + _FOUR] - corners[at + ONE]
+    uz = corners[at + _FIVE] - corners[at + TWO]
+    wx, wy = corners[at + _SIX] - corners[at], corners[at + _SEVEN] - corners[at + ONE]
+    wz = corners[at + _EIGHT] - corners[at + TWO]
+    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    first, is_in = _square_to_edge(px, py, pz, ux, uy, uz, nx, ny, nz)
+    second, is_in_too = _square_to_edge(
+        px - ux, py - uy, pz - uz, wx - ux, wy - uy, wz - uz, nx, ny, nz
+    )
+    third, is_in_three = _square_to_edge(px - wx, py - wy, pz - wz, -wx, -wy, -wz, nx, ny, nz)
+    least = min(first, second, third)
+    area = nx * nx + ny * ny + nz * nz
+    if area > 0.0 and is_in and is_in_too and is_in_three:
+        height = px * nx + py * ny + pz * nz
+        least = min(least, height * height / area)
+    return least
+
+
+@compiled
+def _find_nearest(start, stop, points, corners, numbers, boxes, first_leaf, triangles, distances):
+    """The ``triangles`` and ``distances`` of points (n, 3), flat; ``corners`` (m, 9), flat, are in
+    the order of the tree, and ``numbers`` (m,) those in the mesh."""
+    nodes, squares = np.empty(_DEPTH, dtype=np.uint64), np.empty(_DEPTH)
+    first_leaf, count = np.uint64(first_leaf), np.uint64(len(numbers))
+    for i in range(np.uint64(start), np.uint64(stop)):
+        x, y, z = points[THREE * i], points[THREE * i + ONE], points[THREE * i + TWO]
+        nearest, least = np.int32(0), np.inf
+        nodes[0], squares[0], waiting = ONE, 0.0, ONE
+        while waiting > ZERO:
+            waiting -= ONE
+            node = nodes[waiting]
+            if squares[waiting] > least:
+                continue
+            if node >= first_leaf:
+                begin = LEAF * (node - first_leaf)
+                for slot in range(begin, min(begin + LEAF, count)):
+                    square = _square_to_triangle(x, y, z, corners, _NINE * slot)
+                    number = numbers[slot]
+                    if square < least or (square == least and number < nearest):
+                        nearest, least = number, square
+                continue
+            below = node + node
+            left = _square_to_box(x, y, z, boxes, below)
+            right = _square_to_box(x, y, z, boxes, below + ONE)
+            # The nearer one is opened first.
+            is_left = left <= right
+            nodes[waiting], squares[waiting] = below + ONE if is_left else below, max(left, right)
+            waiting += ONE
+            nodes[waiting], squares[waiting] = below if is_left else below + ONE, min(left, right)
+            waiting += ONE
+        triangles[i] = nearest
+        distances[i] = np.sqrt(least)
+
+
+def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tuple[Ints, Floats]:
+    """The triangle (n,) nearest to each of the points (n, 3), and its distance (n,), file units.
+
+    ``vertices`` (k, 3) and ``faces`` (m, 3) are those of the mesh, m at least 1.
+    """
+    m = len(faces)
+    corners = gather_corners(vertices, faces).reshape(m, 3, 3)
+    centres = corners.mean(axis=1)
+    low = centres.min(axis=0)
+    extent = float((centres.max(axis=0) - low).max())
+    keys = morton_keys(centres, low, extent or 1.0)
+    del centres
+    keys.sort()
+    numbers = (keys & LOW_BITS).astype(np.int32)
+    corners = corners[numbers]
+    n_leaves = -(-m // int(LEAF))
+    first_leaf = 1 << (n_leaves - 1).bit_length()
+    boxes = np.empty((2 * first_leaf, 6))
+    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+    over_ranges(_fill_leaves, n_leaves, corners, m, first_leaf, boxes)
+    level = first_leaf // 2
+    while level:
+        over_ranges(_join_boxes, level, level, boxes)
+        level //= 2
+    triangles, distances = np.empty(len(points), dtype=np.int32), np.empty(len(points))
+    of = np.ascontiguousarray(points).reshape(-1), corners.reshape(-1), numbers
+    found = triangles, distances
+    over_ranges(
+        _find_nearest, len(points), *of, boxes.reshape(-1), first_leaf, *found, smallest=MIN_POINTS
+    )
+    return triangles, distances
