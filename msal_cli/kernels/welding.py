@@ -304,6 +304,7 @@ def _index_corners(  # type: ignore[no-untyped-def]
     slots = np.empty(3 * _BLOCK_FACETS, dtype=np.int64)
     touched = 0
     part_place = part << part_shift
+    is_whole = len(table) == 1 << part_shift
     for block in range(first, len(faces), _BLOCK_FACETS):
         stop = min(block + _BLOCK_FACETS, len(faces))
         if found + 3 * (stop - block) > room:
@@ -317,12 +318,17 @@ def _index_corners(  # type: ignore[no-untyped-def]
                     np.float64(corners[f, 3 * k + 2]) + 0.0,
                     shift,
                 )
-        for at in range(3 * (stop - block)):
-            touched |= table[slots[at] if slots[at] >> part_shift == part else part_place]
+        # Without a condition where there is one part, so that many places are read at once.
+        if is_whole:
+            for at in range(3 * (stop - block)):
+                touched |= table[slots[at]]
+        else:
+            for at in range(3 * (stop - block)):
+                touched |= table[slots[at] if slots[at] >> part_shift == part else part_place]
         for f in range(block, stop):
             for k in range(3):
                 slot = slots[3 * (f - block) + k]
-                is_own = slot >> part_shift == part
+                is_own = is_whole or slot >> part_shift == part
                 if part and not is_own:
                     continue
                 x = np.float64(corners[f, 3 * k]) + 0.0
