@@ -165,10 +165,10 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     ],
 )
 def test_what_cannot_be_is_told_in_words(server, arguments, status, words):
-    told = msal("denoise", *arguments)
-    assert told.exit_code == status
-    assert words in told.stderr and "hint:" in told.stderr
-    assert "Traceback" not in told.stderr and "geheim" not in told.stderr
+    made = msal("denoise", *arguments)
+    assert made.exit_code == status
+    assert words in made.stderr and "hint:" in made.stderr
+    assert "Traceback" not in made.stderr and "geheim" not in made.stderr
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")

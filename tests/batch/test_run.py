@@ -300,7 +300,7 @@ class TestInterrupts:
         assert tree(folders / "out") == {}
 
     def test_a_main_thread_that_does_not_listen_is_ended(self, tmp_path):
-        # Neither a kernel nor whoever swallows the exception keeps the process; nor is the
+        # Neither a kernel nor code that swallows the exception keeps the process; nor is the
         # second signal waited for.
         code = (
             "import hashlib, os, pathlib, signal, sys\n"
