@@ -174,7 +174,7 @@ def parse_tree(
         raise damaged(message, f"{of_name}line {line}") from None
     except (LookupError, ValueError) as failure:
         raise UnsupportedError(
-            f"the XML is written in another way than UTF-8: {str(failure).removesuffix('.')}",
+            f"the XML is written in another way than UTF-8: {str(failure).rstrip('.')}",
             where=name,
             hint="save it as UTF-8",
         ) from None

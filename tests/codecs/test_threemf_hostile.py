@@ -90,7 +90,7 @@ DAMAGED = {
     ),
     "a model that is cut": (package(model(shape(1, CUBE))[:-400]), "E_FORMAT"),
     "UTF-16": (package("<model/>".encode("utf-16")), "E_UNSUPPORTED"),
-    "an unknown encoding": (edited("UTF-8", "UTF5"), "E_UNSUPPORTED"),
+    "an unknown encoding": (edited("UTF-8", "UTF5.."), "E_UNSUPPORTED"),
     "no UTF-8": (package(model(shape(1, CUBE)).replace("é".encode(), b"\xff")), "E_FORMAT"),
     "entities": (edited("<!-- kept", DOCTYPE), "E_UNSUPPORTED"),
     "a required extension": (
