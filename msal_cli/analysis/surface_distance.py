@@ -18,6 +18,9 @@ ROUNDING = 4.0 * float(np.finfo(np.float64).eps)
 """Distances below this share of the coordinates are taken for none."""
 
 
+MIN_SCALE, MAX_SCALE = 1e-50, 1e50
+"""Coordinates outside are divided by the greatest: their sixth powers would vanish or overflow."""
+
 MAX_POINTS = 4_000_000
 """Vertices and face centres of a mesh whose distances are measured; of more every second, third and
 so on, evenly spread over the file."""
@@ -31,9 +34,13 @@ def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
     """The triangle of ``surface`` nearest to each of the points (n, 3), and its distance in file
     units, both (n,)."""
-    triangles, distances = find_nearest_triangles(points, surface.vertices, surface.faces)
-    # What lies on the surface is off by the last digits of its coordinates.
     scale = max(float(np.abs(points).max(initial=0.0)), float(np.abs(surface.vertices).max()))
+    vertices, unit = surface.vertices, 1.0
+    if scale and not MIN_SCALE < scale < MAX_SCALE:
+        points, vertices, unit = points / scale, vertices / scale, scale
+    triangles, distances = find_nearest_triangles(points, vertices, surface.faces)
+    distances *= unit
+    # What lies on the surface is off by the last digits of its coordinates.
     distances[distances < ROUNDING * scale] = 0.0
     return triangles, distances
 

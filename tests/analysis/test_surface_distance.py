@@ -86,7 +86,16 @@ def test_as_a_search_through_all_triangles(scale, count):
         assert everywhere[nearest] == pytest.approx(distance, rel=1e-12, abs=1e-14 * scale)
 
 
-def test_the_first_of_triangles_that_are_equally_near(monkeypatch):
+@pytest.mark.parametrize("scale", [1e-120, 1e120])
+def test_no_square_overflows_or_vanishes(scale):
+    vertices, faces = torus()
+    points = np.random.default_rng(2).uniform(-5.0, 5.0, (50, 3))
+    expected = distances_to_surface(points, Mesh(vertices, faces))
+    got = distances_to_surface(scale * points, Mesh(scale * vertices, faces))
+    assert got == pytest.approx(scale * expected, rel=1e-9, abs=0.0)
+
+
+def test_the_first_of_triangles_that_are_equally_near():
     vertices, faces = torus()
     expected = [int(np.flatnonzero((faces == i).any(axis=1))[0]) for i in range(len(vertices))]
     surface = Mesh(vertices, faces)
