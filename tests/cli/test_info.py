@@ -36,10 +36,10 @@ def test_a_closed_file(scans):
     assert (made.exit_code, made.stderr) == (0, "")
     lines = made.stdout.splitlines()
     assert lines[0] == str(scans / "closed.ply")
-    told = {line[2:17].strip(): line[18:] for line in lines[1:]}
-    assert (told["vertices"], told["surface"]) == ("576", "closed")
-    assert told["faces"] == "1,152 (1,152 triangles)"
-    assert float(told["volume"]) == pytest.approx(59, rel=0.1)
+    facts = {line[2:17].strip(): line[18:] for line in lines[1:]}
+    assert (facts["vertices"], facts["surface"]) == ("576", "closed")
+    assert facts["faces"] == "1,152 (1,152 triangles)"
+    assert float(facts["volume"]) == pytest.approx(59, rel=0.1)
 
 
 def test_a_folder_is_a_table(scans):
