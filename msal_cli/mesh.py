@@ -249,7 +249,7 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     TooLargeError
         for more than ``MAX_FACES`` triangles.
     """
-    from msal_cli.kernels import spatial_order
+    from msal_cli.kernels import array_files, spatial_order
     from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip
     from msal_cli.kernels.parallel import at_once, is_worth_it
     from msal_cli.kernels.welding import (
@@ -271,8 +271,9 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     repeated = repeated_corners(faces)
     if not are_distinct:
         tasks: list[Callable[[], Any]] = [lambda: first_alike(vertices, used)]
-        if is_worth_it(n_file) and not repeated.any():
-            # Nearly always there is nothing to weld, and the rings are right.
+        if is_worth_it(n_file) and not repeated.any() and not array_files.are_used():
+            # Nearly always there is nothing to weld, and the rings are right.  In files the places
+            # of both, which are anywhere, would push one another out of memory.
             tasks.append(lambda: connectivity(n_file, faces))
         (first, n_welded), *linked = at_once(n_file, *tasks)
         links = linked[0] if linked and not n_welded else None

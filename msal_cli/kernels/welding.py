@@ -76,21 +76,31 @@ def _alike_perhaps(bits, used, seen, again, candidates):
 
 
 @compiled
-def _weld(rows, bits, candidates, table, first):
+def _weld(rows, bits, candidates, highs, table, first):
+    """``highs`` has the upper half of each candidate's hash, so that few other rows are read."""
     mask = len(table) - 1
     merged = 0
     for at in range(len(candidates)):
         i = candidates[at]
-        slot = np.int64(hash_bits(bits[i, 0], bits[i, 1], bits[i, 2]) >> np.uint64(20)) & mask
+        code = hash_bits(bits[i, 0], bits[i, 1], bits[i, 2])
+        high = np.uint32(code >> np.uint64(32))
+        highs[at] = high
+        slot = np.int64(code >> np.uint64(20)) & mask
         while True:
-            k = table[slot]
-            if k < 0:
-                table[slot] = i
+            other = table[slot]
+            if other < 0:
+                table[slot] = at
                 break
-            if rows[k, 0] == rows[i, 0] and rows[k, 1] == rows[i, 1] and rows[k, 2] == rows[i, 2]:
-                first[i] = k
-                merged += 1
-                break
+            if highs[other] == high:
+                k = candidates[other]
+                if (
+                    rows[k, 0] == rows[i, 0]
+                    and rows[k, 1] == rows[i, 1]
+                    and rows[k, 2] == rows[i, 2]
+                ):
+                    first[i] = k
+                    merged += 1
+                    break
             slot = (slot + 1) & mask
     return merged
 
@@ -115,7 +125,8 @@ def first_alike(rows: Floats, used: Flags) -> tuple[Ints, int]:
         return first, 0
     # Twice the rows at least, so that probing stays short.
     table = np.full(1 << max(4, (2 * count).bit_length()), -1, dtype=np.int32)
-    return first, int(_weld(rows, bits, candidates[:count], table, first))
+    highs = np.empty(count, dtype=np.uint32)
+    return first, int(_weld(rows, bits, candidates[:count], highs, table, first))
 
 
 @compiled
