@@ -22,8 +22,10 @@ MIN_SCALE, MAX_SCALE = 1e-50, 1e50
 """Coordinates outside are divided by the greatest: their sixth powers would vanish or overflow."""
 
 MAX_POINTS = 4_000_000
-"""Vertices and face centres of a mesh whose distances are measured; of more every second, third and
-so on, evenly spread over the file."""
+"""Vertices and face centres of a mesh up to which the distances of all are measured."""
+
+SAMPLED_POINTS = 1_000_000
+"""How many are measured of more: every fifth, sixth and so on, evenly spread over the file."""
 
 
 def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
@@ -77,7 +79,8 @@ def used_vertices(mesh: Mesh) -> Floats:
 
 def sampling_step(mesh: Mesh) -> int:
     """Every which vertex and face centre of a mesh ``surface_distances`` looks at."""
-    return -(-(len(mesh.vertices) + len(mesh.faces)) // MAX_POINTS)
+    count = len(mesh.vertices) + len(mesh.faces)
+    return 1 if count <= MAX_POINTS else -(-count // SAMPLED_POINTS)
 
 
 def surface_distances(

@@ -86,7 +86,7 @@ class Cancellation:
 @contextmanager
 def end_on_signal() -> Iterator[None]:
     """While nothing has been touched, SIGINT, SIGTERM and the like end the process at once."""
-    with _take(end_at_once):
+    with _take(end_at_once), end_if_late(lambda: None):
         yield
 
 
@@ -116,7 +116,7 @@ def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
 
     A handler runs only when the main thread comes back to Python, and a kernel on a large mesh
     takes its time.  The system itself reports a signal through a pipe, and a thread that waits
-    there calls ``clean()`` and ends the process.  To be used within ``catch_signals``.
+    there calls ``clean()`` and ends the process, if the signal has the handler that it has now.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -131,16 +131,18 @@ def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
     if hasattr(os, "set_blocking"):
         os.set_blocking(sender, False)
     is_left = threading.Event()
+    handlers = {number: signal.getsignal(number) for number in _numbers()}
 
     def listen() -> None:
         while number := os.read(receiver, 1):
-            if number[0] in _numbers():
-                break
-        if number and not is_left.wait(MAX_DELAY_S):
-            try:
-                clean()
-            finally:
-                end_at_once(number[0])
+            handler = handlers.get(number[0])
+            if handler is None or signal.getsignal(number[0]) is not handler:
+                continue
+            if not is_left.wait(MAX_DELAY_S):
+                try:
+                    clean()
+                finally:
+                    end_at_once(number[0])
 
     thread = threading.Thread(target=listen, daemon=True)
     thread.start()

@@ -3,8 +3,9 @@
 Triangles are sorted along a Morton curve, and ``LEAF`` of them one behind the other make a leaf.
 The tree is complete: node k has the children 2 k and 2 k + 1, and the root is 1.  A box that is
 farther than the nearest triangle so far is not opened.  Of triangles that are equally near the
-first in the order of the mesh counts.  Each point starts at the root, so that its outcome depends
-on no other.
+first in the order of the mesh counts, so that no outcome depends on where a search begins.  Points
+follow one another along the curve, too: a search begins with the triangle of the point before, and
+what one has read is there for the next.
 """
 
 from __future__ import annotations
@@ -102,14 +103,19 @@ def _square_to_triangle(x, y, z, corners, at):
 
 
 @compiled
-def _find_nearest(start, stop, points, corners, numbers, boxes, first_leaf, triangles, distances):
-    """The ``triangles`` and ``distances`` of points (n, 3), flat; ``corners`` (m, 9), flat, are in
-    the order of the tree, and ``numbers`` (m,) those in the mesh."""
+def _find_nearest(
+    start, stop, points, order, corners, numbers, boxes, first_leaf, triangles, distances
+):
+    """The ``triangles`` and ``distances`` of points (n, 3), flat, one after the other as ``order``
+    (n,) has them; ``corners`` (m, 9), flat, are in the order of the tree, and ``numbers`` (m,)
+    those in the mesh."""
     nodes, squares = np.empty(_DEPTH, dtype=np.uint64), np.empty(_DEPTH)
-    first_leaf, count = np.uint64(first_leaf), np.uint64(len(numbers))
-    for i in range(np.uint64(start), np.uint64(stop)):
+    first_leaf, count, found = np.uint64(first_leaf), np.uint64(len(numbers)), ZERO
+    for at in range(start, stop):
+        i = order[at] & LOW_BITS
         x, y, z = points[THREE * i], points[THREE * i + ONE], points[THREE * i + TWO]
-        nearest, least = np.int32(0), np.inf
+        nearest = numbers[found]
+        least = _square_to_triangle(x, y, z, corners, _NINE * found)
         nodes[0], squares[0], waiting = ONE, 0.0, ONE
         while waiting > ZERO:
             waiting -= ONE
@@ -122,7 +128,7 @@ def _find_nearest(start, stop, points, corners, numbers, boxes, first_leaf, tria
                     square = _square_to_triangle(x, y, z, corners, _NINE * slot)
                     number = numbers[slot]
                     if square < least or (square == least and number < nearest):
-                        nearest, least = number, square
+                        nearest, least, found = number, square, np.uint64(slot)
                 continue
             below = node + node
             left = _square_to_box(x, y, z, boxes, below)
@@ -162,7 +168,10 @@ def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tup
         over_ranges(_join_boxes, level, level, boxes)
         level //= 2
     triangles, distances = np.empty(len(points), dtype=np.int32), np.empty(len(points))
-    of = np.ascontiguousarray(points).reshape(-1), corners.reshape(-1), numbers
+    points = np.ascontiguousarray(points)
+    order = morton_keys(points, low, extent or 1.0)
+    order.sort()
+    of = points.reshape(-1), order, corners.reshape(-1), numbers
     found = triangles, distances
     over_ranges(
         _find_nearest, len(points), *of, boxes.reshape(-1), first_leaf, *found, smallest=MIN_POINTS

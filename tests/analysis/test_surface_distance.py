@@ -134,6 +134,7 @@ def test_large_meshes_are_sampled(monkeypatch):
     large = small.with_vertices(1.1 * small.vertices)
     exact = surface_distances(small, large)
     monkeypatch.setattr(surface_distance, "MAX_POINTS", 300)
+    monkeypatch.setattr(surface_distance, "SAMPLED_POINTS", 300)
     assert surface_distance.sampling_step(small) == 3
     sampled = surface_distances(small, large)
     assert sampled[0].mean == pytest.approx(exact[0].mean, rel=0.15)
