@@ -53,6 +53,7 @@ from msal_cli.errors import (
     UnsupportedError,
 )
 from msal_cli.kernels import obj_scan as scan
+from msal_cli.kernels.parallel import over_ranges, threads
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
@@ -95,6 +96,9 @@ _CONTINUED = re.compile(rb"\\(?:\r\n|\r|\n)")
 _LINE = re.compile(rb"(?:[^\r\n\\]++|\\(?:\r\n|\r|\n)?+)*+")
 _LIBRARY = re.compile(r"\S.*?\.mtl(?=\s|$)|\S.*", re.IGNORECASE)
 _SHOWN = 3
+
+_MIN_PIECE = 1 << 22
+"""Bytes that are worth a thread of their own."""
 
 _LOOKED_AT = 4096
 _ZEROS_LOOKED_AT = 1 << 16
@@ -234,6 +238,21 @@ def _enlarge(n_rows: int, *arrays: NDArray[Any]) -> None:
         array.resize((n_rows, *array.shape[1:]), refcheck=False)
 
 
+def _cut_lines(buf: Bytes) -> list[int]:
+    """Where pieces of a text begin, one for each thread, and its end; all begin with a line."""
+    size = len(buf)
+    n_pieces = max(min(threads(), size // _MIN_PIECE), 1)
+    cuts = [0]
+    for piece in range(1, n_pieces):
+        at = size * piece // n_pieces
+        for end in (np.flatnonzero(buf[at : at + _LOOKED_AT] == 10) + at).tolist():
+            before = end - 1 - (buf[end - 1] == 13)
+            if buf[before] != 92:
+                cuts.append(end + 1)
+                break
+    return [*cuts, size]
+
+
 class _Reader:
     """The arrays that the walk over ``data`` fills, grown as it asks for it."""
 
@@ -242,7 +261,10 @@ class _Reader:
         self._data = data
         self._buf = as_bytes(data)
         size = len(self._buf)
-        n_vertices, n_normals, n_faces, n_zeros = scan.count_statements(self._buf)
+        self._cuts = _cut_lines(self._buf)
+        self._counts = self._count_pieces()
+        # At both ends of the text a statement may be missed.
+        n_vertices, n_normals, n_faces, n_zeros = (self._counts.sum(axis=0) + (2, 1, 2, 0)).tolist()
         if n_zeros:
             raise _binary_error(data, next(re.finditer(rb"\0", memoryview(data))).start())
         # No statement is shorter than "v 0 0 0" and its line end: the counts cannot exceed this,
@@ -272,12 +294,29 @@ class _Reader:
             state[scan.AT] = 3
         return state
 
+    def _count_pieces(self) -> Longs:
+        """Positions, normals, faces and zeros of each piece, hardly ever more than there are."""
+        counts = np.zeros((len(self._cuts) - 1, 4), dtype=np.int64)
+
+        def count(start: int, stop: int) -> None:
+            for piece in range(start, stop):
+                first, last = self._cuts[piece : piece + 2]
+                around = self._buf[max(first - 1, 0) : last + 1]
+                counts[piece] = np.subtract(scan.count_statements(around), (2, 1, 2, 0))
+
+        over_ranges(count, len(counts), smallest=1)
+        # No line end is before the first statement.
+        counts[0, 0] += self._buf[:2].tobytes() == b"v "
+        return counts
+
     def read(self) -> _ObjLayout:
-        state, buf = self._state, self._buf
-        while (result := self._walk(state, _ALL)) == scan.FULL:
-            self._grow()
-        if result != scan.WHOLE:
-            raise self._scan_error(result)
+        buf = self._buf
+        if len(self._cuts) == 2 or not self._walk_pieces():
+            while (result := self._walk(self._state, _ALL)) == scan.FULL:
+                self._grow()
+            if result != scan.WHOLE:
+                raise self._scan_error(result)
+        state = self._state
         n_vertices, n_faces = int(state[scan.VERTICES]), int(state[scan.FACES])
         n_normals, n_corners = int(state[scan.NORMALS]), int(state[scan.CORNERS])
         self._decide_numbers()
@@ -289,10 +328,11 @@ class _Reader:
             # One number instead of one for each face.
             sizes = np.broadcast_to(np.int32(3), (n_faces,))
             del self._sizes
-        keywords = {
-            buf[at : at + size].tobytes(): (int(count), int(at))
-            for _, count, at, size in self._keywords[: int(state[scan.KEYWORDS])]
-        }
+        keywords: dict[bytes, tuple[int, int]] = {}
+        for _, count, at, size in self._keywords[: int(state[scan.KEYWORDS])].tolist():
+            keyword = buf[at : at + size].tobytes()
+            before, first = keywords.get(keyword, (0, at))
+            keywords[keyword] = before + count, first
         self._require_mesh(positions, corners, sizes, keywords)
         faces = cut_polygons(corners, sizes)
         layout = _ObjLayout(
@@ -317,6 +357,60 @@ class _Reader:
             layout.normals = (slots,)
             layout.renew_normals = functools.partial(_renew_normals, faces, entries, values)
         return layout
+
+    def _walk_pieces(self) -> bool:
+        """Read pieces of the text at once, each to where its counts say that its rows are.
+
+        False where a piece has errors, faces that are no triangles, or other counts: then one walk
+        over all reads it.
+        """
+        counts = self._counts[:, :3]
+        ends, pieces = np.cumsum(counts, axis=0), range(len(counts))
+        states = np.zeros((len(counts), scan.N_STATE), dtype=np.int64)
+        states[:, scan.AT] = self._cuts[:-1]
+        states[0, scan.AT] = self._state[scan.AT]
+        states[:, scan.LARGEST_VERTEX] = -1
+        first = ends - counts
+        states[:, [scan.VERTICES, scan.NORMALS, scan.FACES]] = first
+        states[:, scan.CORNERS] = 3 * first[:, 2]
+        results = np.zeros(len(counts), dtype=np.int64)
+        own = self._undecided, self._keywords, self._libraries
+        others = [[np.empty_like(array) for array in own] for _ in pieces]
+
+        def walk(start: int, stop: int) -> None:
+            for piece in range(start, stop):
+                n_vertices, n_normals, n_faces = ends[piece].tolist()
+                outputs = (
+                    *[array[:n_vertices] for array in self._positions],
+                    *[array[:n_normals] for array in self._normals],
+                    self._corners[: 3 * n_faces],
+                    self._corner_normals[: 3 * n_faces],
+                    self._sizes[:n_faces],
+                )
+                text, state = self._buf[: self._cuts[piece + 1]], states[piece]
+                results[piece] = scan.scan(text, state, _ALL, *outputs, *others[piece])
+
+        over_ranges(walk, len(counts), smallest=1)
+        found = states[:, [scan.VERTICES, scan.NORMALS, scan.FACES]]
+        is_plain = (results == scan.WHOLE).all() and (found == ends).all()
+        is_plain &= not states[:, [scan.SHORT, scan.BEFORE_FIRST]].any()
+        is_plain &= (states[:, scan.CORNERS] == 3 * ends[:, 2]).all()
+        is_plain &= states[:, scan.KEYWORDS].max() < scan.MAX_KEYWORDS
+        if not is_plain:
+            return False
+        state = states[-1].copy()
+        listed = [scan.UNDECIDED_ROWS, scan.KEYWORDS, scan.LIBRARIES]
+        self._undecided, self._keywords, self._libraries = (
+            np.concatenate([of[place][: states[piece, column]] for piece, of in enumerate(others)])
+            for place, column in enumerate(listed)
+        )
+        added = [*listed, scan.TEXTURE, scan.WEIGHTED, scan.COLOURED]
+        state[added] = states[:, added].sum(axis=0)
+        largest = [scan.LARGEST_VERTEX, scan.LARGEST_TEXTURE, scan.LARGEST_NORMAL]
+        state[[*largest, scan.LAST_FACE_AT]] = states[:, [*largest, scan.LAST_FACE_AT]].max(axis=0)
+        state[scan.WEIGHTED_AT] = states[np.argmax(states[:, scan.WEIGHTED] > 0), scan.WEIGHTED_AT]
+        self._state = state
+        return True
 
     def _walk(self, state: Longs, n_faces: int) -> int:
         """Go on until ``n_faces`` faces are read; what ``scan`` says."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -214,6 +215,63 @@ def files(draw: st.DrawFn) -> bytes:
             lines.append(face + draw(ending))
     mark = draw(st.sampled_from([b"", b"\xef\xbb\xbf"]))
     return mark + newline.join(lines) + draw(st.sampled_from([b"", newline, newline + b"# end"]))
+
+
+def read_in_pieces(data: bytes, n_pieces: int) -> tuple[obj.ObjFile, bool]:
+    """The file as that many threads read it, and whether they could."""
+    could = []
+
+    def walk(self):
+        could.append(walk_pieces(self))
+        return could[-1]
+
+    walk_pieces = obj._Reader._walk_pieces
+    with (
+        mock.patch.object(obj, "_MIN_PIECE", 4),
+        mock.patch.object(obj, "threads", lambda: n_pieces),
+        mock.patch.object(obj._Reader, "_walk_pieces", walk),
+    ):
+        return obj.read(data), could == [True]
+
+
+def facts(file: obj.ObjFile) -> list[object]:
+    corners = [list(polygon) for polygon in file.polygons()]
+    output = bytes(file.replaced(moved(file)))
+    return [
+        file.vertices.tolist(),
+        corners,
+        file.properties,
+        file.references,
+        file.warnings,
+        output,
+    ]
+
+
+def test_pieces_read_what_one_walk_reads() -> None:
+    half = (
+        b"o one\nmtllib a.mtl\nv 0 0 0\nv 1 0 0 2\nv 1 1 0\nv 0 1 1e-400 1 1 1\n"
+        b"vn 0 0 1\nvn 0 1 0\nvt 0 0\ng x\nf 1/1/1 2/1/2 -2/1/-1 # x\n"
+        b"f -4//-2 -2//1 -1//1\n# v \\\nusemtl s \\\n t\n"
+    )
+    data = half + half.replace(b"one", b"two").replace(b"a.mtl", b"b.mtl")
+    whole = facts(obj.read(data))
+    assert whole[3] == ("a.mtl", "b.mtl") and len(whole[4]) == 1
+    for n_pieces in range(2, 12):
+        # A "v" or "vn" in a comment is counted, and one walk reads the text again.
+        for text_, is_plain in ((data.replace(b"# v", b"# w"), True), (data, False)):
+            file, could = read_in_pieces(text_, n_pieces)
+            assert (could, facts(file)[:5]) == (is_plain, whole[:5])
+    for wrong in (b"v 0 0 x\n", b"f 1 2 0\n", b"f 1 2 99\n", b"vn 1\n", b"v 0 0 nan\n", b"f 1 2"):
+        with pytest.raises(InputError) as expected:
+            obj.read(data + wrong)
+        with pytest.raises(InputError) as found:
+            read_in_pieces(data + wrong, 3)
+        assert str(found.value) == str(expected.value)
+
+
+@given(files(), st.integers(2, 5))
+def test_pieces_of_any_file(data: bytes, n_pieces: int) -> None:
+    assert facts(read_in_pieces(data, n_pieces)[0]) == facts(obj.read(data))
 
 
 def _number(draw: st.DrawFn, count: int) -> bytes:
