@@ -242,6 +242,10 @@ def _cut_lines(buf: Bytes) -> list[int]:
     """Where pieces of a text begin, one for each thread, and its end; all begin with a line."""
     size = len(buf)
     n_pieces = max(min(threads(), size // _MIN_PIECE), 1)
+    last_lines = buf[-_LOOKED_AT:].tobytes().splitlines()[1:-1]
+    if any(line.startswith(b"f ") and len(line.split()) != 4 for line in last_lines):
+        # One walk reads other polygons, and would do so after all.
+        n_pieces = 1
     cuts = [0]
     for piece in range(1, n_pieces):
         at = size * piece // n_pieces

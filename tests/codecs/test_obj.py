@@ -250,7 +250,7 @@ def facts(file: obj.ObjFile) -> list[object]:
 def test_pieces_read_what_one_walk_reads() -> None:
     half = (
         b"o one\nmtllib a.mtl\nv 0 0 0\nv 1 0 0 2\nv 1 1 0\nv 0 1 1e-400 1 1 1\n"
-        b"vn 0 0 1\nvn 0 1 0\nvt 0 0\ng x\nf 1/1/1 2/1/2 -2/1/-1 # x\n"
+        b"vn 0 0 1\nvn 0 1 0\nvt 0 0\ng x\nf 1/1/1 2/1/2 -2/1/-1\n"
         b"f -4//-2 -2//1 -1//1\n# v \\\nusemtl s \\\n t\n"
     )
     data = half + half.replace(b"one", b"two").replace(b"a.mtl", b"b.mtl")
