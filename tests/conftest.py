@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
-# Of hypothesis: few examples by default, many in .ci/run (HYPOTHESIS_PROFILE=full).
-settings.register_profile("quick", max_examples=20, deadline=None)
-settings.register_profile("full", max_examples=100, deadline=None)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep byte code in the cache of pytest where Python is to write none beside the sources.
+
+    Tests start hundreds of processes, and each would compile all that it imports.
+    """
+    if sys.dont_write_bytecode and hasattr(config, "cache"):
+        sys.pycache_prefix = str(config.cache.mkdir("bytecode"))
+        sys.dont_write_bytecode = False
+        os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # pytest rewrites the modules of hypothesis, and keeps them only from here on.
+    from hypothesis import settings
+
+    # Few examples by default, many in .ci/run (HYPOTHESIS_PROFILE=full).
+    settings.register_profile("quick", max_examples=20, deadline=None)
+    settings.register_profile("full", max_examples=100, deadline=None)
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 
 
 @pytest.fixture(scope="session")

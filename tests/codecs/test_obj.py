@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from random import Random
 from unittest import mock
 
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from msal_cli.codecs import normal_warnings, obj, open_mesh
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
+from tests.codecs.numbers import any_float
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 ROOF = b"""# two sides that meet at an edge, one normal each
@@ -164,57 +166,59 @@ def test_room_is_counted_generously(noise: bytes, more: list[bytes]) -> None:
 # Identities
 
 
-def numbers() -> st.SearchStrategy[bytes]:
-    value = st.floats(-1e6, 1e6, allow_nan=False)
-    spelled = st.sampled_from(["%.3f", "%g", "%.9g", "%r", "%.4e", "%+.2f", "%d"])
-    return st.builds(lambda how, v: (how % (int(v) if how == "%d" else v)).encode(), spelled, value)
+BLANKS = [b" ", b"  ", b"\t", b" \t", b" \\\n", b"\\\r\n ", b"\x0c"]
+ENDINGS = [b"", b" ", b"\t", b" # trailing v 1 2 3", b" #\\"]
 
 
-blank = st.sampled_from([b" ", b"  ", b"\t", b" \t", b" \\\n", b"\\\r\n ", b"\x0c"])
-ending = st.sampled_from([b"", b" ", b"\t", b" # trailing v 1 2 3", b" #\\"])
-
-
-@st.composite
-def files(draw: st.DrawFn) -> bytes:
+def files(random: Random) -> bytes:
     """An OBJ file with every odd form that the format and its writers know."""
-    newline = draw(st.sampled_from([b"\n", b"\r\n", b"\r"]))
+    newline = random.choice([b"\n", b"\r\n", b"\r"])
     n_vertices = n_normals = n_texture = 0
-    lines: list[bytes] = [] if draw(st.booleans()) else [b"# made by hand \\"]
+    lines = [] if random.random() < 0.5 else [b"# made by hand \\"]
+
+    def number() -> bytes:
+        form = random.choice(["%.3f", "%g", "%.9g", "%r", "%.4e", "%+.2f", "%d"])
+        return (form % any_float(random, 1e6)).encode()
 
     def vector(keyword: bytes, count: int) -> bytes:
-        return (
-            keyword + b"".join(draw(blank) + draw(numbers()) for _ in range(count)) + draw(ending)
-        )
+        words = b"".join(random.choice(BLANKS) + number() for _ in range(count))
+        return keyword + words + random.choice(ENDINGS)
 
-    for _ in range(draw(st.integers(1, 4))):
-        for _ in range(draw(st.integers(3, 6))):
-            lines.append(draw(st.sampled_from([b"", b" ", b"\t"])) + vector(
-                b"v", draw(st.sampled_from([3, 3, 3, 4, 6, 7]))))  # fmt: skip
+    def index(count: int) -> bytes:
+        return b"%d" % random.choice([random.randint(1, count), -random.randint(1, count)])
+
+    for _ in range(random.randint(1, 4)):
+        for _ in range(random.randint(3, 6)):
+            count = random.choice([3, 3, 3, 4, 6, 7])
+            lines.append(random.choice([b"", b" ", b"\t"]) + vector(b"v", count))
             n_vertices += 1
-            if draw(st.integers(0, 3)) == 0:
+            if random.random() < 0.25:
                 lines.append(vector(b"vn", 3))
                 n_normals += 1
-            if draw(st.integers(0, 3)) == 0:
+            if random.random() < 0.25:
                 lines.append(vector(b"vt", 2))
                 n_texture += 1
-        lines += draw(st.lists(st.sampled_from([
+        lines += random.choices([
             b"", b"g a b", b"s off", b"usemtl C:\\stone", b"l 1 2 3", b"p 1", b"o v 1 2 3",
             b"#f 9 9",
             b"mtllib v.mtl", b"cstype bezier", b"curv 0 1 \\\n 1 2", b"\t# \xe9\xff", b"f 1 2",
-        ]), max_size=3))  # fmt: skip
-        for _ in range(draw(st.integers(1, 4))):
+        ], k=random.randint(0, 3))  # fmt: skip
+        for _ in range(random.randint(1, 4)):
             face = b"f"
-            form = draw(st.integers(0, 3))
-            for _ in range(draw(st.sampled_from([3, 3, 4, 5]))):
-                face += draw(blank) + _number(draw, n_vertices)
+            form = random.randint(0, 3)
+            for _ in range(random.choice([3, 3, 4, 5])):
+                face += random.choice(BLANKS) + index(n_vertices)
                 if form in (1, 3) and n_texture:
-                    face += b"/" + _number(draw, n_texture)
+                    face += b"/" + index(n_texture)
                 if form in (2, 3) and n_normals:
                     slash = b"/" if b"/" in face.split()[-1] else b"//"
-                    face += slash + _number(draw, n_normals)
-            lines.append(face + draw(ending))
-    mark = draw(st.sampled_from([b"", b"\xef\xbb\xbf"]))
-    return mark + newline.join(lines) + draw(st.sampled_from([b"", newline, newline + b"# end"]))
+                    face += slash + index(n_normals)
+            lines.append(face + random.choice(ENDINGS))
+    mark = random.choice([b"", b"\xef\xbb\xbf"])
+    return mark + newline.join(lines) + random.choice([b"", newline, newline + b"# end"])
+
+
+FILES = st.builds(files, st.randoms(use_true_random=True))
 
 
 def read_in_pieces(data: bytes, n_pieces: int) -> tuple[obj.ObjFile, bool]:
@@ -269,17 +273,12 @@ def test_pieces_read_what_one_walk_reads() -> None:
         assert str(found.value) == str(expected.value)
 
 
-@given(files(), st.integers(2, 5))
+@given(FILES, st.integers(2, 5))
 def test_pieces_of_any_file(data: bytes, n_pieces: int) -> None:
     assert facts(read_in_pieces(data, n_pieces)[0]) == facts(obj.read(data))
 
 
-def _number(draw: st.DrawFn, count: int) -> bytes:
-    index = draw(st.integers(0, count - 1))
-    return b"%d" % (index - count if draw(st.booleans()) else index + 1)
-
-
-@given(files(), st.integers(0, 99), st.sampled_from([0.0, 0.3, 1.0]))
+@given(FILES, st.integers(0, 99), st.sampled_from([0.0, 0.3, 1.0]))
 def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: float) -> None:
     file = obj.read(data)
     plain = parsed(data)
