@@ -137,6 +137,9 @@ _RUNS = 5
 THOUSANDTHS = 1000
 """Steps of weights."""
 
+Judge = tuple[SteinRisk | SimulatedRisk, float]
+"""An estimate of errors, and how much it counts, from 0."""
+
 HARM = "every filter would add more error than it takes away"
 
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
@@ -154,17 +157,17 @@ def forecast_seconds(n_vertices: int) -> float:
 
 def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     """The best method or blend for ``mesh``; see ``auto.choose_method``."""
+    step = on_step or (lambda done, total: None)
     edge = mesh.mean_edge_length
     estimate = estimate_noise(mesh)
     noise = estimate.assume(wishes.assume, edge)
     is_unsure = noise.is_unsure
     if noise.is_negligible or not mesh.topology.has_ring.any():
-        if on_step is not None:
-            on_step(1, 1)
+        step(1, 1)
         choice = choose_least(noise, wishes, describe_rest(estimate, noise), CLEAN)
     else:
         noise = noise.assume(NOISE, edge)
-        choice = _Search(mesh, wishes, noise, on_step, is_unsure).choose()
+        choice = _Search(mesh, wishes, noise, step, is_unsure).choose()
     return dataclasses.replace(choice, estimate=estimate)
 
 
@@ -176,12 +179,10 @@ class _Search:
         mesh: Mesh,
         wishes: Wishes,
         noise: NoiseLevel,
-        on_step: OnStep | None,
-        is_unsure: bool = False,
+        on_step: OnStep,
+        is_unsure: bool,
     ) -> None:
-        self.levels: tuple[float, ...]
-        self.is_unsure = is_unsure
-        self.mesh, self.wishes, self.noise = mesh, wishes, noise
+        self.wishes, self.noise, self.is_unsure = wishes, noise, is_unsure
         self._on_step = on_step
         edges = noise.rms_edges if noise.is_impulsive else noise.mean_edges
         doubt = DOUBT + (GREAT_DOUBT - DOUBT) * max(self._width - WIDE, 0.0) / (1.0 - WIDE)
@@ -191,7 +192,7 @@ class _Search:
             self.slopes = _SLOPES[wishes.prefer]
         self.drift = _DRIFT.get(wishes.prefer, 0.0)
         self.wished = factor
-        self.level = self.unit = edges * self.wished * mesh.mean_edge_length
+        self.level = self.unit = edges * factor * mesh.mean_edge_length
         n = len(mesh.vertices)
         # In filters of the default run over one vertex.
         self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
@@ -203,11 +204,11 @@ class _Search:
         self.evened = self.mesh.vertices - mesh.vertices
         self.model = model.at_level(self.level).along_normals()
         # Of the mesh as the blend gets it, and without the wishes.
-        self.local, self.levels = np.empty(0), ()
+        self.local = np.empty(0)
+        self.levels: tuple[float, ...] = ()
         if self.model.shares is not None and mesh.trust is None:
             self.local = local_levels(mesh)
             self.levels = spread_levels(self.local[mesh.topology.has_ring])
-        self._whole: CandidateRuns | None = None
 
     def choose(self) -> Choice:
         """The best blend, or single method, that the budget allows."""
@@ -215,7 +216,7 @@ class _Search:
         usable = [candidate for candidate in known if self._is_usable(candidate)]
         # A budget of one run leaves nothing for trials.
         usable = usable or [min(known, key=lambda candidate: candidate.cost)]
-        study, surface = self._trials(PART), ORGANIC
+        study, surface = self._trials(), ORGANIC
         pilot = usable[0]
         if pilot is LEARNED:
             kind = self.noise.character.kind
@@ -233,7 +234,7 @@ class _Search:
                 usable = [LEARNED if is_white else ROBUST_LEARNED]
         self._total = _RUNS * len(usable) + 1
         first = study.positions([pilot], np.ones(1))
-        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = []
+        judges: list[Judge] = []
         if len(usable) > 1:
             if self._is_gaussian and self._doubt > 0.0:
                 judges.append((study.by_stein(usable, first, PROBES), self._doubt))
@@ -241,7 +242,7 @@ class _Search:
             weights = self._best(_risks([*judges, (again, 1.0)]))
             first = study.positions(usable, weights)
         judges.append((study.simulate(usable, first), 1.0))
-        return self._choice(study, usable, judges, surface, len(usable))
+        return self._choice(study, usable, judges, surface)
 
     def _choose_by_mirror(self, surface: str) -> Choice:
         """The best blend of the learned filter and wide linear ones.
@@ -252,8 +253,8 @@ class _Search:
         # Doubt about texture does not reduce the level of noise that is not drawn.
         edge = self.mesh.mean_edge_length
         self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
-        self.model, self._whole = self.model.at_level(self.level), None
-        study = self._trials(PART)
+        self.model = self.model.at_level(self.level)
+        study = self._trials()
         members = [
             candidate
             for candidate in (ROBUST_LEARNED, FARTHER, *LINEAR)
@@ -269,12 +270,9 @@ class _Search:
             study.simulate(members, study.result(pilot).vertices, MIRRORED) for pilot in pilots
         ]
         self.unit = mirrors[0].level
-        judges: list[tuple[SteinRisk | SimulatedRisk, float]] = [(judge, 1.0) for judge in mirrors]
-        return self._choice(study, members, judges, surface, len(members))
+        return self._choice(study, members, [(judge, 1.0) for judge in mirrors], surface)
 
-    def _by_level(
-        self, part: Part, judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], weights: Floats
-    ) -> Floats:
+    def _by_level(self, part: Part, judges: Sequence[Judge], weights: Floats) -> Floats:
         """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
         of local noise; one row where noise is the same everywhere."""
         rows = np.tile(weights, (max(len(self.levels), 1), 1))
@@ -297,7 +295,7 @@ class _Search:
         spare -= sum(members[k].cost for k in used)
         stronger = [
             candidate
-            for candidate in stronger_candidates(self._noise_edges(self.mesh))
+            for candidate in stronger_candidates(self._noise_edges())
             if candidate.cost <= spare and self._is_usable(candidate)
         ]
         if not stronger:
@@ -316,15 +314,10 @@ class _Search:
         weights = np.stack([round_weights(row, THOUSANDTHS) for row in mixed])
         return [*members, stronger[k]], weights
 
-    def _trials(self, size: int) -> CandidateRuns:
-        """Runs on a sample of about so many vertices; kept where that is the whole mesh."""
-        part = select_patch(self.mesh, size)
-        if self._whole is not None and part.numbers is None:
-            return self._whole
-        trials = CandidateRuns(part, self.model.on_part(part.numbers), self._step)
-        if part.numbers is None:
-            self._whole = trials
-        return trials
+    def _trials(self) -> CandidateRuns:
+        """Runs on a sample of the mesh."""
+        part = select_patch(self.mesh, PART)
+        return CandidateRuns(part, self.model.on_part(part.numbers), self._step)
 
     @property
     def _is_gaussian(self) -> bool:
@@ -367,9 +360,9 @@ class _Search:
             return method.has_data_term(method.validate(candidate.given))
         return candidate.cost * len(self.mesh.vertices) <= spare
 
-    def _noise_edges(self, mesh: Mesh) -> float:
+    def _noise_edges(self) -> float:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
-        return float(round(self.level / mesh.mean_edge_length, 4))
+        return float(round(self.level / self.mesh.mean_edge_length, 4))
 
     def _best(self, risks: Sequence[Risk]) -> Floats:
         if self.mesh.trust is not None:
@@ -427,11 +420,10 @@ class _Search:
         self,
         study: CandidateRuns,
         members: Sequence[Candidate],
-        judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]],
+        judges: Sequence[Judge],
         surface: str,
-        tried: int,
     ) -> Choice:
-        """The best blend of ``members`` by the judges, of ``tried`` candidates."""
+        """The best blend of ``members`` by the judges."""
         risks = _risks(judges)
         weights = self._settle(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
@@ -439,10 +431,11 @@ class _Search:
         # Only the smooth shape is wanted: farther, whatever the filters make of more noise.
         strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
         is_strengthened = strength > 0.0 and bool(rows.any())
+        blended: Sequence[Candidate] = members
         if is_strengthened:
-            members, rows = self._strengthen(study, members, rows, strength)
+            blended, rows = self._strengthen(study, members, rows, strength)
         share = round(share, 3)
-        self._finish()
+        self._on_step(self._total, self._total)
         edge = self.mesh.mean_edge_length
         unit = self.unit / edge
         counted = [risk for risk in risks if risk.importance > 0.0]
@@ -454,8 +447,8 @@ class _Search:
             together = max(*squares, 0.0) ** 0.5 * unit
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if rows[:, k].min() < 1.0][:3]
-        noise = self._noise_edges(self.mesh)
-        made = build_recipe(members, rows, noise, self.levels, self.relax, share)
+        noise = self._noise_edges()
+        made = build_recipe(blended, rows, noise, self.levels, self.relax, share)
         choice = Choice(
             made.method,
             made.parameters,
@@ -468,18 +461,13 @@ class _Search:
         return dataclasses.replace(
             choice,
             risk=together,
-            tried=tried,
+            tried=len(members),
             runners_up=tuple((members[k].label, float(alone[k]) ** 0.5 * unit) for k in beside),
         )
 
     def _step(self) -> None:
         self._done += 1
-        if self._on_step is not None:
-            self._on_step(min(self._done, self._total - 1), self._total)
-
-    def _finish(self) -> None:
-        if self._on_step is not None:
-            self._on_step(self._total, self._total)
+        self._on_step(min(self._done, self._total - 1), self._total)
 
 
 def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
@@ -493,8 +481,6 @@ def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
     return min(shares)
 
 
-def _risks(
-    judges: Sequence[tuple[SteinRisk | SimulatedRisk, float]], judged: Flags | None = None
-) -> list[Risk]:
+def _risks(judges: Sequence[Judge], judged: Flags | None = None) -> list[Risk]:
     """The risks by weighted estimators, over the ``judged`` vertices (m,)."""
     return [judge.risk(judged).counted(importance) for judge, importance in judges]

@@ -105,7 +105,7 @@ def test_a_weakly_noisy_range_scan_is_left_to_the_learned_filter():
     true = prepare_mesh(vertices, faces).mesh
     shared = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.08, seed=3, rings=3)))
     mesh = shared.with_vertices(add_noise(shared, AddedNoise("gaussian-normal", 0.05, seed=4)))
-    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), None)
+    search = _Search(mesh, Wishes(), range_level(mesh, "white", 0.98), lambda *_: None, False)
     choice = search.choose()
     made = made_by(choice, mesh)
     angles = [angle(true, surface) for surface in (mesh, made)]
@@ -132,7 +132,9 @@ def test_noise_like_no_draw_is_left_to_the_learned_filter_and_linear_ones(kind, 
     true = pair("shared")[1]
     mesh = true.with_vertices(add_noise(true, AddedNoise("correlated", 0.06, seed=1, rings=1)))
     choices = [
-        _Search(mesh, Wishes(), range_level(mesh, kind, confidence), None).choose()
+        _Search(
+            mesh, Wishes(), range_level(mesh, kind, confidence), lambda *_: None, False
+        ).choose()
         for confidence in (0.5, 0.99)
     ]
     # Whatever else it may be.
