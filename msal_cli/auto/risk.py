@@ -189,7 +189,7 @@ def _gram(rows: Floats) -> Floats:
 
 
 class SteinRisk:
-    """The risk by Stein's lemma, for filters that are added one after the other.
+    """The risk of filters by Stein's lemma: each of the ``runs`` on the part, and on its probes.
 
     ``normals`` (m, 3) are the directions that ``noise`` is along, if it is along normals: those of
     a smoothed mesh, since strong noise turns its own by 30 degrees, and the gain of a filter would
@@ -197,40 +197,35 @@ class SteinRisk:
     """
 
     def __init__(
-        self, part: Part, noise: NoiseModel, normals: Floats, probes: int = PROBES
+        self,
+        part: Part,
+        normals: Floats,
+        runs: Sequence[Run],
+        noise: NoiseModel,
+        on_run: Callable[[], object],
+        probes: int = PROBES,
     ) -> None:
         mesh = part.mesh
         self._part, self._noise, self._normals = part, _at_least(noise, mesh), normals
-        self._pushes, self._probes = [], []
-        for probe in range(probes):
-            generator = np.random.Generator(np.random.PCG64(probe + 1))
-            push = self._noise.probe(mesh, normals, generator)
-            self._pushes.append(push)
-            self._probes.append(mesh.with_vertices(mesh.vertices + PROBE_STEP * push))
-        self._moves: list[Floats] = []
+        generators = (np.random.Generator(np.random.PCG64(at + 1)) for at in range(probes))
+        self._pushes = [self._noise.probe(mesh, normals, generator) for generator in generators]
+        pushed = [mesh.with_vertices(mesh.vertices + PROBE_STEP * push) for push in self._pushes]
+        self._moves = np.empty((len(runs), *mesh.vertices.shape))
         self._changes: list[list[Floats]] = []
-
-    def add(self, run: Run, on_run: Callable[[], object]) -> None:
-        """Run one more filter on the part, and on its probes."""
-        moves = run(self._part.mesh)
-        on_run()
-        changes = []
-        for probe in self._probes:
-            changes.append((run(probe) - moves) / PROBE_STEP)
+        for k, run in enumerate(runs):
+            self._moves[k] = run(mesh)
             on_run()
-        self._moves.append(moves)
-        self._changes.append(changes)
-
-    @property
-    def moves(self) -> Floats:
-        """(k, m, 3), what each filter moves the vertices of the part by."""
-        return np.stack(self._moves)
+            changes = []
+            for probe in pushed:
+                changes.append((run(probe) - self._moves[k]) / PROBE_STEP)
+                on_run()
+            self._changes.append(changes)
 
     def risk(self, judged: Flags | None = None) -> Risk:
         """The risk of blends of all that were added, over the vertices (m,) that are ``judged``;
         None for those of the part."""
         judged = self._part.judged if judged is None else judged
-        mesh, moves, inside = self._part.mesh, self.moves, judged[:, None]
+        mesh, moves, inside = self._part.mesh, self._moves, judged[:, None]
         slopes = _slopes(mesh, self._normals, judged, self._noise.direction == ISOTROPIC)
         places, turns = np.zeros(len(moves)), np.zeros(len(moves))
         # The probes' own squares: of coloured ones they scatter as the products do.
@@ -409,10 +404,8 @@ class CandidateRuns:
         """Candidates rated by Stein's lemma, with normals that the part has at ``first``
         (m, 3)."""
         normals = self.part.mesh.with_vertices(first).vertex_normals("uniform")
-        judge = SteinRisk(self.part, self.noise, normals, probes)
-        for candidate in candidates:
-            judge.add(self._run_once(candidate), self._on_run)
-        return judge
+        runs = [self._run_once(candidate) for candidate in candidates]
+        return SteinRisk(self.part, normals, runs, self.noise, self._on_run, probes)
 
     def simulate(
         self, candidates: Sequence[Candidate], first: Floats, added: str = DRAWN
@@ -464,8 +457,9 @@ def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
     if noise.direction != ISOTROPIC:
         return 0
     part = select_patch(mesh, RELAX_PATCH)
-    judge = SteinRisk(part, noise.on_part(part.numbers), part.mesh.vertex_normals("uniform"), 1)
-    judge.add(lambda some: even_out(some, RELAX).vertices - some.vertices, lambda: None)
+    noise, normals = noise.on_part(part.numbers), part.mesh.vertex_normals("uniform")
+    runs = [lambda some: even_out(some, RELAX).vertices - some.vertices]
+    judge = SteinRisk(part, normals, runs, noise, lambda: None, probes=1)
     left = float(judge.risk().positions.singles()[0])
     return RELAX if MIN_LEFT <= left <= MAX_LEFT else 0
 
@@ -504,9 +498,8 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     first: Floats = trials.positions([LEARNED if is_gaussian else ROBUST_LEARNED], np.ones(1))
     judge: SteinRisk | SimulatedRisk
     if is_gaussian:
-        judge = SteinRisk(part, model, part.mesh.with_vertices(first).vertex_normals("uniform"))
-        for run in runs:
-            judge.add(run, lambda: None)
+        normals = part.mesh.with_vertices(first).vertex_normals("uniform")
+        judge = SteinRisk(part, normals, runs, model, lambda: None)
     else:
         judge = SimulatedRisk(part, first, runs, model, MIRRORED, lambda: None)
     # Stein's estimate scatters about small errors, and may be below zero.

@@ -124,10 +124,8 @@ def rehearsed(part, *runs, pilot=None, noise=0.1, way="drawn"):
 
 
 def stein(part, noise, *runs):
-    judge = SteinRisk(part, NoiseModel(noise), part.mesh.vertex_normals("uniform", 1))
-    calls = []
-    for run in runs:
-        judge.add(run, lambda: calls.append(judge))
+    normals, calls = part.mesh.vertex_normals("uniform", 1), []
+    judge = SteinRisk(part, normals, runs, NoiseModel(noise), lambda: calls.append(noise))
     assert len(calls) == 3 * len(runs)
     return judge.risk()
 
@@ -182,12 +180,10 @@ def test_it_is_the_true_error_for_noise_of_any_colour_direction_and_level(noise)
         mesh = flat.with_vertices(flat.vertices + added)
         left = added + once(mesh)
         error = np.sum(left**2) / (480 * noise.variance(part.judged))
-        judges = (
-            SteinRisk(Part(mesh, part.judged), noise, normals, PROBES),
-            SteinRisk(Part(mesh, part.judged), NoiseModel(0.1), normals, PROBES),
-        )
-        for judge in judges:
-            judge.add(once, lambda: None)
+        judges = [
+            SteinRisk(Part(mesh, part.judged), normals, [once], model, lambda: None, PROBES)
+            for model in (noise, NoiseModel(0.1))
+        ]
         risk = judges[0].risk()
         gaps.append(risk.positions.singles()[0] - error)
         white_gaps.append(judges[1].risk().positions.singles()[0] - error)
