@@ -31,7 +31,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimate_noise
@@ -122,42 +121,24 @@ class Risk:
 
     def of(self, members: Sequence[int]) -> Risk:
         """The same for some of the filters."""
-        rows = np.array(members, dtype=np.int64)
         positions, slopes = self.positions.of(members), self.slopes.of(members)
-        return Risk(positions, slopes, self.drift[rows], self.importance)
+        return Risk(positions, slopes, self.drift[list(members)], self.importance)
 
     def log_errors(self, floor: float) -> tuple[Floats, Floats]:
         """Logarithms of the errors of positions and of slopes (k,), each at least ``floor``."""
         positions = np.log(np.maximum(self.positions.singles(), floor))
         return positions, np.log(np.maximum(self.slopes.singles(), floor))
 
-    def counted(self, importance: float) -> Risk:
-        """The same, of another importance beside other estimates of the same filters."""
-        return Risk(self.positions, self.slopes, self.drift, importance)
-
-
-@dataclass(frozen=True, eq=False)
-class _Slopes:
-    """Differences of moves along the evaluated edges of a mesh, over the edges' lengths: of heights
-    along ``directions`` (e, 3), or whole where these are numbers (e, 1)."""
-
-    first: NDArray[np.int32]
-    second: NDArray[np.int32]
-    directions: Floats
-
-    def __call__(self, moves: Floats) -> Floats:
-        difference = moves[self.first] - moves[self.second]
-        if self.directions.shape[1] == 1:
-            return np.asarray(difference * self.directions).reshape(-1)
-        slopes: Floats = np.einsum("ij,ij->i", difference, self.directions)
-        return slopes
-
 
 def _slopes(
-    mesh: Mesh, normals: Floats, judged: NDArray[np.bool_], is_isotropic: bool = False
-) -> _Slopes:
-    """Lengths are those along the surface: across it edges are as long as the noise makes them,
-    which would make the slope depend on the noise that is to be evaluated."""
+    mesh: Mesh, normals: Floats, judged: Flags, is_isotropic: bool = False
+) -> Callable[[Floats], Floats]:
+    """A function of moves (m, 3): their differences along the ``judged`` edges, over the edges'
+    lengths; of heights along ``normals`` (m, 3), or whole where the noise ``is_isotropic``.
+
+    Lengths are those along the surface: across it edges are as long as the noise makes them, which
+    would make the slope depend on the noise that is to be evaluated.
+    """
     links = mesh.topology
     counts = np.diff(links.ring_start)
     first = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
@@ -171,7 +152,15 @@ def _slopes(
     lengths = np.sqrt(np.einsum("ij,ij->i", edges, edges))
     floor = MIN_EDGE * float(lengths.mean()) if len(lengths) else 1.0
     lengths = np.maximum(lengths, max(floor, np.finfo(float).tiny))[:, None]
-    return _Slopes(first, second, 1.0 / lengths if is_isotropic else across / lengths)
+    directions = 1.0 / lengths if is_isotropic else across / lengths
+
+    def slopes(moves: Floats) -> Floats:
+        difference = moves[first] - moves[second]
+        if is_isotropic:
+            return np.asarray(difference * directions).reshape(-1)
+        return np.asarray(np.einsum("ij,ij->i", difference, directions))
+
+    return slopes
 
 
 def _gram(rows: Floats) -> Floats:

@@ -483,4 +483,7 @@ def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
 
 def _risks(judges: Sequence[Judge], judged: Flags | None = None) -> list[Risk]:
     """The risks by weighted estimators, over the ``judged`` vertices (m,)."""
-    return [judge.risk(judged).counted(importance) for judge, importance in judges]
+    return [
+        dataclasses.replace(judge.risk(judged), importance=importance)
+        for judge, importance in judges
+    ]
