@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msal_cli.auto.wishes import ALL, FAMILY, NONE, Choice, Wishes
+from msal_cli.auto.wishes import ALL, FAMILY, NONE, Choice, OnStep, Wishes
 
 if TYPE_CHECKING:
-    from msal_cli.auto.wishes import OnStep
     from msal_cli.mesh import Mesh
 
 __all__ = [

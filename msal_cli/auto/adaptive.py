@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,13 +40,9 @@ from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
 from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
 from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
 from msal_cli.auto.search import forecast_seconds
-from msal_cli.auto.wishes import FAMILY, NONE, Choice
+from msal_cli.auto.wishes import FAMILY, NONE, Choice, OnStep
+from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
-
-if TYPE_CHECKING:
-    from msal_cli.auto.wishes import OnStep
-    from msal_cli.mesh import Mesh
-
 
 PART = 4_000
 """Vertices that candidates run on."""

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from msal_cli.auto.risk import Risk
-    from msal_cli.auto.sample_patch import Part
-
+from msal_cli.auto.risk import Risk
+from msal_cli.auto.sample_patch import Part
 
 FLOOR = 0.02
 """Estimated errors below this share of the input's count as equal: they are mostly scatter."""

@@ -15,22 +15,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis.measures import share_over_rings
-from msal_cli.analysis.noise_estimate import local_levels
+from msal_cli.analysis.noise_estimate import NoiseLevel, local_levels
 from msal_cli.arrays import Floats
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.mesh import Mesh
-
+from msal_cli.mesh import Mesh
 
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""

@@ -26,33 +26,25 @@ Only ``judged`` vertices count.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED
-from msal_cli.auto.noise_model import ISOTROPIC, build_model
-from msal_cli.auto.sample_patch import select_patch
+from msal_cli.auto.candidates import LEARNED, ROBUST_LEARNED, Candidate
+from msal_cli.auto.noise_model import ISOTROPIC, NoiseModel, build_model
+from msal_cli.auto.sample_patch import Part, select_patch
+from msal_cli.kernels.geometry import area_and_volume, face_normals
+from msal_cli.mesh import Mesh
+from msal_cli.methods import Method
 from msal_cli.methods._sliding import even_out
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from msal_cli.auto.candidates import Candidate
-    from msal_cli.auto.noise_model import NoiseModel
-    from msal_cli.auto.sample_patch import Part
-    from msal_cli.mesh import Mesh
-    from msal_cli.methods import Method
-
-if TYPE_CHECKING:
-    Run = Callable[[Mesh], "Floats"]
-    """Gives what a filter moves the vertices of a mesh by, (m, 3)."""
-
+Run = Callable[[Mesh], Floats]
+"""Gives what a filter moves the vertices of a mesh by, (m, 3)."""
 
 PROBES = 2
 """Probes of a divergence: with two its scatter is that of the noise itself."""
@@ -319,8 +311,6 @@ def _drift(mesh: Mesh, seen: Floats, noise: float) -> Floats:
 
     Without what vertices at open edges sweep: there the volume depends on the origin.
     """
-    from msal_cli.kernels.geometry import area_and_volume
-
     area, volume = area_and_volume(mesh.vertices, mesh.faces)
     inner = ~mesh.topology.boundary[:, None]
     swept = [area_and_volume(mesh.vertices + inner * move, mesh.faces)[1] - volume for move in seen]
@@ -410,8 +400,6 @@ class CandidateRuns:
 
         How vertices lie within the surface does not count.
         """
-        from msal_cli.kernels.geometry import face_normals
-
         across, normals = true.vertex_normals("uniform"), face_normals(true.vertices, true.faces)
         rows = []
         for vertices in (self.part.mesh.vertices, *(self.result(k).vertices for k in candidates)):
@@ -423,12 +411,12 @@ class CandidateRuns:
         places, tilts = 2.0 * np.log(lengths / lengths[0]), 2.0 * np.log(angles / angles[0])
         return places[1:], tilts[1:], lengths[1:]
 
-    def _run_once(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
+    def _run_once(self, candidate: Candidate) -> Run:
         """The same as ``_runner``, with the known result for the part itself."""
         run = self._runner(candidate)
         return lambda mesh: self.moves(candidate) if mesh is self.part.mesh else run(mesh)
 
-    def _runner(self, candidate: Candidate) -> Callable[[Mesh], Floats]:
+    def _runner(self, candidate: Candidate) -> Run:
         """What the candidate moves a mesh like the part by."""
         method = methods.find(candidate.method)
         values = method.validate(candidate.settings(self._edges))
@@ -455,9 +443,8 @@ def count_relaxing(mesh: Mesh, noise: NoiseModel) -> int:
 
 # Errors of filters that are known already, such as the cells of msal sweep
 
-if TYPE_CHECKING:
-    Filter = tuple[Method | None, Mapping[str, Any]]
-    """A method and all its parameters; None moves nothing."""
+Filter = tuple[Method | None, Mapping[str, Any]]
+"""A method and all its parameters; None moves nothing."""
 
 COMPARED_VERTICES = 6_000
 """Vertices that filters are compared on, as in the search."""

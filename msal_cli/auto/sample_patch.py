@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats
+from msal_cli.kernels.connectivity import Connectivity
+from msal_cli.kernels.faces import face_rings
+from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.mesh import Mesh
-
-if TYPE_CHECKING:
-    from msal_cli.kernels.connectivity import Connectivity
 
 Ints = NDArray[Any]
 
@@ -165,8 +165,6 @@ angles.  Scans by one view have 0.015 and less."""
 
 def is_seen_from_one_side(mesh: Mesh) -> bool:
     """Whether the mesh is open and hardly any of its area faces away: a scan from one view."""
-    from msal_cli.kernels.geometry import face_normals_and_areas
-
     if not mesh.topology.boundary.any():
         return False
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
@@ -188,9 +186,6 @@ def surface_kind(mesh: Mesh) -> str:
 
 def _angles_deg(mesh: Mesh) -> Floats:
     """Angles between the normals of faces that share an edge, degrees, each pair once."""
-    from msal_cli.kernels.faces import face_rings
-    from msal_cli.kernels.geometry import face_normals_and_areas
-
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     start, ring = face_rings(mesh.faces, mesh.topology, "edge")
     first = np.repeat(np.arange(len(start) - 1), np.diff(start))

@@ -19,7 +19,7 @@ benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -75,15 +75,9 @@ from msal_cli.auto.sample_patch import (
     select_patch,
     surface_kind,
 )
-from msal_cli.auto.wishes import NONE, Choice, Wishes
+from msal_cli.auto.wishes import NONE, Choice, OnStep, Wishes
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from msal_cli.auto.wishes import OnStep
-
 
 RUN = 1.7
 """What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,

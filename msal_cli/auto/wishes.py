@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from msal_cli.analysis.noise_estimate import NoiseLevel
 
-    OnStep = Callable[[int, int], None]
-    """Called as ``on_step(done, total)`` while candidates are looked at."""
+OnStep = Callable[[int, int], None]
+"""Called as ``on_step(done, total)`` while candidates are looked at."""
 
 NONE = "none"
 """In place of a method: the mesh stays as it is."""

@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import UsageError
-
-if TYPE_CHECKING:
-    from msal_cli.job.records import MeshRecord
-    from msal_cli.report.data import Run
-
-    Writer = Callable[[Run, Sequence[MeshRecord]], bytes]
 
 _WRITERS = {
     ".json": ("data", "render_json"),
@@ -26,8 +19,9 @@ _WRITERS = {
 }
 
 
-def writer(name: str, *, has_all_columns: bool = False) -> Writer:
-    """The function that makes the bytes of a report of this name; UsageError for another suffix.
+def writer(name: str, *, has_all_columns: bool = False) -> Callable[..., bytes]:
+    """The function of a run and its records that makes the bytes of a report of this name;
+    UsageError for another suffix.
 
     ``has_all_columns`` is for CSV, which else has ``data.COMMON_COLUMNS``.
     """
@@ -37,8 +31,5 @@ def writer(name: str, *, has_all_columns: bool = False) -> Writer:
             f"unknown report format: {name!r}", hint=f"known are {', '.join(_WRITERS)}"
         )
     module, function = _WRITERS[suffix]
-    render: Any = getattr(import_module(f"{__name__}.{module}"), function)
-    if has_all_columns and suffix == ".csv":
-        render = partial(render, has_all=True)
-    made: Writer = render
-    return made
+    render: Callable[..., bytes] = getattr(import_module(f"{__name__}.{module}"), function)
+    return partial(render, has_all=True) if has_all_columns and suffix == ".csv" else render

@@ -22,14 +22,11 @@ from typing import Any, NamedTuple, TypeVar
 from msal_cli.errors import UsageError
 from msal_cli.job.constraints import COMPARISONS, UNIT_PATTERN, in_file_units
 from msal_cli.job.plain_data import value_at
-from msal_cli.job.records import GateResult
+from msal_cli.job.records import ComparisonRecord, GateResult, MeshRecord
 from msal_cli.report.data import leaf_fields
 
-if typing.TYPE_CHECKING:
-    from msal_cli.job.records import ComparisonRecord, MeshRecord
-
 Value = float | bool | None
-Record = TypeVar("Record", "MeshRecord", "ComparisonRecord")
+Record = TypeVar("Record", MeshRecord, ComparisonRecord)
 
 MAX_LENGTH = 300
 """Characters of an expression, which bounds how deep its meaning can be nested."""
