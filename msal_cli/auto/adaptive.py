@@ -76,11 +76,7 @@ STRONG = 0.25
 surface."""
 
 
-def choose_adaptive(
-    mesh: Mesh,
-    on_step: OnStep | None = None,
-    assume: str | None = None,
-) -> Choice:
+def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, assume: str | None = None) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
     The choice depends on the mesh alone, and on what to ``assume``, see ``Wishes``.
@@ -100,8 +96,7 @@ def _choose(mesh: Mesh, estimate: NoiseLevel, on_step: OnStep, assume: str | Non
         why = describe_rest(estimate, noise)
         return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
     noise = noise.assume(NOISE, edge)
-    case = _build_case(mesh, noise)
-    return _choose_by_risk(case, noise, on_step, is_unsure)
+    return _choose_by_risk(_build_case(mesh, noise), noise, on_step, is_unsure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +161,6 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
     candidates = _candidates(case, noise, is_unsure, is_drawn)
     total = len(candidates) * (2 if is_drawn else 1) + 1
     shares, weights = np.ones(len(candidates)), np.ones((1, len(candidates)))
-    judge: SteinRisk | None = None
     if is_drawn:
         judge = runs.by_stein(candidates, runs.result(candidates[0]).vertices, PROBES)
         risk = judge.risk()
@@ -174,27 +168,26 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
         errors = np.sqrt(np.maximum(risk.positions.singles(), 0.0)) * model.height(part.judged)
         if case.levels:
             places, tilts, weights = _rate_by_level(case, part, judge, model)
+        # 0 is the error of the input.
+        scores = places + tilts
+        if is_unsure:
+            measures = (risk.positions, risk.slopes)
+            shares = np.min(
+                [
+                    [hedge(*pair) for pair in zip(some.gain, np.diag(some.gram), strict=True)]
+                    for some in measures
+                ],
+                axis=0,
+            )
+            moved = shares**2 * np.diag(risk.positions.gram)
+            if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
+            scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
     else:
         pilots = [ROBUST_LEARNED, LINEAR[0]] if is_rough else [ROBUST_LEARNED]
         true = runs.positions(pilots, np.full(len(pilots), 1.0 / len(pilots)))
         places, tilts, errors = runs.compare(candidates, part.mesh.with_vertices(true))
-    # 0 is the error of the input.
-    scores = places + tilts
-    if judge is None:
         # What is farther from the truth than the input, in either measure, would be harm.
-        scores = np.where(np.maximum(places, tilts) > 0.0, np.inf, scores)
-    if judge is not None and is_unsure:
-        measures = (risk.positions, risk.slopes)
-        shares = np.min(
-            [
-                [hedge(*pair) for pair in zip(some.gain, np.diag(some.gram), strict=True)]
-                for some in measures
-            ],
-            axis=0,
-        )
-        moved = shares**2 * np.diag(risk.positions.gram)
-        if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
-        scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
+        scores = np.where(np.maximum(places, tilts) > 0.0, np.inf, places + tilts)
     scores[0] -= MARGIN
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
@@ -202,15 +195,24 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
     errors = errors / mesh.mean_edge_length
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
     best = order[0]
-    choice = _build_choice(
-        case, noise, what, candidates[best], weights[:, best], float(shares[best])
+    made = build_recipe(
+        [candidates[best]],
+        weights[:, [best]],
+        round(case.edges, 4),
+        case.levels,
+        case.relax,
+        float(shares[best]),
     )
-    return dataclasses.replace(
-        choice,
-        surface=surface,
-        risk=float(errors[order[0]]),
+    return Choice(
+        made.method,
+        made.parameters,
+        f"{what}; {made.label}",
+        surface,
+        noise,
+        risk=float(errors[best]),
         tried=len(candidates),
         runners_up=next_best,
+        among=FAMILY,
     )
 
 
@@ -277,18 +279,3 @@ def _candidates(case: _Case, noise: NoiseLevel, is_unsure: bool, is_drawn: bool)
 
 def _keep_input(noise: NoiseLevel, why: str) -> Choice:
     return Choice(NONE, {}, f"{why}; left as it is", None, noise, among=FAMILY)
-
-
-def _build_choice(
-    case: _Case,
-    noise: NoiseLevel,
-    what: str,
-    candidate: Candidate,
-    weights: Floats,
-    share: float,
-) -> Choice:
-    levels = case.levels if len(weights) > 1 else ()
-    noise_edges = round(case.edges, 4)
-    made = build_recipe([candidate], weights[:, None], noise_edges, levels, case.relax, share)
-    reason = f"{what}; {made.label}"
-    return Choice(made.method, made.parameters, reason, None, noise, among=FAMILY)

@@ -66,11 +66,6 @@ class NoiseModel:
         """Whether Stein's lemma holds for it."""
         return not self.step
 
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is white, along the normals, and the same everywhere."""
-        return not self.rings and self.direction == NORMALS and self.shares is None
-
     def along_normals(self) -> NoiseModel:
         """The same noise; if it is in all directions, only the part along the normals counts."""
         return dataclasses.replace(self, direction=NORMALS) if self.axis is None else self
