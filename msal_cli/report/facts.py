@@ -134,7 +134,7 @@ def _changes(record: MeshRecord) -> Iterator[str]:
         (record.locked_vertices, "locked"),
     ):
         if count is not None:
-            yield f"{format_count(count, 'vertex', 'vertices')} {word}"
+            yield f"{format_count(count, 'vertex')} {word}"
 
 
 def _time_text(record: MeshRecord) -> str:
@@ -344,17 +344,18 @@ def speed_text(run: Run, sums: Totals) -> str:
     """``71,894 vertices in 10.0 s``; empty where nothing was done."""
     if not sums.vertices or run.seconds <= 0.0:
         return ""
-    return f"{format_count(sums.vertices, 'vertex', 'vertices')} in {seconds_text(run.seconds)}"
+    return f"{format_count(sums.vertices, 'vertex')} in {seconds_text(run.seconds)}"
 
 
 # Phrases
 
 
 def format_count(number: int | None, singular: str, plural: str = "") -> str:
-    """``1 file``, ``1,200 files``; empty for None."""
+    """``1 file``, ``1,200 vertices``; empty for None."""
     if number is None:
         return ""
-    return f"{number:,} {singular if number == 1 else plural or singular + 's'}"
+    usual = f"{singular[:-2]}ices" if singular.endswith("vertex") else f"{singular}s"
+    return f"{number:,} {singular if number == 1 else plural or usual}"
 
 
 def percent_text(percent: float | None) -> str:
@@ -448,27 +449,26 @@ def vertices_text(vertices: int | None, corners: int | None) -> str:
     if vertices is None:
         return format_count(corners, "corner")
     beside = f" (of {corners:,} corners)" if corners is not None else ""
-    return format_count(vertices, "vertex", "vertices") + beside
+    return format_count(vertices, "vertex") + beside
 
 
 def defects_text(record: MeshRecord | InfoRecord) -> str:
     """What is wrong with a mesh, as counts; empty if nothing is."""
+    winding = "between faces of opposite winding"
     counts = (
-        format_count(record.boundary_edges or None, "boundary edge"),
-        format_count(record.non_manifold_edges or None, "non-manifold edge"),
-        format_count(record.inconsistent_edges or None, "edge between faces of opposite winding",
-                "edges between faces of opposite winding"),
-        format_count(record.degenerate_faces or None, "degenerate face"),
-        format_count(record.duplicate_faces or None, "duplicate face"),
-        format_count(record.unreferenced_vertices or None, "unreferenced vertex",
-                "unreferenced vertices"),
-        "inside out" if record.inside_out else "",
-    )  # fmt: skip
-    return ", ".join(filter(None, counts))
+        (record.boundary_edges, "boundary edge", ""),
+        (record.non_manifold_edges, "non-manifold edge", ""),
+        (record.inconsistent_edges, f"edge {winding}", f"edges {winding}"),
+        (record.degenerate_faces, "degenerate face", ""),
+        (record.duplicate_faces, "duplicate face", ""),
+        (record.unreferenced_vertices, "unreferenced vertex", ""),
+    )
+    texts = [format_count(count, *words) for count, *words in counts if count]
+    return ", ".join(texts + ["inside out"] * bool(record.inside_out))
 
 
 def despiked_text(despiked: int) -> str:
-    return format_count(despiked, "outlier vertex", "outlier vertices") + " brought back"
+    return format_count(despiked, "outlier vertex") + " brought back"
 
 
 def self_intersections_text(pairs: SelfIntersections) -> str:
@@ -560,10 +560,10 @@ def tile_set_text(records: Sequence[MeshRecord]) -> str:
     texts.append(f"largest gap between shared vertices {gap}")
     if n_welded := sum(part.welded_vertices for part in parts):
         widest = max(part.largest_weld for part in parts)
-        welded = format_count(n_welded, "border vertex", "border vertices")
+        welded = format_count(n_welded, "border vertex")
         texts.append(f"{welded} welded, which closed gaps of up to {widest:.3g}")
     if n_fixed := sum(part.fixed_border_vertices for part in parts):
-        texts.append(f"{format_count(n_fixed, 'border vertex', 'border vertices')} held fixed")
+        texts.append(f"{format_count(n_fixed, 'border vertex')} held fixed")
     return "; ".join(texts)
 
 
@@ -572,4 +572,4 @@ def touches_text(part: TileSetPart) -> str:
     if not part.neighbours:
         return "touches no other file"
     names = ", ".join(part.neighbours)
-    return f"touches {names}: {format_count(part.shared_vertices, 'vertex', 'vertices')}"
+    return f"touches {names}: {format_count(part.shared_vertices, 'vertex')}"

@@ -108,12 +108,12 @@ class InfoTable:
             "-" if noise is None else "none" if noise.negligible else f"{noise.mean_edges:.2g}",
             "-" if record.closed is None else "closed" if record.closed else "open",
         ]
+        pairs = ("pair of faces that intersect", "pairs of faces that intersect")
         counts = (
             defects_text(record),
-            format_count(record.self_intersections or None, "pair of faces that intersect",
-                    "pairs of faces that intersect"),
+            format_count(record.self_intersections or None, *pairs),
             format_count(len(record.warnings) or None, "warning"),
-        )  # fmt: skip
+        )
         problems = ", ".join(filter(None, counts))
         return Line(self._join(file_name(record.input), cells, problems))
 

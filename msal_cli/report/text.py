@@ -96,8 +96,7 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
     parts = [
         f"{format_count(len(todo), 'file')} to denoise",
         figure(sum(planned.bytes or 0 for planned in todo) / 1e6, ",.1f", " MB"),
-        "about "
-        + format_count(sum(planned.vertices or 0 for planned in todo), "vertex", "vertices"),
+        "about " + format_count(sum(planned.vertices or 0 for planned in todo), "vertex"),
     ]
     seconds = known_values(todo, "seconds")
     if seconds:
@@ -114,7 +113,7 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
 def _planned_text(planned: Planned) -> str:
     parts = [
         "" if planned.bytes is None else f"{planned.bytes / 1e3:,.1f} kB",
-        format_count(planned.vertices, "vertex", "vertices"),
+        format_count(planned.vertices, "vertex"),
         "" if planned.seconds is None else f"about {seconds_text(planned.seconds)}",
     ]
     if planned.scratch_bytes is not None and planned.memory_bytes is not None:
