@@ -41,43 +41,30 @@ class Candidate:
     @property
     def label(self) -> str:
         """In words: ``guided normals (sigma_r 0.45, 5 iterations)``."""
-        kind = _KINDS.get((self.method, self.given.get("schedule")), self.method)
-        words = re.sub(r"\b1 (\w+)s\b", r"1 \1", _WORDS.get(kind, "").format(**self.given))
+        name, words = _LABELS[self.method, self.given.get("schedule")]
+        words = re.sub(r"\b1 (\w+)s\b", r"1 \1", words.format(**self.given))
         if self.times != 1.0:
             words = f"noise times {self.times:g}"
-        return NAMES[kind] + (f" ({words})" if words else "")
+        return f"{name} ({words})" if words else name
 
 
-NAMES = {
-    "al": "AL",
-    "msal": "MSAL",
-    "bilateral_non_iterative": "non-iterative bilateral",
-    "bilateral_normal": "bilateral normals",
-    "hc": "HC",
-    "learned": "learned",
-    "robust_msal": "robust MSAL",
-    "taubin": "Taubin",
-    "wiener": "Wiener",
-    "windowed_sinc": "windowed sinc",
-    "wiener_al": "AL with Wiener fidelity",
-}
-"""What people call the methods, and those of their schedules in ``_KINDS``."""
-
-_KINDS: dict[tuple[str, Any], str] = {
-    ("al", "wiener"): "wiener_al",
-    ("msal", "robust"): "robust_msal",
-}
-
-# With plurals; one of them is made singular.
-_WORDS = {
-    "bilateral_normal": "sigma_s {similarity:g}, {iterations} iterations",
-    "wiener": "caution {caution:g}, sigma_s {similarity:g}",
-    "msal": "K = {K:g}, {mollify} mollifications",
-    "al": "{iterations} sweeps, {mollify} mollifications",
-    "windowed_sinc": "pass band {pass_band:g}, {iterations} steps",
-    "hc": "{iterations} iterations",
-    "robust_msal": "K = {K:g}, {iterations} sweeps",
-    "wiener_al": "{iterations} sweeps",
+# By method and schedule: what people call it, and its settings in words, with plurals; one of them
+# is made singular.
+_LABELS: dict[tuple[str, Any], tuple[str, str]] = {
+    ("al", None): ("AL", "{iterations} sweeps, {mollify} mollifications"),
+    ("al", "wiener"): ("AL with Wiener fidelity", "{iterations} sweeps"),
+    ("bilateral_non_iterative", None): ("non-iterative bilateral", ""),
+    ("bilateral_normal", None): (
+        "bilateral normals",
+        "sigma_s {similarity:g}, {iterations} iterations",
+    ),
+    ("hc", None): ("HC", "{iterations} iterations"),
+    ("learned", None): ("learned", ""),
+    ("msal", None): ("MSAL", "K = {K:g}, {mollify} mollifications"),
+    ("msal", "robust"): ("robust MSAL", "K = {K:g}, {iterations} sweeps"),
+    ("taubin", None): ("Taubin", ""),
+    ("wiener", None): ("Wiener", "caution {caution:g}, sigma_s {similarity:g}"),
+    ("windowed_sinc", None): ("windowed sinc", "pass band {pass_band:g}, {iterations} steps"),
 }
 
 
