@@ -9,12 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msal_cli.api.mesh_objects import (
-    as_array,
-    explained_errors,
-    read_mesh,
-    vertex_numbers,
-)
+from msal_cli.api.mesh_objects import as_array, explained_errors, read_mesh, vertex_numbers
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
 from msal_cli.job.records import NoiseEstimate

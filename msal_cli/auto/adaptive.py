@@ -27,13 +27,7 @@ import numpy as np
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
 from msal_cli.arrays import Floats
-from msal_cli.auto.blend_weights import (
-    FLOOR,
-    MIN_JUDGED,
-    hedge,
-    level_masks,
-    spread_levels,
-)
+from msal_cli.auto.blend_weights import FLOOR, MIN_JUDGED, hedge, level_masks, spread_levels
 from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.choices import build_recipe, describe_noise, describe_rest
 from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws

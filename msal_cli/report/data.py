@@ -24,14 +24,7 @@ from typing import Any
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import portable, restore_name
-from msal_cli.job.plain_data import (
-    about,
-    as_data,
-    from_data,
-    known,
-    required,
-    value_at,
-)
+from msal_cli.job.plain_data import about, as_data, from_data, known, required, value_at
 from msal_cli.job.records import DONE, SCHEMA, MeshRecord
 
 Refusal = Callable[..., FormatError]
