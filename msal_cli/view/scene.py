@@ -90,17 +90,16 @@ def encode_scene(
         and len(before.vertices) == len(after.vertices)
         and (before.faces is after.faces or np.array_equal(before.faces, after.faces))
     )
-    first = coarsen(before.vertices, before.faces, max_faces)
-    low, step = _grid(before, after, Mesh(before.vertices[first.kept], first.faces))
-    drawn = [(before, first)]
-    if after is not None and not shares:
-        drawn.append((after, coarsen(after.vertices, after.faces, max_faces)))
+    meshes = [before] if after is None or shares else [before, after]
+    drawn = [coarsen(mesh.vertices, mesh.faces, max_faces) for mesh in meshes]
+    stays, coarse = drawn[0]
+    low, step = _grid(before, after, Mesh(before.vertices[stays], coarse))
     entries: list[dict[str, int | bool]] = []
     planes: list[bytes] = []
     selections = []
-    for mesh, coarse in drawn:
-        order, faces = _order(mesh.vertices[coarse.kept], coarse.faces)
-        kept = coarse.kept[order]
+    for mesh, (stays, coarse) in zip(meshes, drawn, strict=True):
+        order, faces = _order(mesh.vertices[stays], coarse)
+        kept = stays[order]
         ticks = _ticks(mesh.vertices[kept], low, step)
         planes += _index_planes(faces) + _planes(_zigzag(_residuals(ticks, faces)), 3)
         entries.append({"vertices": len(kept), "faces": len(faces)})
@@ -261,22 +260,9 @@ _PASSES = 3
 _TAKEN = -2
 
 
-@dataclass(frozen=True, eq=False)
-class Coarse:
-    """Faces between a selection of the vertices.
-
-    Attributes
-    ----------
-    kept : (k,) the vertices of the full mesh that stay, in rising order.
-    faces : (m, 3) int32, of places in ``kept``.
-    """
-
-    kept: Longs
-    faces: Ints
-
-
-def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> Coarse:
-    """The mesh with as many faces as it may have, at most ``max_faces`` where that can be reached.
+def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Longs, Ints]:
+    """The vertices (k,) that stay, in rising order, and faces (j, 3) int32 of places among them:
+    as many faces as there may be, at most ``max_faces`` where that can be reached.
 
     ``vertices`` (n, 3) finite, ``faces`` (m, 3).  Faces that contractions put on one another are
     left out but for the first.  What has few enough faces keeps all of them.
@@ -297,7 +283,7 @@ def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> Coarse:
         _, first = np.unique(np.sort(left, axis=1), axis=0, return_index=True)
         left = left[np.sort(first)]
     kept, flat = np.unique(left, return_inverse=True)
-    return Coarse(kept, flat.reshape(-1, 3).astype(np.int32))
+    return kept, flat.reshape(-1, 3).astype(np.int32)
 
 
 def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> Longs:
