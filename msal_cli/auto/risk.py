@@ -471,13 +471,12 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     runs = [run_of(given) for given in filters]
     is_gaussian = model.is_gaussian and not noise.is_impulsive
     trials = CandidateRuns(part, model, lambda: None)
-    first: Floats = trials.positions([LEARNED if is_gaussian else ROBUST_LEARNED], np.ones(1))
+    first = trials.result(LEARNED if is_gaussian else ROBUST_LEARNED)
     judge: SteinRisk | SimulatedRisk
     if is_gaussian:
-        normals = part.mesh.with_vertices(first).vertex_normals("uniform")
-        judge = SteinRisk(part, normals, runs, model, lambda: None)
+        judge = SteinRisk(part, first.vertex_normals("uniform"), runs, model, lambda: None)
     else:
-        judge = SimulatedRisk(part, first, runs, model, MIRRORED, lambda: None)
+        judge = SimulatedRisk(part, first.vertices, runs, model, MIRRORED, lambda: None)
     # Stein's estimate scatters about small errors, and may be below zero.
     shares = np.sqrt(np.maximum(judge.risk().positions.singles(), 0.0))
     unit = model.variance(part.judged) ** 0.5 / mesh.mean_edge_length

@@ -227,7 +227,7 @@ class _Search:
                 is_white = self.noise.character.kind != "unknown"
                 usable = [LEARNED if is_white else ROBUST_LEARNED]
         self._total = _RUNS * len(usable) + 1
-        first = study.positions([pilot], np.ones(1))
+        first = study.result(pilot).vertices
         judges: list[Judge] = []
         if len(usable) > 1:
             if self._is_gaussian and self._doubt > 0.0:
