@@ -35,7 +35,11 @@ def parse(data: Buffer) -> Layout:
     """Read an OFF file; UnsupportedError for a binary one, or another number of dimensions."""
     header = _HEADER.match(data)
     if not header:
-        raise FormatError("the file does not begin with OFF", where="line 1", hint=_CONVERT)
+        raise FormatError(
+            "the file does not begin with OFF",
+            where="line 1",
+            hint="is it another format under a .off name?",
+        )
     kinds, dimension, binary = header.groups()
     has_texture, has_colours, has_normals = (kind in kinds for kind in (b"ST", b"C", b"N"))
     if dimension:

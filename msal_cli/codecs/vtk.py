@@ -247,7 +247,9 @@ class _Reader:
     def _code(self, kind: str) -> str:
         code = _CODES.get(kind.lower())
         if code is None:
-            raise UnsupportedError(f"numbers of the type {kind[:40]!r}", where=self.where())
+            raise UnsupportedError(
+                f"numbers of the type {kind[:40]!r} are not read", where=self.where()
+            )
         return code
 
     def _next_words(self, count: int) -> slice:

@@ -13,13 +13,20 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 from xml.parsers import expat
 
-from msal_cli.errors import TooLargeError, UnsupportedError, damaged
+from msal_cli.errors import CUT_SHORT, TooLargeError, TruncatedError, UnsupportedError, damaged
 from msal_cli.storage.regular import Buffer
 
 MAX_ELEMENTS = 1_000_000
 """A file of more elements would take more memory as a tree than meshes take."""
 
 _MAX_DEPTH = 100
+# Expat reports these at the end of the data only.
+_CUT = (
+    expat.errors.XML_ERROR_NO_ELEMENTS,
+    expat.errors.XML_ERROR_UNCLOSED_TOKEN,
+    expat.errors.XML_ERROR_UNCLOSED_CDATA_SECTION,
+    expat.errors.XML_ERROR_PARTIAL_CHAR,
+)
 _TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
@@ -96,6 +103,8 @@ def parse_tree(
     ------
     FormatError
         if it is not well-formed XML.
+    TruncatedError
+        if the XML ends within an element or a tag.
     UnsupportedError
         for a document type, which may declare entities, or letters of more than one byte as in
         UTF-16.
@@ -169,9 +178,12 @@ def parse_tree(
             done = behind
         parser.Parse(view[done:], stop is None)
     except expat.ExpatError as failure:
-        message = f"it is not well-formed XML: {expat.errors.messages[failure.code]}"
         line = 1 + bytes(view[: place(parser.ErrorByteIndex)]).count(b"\n")
-        raise damaged(message, f"{of_name}line {line}") from None
+        where = f"{of_name}line {line}"
+        reason = expat.errors.messages[failure.code]
+        if reason in _CUT:
+            raise TruncatedError("the XML ends early", where=where, hint=CUT_SHORT) from None
+        raise damaged(f"it is not well-formed XML: {reason}", where) from None
     except (LookupError, ValueError) as failure:
         raise UnsupportedError(
             f"the XML is written in another way than UTF-8: {str(failure).rstrip('.')}",

@@ -98,6 +98,7 @@ DAMAGED = {
     "counts.off": (b"OFF\n999999999999 1 0\n0 0 0\n", "E_TRUNCATED"),
     "words.off": (b"OFF\nthree one none\n", "E_FORMAT"),
     "no_faces.off": (b"OFF\n1 0 0\n0 0 0\n", "E_NO_FACES"),
+    "page.off": (b"<html></html>", "E_FORMAT", "line 1"),
     "binary.off": (b"OFF BINARY\n" + bytes(60), "E_UNSUPPORTED"),
     "four.off": (b"4OFF\n1 0 0\n0 0 0 1\n", "E_UNSUPPORTED"),
     "nan.off": (off().replace(b"1 0 0\n", b"nan 0 0\n"), "E_NONFINITE"),

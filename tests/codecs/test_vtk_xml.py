@@ -206,6 +206,8 @@ ZLIB = vtu(Writer("base64", "zlib"))
 DAMAGED = {
     "xml.vtu": (b"<?xml version='1.0'?><VTKFile type='UnstructuredGrid'></VTKFile>", "E_FORMAT"),
     "cut.vtu": (vtu(Writer("raw"))[:-2000], "E_TRUNCATED"),
+    "cut in an array.vtu": (ZLIB[: len(ZLIB) // 2], "E_TRUNCATED"),
+    "cut in a tag.vtu": (ZLIB[:-3], "E_TRUNCATED"),
     "twice.vtu": (
         vtu(Writer("raw")).replace(b"NumberOfPoints=", b'NumberOfPoints="9" x='), "E_FORMAT",
     ),
