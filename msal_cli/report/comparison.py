@@ -21,6 +21,7 @@ from msal_cli.report.facts import (
     fact_lines,
     failure_lines,
     file_name,
+    format_count,
     gate_text,
     list_broken,
     self_intersections_text,
@@ -64,10 +65,11 @@ def describe_comparison(record: ComparisonRecord) -> list[Line]:
     before = vertices_text(record.vertices_before, record.corners_before)
     after = vertices_text(record.vertices_after, record.corners_after)
     lines = [
-        Line(
-            f"before  {file_name(record.before)}: {before}, {record.faces_before or 0:,} triangles"
-        ),
-        Line(f"after   {file_name(record.after)}: {after}, {record.faces_after or 0:,} triangles"),
+        Line(f"{side:8}{file_name(path)}: {vertices}, {format_count(n_faces or 0, 'triangle')}")
+        for side, path, vertices, n_faces in (
+            ("before", record.before, before, record.faces_before),
+            ("after", record.after, after, record.faces_after),
+        )
     ]
     return [*lines, *fact_lines(_facts(record), 18)]
 
@@ -82,8 +84,9 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
         ]
         heads = ("after", *(column[0] for column in _COLUMNS))
         yield from table_lines(heads, [file_name(record.after) for record in compared], rows, width)
-    for warning in dict.fromkeys(text for record in compared for text in record.warnings):
-        yield Line(f"warning: {warning}", "bad")
+    for record in compared:
+        for text in record.warnings:
+            yield Line(f"warning: {_pair_name(record)}: {text}", "bad")
     for record in records:
         yield from failure_lines(_pair_name(record), record.error)
     n_failed = len(records) - len(compared)

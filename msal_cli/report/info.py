@@ -17,7 +17,7 @@ from msal_cli.report.facts import (
     noise_texts,
 )
 
-_SHAPES = {"3": "triangles", "4": "quads"}
+_SHAPES = {"3": "triangle", "4": "quad"}
 
 # Heads and their widths, left to right; a file is printed before the next is read.
 _COLUMNS = (("format", 7), ("vertices", 10), ("faces", 10), ("noise", 6), ("surface", 7))
@@ -41,25 +41,29 @@ def _facts(record: InfoRecord) -> Iterator[Fact]:
     beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
     yield Fact("vertices", _count(record.vertices) + beside)
     sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
-    parts = [f"{count:,} {_SHAPES.get(size, f'with {size} corners')}" for size, count in sizes]
+    parts = [
+        format_count(count, _SHAPES[size]) if size in _SHAPES else f"{count:,} with {size} corners"
+        for size, count in sizes
+    ]
     yield Fact("faces", _count(record.faces) + (f" ({', '.join(parts)})" if parts else ""))
     yield Fact("components", _count(record.components))
     surface = "closed"
     if not record.closed:
-        surface = f"open, {_count(record.boundary_edges)} boundary edges"
+        surface = f"open, {format_count(record.boundary_edges, 'boundary edge')}"
     if record.non_manifold_edges:
-        surface += f", {_count(record.non_manifold_edges)} non-manifold edges"
+        surface += f", {format_count(record.non_manifold_edges, 'non-manifold edge')}"
     yield Fact("surface", surface)
     yield Fact("winding", (record.winding or "-") + (", inside out" if record.inside_out else ""))
     for word, count, unit in (
-        ("degenerate", record.degenerate_faces, "faces"),
-        ("duplicate", record.duplicate_faces, "faces"),
-        ("unreferenced", record.unreferenced_vertices, "vertices"),
-        ("welded", record.welded_vertices, "vertices"),
+        ("degenerate", record.degenerate_faces, ("face",)),
+        ("duplicate", record.duplicate_faces, ("face",)),
+        ("unreferenced", record.unreferenced_vertices, ("vertex", "vertices")),
+        ("welded", record.welded_vertices, ("vertex", "vertices")),
     ):
-        yield Fact(word, _count(count) + ("" if count is None else f" {unit}"))
+        yield Fact(word, format_count(count, *unit) or "-")
     if record.self_intersections is not None:
-        yield Fact("intersecting", f"{record.self_intersections:,} pairs of faces")
+        pairs = format_count(record.self_intersections, "pair of faces", "pairs of faces")
+        yield Fact("intersecting", pairs)
     if record.bounds is not None:
         low, high = record.bounds
         yield Fact("from", ", ".join(f"{x:.9g}" for x in low))

@@ -52,6 +52,15 @@ def test_more_files_are_a_table_with_a_row_for_each(scans):
     assert "b.ply: broken" in made.stderr and "a.ply: broken" not in made.stderr
 
 
+def test_a_warning_in_the_table_names_its_pair(scans):
+    vertices, faces = torus(32, 18)
+    folder_of(scans, turned=ply_text(vertices, faces[:, ::-1]))
+    made = msal("compare", scans / "a.ply", scans / "b.ply", scans / "turned.ply")
+    (warning,) = [line for line in made.stdout.splitlines() if line.startswith("warning: ")]
+    pair = f"{scans / 'a.ply'} and {scans / 'turned.ply'}"
+    assert warning.startswith(f"warning: {pair}: after: the surface is inside out")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

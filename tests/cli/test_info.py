@@ -42,6 +42,15 @@ def test_a_closed_file(scans):
     assert float(facts["volume"]) == pytest.approx(59, rel=0.1)
 
 
+def test_one_is_singular(tmp_path):
+    path = tmp_path / "line.off"
+    path.write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n2 0 0\n5 5 5\n3 0 1 2\n")
+    text = msal("info", path).stdout
+    for words in ("1 (1 triangle)", "1 face\n", "1 vertex\n"):
+        assert words in text
+    assert "1 triangle\n" in msal("compare", path, path).stdout
+
+
 def test_a_folder_is_a_table(scans):
     made = msal("info", scans)
     assert made.exit_code == 3
@@ -158,6 +167,7 @@ def test_what_msal_chooses_is_shown_and_the_nearest_is_named(sweep_scans):
         (("--columns", "K=0.5", "--set", "mollify=1", "--set", "mollify=2"), "twice"),
         (("--columns", "iterations=" + ",".join(map(str, range(1, 102)))), "100 cells"),
         (("--method", "nothing"), "no method"),
+        (("--rows", "K"), "--rows K: not of the form"),
         (("-o", "g.ply"), "NAME.png"),
     ],
 )
