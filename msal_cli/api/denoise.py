@@ -248,10 +248,11 @@ def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> S
     for name in more:
         if name not in known.values():
             close = difflib.get_close_matches(name.casefold(), known, n=1)
+            likely = 'method="auto"' if name == "auto" else known[close[0]] if close else ""
             raise UsageError(
                 f"{function.__name__} has no argument {name!r}",
-                hint=f"did you mean {known[close[0]]}?"
-                if close
+                hint=f"did you mean {likely}?"
+                if likely
                 else f"see help(msal_cli.{function.__name__}), and msal_cli.list_methods() for "
                 "the parameters of methods",
             )

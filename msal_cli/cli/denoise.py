@@ -168,7 +168,7 @@ class _Session:
         self._check_reports(paths)
         self._references = _find_references(request, [task.relative for task in plan.tasks])
         finished: dict[int, MeshRecord] = {}
-        _log.info("%s files, method %s %s", len(plan.tasks), settings.method, settings.parameters)
+        _log.info("files: %s, method %s %s", len(plan.tasks), settings.method, settings.parameters)
         if plan.shard is not None and not request.quiet:
             console.say(f"shard {plan.shard}: {len(plan.tasks):,} of {len(tasks):,} files")
         bar = progress.bar(plan.tasks, quiet=request.quiet or request.dry_run, is_set=plan.is_set)

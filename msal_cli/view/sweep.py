@@ -121,9 +121,7 @@ def grid(
             )
     given = [(columns, "--columns"), (rows, "--rows")]
     texts = [(text, option) for text, option in given if text is not None]
-    axes = [
-        _parse_axis(method, text, option if texts[1:] else "the values") for text, option in texts
-    ]
+    axes = [_parse_axis(method, text, option) for text, option in texts]
     names = [*(name for name, _ in axes), *(method.spec(name).name for name in fixed)]
     for name in names:
         if names.count(name) > 1:

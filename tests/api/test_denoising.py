@@ -217,6 +217,7 @@ HINTS = {
     "other vertices": ((VERTICES[:9], FACES), {}, "0 to 8"),
     "max_mov": ((VERTICES, FACES), {"max_mov": 1}, "did you mean max_move?"),
     "k": ((VERTICES, FACES), {"k": 0.5}, "did you mean K?"),
+    "auto": ((VERTICES, FACES), {"auto": True}, 'did you mean method="auto"?'),
     "iteration": ((VERTICES, FACES, "al"), {"iteration": 2}, "did you mean iterations?"),
     "msla": ((VERTICES, FACES, "msla"), {}, "did you mean msal"),
 }
