@@ -550,12 +550,10 @@ def auto_text(records: Sequence[MeshRecord]) -> str:
 def tile_set_text(records: Sequence[MeshRecord]) -> str:
     """What came of the files of a tile set that are written; empty if there is none."""
     tiles = [record for record in records if record.tile_set is not None]
-    parts = known_values(tiles, "tile_set")
-    if not parts:
+    if not tiles:
         return ""
-    gaps = [record.tile_gap for record in tiles]
-    known = [gap for gap in gaps if gap is not None]
-    gap = f"{max(known):.3g}" if known and len(known) == len(gaps) else "not known"
+    parts, gaps = known_values(tiles, "tile_set"), known_values(tiles, "tile_gap")
+    gap = f"{max(gaps):.3g}" if len(gaps) == len(tiles) else "not known"
     texts = [f"{format_count(len(parts), 'file')} as one mesh"]
     texts.append(f"largest gap between shared vertices {gap}")
     if n_welded := sum(part.welded_vertices for part in parts):
