@@ -363,9 +363,7 @@ class CandidateRuns:
 
     def moves(self, candidate: Candidate) -> Floats:
         """What a candidate moves the vertices of the part by, (m, 3)."""
-        if candidate.label not in self._known:
-            self._known[candidate.label] = self._runner(candidate)(self.part.mesh)
-        return self._known[candidate.label]
+        return self._runner(candidate)(self.part.mesh)
 
     def positions(self, candidates: Sequence[Candidate], weights: Floats) -> Floats:
         """Vertices (m, 3) of the part as a blend of candidates by weights (k,) leaves them."""
@@ -383,7 +381,7 @@ class CandidateRuns:
         """Candidates rated by Stein's lemma, with normals that the part has at ``first``
         (m, 3)."""
         normals = self.part.mesh.with_vertices(first).vertex_normals("uniform")
-        runs = [self._run_once(candidate) for candidate in candidates]
+        runs = [self._runner(candidate) for candidate in candidates]
         return SteinRisk(self.part, normals, runs, self.noise, self._on_run, probes)
 
     def simulate(
@@ -411,18 +409,18 @@ class CandidateRuns:
         places, tilts = 2.0 * np.log(lengths / lengths[0]), 2.0 * np.log(angles / angles[0])
         return places[1:], tilts[1:], lengths[1:]
 
-    def _run_once(self, candidate: Candidate) -> Run:
-        """The same as ``_runner``, with the known result for the part itself."""
-        run = self._runner(candidate)
-        return lambda mesh: self.moves(candidate) if mesh is self.part.mesh else run(mesh)
-
     def _runner(self, candidate: Candidate) -> Run:
-        """What the candidate moves a mesh like the part by."""
+        """What the candidate moves a mesh like the part by; of the part itself it is kept."""
         method = methods.find(candidate.method)
         values = method.validate(candidate.settings(self._edges))
 
         def run(mesh: Mesh) -> Floats:
+            is_part = mesh is self.part.mesh
+            if is_part and candidate.label in self._known:
+                return self._known[candidate.label]
             moves: Floats = method.denoise(mesh, values).vertices - mesh.vertices
+            if is_part:
+                self._known[candidate.label] = moves
             return moves
 
         return run

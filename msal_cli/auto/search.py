@@ -230,7 +230,9 @@ class _Search:
         first = study.result(pilot).vertices
         judges: list[Judge] = []
         if len(usable) > 1:
-            if self._is_gaussian and self._doubt > 0.0:
+            # Stein's lemma is for Gaussian noise.
+            is_gaussian = self.model.is_gaussian and not self.noise.is_impulsive
+            if is_gaussian and self._doubt > 0.0:
                 judges.append((study.by_stein(usable, first, PROBES), self._doubt))
             again = study.simulate(usable, first)
             weights = self._best(_risks([*judges, (again, 1.0)]))
@@ -312,11 +314,6 @@ class _Search:
         """Runs on a sample of the mesh."""
         part = select_patch(self.mesh, PART)
         return CandidateRuns(part, self.model.on_part(part.numbers), self._step)
-
-    @property
-    def _is_gaussian(self) -> bool:
-        """Whether Stein's lemma holds for the noise."""
-        return self.model.is_gaussian and not self.noise.is_impulsive
 
     @property
     def _is_drawn(self) -> bool:
