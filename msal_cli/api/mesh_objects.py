@@ -89,12 +89,7 @@ class MemoryMesh:
                 hint=f"it has: {known}" if known else "it has none; give an array (n,)",
             )
         given = as_array(self.properties[name], f"the values of {name}")
-        values = np.ascontiguousarray(given, dtype=np.float64).reshape(-1)
-        if len(values) != len(self.vertices):
-            raise ContentError(
-                f"{name}: there are {len(values)} values for {len(self.vertices)} vertices"
-            )
-        return values
+        return np.ascontiguousarray(given, dtype=np.float64).reshape(-1)
 
     def to_given_type(self, vertices: Floats) -> Array:
         """New positions (n, 3) in the number type of those that were given."""
