@@ -48,7 +48,7 @@ def wished_share(wishes: Wishes) -> float:
     return share * (KEEP_TEXTURE if wishes.keep == "texture" else 1.0)
 
 
-def describe_noise(noise: NoiseLevel, is_unsure: bool = False) -> str:
+def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
     """Such as ``noise 0.21 e, shared over two rings``; where it ``is_unsure`` whether there is any,
     ``noise of 0.08 e or texture``."""
     if is_unsure:

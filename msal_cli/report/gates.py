@@ -274,9 +274,10 @@ class _Parser:
                 word = _SIGNS[type(sign)]
                 values = [self._truth(self._read(part), word).value for part in parts]
                 return _Meaning(TRUTH, _decide(values, deciding=word == "or"), at)
-            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _SIGNS:
-                return self._compute(at, _SIGNS[type(sign)], self._read(left), self._read(right))
-            case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in _SIGNS:
+            case (
+                ast.BinOp(left=left, op=sign, right=right)
+                | ast.Compare(left=left, ops=[sign], comparators=[right])
+            ) if type(sign) in _SIGNS:
                 return self._compute(at, _SIGNS[type(sign)], self._read(left), self._read(right))
             case ast.Compare(comparators=[_, third, *_]):
                 why, hint = "it compares a third time", "join two comparisons with and"
