@@ -74,6 +74,7 @@ class TestMemory:
             [("grow", 10 << 20), ("grow", 600 << 20), ("double", 2)],
             limits=Limits(memory_bytes=300_000_000),
             jobs=1,
+            retries=0,
         )
         assert set(results(messages)) == {0, 2}
         one = lost(messages)[1]
@@ -87,17 +88,16 @@ class TestMemory:
             "serve; import msal_cli.batch.workers as w, sys; sys.platform = 'other'; serve()",
         )
         monkeypatch.setattr(workers, "_BOOT", boot)
-        messages = heard(
-            [("hold", 400 << 20), ("double", 2)], limits=Limits(memory_bytes=300_000_000), jobs=1
-        )
+        limits = Limits(memory_bytes=300_000_000)
+        messages = heard([("hold", 400 << 20), ("double", 2)], limits=limits, jobs=1, retries=0)
         assert lost(messages)[0].cause == "memory"
         assert results(messages) == {1: 4}
 
     @posix
     def test_a_library_that_aborts_at_the_limit_ran_out_of_memory(self):
-        options = {"limits": Limits(memory_bytes=300_000_000), "jobs": 1}
-        assert lost(heard([("bad_alloc", 0)], **options))[0].cause == "memory"
-        assert lost(heard([("abort", 0)], **options))[0].cause == "crash"
+        limits = Limits(memory_bytes=300_000_000)
+        messages = heard([("bad_alloc", 0), ("abort", 0)], limits=limits, jobs=1, retries=0)
+        assert [one.cause for one in lost(messages).values()] == ["memory", "crash"]
 
     def test_one_that_fits_with_no_other_has_all_cores(self):
         tasks = [("threads", 0)] * 3

@@ -17,7 +17,7 @@ from msal_cli.errors import UsageError
 NAMES = st.text(st.characters(exclude_categories=["Cs"])) | st.binary().map(os.fsdecode)
 
 
-@given(st.sets(NAMES, max_size=50), st.integers(1, 40))
+@given(st.sets(NAMES, max_size=12), st.integers(1, 40))
 def test_shards_partition_any_set_of_names(names, count):
     shards = [Shard(number, count) for number in range(1, count + 1)]
     for name in names:

@@ -102,7 +102,7 @@ def test_what_arrives_later_is_done_once_and_what_changes_again(inbox):
 def test_a_signal_leaves_whole_files_and_no_lock_and_the_next_watch_does_the_rest(
     inbox, number, status
 ):
-    folder_of(inbox, **{f"s{n}": closed_scan(n) for n in range(10)})
+    folder_of(inbox, **{f"s{n}": closed_scan(n) for n in range(5)})
     out = inbox.parent / "out"
     command = [*MSAL, "watch", inbox, "-o", out, *QUICK, "-j", "1"]
     with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
@@ -119,9 +119,9 @@ def test_a_signal_leaves_whole_files_and_no_lock_and_the_next_watch_does_the_res
     with FolderLock(str(out)):
         pass
     assert watch(inbox).exit_code == 0
-    assert len(tree(out)) == 10
+    assert len(tree(out)) == 5
     assert {len(one) for one in tree(out).values()} != {0}
-    assert len({one["name"] for one in done_lines(out)}) == 10
+    assert len({one["name"] for one in done_lines(out)}) == 5
 
 
 def test_an_output_that_is_not_ours_is_a_failure_and_the_watch_goes_on(inbox):
