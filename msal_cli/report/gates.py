@@ -58,27 +58,28 @@ TRUTH, CONSTANT, NUMBER = Unit("truth"), Unit("constant"), Unit("number")
 QUOTIENT, PERCENT, RELATIVE = Unit("quotient"), Unit("percent"), Unit("relative")
 EDGES, LENGTH = Unit("edges"), Unit("length", 1)
 
-SHORT_NAMES: dict[str, tuple[tuple[str, ...], Unit | None]] = {
-    "volume_change": (("volume.change_percent", "volume_change_percent"), RELATIVE),
-    "area_change": (("area.change_percent", "area_change_percent"), RELATIVE),
-    "mean_displacement": (("displacement.mean",), None),
-    "rms_displacement": (("displacement.rms",), None),
-    "p95_displacement": (("displacement.p95",), None),
-    "max_displacement": (("displacement.max",), None),
-    "moved_vertices": (("displacement.moved_vertices",), None),
-    "mean_angular_error_deg": (("reference.mean_angular_error_deg",), None),
-    "max_angular_error_deg": (("reference.max_angular_error_deg",), None),
-    "vertex_error_percent": (("reference.vertex_error_percent",), None),
-    "hausdorff": (("reference.hausdorff",), None),
-    "self_intersections": (("self_intersections.created",), None),
-    "fixed_border_vertices": (("tile_set.fixed_border_vertices",), None),
-    "noise": (("noise_estimate.file_units",), None),
-    "risk": (("choice.risk_edges",), None),
-    "seconds": (("seconds.total",), None),
+SHORT_NAMES = {
+    "volume_change": ("volume.change_percent", "volume_change_percent"),
+    "area_change": ("area.change_percent", "area_change_percent"),
+    "mean_displacement": ("displacement.mean",),
+    "rms_displacement": ("displacement.rms",),
+    "p95_displacement": ("displacement.p95",),
+    "max_displacement": ("displacement.max",),
+    "moved_vertices": ("displacement.moved_vertices",),
+    "mean_angular_error_deg": ("reference.mean_angular_error_deg",),
+    "max_angular_error_deg": ("reference.max_angular_error_deg",),
+    "vertex_error_percent": ("reference.vertex_error_percent",),
+    "hausdorff": ("reference.hausdorff",),
+    "self_intersections": ("self_intersections.created",),
+    "fixed_border_vertices": ("tile_set.fixed_border_vertices",),
+    "noise": ("noise_estimate.file_units",),
+    "risk": ("choice.risk_edges",),
+    "seconds": ("seconds.total",),
 }
-"""The fields behind a short name, of which the first known one counts, and its unit if it differs.
+"""The fields behind a short name, of which the first known one counts.
 
-Of these, a kind of record has the ones that it has fields for."""
+Of these, a kind of record has the ones that it has fields for.  What ends in ``_change`` is
+relative."""
 
 _LENGTHS = {"hausdorff", "seam_gap", "tile_gap", "largest_weld", "mean_edge_length", "file_units"}
 _STATISTICS = {"mean", "rms", "p95", "max"}
@@ -149,10 +150,10 @@ def quantities(kind: Hashable) -> Mapping[str, Quantity]:
         if part in (bool, int, float)
     }
     found = {}
-    for name, (paths, unit) in SHORT_NAMES.items():
-        there = tuple(path for path in paths if path in fields)
-        if there:
-            found[name] = Quantity(name, there, unit or fields[there[0]])
+    for name, paths in SHORT_NAMES.items():
+        if there := tuple(path for path in paths if path in fields):
+            unit = RELATIVE if name.endswith("_change") else fields[there[0]]
+            found[name] = Quantity(name, there, unit)
     return found | {name: Quantity(name, (name,), unit) for name, unit in fields.items()}
 
 
