@@ -127,8 +127,9 @@ def _characters(text: str) -> str:
 
 
 def _duration(record: MeshRecord) -> float:
-    is_done = record.seconds is not None and record.status in DONE
-    return max(0.0, record.seconds.total) if is_done and record.seconds else 0.0
+    if record.seconds is None or record.status not in DONE:
+        return 0.0
+    return max(0.0, record.seconds.total)
 
 
 def _seconds(seconds: float) -> str:
