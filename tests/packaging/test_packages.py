@@ -36,6 +36,7 @@ def write_wheel(folder, version):
             wheel.writestr(name, text)
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb")
 def test_debian_package(tmp_path):
     pytest.importorskip("pip")

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
+import math
 import types
 import typing
 from pathlib import Path
+from random import Random
 
 from hypothesis import strategies as st
 
 from msal_cli.job import records
 from msal_cli.report.data import Run
 
-TEXT = st.text(
-    st.characters(codec="utf-8") | st.characters(min_codepoint=0xD800, max_codepoint=0xDFFF),
-    max_size=12,
-) | st.sampled_from(["=1+1", "\\udcff", "\\u005c", "a\r\nb", "'quoted", 'a"b,c', "\u2028", ""])
-VALUES = st.integers() | st.floats() | TEXT
+TEXTS = ["=1+1", "\ufffe", "\\udcff", "\\u005c", "a\r\nb", "'quoted", 'a"b,c', "\u2028", ""]
+FLOATS = [0.0, -0.0, 1.5, -3.0, 0.1, 1e300, -1.7e308, 5e-324, math.nan, math.inf, -math.inf]
 
 
 HOSTILE_NAMES = (
@@ -49,36 +47,50 @@ No slash can be in a name.
 """
 
 
-@functools.cache
-def of(kind):
-    """A strategy for a type as the records use it."""
+def any_text(random: Random) -> str:
+    """Text of any characters, lone surrogates among them."""
+    ends = random.choices([0x80, 0x3000, 0x110000], k=random.randint(0, 12))
+    text = "".join(chr(random.choice([random.randrange(end), 0xDCFF])) for end in ends)
+    return random.choice([text, text, random.choice(TEXTS)])
+
+
+def any_value(random: Random, kind):
+    """A value of a type as the records use it."""
     simple = {
-        str: TEXT,
-        int: st.integers(0, 2**53),
-        float: st.floats(),
-        bool: st.booleans(),
-        typing.Any: VALUES,
-        type(None): st.none(),
+        str: lambda: any_text(random),
+        int: lambda: random.choice([0, 1, 2**53, random.randrange(2**53)]),
+        float: lambda: random.choice([*FLOATS, random.gauss(0, 10)]),
+        bool: lambda: random.random() < 0.5,
+        typing.Any: lambda: any_value(random, random.choice([str, int, float])),
+        type(None): lambda: None,
     }
     if kind in simple:
-        return simple[kind]
+        return simple[kind]()
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         fields = {
-            one.name: st.just(one.default) if one.name == "schema" else of(hints[one.name])
+            one.name: one.default if one.name == "schema" else any_value(random, hints[one.name])
             for one in dataclasses.fields(kind)
         }
-        return st.builds(kind, **fields)
+        return kind(**fields)
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Literal:
-        return st.sampled_from(inner)
+        return random.choice(inner)
     if origin in (types.UnionType, typing.Union):
-        return st.one_of([of(one) for one in inner])
-    if origin is tuple and inner[-1] is Ellipsis:
-        return st.lists(of(inner[0]), max_size=3).map(tuple)
+        return any_value(random, random.choice(inner))
+    if origin is tuple and inner[-1] is not Ellipsis:
+        return tuple(any_value(random, one) for one in inner)
+    n = random.randint(0, 3)
     if origin is tuple:
-        return st.tuples(*[of(one) for one in inner])
-    return st.dictionaries(of(inner[0]), of(inner[1]), max_size=3)
+        return tuple(any_value(random, inner[0]) for _ in range(n))
+    return {any_value(random, inner[0]): any_value(random, inner[1]) for _ in range(n)}
+
+
+def any_records(random: Random) -> list[records.MeshRecord]:
+    return [any_value(random, records.MeshRecord) for _ in range(random.randint(0, 2))]
+
+
+RECORDS = st.builds(any_records, st.randoms(use_true_random=True))
 
 
 RUN = Run(

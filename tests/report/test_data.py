@@ -11,12 +11,11 @@ import sys
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restore_name
-from msal_cli.job.records import MeshRecord, Volume
+from msal_cli.job.records import Volume
 from msal_cli.report.data import (
     COMMON_COLUMNS,
     plain,
@@ -27,7 +26,7 @@ from msal_cli.report.data import (
     render_lines,
     totals,
 )
-from tests.report.made import DOCS, RUN, failed, load_schema, of, written
+from tests.report.made import DOCS, RECORDS, RUN, failed, load_schema, written
 
 REPORT = Draft202012Validator(load_schema("report"))
 SCHEMAS = ("report", "info", "compare")
@@ -69,7 +68,7 @@ def parse_strict(data):
     return json.loads(data.decode("utf-8"), parse_constant=refuse)
 
 
-@given(st.lists(of(MeshRecord), max_size=3))
+@given(RECORDS)
 def test_any_records_make_json_of_the_schema_and_one_ascii_line_each(records):
     made = parse_strict(render_json(RUN, records))
     REPORT.validate(made)
@@ -125,7 +124,7 @@ def header(records, **options):
     return render_csv(RUN, records, **options).split(b"\r\n")[0].decode().split(",")
 
 
-@given(st.lists(of(MeshRecord), max_size=4))
+@given(RECORDS)
 def test_any_records_can_be_read_back_and_no_text_begins_like_a_formula(records):
     text = render_csv(RUN, records, has_all=True).decode("utf-8")
     names, *table = csv.reader(io.StringIO(text, newline=""), strict=True)

@@ -13,10 +13,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.job.records import MeshRecord
 from msal_cli.report import html as as_html
 from msal_cli.report.html import Gallery, Pictures
-from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
+from tests.report.made import HOSTILE_NAMES, RECORDS, RUN, failed, gated, written
 
 VOID = {"meta", "link", "input", "br", "img"}
 
@@ -88,7 +87,7 @@ def test_names_stay_text(make):
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(of(MeshRecord), max_size=3))
+@given(RECORDS)
 def test_any_records_make_a_page(records):
     _, reader = page(records)
     assert len(json.loads(reader.ids["rows"])) == len(records)

@@ -7,11 +7,10 @@ from xml.etree import ElementTree as Xml
 
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.records import Failure
 from msal_cli.report import junit as as_junit
-from tests.report.made import HOSTILE_NAMES, RUN, failed, of, written
+from tests.report.made import HOSTILE_NAMES, RECORDS, RUN, failed, written
 
 # What fits the schemas of Ant (JUnit.xsd) and of Jenkins (junit-10.xsd) alike: the attributes of
 # each element, all of which are there, and the children in their order.
@@ -65,7 +64,7 @@ def parsed(records):
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(of(MeshRecord), max_size=4))
+@given(RECORDS)
 def test_any_records_keep_to_the_schemas(records):
     root = parsed(records)
     assert len(root.findall(".//testcase")) == len(records)

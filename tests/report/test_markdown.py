@@ -6,12 +6,11 @@ import re
 
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from msal_cli.job.records import Failure, MeshRecord
+from msal_cli.job.records import Failure
 from msal_cli.report import markdown as as_markdown
-from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, of, written
+from tests.report.made import HOSTILE_NAMES, RECORDS, RUN, failed, gated, written
 
 OURS = {"code", "/code", "details", "/details", "summary", "/summary"}
 
@@ -61,7 +60,7 @@ def test_names_stay_text(name):
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.lists(of(MeshRecord), max_size=3))
+@given(RECORDS)
 def test_any_records_make_a_page(records):
     page = text(records)
     done = [one for one in records if one.status not in ("failed", "planned")]
