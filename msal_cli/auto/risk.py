@@ -359,7 +359,7 @@ class CandidateRuns:
         if edges is None:
             edges = noise.height(part.judged) / part.mesh.mean_edge_length
         self._edges = float(round(edges, 4))
-        self._known: dict[str, Floats] = {}
+        self._known: dict[tuple[str, str], Floats] = {}
 
     def moves(self, candidate: Candidate) -> Floats:
         """What a candidate moves the vertices of the part by, (m, 3)."""
@@ -413,14 +413,16 @@ class CandidateRuns:
         """What the candidate moves a mesh like the part by; of the part itself it is kept."""
         method = methods.find(candidate.method)
         values = method.validate(candidate.settings(self._edges))
+        # Candidates with other settings may have the same label.
+        key = candidate.method, repr(values)
 
         def run(mesh: Mesh) -> Floats:
             is_part = mesh is self.part.mesh
-            if is_part and candidate.label in self._known:
-                return self._known[candidate.label]
+            if is_part and key in self._known:
+                return self._known[key]
             moves: Floats = method.denoise(mesh, values).vertices - mesh.vertices
             if is_part:
-                self._known[candidate.label] = moves
+                self._known[key] = moves
             return moves
 
         return run
