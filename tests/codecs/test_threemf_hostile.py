@@ -88,7 +88,7 @@ DAMAGED = {
             ("/k", "http://schemas.microsoft.com/3dmanufacturing/2019/04/keystore"))}),
         "E_UNSUPPORTED",
     ),
-    "a model that is cut": (package(model(shape(1, CUBE))[:-400]), "E_FORMAT"),
+    "a model that is cut": (package(model(shape(1, CUBE))[:-400]), "E_TRUNCATED"),
     "UTF-16": (package("<model/>".encode("utf-16")), "E_UNSUPPORTED"),
     "an unknown encoding": (edited("UTF-8", "UTF5.."), "E_UNSUPPORTED"),
     "no UTF-8": (package(model(shape(1, CUBE)).replace("é".encode(), b"\xff")), "E_FORMAT"),
