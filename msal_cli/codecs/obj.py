@@ -370,6 +370,10 @@ class _Reader:
         """
         counts = self._counts[:, :3]
         ends, pieces = np.cumsum(counts, axis=0), range(len(counts))
+        room = len(self._positions.at), len(self._normals.at), len(self._sizes)
+        if (ends[-1] > room).any():
+            # More are counted than there can be; the walk does not look for a start beyond the end.
+            return False
         states = np.zeros((len(counts), scan.N_STATE), dtype=np.int64)
         states[:, scan.AT] = self._cuts[:-1]
         states[0, scan.AT] = self._state[scan.AT]

@@ -273,6 +273,17 @@ def test_pieces_read_what_one_walk_reads() -> None:
         assert str(found.value) == str(expected.value)
 
 
+@pytest.mark.parametrize("word", [b" v", b" f", b"vn"])
+def test_more_words_than_there_can_be_statements_are_no_places(word: bytes) -> None:
+    half = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nvn 0 1 0\nf 1 2 3\n"
+    data = half + b"#" + 500 * word + b"\n" + half
+    walk = mock.patch.object(obj.scan, "scan", wraps=obj.scan.scan)
+    with walk as scan:
+        file, could = read_in_pieces(data, 4)
+    # Only the walk over all: that of a piece would begin beyond the end of its arrays.
+    assert (could, scan.call_count, facts(file)) == (False, 1, facts(obj.read(data)))
+
+
 @given(FILES, st.integers(2, 5))
 def test_pieces_of_any_file(data: bytes, n_pieces: int) -> None:
     assert facts(read_in_pieces(data, n_pieces)[0]) == facts(obj.read(data))
