@@ -131,7 +131,12 @@ def end_if_late(clean: Callable[[], object]) -> Iterator[None]:
     if hasattr(os, "set_blocking"):
         os.set_blocking(sender, False)
     is_left = threading.Event()
-    handlers = {number: signal.getsignal(number) for number in _numbers()}
+    # Signals that other code handles are left to it.
+    handlers = {
+        number: handler
+        for number in _numbers()
+        if getattr(handler := signal.getsignal(number), "__module__", None) == __name__
+    }
 
     def listen() -> None:
         while number := os.read(receiver, 1):

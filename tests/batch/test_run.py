@@ -320,6 +320,18 @@ class TestInterrupts:
             assert (tmp_path / "cleaned").exists() != bool(second)
             (tmp_path / "cleaned").unlink(missing_ok=True)
 
+    def test_a_signal_that_other_code_handles_ends_nothing(self, monkeypatch):
+        monkeypatch.setattr(interrupts, "MAX_DELAY_S", 0.1)
+        seen = []
+        before = signal.signal(signal.SIGTERM, lambda *_: seen.append(1))
+        try:
+            with interrupts.end_on_signal():
+                os.kill(os.getpid(), signal.SIGTERM)
+                time.sleep(0.3)
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        assert seen == [1]
+
     def test_a_block_that_is_left_in_time_goes_on(self, monkeypatch):
         monkeypatch.setattr(interrupts, "MAX_DELAY_S", 0.2)
         seen, cleaned = [], []
