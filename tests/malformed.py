@@ -1,14 +1,8 @@
-"""Every malformed file that was made by hand, with the code and the place that it must end in.
-
-    python -m tests.malformed
-
-prints how many there are of each format and with each code.
-"""
+"""Every malformed file that was made by hand, with the code and the place that it must end in."""
 
 from __future__ import annotations
 
 import gzip
-from collections import Counter
 
 from tests.codecs import (
     test_glb,
@@ -63,22 +57,3 @@ def malformed() -> dict[str, tuple[bytes, str, str]]:
         for suffix, table in tables.items()
         for name, row in table.items()
     }
-
-
-def counts() -> dict[str, Counter[str]]:
-    """How many of each code, by format."""
-    found: dict[str, Counter[str]] = {}
-    for name, (_, code, _) in malformed().items():
-        found.setdefault(name.rpartition(".")[2], Counter())[code] += 1
-    return found
-
-
-def main() -> None:
-    found = counts()
-    for format, codes in found.items():
-        print(f"{format:12} {codes.total():4}  " + ", ".join(f"{c} {n}" for c, n in codes.items()))
-    print(f"{'together':12} {sum(codes.total() for codes in found.values()):4}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Pages that scripts make from the code: man pages, methods, commands and the API, and the site."""
+"""Pages and schemas that scripts make from the code, and the site."""
 
 from __future__ import annotations
 
@@ -12,24 +12,27 @@ from benchmarks import scanner_cases
 from tests.scripts import ROOT, load_script
 
 DOCS = ROOT / "docs"
-API, COMMAND, MAN, METHOD = (
+API, COMMAND, MAN, METHOD, SCHEMA = (
     load_script(f"docs/make_{name}.py")
-    for name in ("api_page", "command_page", "man_pages", "method_pages")
+    for name in ("api_page", "command_page", "man_pages", "method_pages", "schemas")
 )
 CHECKER = load_script("docs/check_site.py")
 
 
-@pytest.mark.parametrize("maker", [MAN, METHOD], ids=["man", "methods"])
-def test_the_committed_pages_are_current(maker):
-    made, committed = maker.pages(), maker.committed()
-    assert sorted(committed) == sorted(made), "run python docs/refresh.py"
-    for name, text in made.items():
-        assert committed[name] == text, f"{name}: run python docs/refresh.py"
-
-
-@pytest.mark.parametrize("maker", [API, COMMAND], ids=["api", "commands"])
-def test_the_committed_page_is_current(maker):
-    assert maker.PAGE.read_text("utf-8") == maker.page(), "run python docs/refresh.py"
+def test_the_committed_pages_are_current(tmp_path):
+    makers = [(maker.pages(), maker.committed()) for maker in (MAN, METHOD)]
+    for maker in (API, COMMAND):
+        makers.append(({"page": maker.page()}, {"page": maker.PAGE.read_text("utf-8")}))
+    SCHEMA.main(tmp_path)
+    schemas = []
+    schemas = (tmp_path.iterdir(), DOCS.glob("*.schema.json"))
+    makers.append(
+        tuple({path.name: path.read_text("utf-8") for path in paths} for paths in schemas)
+    )
+    for made, committed in makers:
+        assert sorted(committed) == sorted(made), "run python docs/refresh.py"
+        for name, text in made.items():
+            assert committed[name] == text, f"{name}: run python docs/refresh.py"
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
@@ -51,19 +54,16 @@ def test_the_first_page_leads_to_all_pages_in_few_groups():
 
 
 def test_the_checker_finds_what_is_wrong(tmp_path):
-    head = "<title>{}</title>"
     (tmp_path / "good.html").write_text(
-        head.format("Good")
-        + '<h1 id="top">x</h1><a href="#top"></a><a href="other.html#here"></a>'
-        + '<a href="https://example.com/x"></a><img src="a.png" alt="A">'
+        '<title>Good</title><h1 id="top">x</h1><a href="#top"></a><a href="other.html#here"></a>'
+        '<a href="https://example.com/x"></a><img src="a.png" alt="A">'
     )
-    (tmp_path / "other.html").write_text(head.format("Other") + '<p id="here">')
+    (tmp_path / "other.html").write_text('<title>Other</title><p id="here">')
     (tmp_path / "a.png").write_bytes(b"")
     assert CHECKER.problems(tmp_path) == ([], {"example.com": 1})
     (tmp_path / "other.html").write_text(
-        head.format("Good")
-        + '<a href="gone.html"></a><a href="good.html#gone"></a><a href="../up"></a>'
-        + '<img src="a.png"><script src="https://example.com/s.js"></script>'
+        '<title>Good</title><a href="gone.html"></a><a href="good.html#gone"></a>'
+        '<a href="../up"></a><img src="a.png"><script src="https://example.com/s.js"></script>'
     )
     found = "\n".join(CHECKER.problems(tmp_path)[0])
     for part in (
@@ -82,11 +82,6 @@ def test_the_checker_finds_what_is_wrong(tmp_path):
 LARGEST_PICTURE = 150_000
 
 
-@pytest.fixture
-def scripts(monkeypatch):
-    monkeypatch.syspath_prepend(str(DOCS))
-
-
 def rows_of(page: str, name: str) -> list[str]:
     """The rows of a made table, without its head."""
     text = (DOCS / page).read_text("utf-8")
@@ -95,18 +90,14 @@ def rows_of(page: str, name: str) -> list[str]:
     return place[1].splitlines()[2:]
 
 
-def test_every_example_has_its_row_and_picture(scripts):
+def test_every_example_has_its_row_and_picture(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
     from scanner_examples import EXAMPLES
 
     pictures = [f"images/scanners/{example.name}.png" for example in EXAMPLES]
     rows = rows_of("noise.md", "your scanner")
     for example, row, picture in zip(EXAMPLES, rows, pictures, strict=True):
-        assert (
-            example.scanner in row
-            and example.noise in row
-            and example.does in row
-            and picture in row
-        )
+        assert all(part in row for part in (example.scanner, example.noise, example.does, picture))
         assert (DOCS / picture).stat().st_size < LARGEST_PICTURE
     assert {path.name for path in (DOCS / "images/scanners").iterdir()} == {
         picture.rpartition("/")[2] for picture in pictures
