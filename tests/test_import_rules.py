@@ -7,8 +7,6 @@ import functools
 import graphlib
 import importlib
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import msal_cli
@@ -108,17 +106,6 @@ def test_methods_do_not_import_one_another():
         for name in imports(path):
             if name.startswith("msal_cli.methods.") and path.name != "__init__.py":
                 assert name.split(".")[2].startswith("_"), f"{path.name} imports {name}"
-
-
-def test_heavy_libraries_wait_until_they_are_needed():
-    code = (
-        "import sys, msal_cli.codecs, msal_cli.methods, msal_cli.mesh, msal_cli.job.pipeline; "
-        "print([n for n in ('numba', 'trimesh', 'meshio', 'scipy') if n in sys.modules])"
-    )
-    seen = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
-    assert seen.strip() == "[]"
 
 
 def test_every_name_of_the_page_is_one_in_the_code():

@@ -189,33 +189,6 @@ def test_pyvista_polygons_stay_and_are_triangles_for_the_mathematics_only(pyvist
     assert result.n_cells == len(mixed)
 
 
-# open3d
-
-
-@pytest.fixture
-def open3d():
-    return pytest.importorskip("open3d", exc_type=ImportError, reason="open3d does not load")
-
-
-def test_open3d_keeps_colours_and_renews_normals(open3d):
-    mesh = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(VERTICES), open3d.utility.Vector3iVector(FACES)
-    )
-    mesh.vertex_colors = open3d.utility.Vector3dVector(COLOURS[:, :3] / 255.0)
-    mesh.triangle_uvs = open3d.utility.Vector2dVector(UV[FACES.reshape(-1)])
-    mesh.compute_vertex_normals()
-    result = msal.denoise(mesh, method="msal")
-    assert type(result) is open3d.geometry.TriangleMesh
-    assert np.array_equal(np.asarray(result.vertices), denoised())
-    assert np.array_equal(np.asarray(mesh.vertices), VERTICES)
-    assert np.array_equal(np.asarray(result.vertex_colors), COLOURS[:, :3] / 255.0)
-    assert np.array_equal(np.asarray(result.triangle_uvs), UV[FACES.reshape(-1)])
-    fresh = trimesh.Trimesh(denoised(), FACES, process=False)
-    along = (np.asarray(result.vertex_normals) * fresh.vertex_normals).sum(axis=1)
-    assert along.mean() > 0.97
-    assert np.allclose(np.asarray(result.triangle_normals), fresh.face_normals, atol=1e-6)
-
-
 # Classes that look like those of a library, so that these paths run without it
 
 

@@ -39,11 +39,6 @@ def column_sum(values):
 
 
 @compiled
-def ratio(left, right):
-    return left / right
-
-
-@compiled
 def room(size):
     return len(np.empty(size))
 

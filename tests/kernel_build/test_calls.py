@@ -2,19 +2,88 @@
 
 from __future__ import annotations
 
+import ctypes
+import multiprocessing
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
 
-from kernel_build import linking
+from kernel_build import linking, objects
+from kernel_build.targets import TARGETS, native_target
+from kernel_build.written import written_arguments
 from msal_cli.errors import InternalError
 from msal_cli.kernels import library
 from msal_cli.kernels.compiled import arg_type
 from tests.kernel_build import some_kernels as some
 
 pytestmark = pytest.mark.ci
+
+ROWS, COLUMN = np.zeros((4, 2)), np.zeros(5)
+
+CALLS = [
+    (some.scaled, COLUMN, COLUMN),
+    (some.scaled_sum, COLUMN, COLUMN),
+    (some.described, ROWS, 5, False),
+    (some.described, ROWS, 5.0, True),
+    *[
+        (some.column_sum, np.zeros(6, dtype)[::step])
+        for dtype in (np.int8, np.uint16, np.int64)
+        for step in (1, 2)
+    ],
+    (some.room, 1),
+    (some.functions, 1.0, 1.0),
+]
+"""Kernels with arguments of the types that the library has them for."""
+
+
+def lower_small(name, line):
+    """A small kernel for the argument types of a line."""
+    return objects.lower(getattr(some, name), line)
+
+
+@pytest.fixture(scope="session")
+def build(tmp_path_factory):
+    """A function that builds a library of all small kernels with a compiler."""
+    target = TARGETS[native_target()]
+    folder = tmp_path_factory.mktemp("kernels")
+    entries, files = {}, []
+    # A process that compiles as those of a build do.
+    context = multiprocessing.get_context("spawn")
+    compiler_process = ProcessPoolExecutor(1, context, objects._prepare_worker)
+    for kernel, *arguments in CALLS:
+        line = library.signature(kernel.name, tuple(map(arg_type, arguments)))
+        symbol = f"kernel{len(entries)}"
+        lowered = compiler_process.submit(lower_small, kernel.__name__, line)
+        ir, entry, results = lowered.result()
+        entries[line] = library.Entry(symbol, results, written_arguments(kernel), "")
+        for suffix, processor in target.processors.items():
+            files.append(folder / f"{symbol}{suffix}.o")
+            made = objects.to_object(ir, entry, symbol + suffix, target.triple, processor)
+            files[-1].write_bytes(made)
+    compiler_process.shutdown()
+
+    def build_with(compiler):
+        path = folder / f"{len(compiler)}{target.suffix}"
+        linking.link(files, target, compiler, path)
+        return ctypes.CDLL(str(path)), entries
+
+    return build_with
+
+
+@pytest.fixture(scope="session")
+def call(build):
+    """A function that calls a kernel of the library."""
+    loaded, entries = build(linking.system_compiler() or linking.ZIG)
+
+    def call_with(kernel, *arguments):
+        arg_types = tuple(map(arg_type, arguments))
+        entry = entries[library.signature(kernel.name, arg_types)]
+        return library.bind(loaded, entry, arg_types)(*arguments)
+
+    return call_with
 
 
 def test_arrays_are_written_and_numbers_come_back(call):

@@ -45,17 +45,6 @@ def test_the_library_is_up_to_date():
         assert source_hash(signatures.kernel_of(line)) == made_of, line
 
 
-def test_a_kernel_of_the_library_needs_no_numba(kernel, caplog):
-    program = (
-        "import sys; import numpy as np; from msal_cli.kernels import quantiles\n"
-        "counts = np.zeros(1 << 16, dtype=np.int64)\n"
-        "quantiles._count(np.zeros(3, dtype=np.uint64), counts)\n"
-        "print(counts.sum(), 'numba' in sys.modules)\n"
-    )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert ran.stdout == "3 False\n" and not ran.stderr
-
-
 def test_other_types_are_an_error_with_their_names(kernel):
     message = r"has no quantiles._count\(f4\[::1\], i8\[::1\]\)$"
     with pytest.raises(InternalError, match=message) as error:
