@@ -7,7 +7,8 @@ import random
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.frozen.sums import REAL, ROOT
+from tests.frozen.kept import ROOT
+from tests.frozen.sums import REAL
 from tests.fuzz import mutants
 from tests.fuzz.seeds import archived, kept, seeds
 

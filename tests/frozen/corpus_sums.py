@@ -1,9 +1,8 @@
 """What the codecs make of known files and of damaged ones, as sums made once and compared since.
 
-    python -m tests.frozen.corpus_sums                          everything, 3,000 mutants per format
-    python -m tests.frozen.corpus_sums --format ply,obj         two formats
-    python -m tests.frozen.corpus_sums --mutants 300            faster; 0 for ordinary files alone
-    python -m tests.frozen.corpus_sums --write                  replace the sums
+    python -m tests.frozen.corpus_sums [--jobs N]       everything
+    python -m tests.frozen.corpus_sums ply obj          two formats
+    python -m tests.frozen.corpus_sums --write          replace the sums
 
 Each file is read, displaced, written, re-encoded and, unless it is a mutant, convert.  There are
 two sums: ``data`` (error codes, arrays, bytes, how many warnings) and ``texts`` (messages, places,
@@ -16,17 +15,12 @@ With MSAL_DATA real meshes are compared too.
 
 from __future__ import annotations
 
-import argparse
 import functools
 import gzip
-import hashlib
-import json
 import multiprocessing
 import os
-import time
 import warnings
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +31,15 @@ from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand
+from tests.frozen import kept
 from tests.frozen.corpus_inputs import formats, mutant, ordinary_files, real_files
-from tests.frozen.sums import environment
+from tests.frozen.kept import data_and_texts, digest
 from tests.fuzz.seeds import seeds
 
 KEPT = Path(__file__).with_name("corpus_sums.json")
 
-BLOCK = 100
-"""Mutants of one sum."""
+BLOCK, N_BLOCKS = 100, 3
+"""Mutants of one sum, and how many such sums a format has."""
 
 HEAD_BYTES = 1 << 16
 LARGE_BYTES = 1 << 16
@@ -57,21 +52,6 @@ PRECISIONS = ("same", "float32", "float64")
 
 Step = tuple[str, str, str]
 """What was done, its data, its texts."""
-
-
-def digest(*parts: Any) -> str:
-    """A short sum of bytes, arrays and texts; lengths are in it."""
-    total = hashlib.sha256()
-    for part in parts:
-        if isinstance(part, np.ndarray):
-            total.update(f"{part.dtype.str} {part.shape} ".encode())
-            part = np.ascontiguousarray(part).tobytes()
-        elif isinstance(part, str):
-            part = part.encode("utf-8", "surrogatepass")
-        part = memoryview(part).cast("B")
-        total.update(f"{len(part)} ".encode())
-        total.update(part)
-    return total.hexdigest()[:16]
 
 
 def plain_bytes(data: Any) -> Any:
@@ -179,8 +159,6 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
 Task = tuple[str, str, int]
 """A format, and the name of a group of ordinary files or of mutants with its number."""
 
-Sums = dict[str, tuple[str, str]]
-
 GROUPS = 4
 """Into how many tasks the ordinary files of a format go."""
 
@@ -208,108 +186,40 @@ def outcomes(task: Task) -> Iterator[tuple[str, list[Step]]]:
         yield name, outcome(data, format, is_mutant=task[1] == "mutants")
 
 
-def sums_of(task: Task) -> tuple[Task, Sums, float]:
-    """Sums of data and of texts: one pair per ordinary file, or one for all mutants of a block."""
-    began = time.perf_counter()
+def sums_of(task: Task) -> dict[str, list[str]]:
+    """Sums of data and of texts: a pair per ordinary file, or one for all mutants of a block."""
     lines: dict[str, list[Step]] = dict(outcomes(task))
     if task[1] == "mutants":
-        lines = {
-            str(task[2]): [
-                (f"{name} {step[0]}", *step[1:]) for name, steps in lines.items() for step in steps
-            ]
-        }
-    sums = {
-        name: (
-            digest(*(f"{label}: {data}" for label, data, _ in steps))[:12],
-            digest(*(f"{label}: {texts}" for label, _, texts in steps))[:12],
+        steps = [
+            (f"{name} {step[0]}", *step[1:]) for name, found in lines.items() for step in found
+        ]
+        lines = {str(task[2]): steps}
+    return {
+        f"{task[0]} {task[1]} {name}": data_and_texts(
+            (f"{label}: {data}" for label, data, _ in steps),
+            (f"{label}: {texts}" for label, _, texts in steps),
         )
         for name, steps in lines.items()
     }
-    return task, sums, time.perf_counter() - began
 
 
-def tasks(chosen: tuple[str, ...], n_mutants: int) -> list[Task]:
+def tasks(chosen: Sequence[str]) -> Iterator[Task]:
     """The tasks for some formats."""
-    found: list[Task] = []
     for format in chosen:
-        found += [(format, "files", number) for number in range(GROUPS)]
+        for number in range(GROUPS):
+            yield format, "files", number
         if os.environ.get("MSAL_DATA"):
-            found.append((format, "real", 0))
+            yield format, "real", 0
         if format != "none" and seeds(format):
-            found += [(format, "mutants", number) for number in range(n_mutants // BLOCK)]
-    return found
-
-
-def different(task: Task, sums: Sums, kept: Any) -> dict[str, str]:
-    """The files, or blocks, of a task that differ, and in what."""
-    format, kind, _ = task
-    earlier = kept.get(format, {}).get(kind, {})
-    found = {}
-    for name, pair in sums.items():
-        before = earlier.get(name)
-        if before is None:
-            found[name] = "new"
-            continue
-        words = [("data", "texts")[k] for k in (0, 1) if pair[k] != before[k]]
-        if words:
-            found[name] = " and ".join(words)
-    return found
-
-
-def compare(chosen: tuple[str, ...], n_mutants: int, arguments: argparse.Namespace) -> int:
-    """Compare, and write if asked; returns how many sums differ."""
-    document = json.loads(KEPT.read_text()) if KEPT.exists() else {"formats": {}}
-    kept = document["formats"]
-    seconds: dict[str, float] = {}
-    written: dict[str, Any] = {}
-    n_compared = n_different = 0
-    work = tasks(chosen, n_mutants)
-    with multiprocessing.Pool(arguments.jobs) as pool:
-        run = pool.imap(sums_of, work) if arguments.jobs > 1 else map(sums_of, work)
-        for task, sums, took in run:
-            seconds[task[0]] = seconds.get(task[0], 0.0) + took
-            n_compared += len(sums)
-            if arguments.write:
-                format, kind, _ = task
-                written.setdefault(format, {}).setdefault(kind, {}).update(sums)
-                continue
-            found = different(task, sums, kept)
-            n_different += len(found)
-            for name, words in found.items():
-                print(f"{task[0]} {task[1]} {name}: {words}", flush=True)
-    print(", ".join(f"{format} {took:.1f} s" for format, took in seconds.items()))
-    if arguments.write:
-        for format, kinds in written.items():
-            kept[format] = kept.get(format, {}) | kinds
-        document = {"environment": here(), "formats": kept}
-        KEPT.write_text(json.dumps(document, separators=(",", ":")).replace("],", "],\n") + "\n")
-        return 0
-    print(f"{n_compared} sums compared, {n_different} different")
-    return n_different
-
-
-def here() -> dict[str, str]:
-    """What the sums depend on beside the code."""
-    from importlib.metadata import version
-
-    names = ("meshio", "trimesh")
-    return environment() | {"zlib": zlib.ZLIB_VERSION} | {name: version(name) for name in names}
-
-
-def main(words: list[str] | None = None) -> None:
-    """Compare or write the sums."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--format", default="", help="formats, separated by commas")
-    parser.add_argument("--mutants", type=int, default=3000, help="per format, in steps of 100")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args(words)
-    chosen = tuple(arguments.format.split(",")) if arguments.format else (*formats(), "none")
-    if compare(chosen, arguments.mutants, arguments):
-        raise SystemExit(1)
+            for number in range(N_BLOCKS):
+                yield format, "mutants", number
 
 
 if __name__ == "__main__":
-    main()
+    parser = kept.options(str(__doc__))
+    parser.add_argument("--jobs", type=int, default=1)
+    given = parser.parse_args()
+    work = tasks(given.names or (*formats(), "none"))
+    with multiprocessing.Pool(given.jobs) as pool:
+        found = (pair for sums in pool.imap(sums_of, work) for pair in sums.items())
+        kept.settle(KEPT, found, kept.environment("meshio", "trimesh"), given.write)

@@ -6,21 +6,19 @@
 
 Every command runs over copies of the sample meshes in a folder of its own.  There are two sums:
 ``data`` (exit codes, records, bytes of meshes, reports and manifests) and ``texts`` (messages,
-reasons, hints, help, all that is printed for people).  Times, versions, the machine, memory and
+reasons, hints, all that is printed for people).  Times, versions, the machine, memory and
 process ids are left out.  To see what changed: ``--list A`` in an old checkout, ``--list B`` in
 the new one, and ``diff -r A B``.
 """
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import json
 import os
 import re
 import shutil
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import chdir
 from pathlib import Path
@@ -31,10 +29,9 @@ from click.testing import CliRunner
 
 from msal_cli.cli import denoise, progress
 from msal_cli.cli.denoise import Clock
-from msal_cli.cli.main import COMMANDS as CLI_COMMANDS
 from msal_cli.cli.main import program
-from tests.frozen.corpus_sums import digest, here
-from tests.frozen.sums import ROOT
+from tests.frozen import kept
+from tests.frozen.kept import ROOT, data_and_texts, digest
 from tests.report.made import HOSTILE_NAMES
 
 KEPT = Path(__file__).with_name("record_sums.json")
@@ -272,48 +269,22 @@ def _outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
                 printed = CliRunner().invoke(program, ["report", "stored.json", "-v"]).stdout
                 yield "stored text", "", printed
                 yield "stored gates", *run(["report", "stored.json", "--fail-on", GATE], folder)
-            for command in (*CLI_COMMANDS, "") if is_chosen("help") else ():
-                words = [command, "--help"] if command else ["--help"]
-                yield f"help {command}", "", CliRunner().invoke(program, words).stdout
-    for path in sorted((ROOT / "docs").glob("*.schema.json")):
-        texts: list[str] = []
-        kept = without(json.loads(path.read_bytes()), re.compile("^(?:description|title)$"), texts)
-        yield f"schema {path.name}", json.dumps(kept), path.read_text()
 
 
-def main(words: list[str] | None = None) -> None:
-    """Compare or write the sums."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--write", action="store_true")
-    parser.add_argument("--list", metavar="FOLDER", type=Path)
-    parser.add_argument("names", nargs="*")
-    arguments = parser.parse_args(words)
-    kept = json.loads(KEPT.read_text())["sums"] if KEPT.exists() else {}
-    folder = arguments.list.resolve() if arguments.list else None
-    sums: dict[str, tuple[str, str]] = {}
-    n_different = 0
-    began = time.perf_counter()
-    for name, data, texts in outcomes(arguments.names):
-        sums[name] = (digest(data)[:12], digest(texts)[:12])
+def sums(names: list[str], folder: Path | None) -> Iterator[tuple[str, list[str]]]:
+    """The pairs of sums of commands; what is summed goes to files in a folder."""
+    for name, data, texts in outcomes(names):
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
-            stem = name.replace(" ", "_")
-            (folder / f"{stem}.data").write_text(data, errors="surrogateescape")
-            (folder / f"{stem}.texts").write_text(texts, errors="surrogateescape")
-        before = kept.get(name, ["", ""])
-        changed = [word for k, word in enumerate(("data", "texts")) if sums[name][k] != before[k]]
-        if changed and not arguments.write:
-            n_different += 1
-            print(f"{name}: {' and '.join(changed)}", flush=True)
-    print(f"{len(sums)} compared, {n_different} different, {time.perf_counter() - began:.0f} s")
-    if arguments.write:
-        document = {"environment": here(), "sums": kept | sums if arguments.names else sums}
-        KEPT.write_text(json.dumps(document, separators=(",", ":")).replace("],", "],\n") + "\n")
-    elif n_different:
-        raise SystemExit(1)
+            for part, suffix in ((data, "data"), (texts, "texts")):
+                path = folder / f"{name.replace(' ', '_')}.{suffix}"
+                path.write_text(part, errors="surrogateescape")
+        yield name, data_and_texts([data], [texts])
 
 
 if __name__ == "__main__":
-    main()
+    parser = kept.options(str(__doc__))
+    parser.add_argument("--list", metavar="FOLDER", type=Path)
+    given = parser.parse_args()
+    found = sums(given.names, given.list and given.list.resolve())
+    kept.settle(KEPT, found, kept.environment("meshio", "trimesh"), given.write)

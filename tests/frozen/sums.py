@@ -7,28 +7,26 @@ Names select cases, such as ``toadstool`` or ``wiener``.  A change of the sums i
 results: write them anew only where a commit is meant to change results, and say so in it.
 
 The bytes depend on the system's libm and on the machine code that numpy chooses for a processor,
-so ``environment`` is kept with the sums, and elsewhere they say nothing.
+so these are kept with the sums, and elsewhere they say nothing.
 """
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import hashlib
 import json
 import os
-import platform
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 from click.testing import CliRunner
 
 from msal_cli import methods
 from msal_cli.cli.main import program
+from tests.frozen import kept
+from tests.frozen.kept import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 KEPT = Path(__file__).with_name("sums.json")
 
 AUTO = "auto"
@@ -52,17 +50,6 @@ REAL = (
 
 Case = tuple[str, str]
 """A file and a method."""
-
-
-def environment() -> dict[str, str]:
-    """What the bytes depend on beside the code."""
-    features = np.show_config(mode="dicts")["SIMD Extensions"]
-    return {
-        "numpy": np.__version__,
-        "machine": platform.machine(),
-        "libc": " ".join(platform.libc_ver()),
-        "simd": " ".join(features["baseline"] + features["found"]),
-    }
 
 
 def all_cases() -> Iterator[Case]:
@@ -110,31 +97,15 @@ def key(case: Case) -> str:
     return " ".join(case)
 
 
-def main(words: list[str] | None = None) -> None:
-    """Compare or write the sums."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true")
-    parser.add_argument("names", nargs="*")
-    arguments = parser.parse_args(words)
-    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {"sums": {}}
-    sums, n_different, n_compared = dict(kept["sums"]), 0, 0
+def outcomes(names: list[str]) -> Iterator[tuple[str, str]]:
+    """The names of the cases that are chosen, or of all, and their sums."""
     with tempfile.TemporaryDirectory() as folder:
         for case in all_cases():
             path, name = locate(case[0]), key(case)
-            if path is None or (arguments.names and not any(n in name for n in arguments.names)):
-                continue
-            n_compared += 1
-            sums[name] = output_sum(path, case[1], Path(folder))
-            if sums[name] != kept["sums"].get(name):
-                n_different += 1
-                print(f"different: {name}", flush=True)
-    print(f"{n_compared} cases compared, {n_different} different")
-    if arguments.write:
-        written = {"environment": environment(), "sums": dict(sorted(sums.items()))}
-        KEPT.write_text(json.dumps(written, indent=1) + "\n")
-    elif n_different:
-        raise SystemExit(1)
+            if path is not None and (not names or any(part in name for part in names)):
+                yield name, output_sum(path, case[1], Path(folder))
 
 
 if __name__ == "__main__":
-    main()
+    given = kept.options(str(__doc__)).parse_args()
+    kept.settle(KEPT, outcomes(given.names), kept.environment(), given.write)
