@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from collections.abc import Iterator
@@ -75,6 +76,35 @@ RECORDS = [
     written("turned.ply", inside_out=True),
     records.MeshRecord("rest.ply", "planned", "out/rest.ply"),
 ]
+HARDLY = records.NoiseEstimate(0.001, 0.0002, negligible=True)
+OPEN = records.Volume(None, None, None, None, False, "not orientable")
+GATE = gated().gates[0]
+PLANNED = records.Planned(2_000, 10, 8.0)
+SEEN_SELDOM = [
+    written("unsure.ply", corners=9, vertices=None, faces=3, components=2, noise_estimate=HARDLY),
+    written("left.ply", noise_estimate=HARDLY, status="unchanged"),
+    written("mild.ply", noise_estimate=NOISE, choice=CHOICE, status="unchanged"),
+    written(
+        "assumed.ply",
+        noise_estimate=NOISE,
+        choice=dataclasses.replace(CHOICE, auto_seconds=None, wishes={"assume": "noise"}),
+    ),
+    written("as it was.ply", noise_estimate=HARDLY, left_alone="no noise"),
+    written("despiked.ply", despiked=1, locked_vertices=0, volume=OPEN),
+    written("open.ply", volume=OPEN, boundary_edges=2),
+    written("passed.ply", gates=(dataclasses.replace(GATE, broken=False),)),
+    written("undecided.ply", gates=(dataclasses.replace(GATE, decided=False),)),
+    written("near.ply", reference=records.Reference("t.ply", hausdorff_edges=0.5)),
+    written("no truth.ply", reference=records.Reference("t.ply", error=failed().error)),
+    written("odd truth.ply", reference=records.Reference("t.ply", warnings=("odd",))),
+    written("-", output="-"),
+    records.MeshRecord("next.ply", "planned", "out/next.ply", planned=PLANNED),
+    records.MeshRecord(
+        "then.ply", "planned", "out/then.ply", planned=dataclasses.replace(PLANNED, seconds=2.0)
+    ),
+]
+"""Records whose facts are others than those of a file that went well."""
+
 INFO = records.InfoRecord(
     input="scan.ply",
     format="ply",
@@ -136,6 +166,26 @@ def outputs() -> Iterator[tuple[str, str]]:
     yield "all_of_one.txt", lines(text.summary(RUN, [FULL], verbose=True))
     yield "summary.txt", lines(text.summary(RUN, RECORDS))
     yield "summary_verbose.txt", lines(text.summary(RUN, RECORDS, verbose=True))
+    every, usual = [*SEEN_SELDOM, *RECORDS], facts.facts(RECORDS[1])
+    yield (
+        "facts.txt",
+        "".join(
+            f"{record.input}, level {fact.level}: {fact.word}: {fact.text}\n"
+            for record in every
+            for fact in facts.facts(record)
+            if fact not in usual
+        ),
+    )
+    yield "first_lines.txt", lines(text.summary(RUN, [record])[0] for record in every)
+    outlooks = [text.outlook(every, n_cores) for n_cores in (1, 4)]
+    yield "dry_run.txt", lines([*text.listing(every), *outlooks])
+    better = ([], [FULL], [FULL, RECORDS[1], FULL], 100 * [FULL])
+    yield "better_by_auto.txt", "".join(f"{facts.auto_text(several)}\n" for several in better)
+    cut = dataclasses.replace(RUN, interrupted=True)
+    every = [*text.summary(cut, RECORDS[-3:]), *text.summary(cut, RECORDS[-1:])]
+    yield "cut_short.txt", "".join(f"{line.tone}: {line.text}\n" for line in every)
+    spans = (0.0, 9.994, 12.34, 99.96, 185.4, 3599.9, 7800.0)
+    yield "seconds.txt", "".join(f"{span}: {facts.seconds_text(span)}\n" for span in spans)
     yield "info.txt", lines([*info.describe_info(INFO), *info.describe_info(CLOSED)])
     table = info.InfoTable(["scan.ply", "ball.ply"], 80)
     yield "info_table.txt", lines([table.head(), table.row(INFO), table.row(CLOSED), table.foot()])
@@ -150,6 +200,8 @@ def outputs() -> Iterator[tuple[str, str]]:
     page = html.render(RUN, RECORDS).decode()
     body = page.partition("<body>")[2].partition('<script type="application/json"')[0]
     yield "page.html", re.sub("(?=<(?:section|tr|p|figure)[ >])", "\n", body)
+    header, _, _ = data.render_csv(RUN, RECORDS, has_all=True).decode().partition("\r\n")
+    yield "columns.txt", header.replace(",", "\n") + "\n"
     yield "report.csv", data.render_csv(RUN, RECORDS).decode()
 
 

@@ -15,7 +15,6 @@ from msal_cli.errors import FormatError
 from msal_cli.job.display_names import restore_name
 from msal_cli.job.records import Volume
 from msal_cli.report.data import (
-    COMMON_COLUMNS,
     plain,
     read_json,
     read_lines,
@@ -114,10 +113,6 @@ def test_the_schemas_are_schemas(name):
 # CSV
 
 
-def header(records, **options):
-    return render_csv(RUN, records, **options).split(b"\r\n")[0].decode().split(",")
-
-
 @given(RECORDS)
 def test_any_records_can_be_read_back_and_no_text_begins_like_a_formula(records):
     text = render_csv(RUN, records, has_all=True).decode("utf-8")
@@ -132,15 +127,3 @@ def test_any_records_can_be_read_back_and_no_text_begins_like_a_formula(records)
         assert cell[:1] not in ("=", "+", "@", "\t", "\r", "\n")
         if cell[:1] == "-":
             float(cell)
-
-
-def test_all_columns_are_those_of_the_record_with_sorted_parameters():
-    names = header([written()], has_all=True)
-    assert names[:3] == ["input", "status", "output"]
-    assert names[-4:] == ["error.code", "error.message", "error.hint", "error.where"]
-    at = names.index("method.name")
-    assert names[at + 1 : at + 3] == ["method.parameters.K", "method.parameters.iterations"]
-    assert len(names) == len(set(names))
-    assert names == header([failed(method=written().method)], has_all=True)
-    assert header([written()]) == list(COMMON_COLUMNS)
-    assert set(COMMON_COLUMNS) <= set(names)

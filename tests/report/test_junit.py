@@ -70,13 +70,6 @@ def test_any_records_keep_to_the_schemas(records):
     assert len(root.findall(".//testcase")) == len(records)
 
 
-def test_folders_are_suites_in_the_order_of_the_inputs():
-    root = parsed([written("b/x.ply"), failed("a/y.ply"), written("b/z.ply"), written("top.ply")])
-    assert [suite.get("name") for suite in root] == ["b", "a", "."]
-    assert [case.get("name") for case in root[0].findall("testcase")] == ["x.ply", "z.ply"]
-    assert [suite.get("id") for suite in root] == ["0", "1", "2"]
-
-
 @pytest.mark.parametrize(
     "name", [*HOSTILE_NAMES, "\x00\x0b\ufffe\uffff.ply", "\udcff.ply", " .ply"]
 )

@@ -1,9 +1,10 @@
-"""The summary for people and comparisons with earlier runs: what is cut and never cut."""
+"""The summary for people: what is cut, what comes first; and comparisons with earlier runs."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import unicodedata
 
 import pytest
@@ -12,12 +13,13 @@ from msal_cli.errors import FormatError
 from msal_cli.job.display_names import columns
 from msal_cli.job.records import (
     ComparisonRecord,
+    Displacement,
     Failure,
     GateResult,
     InfoRecord,
     MeshRecord,
-    Planned,
     Reference,
+    Volume,
 )
 from msal_cli.report import text as as_text
 from msal_cli.report.comparison import (
@@ -27,8 +29,9 @@ from msal_cli.report.comparison import (
     read_comparisons,
 )
 from msal_cli.report.data import json_bytes, plain_record, render_json
+from msal_cli.report.facts import worst_first
 from msal_cli.report.info import describe_info
-from tests.report.made import HOSTILE_NAMES, RUN, failed, written
+from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 
 BROKEN = GateResult("flipped_faces > 0", True, True, {}, "flipped_faces is 3")
 PASSED = dataclasses.replace(BROKEN, broken=False)
@@ -36,21 +39,6 @@ PASSED = dataclasses.replace(BROKEN, broken=False)
 
 def lines(*records, **options):
     return [line.text for line in as_text.summary(RUN, records, **options)]
-
-
-@pytest.mark.parametrize(
-    ("record", "line"),
-    [
-        (written(status="unchanged"), "scan.ply -> out/scan.ply in 0.95 s, byte for byte as it "
-         "was: no vertex moved"),
-        (written(status="up-to-date"), "out/scan.ply is up to date"),
-        (MeshRecord("a", "planned", "b"), "a would be written to b"),
-        (written(output="-", input="-"), "standard input -> standard output in 0.95 s"),
-        (failed(), "bad.ply: vertex 17: position is not finite (E_NONFINITE)"),
-    ],
-)  # fmt: skip
-def test_the_line_that_names_a_file(record, line):
-    assert lines(record)[0] == line
 
 
 @pytest.mark.parametrize("n_warnings", range(8))
@@ -87,12 +75,31 @@ def test_many_warnings_and_failures_are_counted():
     assert not any("more (-v" in line for line in lines(*records, verbose=True))
 
 
-def test_a_run_that_was_cut_short_says_what_is_not_done():
-    run = dataclasses.replace(RUN, interrupted=True)
-    last = as_text.summary(run, [written("a"), MeshRecord("b", "planned", "out/b")])[-1]
-    assert "1 written, 1 not done" in last.text and last.tone == "bad"
-    (line,) = as_text.summary(run, [MeshRecord("b", "planned", "out/b")])
-    assert (line.text, line.tone) == ("b was not finished", "bad")
+def moved(name, most_edges, change=None, valid=True):
+    return written(
+        name,
+        displacement=Displacement(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, most_edges, 1),
+        volume=None if change is None else Volume(1.0, 1.0, 0.0, change, valid, ""),
+    )
+
+
+def test_worst_first():
+    gates = gated().gates
+    records = [
+        moved("little", 0.1),
+        written("unknown", displacement=None),
+        moved("open", 0.5, 100.0, valid=False),
+        moved("shrunk", 0.5, -3.0),
+        moved("grown", 0.5, 2.0),
+        moved("nan", math.nan),
+        MeshRecord("planned", "planned"),
+        gated("one"),
+        gated("two", gates=gates[:1] * 2),
+        failed("failed"),
+    ]
+    assert [record.input for record in worst_first(records)] == [
+        "failed", "two", "one", "planned", "nan", "shrunk", "grown", "open", "little", "unknown",
+    ]  # fmt: skip
 
 
 NASTY = "a\x1b[2J\nb\udcff"
@@ -114,28 +121,6 @@ def test_the_terminal_and_the_log_obey_nothing(records):
             assert unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Zl", "Zp"), text
         # Robots that read logs take a command only at the beginning of a line.
         assert not text.lstrip().startswith(("::", "##")), text
-
-
-def test_the_listing_and_the_outlook_of_a_dry_run():
-    planned = Planned(2_000, 10, 8.0)
-    records = [
-        MeshRecord("a", "planned", "out/a", planned=planned),
-        MeshRecord("c", "planned", "out/c", planned=dataclasses.replace(planned, seconds=2.0)),
-        written("b", status="up-to-date"),
-        failed(),
-    ]
-    assert [line.text for line in as_text.listing(records)] == [
-        "a -> out/a: 2.0 kB, 10 vertices, about 8.00 s",
-        "c -> out/c: 2.0 kB, 10 vertices, about 2.00 s",
-        "out/b is up to date",
-        "bad.ply: vertex 17: position is not finite (E_NONFINITE)",
-        "  hint: repair it",
-    ]
-    start = "2 files to denoise, 0.0 MB, about 20 vertices, about"
-    assert as_text.outlook(records, 1).text == (
-        f"{start} 10.9 s on an idle machine, 1 up to date, 1 will fail"
-    )
-    assert as_text.outlook(records, 2).text.startswith(f"{start} 8.90 s")
 
 
 def record(**figures):
