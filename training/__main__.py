@@ -31,11 +31,12 @@ def build_parser() -> argparse.ArgumentParser:
     """The options."""
     parser = argparse.ArgumentParser(prog="python -m training", description=__doc__)
     add = parser.add_argument
-    add("-o", "--output", type=Path, required=True, metavar="FILE.json")
-    add("--seed", type=int, default=1)
+    where = "where the header goes; the numbers go beside it, to FILE.f32"
+    add("-o", "--output", type=Path, required=True, metavar="FILE.json", help=where)
+    add("--seed", type=int, default=1, help="other shapes, noise, samples and first weights")
     add("--clean", type=Path, metavar="FOLDER", help="clean meshes of your own, in addition")
-    add("--stages", type=int, default=3)
-    add("--hidden", type=int, default=96, help="numbers in each hidden layer")
+    add("--stages", type=int, default=3, help="networks, one after the other")
+    add("--hidden", type=int, default=96, help="numbers in each hidden layer: more is slower")
     add("--copies", type=int, default=18, help="noisy meshes of every shape")
     add("--samples", type=int, default=2_800_000, help="faces that each stage learns from")
     add("--epochs", type=int, default=15, help="passes over the samples")
