@@ -124,8 +124,7 @@ def test_every_documented_option_exists(page: Path) -> None:
     prose = FENCE.sub("", page.read_text("utf-8"))
     code = [span for span in re.findall(r"`([^`\n]+)`", prose) if span.startswith(("-", "msal "))]
     named = {word for span in code for word in OPTION.findall(span)}
-    # --meth is shown as an example of what is refused.
-    assert named - all_options() - {"--meth"} == set()
+    assert named - all_options() == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
