@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,6 +33,14 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.register_profile("quick", max_examples=20, deadline=None)
     settings.register_profile("full", max_examples=100, deadline=None)
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files whose tests are all for .ci/run: what they import takes seconds."""
+    if "not ci" not in config.option.markexpr or not collection_path.name.startswith("test_"):
+        return None
+    text = collection_path.read_text("utf-8") if collection_path.is_file() else ""
+    return True if re.search(r"^pytestmark = [^\]\n]*(\[[^\]]*)?mark\.ci\b", text, re.M) else None
 
 
 @pytest.fixture(scope="session")
