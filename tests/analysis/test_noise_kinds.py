@@ -39,14 +39,6 @@ def summarize(noise):
     return noise.character.kind, noise.character.direction, noise.character.rings
 
 
-@pytest.mark.parametrize("level", [0.05, 0.2, 0.5])
-def test_white_noise(smooth, level):
-    _, noise = with_noise(smooth, "gaussian-normal", level)
-    assert summarize(noise) == ("white", "normals", 0)
-    assert noise.character.confidence > 0.9
-    assert noise.character.axis is None
-
-
 @pytest.mark.parametrize("level", [0.1, 0.3])
 def test_isotropic_noise(smooth, level):
     _, noise = with_noise(smooth, "gaussian", level)
@@ -101,20 +93,6 @@ def test_depths_in_steps_are_seen_on_texture():
     assert steps.along_gain < noise_estimate.MIN_GAIN
     assert summarize(noise) == ("quantised", "axis", 0)
     assert noise.mean_edges == pytest.approx(0.5 / 12**0.5, rel=0.05)
-
-
-def test_noise_on_a_half(smooth):
-    mesh, noise = with_noise(smooth, "half", direction=(1.0, 0.0, 0.0))
-    assert summarize(noise) == ("uneven", "normals", 0)
-    assert noise.is_uneven
-    assert noise.lowest < 0.01
-    assert noise.highest * mesh.mean_edge_length == pytest.approx(
-        0.2 * smooth.mean_edge_length, rel=0.15
-    )
-    field = noise_estimate.estimate_regions(mesh) / smooth.mean_edge_length
-    loud = smooth.vertices[:, 0] > 0.0
-    assert np.median(field[loud]) == pytest.approx(0.2, rel=0.15)
-    assert np.median(field[~loud]) < 0.02
 
 
 @pytest.mark.parametrize("level", [0.0, 0.1])
@@ -175,6 +153,10 @@ def clean_shapes():
     x, y = columns + jitter[0], rows + jitter[1]
     yield "jagged", graph(x, y, 4 * np.sin(x / 9) + 3 * np.cos(y / 7))
     yield "torus", torus(120, 60)
+    yield "coarse torus", torus(60, 30)
+    yield "plane", grid(40, 40)
+    yield "a few faces", grid(3, 3)
+    yield "ball", ball()
     yield "ball with poles", ball(120, 60)
     yield "cube", cube()
     vertices, faces = grid(50, 50)
@@ -185,9 +167,9 @@ def clean_shapes():
 @pytest.mark.parametrize("shape", [pytest.param(shape, id=name) for name, shape in clean_shapes()])
 def test_clean_shapes_of_any_triangulation_have_none(shape):
     noise = noise_estimate.estimate_noise(prepare_mesh(*shape).mesh)
-    assert noise.is_negligible
-    assert noise.character.kind == "none"
-    assert noise.character.words == ""
+    assert noise.is_negligible and not noise.is_unsure
+    assert max(noise.mean_edges, noise.low) < 0.002
+    assert (noise.character.kind, noise.character.words) == ("none", "")
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from msal_cli.kernels import z_buffer
+from msal_cli.kernels import geometry, parallel, z_buffer
 from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.faces import face_rings
@@ -83,7 +83,7 @@ def draw(vertices, faces):
     return z_buffer.nearest_faces(points, faces[:900] % 600, 300, 300)
 
 
-@pytest.mark.parametrize("shape", [torus(300, 240), grid(331, 307)], ids=["torus", "grid"])
+@pytest.mark.parametrize("shape", [torus(190, 93), grid(140, 131)], ids=["torus", "grid"])
 @pytest.mark.parametrize(
     "work",
     [
@@ -93,6 +93,9 @@ def draw(vertices, faces):
 )
 def test_threads_do_not_change_a_bit(work, shape, monkeypatch):
     # Not multiples of chunks, and enough rows for three ranges that end amid chunks.
+    for module in (parallel, geometry):
+        monkeypatch.setattr(module, "MIN_RANGE", 5_000)
+    monkeypatch.setattr(parallel, "MIN_COUNT", 5_000)
     vertices, faces = noisy(shape[0], 1), shape[1]
     results = []
     for count in ("1", "2", "3"):

@@ -140,15 +140,6 @@ def test_hollows_are_darker():
     assert abs(trench[75, 40].sum() - plane[75, 40].sum()) < 10
 
 
-def test_the_same_mesh_gives_the_same_image(monkeypatch):
-    vertices, faces = ball()
-    images = []
-    for threads in ("1", "2"):
-        monkeypatch.setenv("MSAL_THREADS", threads)
-        images.append(seen(vertices, faces))
-    assert (images[0] == images[1]).all()
-
-
 def test_a_closed_mesh_wound_inwards_is_shown_like_any_other():
     vertices, faces = ball()
     camera = choose_camera(vertices, faces)
