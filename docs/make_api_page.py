@@ -33,7 +33,8 @@ What an argument means is said once: under the first function that has it.
 """
 RECORDS = """## Records
 
-Functions return records with the fields of the [reports](report.md); `null` is `None` in Python.
+Functions return records; `null` of reports is `None` in Python. [report.md](report.md) explains the
+fields of LINKS. And:
 
 | record | what it is | fields |
 |---|---|---|
@@ -103,10 +104,8 @@ def names(text: str) -> str:
     return re.sub(r"\w+", lambda word: word[0] if word[0] == "to" else f"`{word[0]}`", text)
 
 
-def record(cls: type, in_reports: dict[type, str]) -> str:
-    """A record: its first sentence, its fields and its properties; or where it is explained."""
-    if cls in in_reports:
-        return f"| `{cls.__name__}` | [of reports](report.md#{in_reports[cls]}) | |\n"
+def record(cls: type) -> str:
+    """A record: its first sentence, its fields and its properties."""
     names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
     for name, value in vars(cls).items():
         if isinstance(value, property) and not name.startswith("_"):
@@ -140,7 +139,9 @@ def page() -> str:
         text += f"### `{function.__name__}`\n\n{signature(function, listed)}\n"
         text += f"{describe(function, seen)}\n"
     anchors = records_of_reports()
-    text += RECORDS + "".join(record(cls, anchors) for cls in records)
+    links = [f"[`{cls.__name__}`](report.md#{anchors[cls]})" for cls in records if cls in anchors]
+    text += RECORDS.replace("LINKS", ", ".join(links))
+    text += "".join(record(cls) for cls in records if cls not in anchors)
     text += "\n## Errors\n\n| class | is a | when |\n|---|---|---|\n"
     for one in sorted(errors, key=lambda one: (len(one.__mro__), one.__name__)):
         meaning = inline((inspect.getdoc(one) or "").split("\n\n")[0])
