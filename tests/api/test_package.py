@@ -75,15 +75,11 @@ def test_docstrings_explain_every_parameter_and_the_errors(name):
     for section in ("Parameters", "Returns", "Raises"):
         assert f"\n{section}\n---" in text, section
     explained = text.partition("Parameters\n---")[2].partition("\nReturns\n")[0]
+    # Names stand alone or with others before a colon; some lists go on in the next line.
     words = {
         word.strip()
-        for line in explained.splitlines()
-        if " :" in line and not line.startswith(" ")
-        for word in line.partition(" :")[0].replace(" to ", ", ").split(",")
-    }
-    # The lists of names of some lines go on in the next one.
-    words |= {
-        word.strip() for line in explained.splitlines() for word in line.rstrip(" :").split(",")
+        for line in explained.replace(" to ", ", ").splitlines()
+        for word in line.partition(" :")[0].split(",")
     }
     missing = set(inspect.signature(function).parameters) - words
     if name == "denoise_folder":
