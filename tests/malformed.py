@@ -4,17 +4,7 @@ from __future__ import annotations
 
 import gzip
 
-from tests.codecs import (
-    test_glb,
-    test_gltf,
-    test_obj,
-    test_off,
-    test_ply_hostile,
-    test_stl,
-    test_threemf_hostile,
-    test_vtk,
-    test_vtk_xml,
-)
+from tests.codecs import test_gltf, test_obj, test_off, test_ply, test_stl, test_threemf, test_vtk
 from tests.storage import test_gzip_streams
 
 TRIANGLE = "v {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 2 3\n"
@@ -43,14 +33,14 @@ UNUSABLE = {
 def malformed() -> dict[str, tuple[bytes, str, str]]:
     """Content, code and a part of the place by file name; the suffix tells the format."""
     tables = {
-        ".ply": test_ply_hostile.DAMAGED,
+        ".ply": test_ply.DAMAGED,
         ".obj": test_obj.DAMAGED,
         ".stl": test_stl.DAMAGED,
-        ".glb": test_glb.DAMAGED,
+        ".glb": test_gltf.DAMAGED_GLB,
         ".gltf": test_gltf.DAMAGED,
-        ".3mf": test_threemf_hostile.DAMAGED,
+        ".3mf": test_threemf.DAMAGED,
         ".ply.gz": test_gzip_streams.DAMAGED,
-        "": UNUSABLE | test_off.DAMAGED | test_vtk.DAMAGED | test_vtk_xml.DAMAGED,
+        "": UNUSABLE | test_off.DAMAGED | test_vtk.DAMAGED | test_vtk.DAMAGED_XML,
     }
     return {
         name + suffix: (*row, "")[:3]

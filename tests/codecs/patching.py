@@ -1,8 +1,9 @@
-"""What every codec that patches promises, checked on a file: for the tests of such codecs."""
+"""What every codec that patches promises, checked on a file; numbers for files of any kind."""
 
 from __future__ import annotations
 
 import re
+from random import Random
 
 import numpy as np
 
@@ -41,3 +42,17 @@ def changed_lines(before: bytes, after: bytes) -> list[int]:
     """Numbers of the lines that differ; there are as many lines."""
     pairs = list(zip(before.splitlines(), after.splitlines(), strict=True))
     return [k for k, (a, b) in enumerate(pairs) if a != b]
+
+
+def any_float(random: Random, most: float) -> float:
+    """A number of any size up to ``most``."""
+    edges = [0.0, 1.0, -1.0, most, -most, 0.1, 1 / 3, 5e-324, -(2.0**-126), 1e-5, 2.0**-149]
+    if random.random() < 0.25:
+        return random.choice(edges)
+    return random.uniform(-1, 1) * most * random.choice([1.0, 1.0, 1e-3, 1e-6, 1e-12])
+
+
+def any_integer(random: Random, low: int, high: int) -> int:
+    """An integer from ``low`` to ``high``."""
+    small = [n for n in (-1, 0, 1, 255) if low <= n <= high]
+    return random.choice([low, high, *small, *(random.randint(low, high) for _ in range(6))])

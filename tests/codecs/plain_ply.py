@@ -70,19 +70,16 @@ def written(ply: Ply) -> bytes:
     sign = ">" if ply.encoding == "binary_big_endian" else "<"
     for element in ply.elements:
         for row in element.rows:
-            if ply.encoding == "ascii":
-                words = []
-                for (_, _, count_kind), value in zip(element.properties, row, strict=True):
-                    words += [len(value), *value] if count_kind else [value]
-                if words:
-                    out.append((" ".join(map(str, words)) + ply.newline).encode())
-                continue
+            numbers = []
             for (_, kind, count_kind), value in zip(element.properties, row, strict=True):
-                if count_kind:
-                    out.append(struct.pack(sign + PACK[count_kind], len(value)))
-                    out += [struct.pack(sign + PACK[kind], one) for one in value]
-                else:
-                    out.append(struct.pack(sign + PACK[kind], value))
+                values = value if count_kind else [value]
+                numbers += [(count_kind, len(values))] if count_kind else []
+                numbers += [(kind, one) for one in values]
+            if ply.encoding != "ascii":
+                out += [struct.pack(sign + PACK[kind], number) for kind, number in numbers]
+            elif numbers:
+                line = " ".join(str(number) for _, number in numbers)
+                out.append((line + ply.newline).encode())
     return b"".join(out) + ply.trailing
 
 
@@ -106,36 +103,24 @@ def read(data: bytes) -> Ply:
             ply.elements[-1].properties.append((words[2], words[1], ""))
         elif words[:1] in (["comment"], ["obj_info"]):
             ply.comments.append(line)
-    if ply.encoding == "ascii":
-        body = [line.split() for line in data[end:].decode().split(newline) if line.strip()]
+    is_text, at = ply.encoding == "ascii", end
     sign = ">" if ply.encoding == "binary_big_endian" else "<"
-    at = end
+    words = iter(data[end:].split())
 
     def number(kind: str):
         nonlocal at
+        if is_text:
+            return float(next(words)) if kind in FLOATS else int(next(words))
         (value,) = struct.unpack_from(sign + PACK[kind], data, at)
         at += struct.calcsize(sign + PACK[kind])
         return value
 
+    def value(kind: str, count_kind: str):
+        return [number(kind) for _ in range(number(count_kind))] if count_kind else number(kind)
+
     for element, count in zip(ply.elements, counts, strict=True):
-        for _ in range(count):
-            row = []
-            words = iter(body.pop(0)) if ply.encoding == "ascii" and element.properties else None
-            for _, kind, count_kind in element.properties:
-                if words is not None:
-                    convert = float if kind in FLOATS else int
-                    one = (
-                        [convert(next(words)) for _ in range(int(next(words)))]
-                        if count_kind
-                        else None
-                    )
-                    row.append(one if count_kind else convert(next(words)))
-                elif count_kind:
-                    row.append([number(kind) for _ in range(number(count_kind))])
-                else:
-                    row.append(number(kind))
-            element.rows.append(row)
-    ply.trailing = b"" if ply.encoding == "ascii" else data[at:]
+        element.rows = [[value(*p[1:]) for p in element.properties] for _ in range(count)]
+    ply.trailing = b"" if is_text else data[at:]
     return ply
 
 

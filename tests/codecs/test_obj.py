@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from random import Random
 from unittest import mock
 
@@ -16,7 +15,7 @@ from hypothesis import strategies as st
 from msal_cli.codecs import normal_warnings, obj, open_mesh
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
-from tests.codecs.numbers import any_float
+from tests.codecs.patching import any_float
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 ROOF = b"""# two sides that meet at an edge, one normal each
@@ -336,29 +335,6 @@ def test_a_position_has_the_decimals_of_its_own_line() -> None:
     wrong = new.replace(words[7][0], words[7][0][:-3] + b"999")
     with pytest.raises(InternalError, match="another number"):
         file.check(wrong, file.vertices + 1e-4)
-
-
-# Real files and other readers
-
-
-def real_files(folder: Path) -> list[Path]:
-    # trimesh and meshio merge or drop what some files of others have.
-    return sorted(path for path in folder.rglob("*.obj") if "foreign" not in str(path))
-
-
-@pytest.mark.ci
-def test_real_files_are_read_as_trimesh_reads_them(real_data: Path) -> None:
-    import trimesh
-
-    for path in real_files(real_data):
-        file = obj.read(path.read_bytes())
-        other = trimesh.load(path, process=False, skip_materials=True)
-        # Corner by corner: trimesh drops vertices without faces and splits seams.  The
-        # second triangle of a quad begins at another corner there.
-        theirs, ours = other.vertices[other.faces], file.vertices[file.faces]
-        turned = np.roll(theirs, 1, axis=1)
-        same = (theirs == ours).all(axis=(1, 2)) | (turned == ours).all(axis=(1, 2))
-        assert same.all(), path
 
 
 V = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"

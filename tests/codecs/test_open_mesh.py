@@ -25,8 +25,8 @@ PLY = (
 )
 OBJ = b"# a comment\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
-GLB = bytes(convert(open_mesh(OBJ, "a.obj"), np.eye(3), "glb")[0])
-FILES = {"ply": PLY, "obj": OBJ, "stl": STL, "off": OFF, "glb": GLB}
+GLB, GLTF = (bytes(convert(open_mesh(OBJ, "a.obj"), np.eye(3), to)[0]) for to in ("glb", "gltf"))
+FILES = {"ply": PLY, "obj": OBJ, "stl": STL, "off": OFF, "glb": GLB, "gltf": GLTF}
 
 
 @pytest.mark.parametrize("kind", FILES)

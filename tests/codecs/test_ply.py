@@ -1,15 +1,15 @@
-"""PLY by hand-worked cases, range grids, other readers, and with fields at its vertices."""
+"""PLY: hand-worked cases, range grids, other readers, fields at vertices, and wrong files."""
 
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from msal_cli import codecs
 from msal_cli.codecs import open_mesh, ply
 from msal_cli.codecs.ply_write import with_fields
 from msal_cli.errors import ContentError, InternalError, MsalError
@@ -18,7 +18,7 @@ from tests.codecs import plain_ply
 from tests.codecs.plain_ply import ENCODINGS, Element, Ply
 from tests.shapes import cube, grid
 
-LE = "binary_little_endian"
+LE, BE = "binary_little_endian", "binary_big_endian"
 XYZ = [("x", "float", ""), ("y", "float", ""), ("z", "float", "")]
 NORMALS = [("nx", "float", ""), ("ny", "float", ""), ("nz", "float", "")]
 LIST = [("vertex_indices", "int", "uchar")]
@@ -29,22 +29,15 @@ def read(file: Ply) -> ply.PlyFile:
 
 
 def mesh_file(encoding: str, vertices, faces, normals=None, face_normals=None) -> Ply:
+    def element(name, properties, rows, more):
+        more, has_more = [[]] * len(rows) if more is None else more, more is not None
+        rows = [row + list(map(float, own)) for row, own in zip(rows, more, strict=True)]
+        return Element(name, properties + NORMALS * has_more, rows)
+
     rows = [list(map(float, row)) for row in vertices]
-    if normals is not None:
-        rows = [row + list(map(float, normal)) for row, normal in zip(rows, normals, strict=True)]
     cells = [[list(map(int, face))] for face in faces]
-    if face_normals is not None:
-        cells = [
-            cell + list(map(float, normal))
-            for cell, normal in zip(cells, face_normals, strict=True)
-        ]
-    return Ply(
-        encoding,
-        [
-            Element("vertex", XYZ + (NORMALS if normals is not None else []), rows),
-            Element("face", LIST + (NORMALS if face_normals is not None else []), cells),
-        ],
-    )
+    vertex = element("vertex", XYZ, rows, normals)
+    return Ply(encoding, [vertex, element("face", LIST, cells, face_normals)])
 
 
 def test_minus_zero_and_equal_values_keep_their_bytes():
@@ -69,13 +62,8 @@ def test_a_body_that_begins_with_the_byte_of_a_line_end():
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_whole_number_coordinates_are_rounded_with_a_warning(encoding):
     kinds = [("x", "short", ""), ("y", "int", ""), ("z", "uchar", "")]
-    file = Ply(
-        encoding,
-        [
-            Element("vertex", kinds, [[0, 0, 0], [10, 0, 1], [0, 10, 2]]),
-            Element("face", LIST, [[[0, 1, 2]]]),
-        ],
-    )
+    vertex = Element("vertex", kinds, [[0, 0, 0], [10, 0, 1], [0, 10, 2]])
+    file = Ply(encoding, [vertex, Element("face", LIST, [[[0, 1, 2]]])])
     mesh = read(file)
     assert mesh.precision == ("text" if encoding == "ascii" else "integer")
     assert "rounded" in mesh.warnings[0]
@@ -94,23 +82,11 @@ def test_whole_number_coordinates_are_rounded_with_a_warning(encoding):
     assert [row[2] for row in wide.element("vertex").rows] == [1.5, 1.2, 256.0]
 
 
-# Faces
-
-
 def test_an_unsigned_strip_restarts_at_all_ones():
-    file = Ply(
-        LE,
-        [
-            Element("vertex", XYZ, [[k, k * k, 0] for k in range(6)]),
-            Element(
-                "tristrips", [("vertex_indices", "uint", "uint")], [[[0, 1, 2, 2**32 - 1, 3, 4, 5]]]
-            ),
-        ],
-    )
-    assert read(file).faces.tolist() == [[0, 1, 2], [3, 4, 5]]
-
-
-# Normals
+    vertex = Element("vertex", XYZ, [[k, k * k, 0] for k in range(6)])
+    strips = [("vertex_indices", "uint", "uint")]
+    strip = Element("tristrips", strips, [[[0, 1, 2, 2**32 - 1, 3, 4, 5]]])
+    assert read(Ply(LE, [vertex, strip])).faces.tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -187,9 +163,6 @@ def test_a_nan_among_the_normals_stays_and_passes_the_check():
     assert np.isnan(rows[0][3:]).all() and np.isfinite(rows[1][3:]).all()
 
 
-# Conversion
-
-
 def test_long_integers_are_exact_there_and_back():
     file = plain_ply.cube()
     camera = file.element("camera")
@@ -227,27 +200,25 @@ def test_ascii_values_that_their_type_cannot_hold_do_not_become_binary(kind, tok
 @pytest.mark.parametrize("code", ["<f4", ">f8", "<i2"])
 def test_records_of_positions_alone_are_as_any_others(code, extra):
     # More records than are worked on at a time.
-    n = 40_000
-    rng = np.random.default_rng(5)
     kind = np.dtype([(name, code) for name in ("x", "y", "z", *extra)])
-    records = np.zeros(n, dtype=kind)
+    records = np.zeros(40_000, dtype=kind)
     for name in kind.names:
-        records[name] = rng.integers(-3000, 3000, n)
+        records[name] = np.random.default_rng(5).integers(-3000, 3000, 40_000)
     word = {"f4": "float", "f8": "double", "i2": "short"}[code[1:]]
-    order = "little" if code[0] == "<" else "big"
-    head = f"ply\nformat binary_{order}_endian 1.0\nelement vertex {n}\n"
-    head += "".join(f"property {word} {name}\n" for name in kind.names)
-    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    face = np.array([3], np.uint8).tobytes() + np.array([0, 1, 2], code[0] + "i4").tobytes()
-    data = head.encode() + records.tobytes() + face
-    file = ply.read(data)
+    vertex = Element("vertex", [(name, word, "") for name in kind.names], [])
+    order = LE if code[0] == "<" else BE
+    head, _, face = plain_ply.written(
+        Ply(order, [vertex, Element("face", LIST, [[[0, 1, 2]]])])
+    ).rpartition(b"end_header\n")
+    head = head.replace(b"vertex 0", b"vertex 40000") + b"end_header\n"
+    file = ply.read(head + records.tobytes() + face)
     assert (file.vertices == np.stack([records[k] for k in "xyz"], axis=1)).all()
     moved = file.vertices.copy()
     moved[20_000:, 1] += 7.0
     output = bytes(file.replaced(moved))
     file.check(output, moved)
     records["y"][20_000:] += 7
-    assert output == head.encode() + records.tobytes() + face
+    assert output == head + records.tobytes() + face
     for at in (len(head) + 3, len(head) + 30_000 * kind.itemsize, len(output) - 1):
         wrong = bytearray(output)
         wrong[at] ^= 1
@@ -276,16 +247,8 @@ def scan(encoding: str = "ascii", infos=INFOS, samples=SAMPLES, heights=None) ->
     heights = heights or {}
     rows = [[float(x), float(y), heights.get(k, 0.0), 0.5] for k, (x, y) in enumerate(PLACES)]
     cells = [[[] if k is None else [k]] for row in samples for k in row]
-    return Ply(
-        encoding,
-        [
-            Element(
-                "vertex", [(name, "float", "") for name in ("x", "y", "z", "confidence")], rows
-            ),
-            Element("range_grid", [("vertex_indices", "int", "uchar")], cells),
-        ],
-        list(infos),
-    )
+    vertex = Element("vertex", [*XYZ, ("confidence", "float", "")], rows)
+    return Ply(encoding, [vertex, Element("range_grid", LIST, cells)], list(infos))
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -317,7 +280,7 @@ def test_a_step_in_depth_is_not_joined():
 
 def test_faces_go_before_the_grid():
     plain = scan(infos=[])
-    plain.elements.append(Element("face", [("vertex_indices", "int", "uchar")], [[[0, 1, 4]]]))
+    plain.elements.append(Element("face", LIST, [[[0, 1, 4]]]))
     file = ply.read(plain_ply.written(plain))
     assert file.faces.tolist() == [[0, 1, 4]]
     assert "element range_grid (12)" in file.properties
@@ -349,17 +312,13 @@ def test_what_is_wrong_with_a_grid(change, code, words, encoding):
     assert not place or caught.value.where.startswith(f"range_grid {place}")
 
 
-def opened(data, name="a.ply"):
-    return codecs.open_mesh(bytes(data), name)
-
-
 def test_positions_faces_numbers_and_colours_are_there():
-    source = opened(closed_scan())
+    source = ply.read(closed_scan())
     n = len(source.vertices)
     colours = np.arange(3 * n, dtype=np.uint8).reshape(n, 3)
     values = np.linspace(-1.0, 1.0, n)
     data = with_fields(source, source.vertices, {"deviation": values}, colours, ["of a test"])
-    again = opened(data)
+    again = ply.read(bytes(data))
     assert np.array_equal(again.vertices, source.vertices)
     assert np.array_equal(again.faces, source.faces)
     assert "vertex.deviation float" in again.properties
@@ -371,15 +330,15 @@ def test_positions_faces_numbers_and_colours_are_there():
 
 
 def test_a_comment_cannot_end_the_header():
-    source = opened(ply_text(*cube()))
+    source = ply.read(ply_text(*cube()))
     data = with_fields(source, source.vertices, {}, None, ["a\nend_header\r\x1b[31m\u202e.ply"])
     assert data.count(b"\nend_header\n") == 1
-    assert np.array_equal(opened(data).vertices, source.vertices)
+    assert np.array_equal(ply.read(bytes(data)).vertices, source.vertices)
 
 
 @pytest.mark.parametrize("name", ["x", "red", "two words", "a\nb", ""])
 def test_a_field_that_cannot_be(name):
-    source = opened(ply_text(*cube()))
+    source = ply.read(ply_text(*cube()))
     with pytest.raises(InternalError):
         with_fields(source, source.vertices, {name: np.zeros(8)})
 
@@ -391,3 +350,189 @@ def test_a_list_longer_than_its_count_type_does_not_become_binary():
     mesh = read(file)
     with pytest.raises(ContentError, match="face 2"):
         mesh.encoded(mesh.vertices, "binary", "same")
+
+
+CORNERS = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+def text(head: str, body: str) -> bytes:
+    """An ascii file; ``head`` are the header lines between format and end_header."""
+    return f"ply\nformat ascii 1.0\n{head}end_header\n{body}".encode()
+
+
+def binary(head: str, body: bytes, order: str = "little") -> bytes:
+    return f"ply\nformat binary_{order}_endian 1.0\n{head}end_header\n".encode() + body
+
+
+def tetra(encoding: str = "ascii", faces=((0, 1, 2),), **changes) -> bytes:
+    elements = [
+        Element("vertex", XYZ, [list(row) for row in changes.get("corners", CORNERS)]),
+        Element("face", changes.get("list", LIST), [[list(face)] for face in faces]),
+    ]
+    return plain_ply.written(Ply(encoding, elements))
+
+
+V4 = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+F1 = "element face 1\nproperty list uchar int vertex_indices\n"
+V4_TEXT = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+V4_BYTES = struct.pack("<12f", *(x for row in CORNERS for x in row))
+GOOD = tetra()
+
+DAMAGED = {
+    "empty": (b"", "E_TRUNCATED", ""),
+    "another format": (b"solid cube\nfacet normal 0 0 1\n", "E_FORMAT", "byte 0"),
+    "byte-order mark": (b"\xef\xbb\xbf" + GOOD, "E_FORMAT", "byte 0"),
+    "only the magic line": (b"ply\n", "E_TRUNCATED", "line 2"),
+    "no end_header": (GOOD[: GOOD.index(b"end_header")], "E_TRUNCATED", "line 9"),
+    "no end_header, much data": (GOOD[: GOOD.index(b"end_header")] + bytes(1_000_000),
+        "E_TOO_LARGE", ""),
+    "endless comments": (GOOD.replace(b"element vertex", b"comment x\n" * 2000 + b"element vertex"),
+        "E_TOO_LARGE", "line 1000"),
+    "end_header at the limit": (GOOD.replace(b"element vertex",
+        b"comment " + b"x" * (65_535 - GOOD.index(b"\nend_header") - 19) + b"\nelement vertex"),
+        "E_TOO_LARGE", ""),
+    "no format": (GOOD.replace(b"format ascii 1.0\n", b""), "E_FORMAT", "header"),
+    "unknown encoding": (GOOD.replace(b"ascii", b"utf8"), "E_FORMAT", "line 2"),
+    "unknown version": (GOOD.replace(b" 1.0", b" 2.0"), "E_UNSUPPORTED", "line 2"),
+    "unknown keyword": (GOOD.replace(b"element face", b"elemnt face"), "E_FORMAT", "line 7"),
+    "unknown line among elements, and data left over": (GOOD.replace(b"element face",
+        b"polygons 2\nelement face") + b"3 0 1 3\n", "E_FORMAT", "line 7"),
+    "binary rubbish in the header": (GOOD.replace(b"element face", b"\x00\xff\xfe face"),
+        "E_FORMAT", "line 7"),
+    "negative count": (GOOD.replace(b"vertex 4", b"vertex -4"), "E_FORMAT", "line 3"),
+    "count of a thousand digits": (GOOD.replace(b"vertex 4", b"vertex " + b"9" * 1000), "E_FORMAT",
+        "line 3"),
+    "element twice": (text(V4 + V4 + F1, V4_TEXT), "E_FORMAT", "line 7"),
+    "property twice": (GOOD.replace(b"property float y\n", b"property float x\n"), "E_FORMAT",
+        "line 5"),
+    "property before elements": (GOOD.replace(b"element vertex", b"property int a\nelement vertex"),
+        "E_FORMAT", "line 3"),
+    "unknown type": (GOOD.replace(b"float y", b"real y"), "E_FORMAT", "line 5"),
+    "list with float count": (GOOD.replace(b"list uchar", b"list float"), "E_FORMAT", "line 8"),
+    "no vertex element": (GOOD.replace(b"element vertex", b"element point"), "E_FORMAT", "header"),
+    "no z": (GOOD.replace(b"float z", b"float w"), "E_FORMAT", "header"),
+    "x is a list": (GOOD.replace(b"property float x", b"property list uchar float x"), "E_FORMAT",
+        "header"),
+    "corners are no list": (GOOD.replace(b"list uchar int vertex_indices", b"int vertex_indices"),
+        "E_FORMAT", ""),
+    "empty lists of 64-bit indices": (binary(V4 + "element face 2\n"
+        "property list uchar uint64 vertex_indices\n", V4_BYTES + bytes(2)), "E_NO_FACES",
+        "element face"),
+    "binary: half a face": (binary(V4 + F1, V4_BYTES + b"\x03\0\0"), "E_TRUNCATED", "face 0"),
+    "binary: list count beyond the end": (binary(V4 + F1, V4_BYTES + b"\xff" + bytes(12)),
+        "E_TRUNCATED", "face 0"),
+    "binary: negative list count": (binary(V4 + F1.replace("uchar", "char"),
+        V4_BYTES + b"\xff" + bytes(12)), "E_FORMAT", "face 0"),
+    "binary: list count of 1.8e19": (binary(V4 + F1.replace("uchar", "uint64"),
+        V4_BYTES + b"\xff" * 8 + bytes(12)), "E_FORMAT", "face 0"),
+    "binary: 1e19 vertices": (binary(V4.replace("4", "1" + "0" * 19) + F1, V4_BYTES), "E_TRUNCATED",
+        "vertex 4"),
+    "binary: 1e19 faces": (binary(V4 + F1.replace("face 1", "face 1" + "0" * 19),
+        V4_BYTES + b"\x03" + bytes(12)), "E_TRUNCATED", "face 1"),
+    "binary: index too large": (tetra(LE, [(0, 1, 2), (0, 1, 4)]), "E_INDEX", "face 1"),
+    "binary: index negative": (tetra(LE, [(0, 1, -1)]), "E_INDEX", "face 0"),
+    "binary: index of 2**63": (tetra(LE, [(0, 1, 2**63)], list=[("vertex_indices", "uint64",
+        "uchar")]), "E_INDEX", "face 0"),
+    "binary: index 1.5": (tetra(LE, [(0, 1, 1.5)], list=[("vertex_indices", "float", "uchar")]),
+        "E_FORMAT", "face 0"),
+    "binary: index 1e300": (tetra(LE, [(0, 1, 1e300)], list=[("vertex_indices", "double",
+        "uchar")]), "E_INDEX", "face 0"),
+    "binary: index in a mixed file": (tetra(BE, [(0, 1, 2), (0, 1, 2, 3), (0, 1, 9)]), "E_INDEX",
+        "face 2"),
+    "binary: wrong byte order": (tetra(LE, list=[("vertex_indices", "int",
+        "int")]).replace(b"little", b"big"), "E_TRUNCATED", "face 0"),
+    "binary: NaN": (tetra(LE, corners=[*CORNERS[:3], [0, float("nan"), 0]]), "E_NONFINITE",
+        "vertex 3"),
+    "binary: signalling NaN": (tetra(LE).replace(struct.pack("<f", 1.0), b"\x01\x00\x80\x7f"),
+        "E_NONFINITE", "vertex 1"),
+    "binary: strip index": (binary(
+        V4 + "element tristrips 1\nproperty list int int vertex_indices\n",
+        V4_BYTES + struct.pack("<6i", 5, 0, 1, -2, 2, 3)), "E_INDEX", "tristrips 0"),
+    "point cloud": (binary(V4, V4_BYTES), "E_NO_FACES", ""),
+    "faces but no vertices": (tetra(LE, corners=[]), "E_INDEX", "face 0"),
+    "faces of two corners": (tetra(LE, [(0, 1), (2, 3)]), "E_NO_FACES", "element face"),
+    "faces under another name": (tetra(LE).replace(b"vertex_indices", b"corner_numbers"),
+        "E_NO_FACES", "element face"),
+    "ascii: header only": (text(V4 + F1, ""), "E_TRUNCATED", "vertex 0, line 10"),
+    "ascii: cut in the last line": (text(V4 + F1, V4_TEXT + "3 0 1"), "E_TRUNCATED", "face 0"),
+    "ascii: a billion vertices": (text(V4.replace("4", "1000000000") + F1, V4_TEXT + "3 0 1 2\n"),
+        "E_FORMAT", "vertex 4, line 14"),
+    "ascii: 1e19 faces": (text(V4 + F1.replace("face 1", "face 1" + "0" * 19),
+        V4_TEXT + "3 0 1 2\n"), "E_TRUNCATED", "face 1"),
+    "ascii: too few values": (text(V4 + F1, V4_TEXT.replace("1 0 0", "1 0") + "3 0 1 2\n"),
+        "E_FORMAT", "vertex 1, line 11"),
+    "ascii: too many values": (text(V4 + F1, V4_TEXT.replace("1 0 0", "1 0 0 0") + "3 0 1 2\n"),
+        "E_FORMAT", "vertex 1, line 11"),
+    "ascii: two records on a line, and a word short": (text(V4 + F1, V4_TEXT.replace("\n1",
+        " 1") + "3 0 1\n"), "E_FORMAT", "vertex 0, line 10"),
+    "ascii: two records on a line, and a word more": (text(V4 + F1, V4_TEXT.replace("\n1",
+        " 1").replace("0 1 0", "0 1 0 0") + "3 0 1 2\n"), "E_FORMAT", "line"),
+    "ascii: a list that takes from the next": (text(V4 + F1.replace("face 1", "face 3"),
+        V4_TEXT.replace("\n1", " 1") + "3 0 1 2\n5 0 1 3 2\n3 1 2 3\n"), "E_FORMAT", "line"),
+    "ascii: all on a line, and a zero byte": (text(V4 + F1,
+        V4_TEXT.replace("\n", " ") + "\0\n3 0 1 2\n"), "E_FORMAT", "line"),
+    "ascii: two elements on a line": (text(V4 + F1, V4_TEXT[:-1] + " 3 0 1 2\n"), "E_FORMAT",
+        "vertex 3, line 13"),
+    "ascii: list shorter than its count": (text(V4 + F1.replace("face 1", "face 2"),
+        V4_TEXT + "4 0 1 2\n3 0 1 2\n"), "E_FORMAT", "face 0, line 14"),
+    "ascii: fractional list count": (text(V4 + F1, V4_TEXT + "3.0 0 1 2\n"), "E_FORMAT",
+        "face 0, line 14"),
+    "ascii: word for a coordinate": (text(V4 + F1, V4_TEXT.replace("1 0 0",
+        "1 zero 0") + "3 0 1 2\n"), "E_FORMAT", "line 11"),
+    **{f"ascii: coordinate {word[:9]}": (text(V4 + F1, V4_TEXT.replace("1 0 0",
+        f"1 {word} 0") + "3 0 1 2\n"), "E_FORMAT", "line 11")
+        for word in ("0.5^2", "0,5", "1e-5x", "0.1234567890123456789_1", "1.0`1")},
+    **{f"ascii: corner {word[:9]}": (text(V4 + F1, V4_TEXT + f"3 0 {word} 2\n"), "E_FORMAT",
+        "line 14") for word in ("one", "1.5", "9" * 30)},
+    **{f"ascii: two records on a line, and corner {word[:9]}": (text(V4 + F1,
+        V4_TEXT.replace("\n1", " 1") + f"3 0 1 {word}\n"), "E_FORMAT", "line")
+        for word in ("one", "1.5", "9" * 30)},
+    "ascii: index too large": (text(V4 + F1, V4_TEXT + "\n3 0 1 4\n"), "E_INDEX",
+        "face 0, line 15"),
+    "ascii: index negative": (text(V4 + F1, V4_TEXT + "3 0 1 -1\n"), "E_INDEX", "line 14"),
+    "ascii: nan": (text(V4 + F1, V4_TEXT.replace("1 0 0", "1 nan 0") + "3 0 1 2\n"), "E_NONFINITE",
+        "vertex 1, line 11"),
+    "ascii said, binary data": (tetra(LE).replace(LE.encode(), b"ascii"), "E_FORMAT", "line 2"),
+    "ascii: word for a normal": (text(
+        V4 + "property float nx\nproperty float ny\nproperty float nz\n" + F1,
+        V4_TEXT.replace("\n", " 0 0 one\n") + "3 0 1 2\n"), "E_FORMAT", "line 13"),
+}  # fmt: skip
+
+
+def test_a_promise_of_gigabytes_allocates_next_to_nothing():
+    promises = [row[0] for name, row in DAMAGED.items() if "billion" in name or "e19" in name]
+    for is_traced in (False, True):
+        if is_traced:  # all that is needed is loaded
+            tracemalloc.start()
+        for data in promises:
+            with pytest.raises(MsalError):
+                ply.read(data)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1_000_000
+
+
+def test_an_element_without_properties_takes_no_room_however_large():
+    head = "element nothing 18446744073709551615\n" + V4 + F1
+    for data in (binary(head, tetra(LE)[-61:]), text(head, V4_TEXT + "3 0 1 2\n")):
+        assert len(ply.read(data).faces) == 1
+
+
+@pytest.mark.parametrize("extra", [[], [("near", "int", "uchar")]])
+def test_whole_numbers_that_no_double_holds_are_replaced_and_kept(extra):
+    wide = [("x", "float", ""), ("y", "uint64", ""), ("z", "int64", "")]
+    rows = [
+        [k % 2, 2**62 + 4097 * k, k // 2 - 2**53 - 1, *[[1] * k for _ in extra]] for k in range(4)
+    ]
+    vertex = Element("vertex", wide + extra, rows)
+    data = plain_ply.written(Ply(LE, [vertex, Element("face", LIST, [[[0, 1, 2]], [[3, 2, 1]]])]))
+    mesh = ply.read(data)
+    vertices = mesh.vertices.copy()
+    vertices[::2] += 65536.0
+    output = mesh.replaced(vertices)
+    mesh.check(output, vertices)
+    damaged = bytearray(output)
+    # The last bit of the y that stays, in the second record.
+    damaged[data.index(b"end_header\n") + 11 + 20 + len(extra) + 4] ^= 1
+    with pytest.raises(InternalError):
+        mesh.check(damaged, vertices)

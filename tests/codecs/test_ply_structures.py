@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from msal_cli.codecs import ply
 from tests.codecs import plain_ply
-from tests.codecs.numbers import any_float, any_integer
+from tests.codecs.patching import any_float, any_integer
 from tests.codecs.plain_ply import FLOATS, PACK, Element, Ply, single
 
 INTEGERS = [name for name in PACK if name not in FLOATS]

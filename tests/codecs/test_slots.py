@@ -8,13 +8,10 @@ import pytest
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import (
     Patch,
-    line_of,
-    number_hint,
-    parse_floats,
     replace_statements,
     require_replaced,
 )
-from msal_cli.errors import ContentError, FormatError, InternalError
+from msal_cli.errors import ContentError, InternalError
 from msal_cli.kernels import parallel
 
 VALUES = np.arange(12.0).reshape(4, 3)
@@ -47,23 +44,6 @@ def test_a_number_fits_its_type_or_not(code, value, fits):
         with pytest.raises(ContentError, match="the new y of vertex 7 does not fit") as caught:
             require_range(values, is_changed, codes, first=5)
         assert (caught.value.where, caught.value.code) == ("vertex 7", "E_RANGE")
-
-
-def words(*texts):
-    ends = np.cumsum([len(text) + 1 for text in texts])
-    starts = ends - [len(text) + 1 for text in texts]
-    return as_bytes(*(text + b"\n" for text in texts)), starts, ends - 1
-
-
-def test_words_are_numbers():
-    assert parse_floats(*words(b"1", b"-2.5e1")).tolist() == [1.0, -25.0]
-    assert parse_floats(*words(b"1", b"2d1", b"3D-1", b"4e1")).tolist() == [1.0, 20.0, 0.3, 40.0]
-    for texts, line in (((b"1", b"x"), 2), ((b"1d0", b"1,5"), 2), ((b"1,5", b"1"), 1)):
-        with pytest.raises(FormatError, match="is not a number") as caught:
-            parse_floats(*words(*texts))
-        assert caught.value.where == f"line {line}"
-    assert "comma" in number_hint(b"1,5") and number_hint(b"1.5", "other") == "other"
-    assert [line_of(b"a\nb\rc\r\nd", at) for at in (0, 2, 4, 5, 6, 7)] == [1, 2, 3, 3, 4, 4]
 
 
 def runs(separator):
