@@ -194,29 +194,24 @@ def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
     assert compare_files(str(source), str(source)) == other
 
 
-@linux
-def test_noise_is_added_with_the_same_bytes(tmp_path, small, monkeypatch):
-    source = waves(tmp_path / "a.ply", 60)
-    assert msal("noise", source, "-o", tmp_path / "usual.ply").exit_code == 0
-    monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
-    forget_peak(tmp_path)
-    assert msal("noise", source, "-o", tmp_path / "beyond.ply").exit_code == 0
-    assert array_files.count_scratch().peak_bytes > source.stat().st_size
-    assert (tmp_path / "beyond.ply").read_bytes() == (tmp_path / "usual.ply").read_bytes()
+SWEEP = ("sweep", "--columns", "K=0.3,0.6", "--size", "64", "--reference", "a.ply")
 
 
 @linux
-def test_a_sweep_draws_the_same_picture(tmp_path, monkeypatch):
-    source = waves(tmp_path / "a.ply", 30)
-    sweep = ("sweep", source, "--columns", "K=0.3,0.6", "--size", "64", "--reference", source, "-o")
-    assert msal(*sweep, tmp_path / "usual.png").exit_code == 0
-    # As much as one of the files takes: the other is counted, too.
-    needed = forecast(Task(str(source), "", source.name), Settings(AUTO)).memory_bytes
-    monkeypatch.setattr(machine, "available_bytes", lambda: needed)
+@pytest.mark.parametrize(("words", "suffix"), [(("noise",), "ply"), (SWEEP, "png")])
+def test_other_commands_write_the_same_bytes(tmp_path, small, monkeypatch, words, suffix):
+    monkeypatch.chdir(tmp_path)
+    source = waves(tmp_path / "a.ply", 30 if words == SWEEP else 60)
+    # As much as one of the files of a sweep takes: the other is counted, too.
+    swept = forecast(Task(str(source), "", source.name), Settings(AUTO)).memory_bytes
+    available = swept if words == SWEEP else least_memory_bytes() + 700_000
+    usual, beyond = (tmp_path / f"{name}.{suffix}" for name in ("usual", "beyond"))
+    assert msal(*words, "a.ply", "-o", usual).exit_code == 0
+    monkeypatch.setattr(machine, "available_bytes", lambda: available)
     forget_peak(tmp_path)
-    assert msal(*sweep, tmp_path / "beyond.png").exit_code == 0
+    assert msal(*words, "a.ply", "-o", beyond).exit_code == 0
     assert array_files.count_scratch().peak_bytes > source.stat().st_size
-    assert (tmp_path / "beyond.png").read_bytes() == (tmp_path / "usual.png").read_bytes()
+    assert beyond.read_bytes() == usual.read_bytes()
 
 
 @linux

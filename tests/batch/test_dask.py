@@ -23,8 +23,7 @@ from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
 from tests.batch.conftest import ROOT
-from tests.batch.test_run import fill, statuses
-from tests.batch.test_whole import obj
+from tests.batch.test_run import fill, obj, statuses
 from tests.campaigns import runs
 from tests.cli.scans import msal
 from tests.files import tree

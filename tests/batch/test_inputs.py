@@ -50,16 +50,12 @@ def test_a_folder_named_by_dots_is_known_by_its_real_name(tmp_path, monkeypatch)
     assert discover_inputs(["."])[0].path == "a.ply"
 
 
-def test_a_missing_input_is_named(tmp_path):
-    with pytest.raises(UsageError, match=r"no file or folder.*not here") as caught:
-        relatives(tmp_path / "not here.ply")
-    assert caught.value.code == "E_USAGE"
-    with pytest.raises(UsageError, match="empty string"):
-        relatives("")
-    with pytest.raises(UsageError, match="null"):
-        relatives("a\0b")
-    with pytest.raises(UsageError, match="too long"):
-        relatives("a" * 5000)
+def test_a_missing_input_is_named():
+    names = {"not here.ply": "no file or folder.*not here", "a" * 5000: "too long"}
+    for name, words in (names | {"": "empty string", "a\0b": "null"}).items():
+        with pytest.raises(UsageError, match=words) as caught:
+            relatives(name)
+        assert caught.value.code == "E_USAGE"
 
 
 def test_nothing_matched_is_a_signal_of_its_own(tmp_path):
@@ -176,20 +172,14 @@ class TestOddTrees:
         assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
 
 
-class TestOutputInside:
-    def test_an_output_folder_in_the_input_is_not_searched(self, tmp_path):
-        make_files(tmp_path, "a.ply", "out/a.ply", "out/sub/b.ply", "outer/c.ply")
-        assert relatives(tmp_path, output=str(tmp_path / "out")) == ["a.ply", "outer/c.ply"]
-        assert relatives(f"{tmp_path}/**/*.ply", output=f"{tmp_path}/./out/") == [
-            "a.ply",
-            "outer/c.ply",
-        ]
-
-    @posix
-    def test_nor_one_that_a_link_names(self, tmp_path):
-        make_files(tmp_path, "a.ply", "out/sub/b.ply")
+def test_an_output_folder_in_the_input_is_not_searched(tmp_path):
+    make_files(tmp_path, "a.ply", "out/a.ply", "out/sub/b.ply", "outer/c.ply")
+    expected = ["a.ply", "outer/c.ply"]
+    assert relatives(tmp_path, output=str(tmp_path / "out")) == expected
+    assert relatives(f"{tmp_path}/**/*.ply", output=f"{tmp_path}/./out/") == expected
+    if os.name == "posix":
         (tmp_path / "alias").symlink_to("out")
-        assert relatives(tmp_path, output=str(tmp_path / "alias")) == ["a.ply"]
+        assert relatives(tmp_path, output=str(tmp_path / "alias")) == expected
 
 
 # Patterns

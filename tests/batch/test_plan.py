@@ -18,6 +18,9 @@ from tests.files import make_files, tree
 posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
 
 
+OWN = (NAME, ".msal-lock")
+
+
 def planned(inputs, output, **options):
     some = discover_inputs([str(one) for one in inputs])
     return build_plan(some, None if output is None else str(output), **options)
@@ -132,6 +135,9 @@ def test_the_word_to_must_not_contradict_the_output(tmp_path, refuses):
         ("in/a.ply out/a.ply/x", "in", "out", {"force": True}, "is the folder"),
         ("in/b/a.ply out/b", "in", "out", {"force": True}, "is a file"),
         ("in/b/a.ply file", "in", "file", {}, "is a file"),
+        # Names of what msal keeps.
+        *((f"in/{name} a.ply", f"in/{name} a.ply", "out", {}, "msal's own") for name in OWN),
+        *((f"in/{name}", f"in/{name}", None, {"in_place": True}, "msal's own") for name in OWN),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, refuses, files, inputs, output, options, words):

@@ -1,4 +1,4 @@
-"""Whole batches of objects in memory, through the real pipeline."""
+"""Whole batches of objects in memory; and what is secret in a URL is told nowhere."""
 
 from __future__ import annotations
 
@@ -16,8 +16,11 @@ from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import MeshRecord
 from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
+from msal_cli.storage import urls
 from msal_cli.storage.objects import list_objects, read_whole, write_whole
-from tests.batch.test_whole import obj
+from tests.batch.fakes import InProcess
+from tests.batch.test_run import obj
+from tests.cli.scans import closed_scan, msal, msal_on
 from tests.files import tree
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
@@ -199,6 +202,25 @@ def test_an_object_that_changes_while_it_is_read_is_done_again(scans, monkeypatc
     assert states(denoised()) == dict.fromkeys(NAMES, "up-to-date") | {"2.obj": "written"}
 
 
+def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(scans, monkeypatch):
+    real = remote.write_whole
+
+    def kill(url, *given, **more):
+        if url == "memory://out/a/b/1.obj":
+            raise KeyboardInterrupt
+        return real(url, *given, **more)
+
+    monkeypatch.setattr(remote, "write_whole", kill)
+    with pytest.raises(KeyboardInterrupt):
+        plan = build_plan(discover_inputs(["memory://scans"]), "memory://out")
+        run(plan, settings(), engine=InProcess)
+    monkeypatch.undo()
+    there = outputs()
+    assert there and there.items() < expected().items()
+    assert set(states(denoised()).values()) == {"written", "up-to-date"}
+    assert outputs() == expected()
+
+
 # The manifest
 
 
@@ -275,3 +297,50 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
     monkeypatch.setattr(remote, "read_many", late)
     assert ObjectManifest("memory://out").names() == {"a"}
     assert len(calls) == 2
+
+
+@pytest.fixture(autouse=True)
+def no_secrets(monkeypatch):
+    monkeypatch.setenv(urls.SECRETS, "")
+
+
+@pytest.mark.parametrize(
+    ("place", "is_output"),
+    [
+        ("memory://joe:geheim@b/x", True),
+        ("memory://joe:geheim@b/x.ply", True),
+        ("memory://joe:geheim@b/x.ply", False),
+        ("http://127.0.0.1:9/x.ply?signature=geheim", False),
+        ("nosuch://joe:geheim@b/x.ply", False),
+    ],
+)
+def test_no_secret_is_told(tmp_path, place, is_output):
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "scans/a.ply").write_bytes(closed_scan())
+    pair = (tmp_path / "scans/a.ply", place) if is_output else (place, tmp_path / "out")
+    report, log = tmp_path / "r.json", tmp_path / "log"
+    told = msal("denoise", pair[0], "-o", pair[1], "-vv", "--report", report, "--log-file", log)
+    assert told.exit_code in (1, 2)
+    everything = [told.stdout, told.stderr, log.read_text()]
+    everything += [path.read_text() for path in tmp_path.rglob("*.json*")]
+    assert not any("geheim" in text for text in everything)
+    assert "Traceback" not in told.stderr
+
+
+@pytest.mark.parametrize("words", ["denoise a.ply -o b.ply", "info a.ply", "methods"])
+def test_broken_secrets_are_wrong_use(monkeypatch, words):
+    monkeypatch.setenv(urls.SECRETS, "{{{")
+    told = msal(*words.split())
+    assert told.exit_code == 2
+    assert urls.SECRETS in told.stderr and "{{{" not in told.stderr
+
+
+def test_reports_may_go_to_a_store_and_pipes_come_from_one_and_go_there():
+    write_whole("memory://p/a.ply", closed_scan())
+    report = "memory://reports/r.json"
+    told = msal("denoise", "memory://p/a.ply", "-o", "memory://o/", "--report", report)
+    assert told.exit_code == 0 and b'"written"' in read_whole(report)
+    told = msal("denoise", "memory://p/a.ply", "-o", "-")
+    assert (told.exit_code, told.stdout_bytes[:3]) == (0, b"ply")
+    assert msal_on(closed_scan(), "denoise", "-", "-o", "memory://p/b.ply").exit_code == 0
+    assert read_whole("memory://p/b.ply") == told.stdout_bytes

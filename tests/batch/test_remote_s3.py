@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
 import subprocess
-import threading
 
 import pytest
 
 from msal_cli.storage import objects as remote
-from msal_cli.storage.objects import read_whole, write_whole
+from msal_cli.storage.objects import write_whole
 from tests.batch import test_remote
 from tests.batch.test_remote import outputs
-from tests.batch.test_whole import obj
+from tests.batch.test_run import obj
 from tests.cli.scans import MSAL, msal
 
 pytestmark = pytest.mark.ci
@@ -29,14 +26,12 @@ NAMES = ("a/0.obj", "a/b/1.obj", "2.obj", "c d/%41#?ü+&=.obj")
 
 
 class Server:
-    """moto's server, with every request noted, and some held up."""
+    """moto's server, with every request noted."""
 
     def __init__(self):
         from moto.server import ThreadedMotoServer
 
         self.requests = []
-        self.is_reached, self.gate, self.is_over = (threading.Event() for _ in range(3))
-        self.held_up = ""
         self._moto = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
         self._moto.start()
         self.url = "http://{}:{}".format(*self._moto.get_host_and_port())
@@ -44,35 +39,14 @@ class Server:
         self._app, server.app = server.app, self._answer
 
     def _answer(self, environ, start_response):
-        method, path = environ["REQUEST_METHOD"], environ["PATH_INFO"]
-        self.requests.append(f"{method} {path}")
-        if method == "PUT" and self.held_up and self.held_up in path:
-            self.is_reached.set()
-            self.gate.wait(60)
-            try:
-                return self._app(environ, start_response)
-            finally:
-                self.is_over.set()
+        self.requests.append(f"{environ['REQUEST_METHOD']} {environ['PATH_INFO']}")
         return self._app(environ, start_response)
-
-    def hold_up(self, path):
-        """Let what is put there wait until ``let_go``; ``is_reached`` tells when it came."""
-        for event in (self.gate, self.is_reached, self.is_over):
-            event.clear()
-        self.held_up = path
-
-    def let_go(self):
-        """Go on with what waits, and wait for its end."""
-        self.held_up = ""
-        self.gate.set()
-        assert self.is_over.wait(60)
 
     def counted(self, pattern):
         """How many requests match a method and path."""
         return sum(re.fullmatch(pattern, request) is not None for request in self.requests)
 
     def stop(self):
-        self.gate.set()
         self._moto.stop()
 
 
@@ -145,17 +119,6 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     # Beside the parts of the manifest, of which a slow run has more.
     assert len(server.requests) - server.counted(r".*/\.msal-manifest/.*") < 12
 
-    # An object that changed, and an output that somebody else wrote, are done again.
-    write_whole("s3://out/x/2.obj", b"x" * len(expected["2.obj"]))
-    write_whole("s3://scans/a/0.obj", obj(7).encode())
-    try:
-        assert msal(*command, "--report", report).exit_code == 0
-        again = {name for name, status in statuses(report).items() if status == "written"}
-        assert again == {"2.obj", "a/0.obj"}
-    finally:
-        write_whole("s3://scans/a/0.obj", obj(0).encode())
-    assert read_whole("s3://out/x/2.obj") == expected["2.obj"]
-
 
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
@@ -169,21 +132,3 @@ def test_what_cannot_be_is_told_in_words(server, arguments, status, words):
     assert made.exit_code == status
     assert words in made.stderr and "hint:" in made.stderr
     assert "Traceback" not in made.stderr and "geheim" not in made.stderr
-
-
-@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-def test_a_killed_run_leaves_whole_objects_and_the_next_does_the_rest(server, expected):
-    command = ["denoise", "s3://scans", "-o", "s3://out/killed", "-j", "1", "-q", *PAPER]
-    server.hold_up("/out/killed/a/b/1.obj")
-    process = subprocess.Popen([*MSAL, *command], start_new_session=True)
-    try:
-        assert server.is_reached.wait(60)
-        os.killpg(process.pid, signal.SIGKILL)
-        assert process.wait(10) == -signal.SIGKILL
-    finally:
-        server.let_go()
-    assert msal("report", "s3://out/killed", "--check", "-q").exit_code in (1, 3)
-    there = outputs("s3://out/killed")
-    assert there.items() <= expected.items()
-    assert msal(*command).exit_code == 0
-    assert outputs("s3://out/killed") == expected

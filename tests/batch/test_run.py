@@ -1,4 +1,4 @@
-"""Whole runs over real folders with fake work: records, manifest, rerun, interrupts."""
+"""Whole runs over real folders, with fake work and with real meshes: records, rerun, interrupts."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import msal_cli
+from msal_cli import methods
 from msal_cli.batch import interrupts
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
@@ -24,10 +25,12 @@ from msal_cli.batch.schedule import Finished, Progress, Started
 from msal_cli.batch.shard import Shard, parse_shard
 from msal_cli.errors import UsageError
 from msal_cli.job import room
+from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.files import tree
+from tests.shapes import noisy, torus
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 SETTINGS = Settings("fake", {"n": 1})
@@ -125,9 +128,8 @@ class TestFailures:
         assert failed.version == msal_cli.__version__ and failed.method.name == "fake"
         assert set(tree(folders / "out")) == {f"{n:02}.ply" for n in range(16) if n not in codes}
 
-    @pytest.mark.parametrize("text", ["memory", "die memory"])
-    def test_memory_that_runs_out_twice(self, folders, text):
-        fill(folders, 4, f01=text)
+    def test_memory_that_runs_out_twice(self, folders):
+        fill(folders, 4, f01="memory")
         names, on_event = tried(folders)
         records = ran(folders, on_event=on_event, **WORKERS)
         assert records[1].error.code == "E_MEMORY"
@@ -151,46 +153,33 @@ def test_a_dry_run_touches_nothing_and_tells_what_is_current(folders, monkeypatc
     assert tree(folders) == before
 
 
-class TestInPlace:
-    def run(self, folders, backup=".orig", fresh=False, settings=SETTINGS):
+@pytest.mark.parametrize("backup", [".orig", None])
+def test_a_run_in_place_that_was_killed_after_the_move(folders, backup):
+    def in_place(settings=SETTINGS, backup=backup, fresh=False):
         plan = plan_of(folders, in_place=True, backup=backup, fresh=fresh)
         return ran(folders, settings, plan=plan)
 
-    def test_a_second_run_does_not_denoise_twice(self, folders):
-        fill(folders, 3)
-        assert statuses(self.run(folders)) == ["written"] * 3
-        assert (folders / "in/01.ply").read_text() == "fake MESH 1"
-        assert (folders / "in/01.ply.orig").read_text() == "mesh 1"
-        before = tree(folders)
-        assert statuses(self.run(folders)) == ["up-to-date"] * 3
-        assert tree(folders) == before
-
-    def test_the_original_in_a_backup_is_never_overwritten(self, folders):
-        fill(folders, 3)
-        self.run(folders)
-        before = tree(folders)
-        with pytest.raises(UsageError, match=r"00\.ply\.orig.*and 2 more"):
-            self.run(folders, fresh=True)
-        assert tree(folders) == before
-        assert statuses(self.run(folders, ".2", settings=Settings("other"))) == ["written"] * 3
-        assert (folders / "in/00.ply.2").read_text() == "fake MESH 0"
-
-    @pytest.mark.parametrize("backup", [".orig", None])
-    def test_a_run_killed_after_the_move(self, folders, backup):
-        fill(folders, 3)
-        self.run(folders, backup)
-        expected = tree(folders)
-        path = folders / "in" / NAME
-        lines = path.read_text().splitlines(keepends=True)
-        path.write_text("".join(one for one in lines if not ("done" in one and "01.ply" in one)))
-        records = self.run(folders, backup)
-        # From its backup a file is taken up; without one it is left alone.
-        state = "failed" if backup is None else "written"
-        assert statuses(records) == ["up-to-date", state, "up-to-date"]
-        assert tree(folders) == expected
-        if backup is None:
-            assert records[1].error.code == "E_CHANGED" and "--fresh" in records[1].error.hint
-            assert statuses(self.run(folders, None, fresh=True)) == ["written"] * 3
+    fill(folders, 3)
+    in_place()
+    expected = tree(folders)
+    path = folders / "in" / NAME
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(one for one in lines if not ("done" in one and "01.ply" in one)))
+    records = in_place()
+    # From its backup a file is taken up; without one it is left alone.
+    state = "failed" if backup is None else "written"
+    assert statuses(records) == ["up-to-date", state, "up-to-date"]
+    assert tree(folders) == expected
+    if backup is None:
+        assert records[1].error.code == "E_CHANGED" and "--fresh" in records[1].error.hint
+        assert statuses(in_place(fresh=True)) == ["written"] * 3
+        return
+    # The original in a backup is never overwritten.
+    with pytest.raises(UsageError, match=r"00\.ply\.orig.*and 2 more"):
+        in_place(fresh=True)
+    assert tree(folders) == expected
+    assert statuses(in_place(Settings("other"), ".2")) == ["written"] * 3
+    assert (folders / "in/00.ply.2").read_text() == "fake MESH 0"
 
 
 DRIVER = """
@@ -402,3 +391,64 @@ def test_a_run_says_when_it_began_and_ended(folders):
         ran(folders, Settings("other"), on_event=on_event)
     last = json.loads((folders / "out" / NAME).read_text().splitlines()[-1])
     assert (last["kind"], last["interrupted"]) == ("end", True)
+
+
+def real_settings(**given):
+    return Settings("msal", methods.find("msal").validate(given))
+
+
+def obj(seed, around=24, across=12):
+    vertices, faces = torus(around, across)
+    vertices = noisy(vertices, seed)
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
+    lines += ["f {} {} {}".format(*face) for face in faces + 1]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def scans(tmp_path):
+    for n in range(5):
+        path = tmp_path / f"scans/{'abc'[n % 3]}/{n}.obj"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(obj(n))
+    return tmp_path / "scans"
+
+
+def plan_of_scans(scans, output="out"):
+    target = str(scans.parent / output)
+    return build_plan(discover_inputs([str(scans)], output=target), target)
+
+
+def test_any_number_of_jobs_writes_the_bytes_that_one_file_alone_would_get(scans):
+    (scans / "bad.obj").write_text("v 1 2\nf 1 2 3\n")
+    alone = {}
+    for path in scans.rglob("*.obj"):
+        data, _ = denoise_bytes(path.read_bytes(), path.name, real_settings())
+        if data is not None:
+            alone[path.relative_to(scans).as_posix()] = bytes(data)
+    assert len(alone) == 5
+    records = run(plan_of_scans(scans), real_settings(), jobs=2)
+    failed = [record for record in records if record.status == "failed"]
+    assert [Path(record.input).name for record in failed] == ["bad.obj"]
+    assert tree(scans.parent / "out") == alone
+
+
+@pytest.mark.ci
+def test_four_shards_at_once_write_what_one_run_writes(scans):
+    """Real processes on one folder, started together; then a whole run finds nothing to do."""
+    (scans / "bad.obj").write_text("v 1 2\nf 1 2 3\n")
+    run(plan_of_scans(scans, "one"), real_settings(), jobs=1)
+    command = [sys.executable, "-m", "msal_cli", "denoise", str(scans), "-j", "1"]
+    command += ["--method", "msal", "-o"]
+    shards = [
+        subprocess.Popen([*command, str(scans.parent / "out"), "--shard", f"{k}/4", "-q"])
+        for k in range(1, 5)
+    ]
+    # The shard with the bad file ends with 3, or with 1 if that is all it has.
+    assert sorted(one.wait() for one in shards) in ([0, 0, 0, 3], [0, 0, 0, 1])
+    assert tree(scans.parent / "out") == tree(scans.parent / "one") != {}
+    names = [path.name for path in (scans.parent / "out").glob(".msal-*")]
+    assert sorted(names) == [f".msal-manifest-{k}-of-4.jsonl" for k in range(1, 5)]
+    records = run(plan_of_scans(scans), real_settings())
+    assert {record.status for record in records} == {"up-to-date", "failed"}
+    assert sum(record.remembered for record in records) == 1

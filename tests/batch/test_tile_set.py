@@ -1,7 +1,8 @@
-"""Files that touch, denoised as one mesh."""
+"""Files that touch, denoised as one mesh; by the command, too, and again."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from tests.batch.tile_files import (
     read,
     tasks_of,
 )
+from tests.cli.scans import msal
 from tests.ply_files import to_ply
 
 MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
@@ -151,3 +153,51 @@ def test_locks_and_trust_come_from_all_files(tmp_path):
     records = denoise_set(tasks_of(tmp_path, contents), replace(MSAL, weights="trust"))
     assert [one.status for one in records] == ["written"] * 3 + ["failed"]
     assert records[3].error.code == "E_PROPERTY"
+
+
+@pytest.fixture
+def tiles(tmp_path):
+    """A folder of four files that touch, and where their outputs go."""
+    folder = tmp_path / "tiles"
+    folder.mkdir()
+    for name, data in mixed(in_tiles(*noisy_terrain(), 2)).items():
+        (folder / name).write_bytes(data)
+    return folder, tmp_path / "out"
+
+
+def denoise_by_command(tiles, *options):
+    folder, out = tiles
+    return msal("denoise", folder, "-o", out, "--tile-set", "--method", "msal", *options)
+
+
+def states(tiles):
+    return [
+        one["status"] for one in json.loads(denoise_by_command(tiles, "--json").stdout)["records"]
+    ]
+
+
+def test_a_set_is_up_to_date_as_a_whole(tiles):
+    folder, out = tiles
+    assert states(tiles) == ["written"] * 4
+    assert states(tiles) == ["up-to-date"] * 4
+    vertices, faces = in_tiles(*noisy_terrain(), 2)[0]
+    (folder / "0.ply").write_bytes(ply(vertices + (0.0, 0.0, 1e-3), faces))
+    assert states(tiles) == ["written"] * 4
+    (out / "1.obj").unlink()
+    assert states(tiles) == ["written"] * 4
+    # A file less is another set.
+    (folder / "3.ply").unlink()
+    assert states(tiles) == ["written"] * 3
+
+
+def test_a_file_that_fails_is_mended(tiles):
+    folder, _ = tiles
+    good = (folder / "0.ply").read_bytes()
+    (folder / "0.ply").write_bytes(good[:-10])
+    done = denoise_by_command(tiles, "--fail-on", "fixed_border_vertices > 0")
+    assert done.exit_code == 3
+    assert "held in their place" in done.stderr and "0.ply" in done.stderr
+    # The failure would come again, and so would all others.
+    assert states(tiles) == ["failed", "up-to-date", "up-to-date", "up-to-date"]
+    (folder / "0.ply").write_bytes(good)
+    assert states(tiles) == ["written"] * 4
