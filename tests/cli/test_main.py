@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 
 import pytest
 
 from msal_cli import methods
-from tests.campaigns import runs
-from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, ply_text, process
-from tests.shapes import noisy, torus
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, process
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and pipes of POSIX")
 
@@ -142,56 +139,6 @@ def test_an_output_that_cannot_be_written_is_fatal(tmp_path, command):
     assert b"No space left on device (E_WRITE)" in made.stderr
     assert b"Traceback" not in made.stderr
     assert b"Exception ignored" not in made.stderr
-
-
-def interrupted(arguments, signum, ready, folder):
-    """Send a signal once ``ready`` holds; status and standard error."""
-    words = [*MSAL, *map(str, arguments)]
-    with runs.started(words, stdin=subprocess.PIPE, cwd=folder) as running:
-        try:
-            runs.wait_until(ready, running)
-            running.send_signal(signum)
-            said = running.communicate(timeout=60)[1].decode()
-        finally:
-            running.kill()
-    return running.returncode, said
-
-
-@POSIX
-@pytest.mark.parametrize(
-    ("signum", "status"),
-    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.ci)],
-)
-def test_a_batch_that_is_interrupted_leaves_whole_files_and_goes_on(tmp_path, signum, status):
-    vertices, faces = torus(60, 30)
-    folder = folder_of(
-        tmp_path / "in", **{f"s{at}": ply_text(noisy(vertices, at, 0.05), faces) for at in range(3)}
-    )
-    output = tmp_path / "out"
-    arguments = ["denoise", folder, "-o", output, "-j", "1"]
-    # So many sweeps make a file slow enough to be caught in the middle.
-    slow = [*arguments, "--method", "al", "-n", "1000", "--report", tmp_path / "r.json"]
-    manifest = output / ".msal-manifest.jsonl"
-
-    def is_one_done():
-        return manifest.exists() and b'"kind":"done"' in manifest.read_bytes()
-
-    made = interrupted(slow, signum, is_one_done, tmp_path)
-    assert made[0] == status, made[1]
-    assert "Traceback" not in made[1]
-    assert made[1].endswith("the same command again goes on from here\nmsal: interrupted\n")
-    whole = sorted(one.name for one in output.glob("*.ply"))
-    assert 1 <= len(whole) < 3
-    report = json.loads((tmp_path / "r.json").read_bytes())
-    assert report["interrupted"] is True
-    n_noted = report["totals"]["written"]
-    # A file may be in its place before any record says so.
-    assert 1 <= n_noted <= len(whole)
-    assert report["totals"]["planned"] == 3 - n_noted
-    assert [one.name for one in output.iterdir() if one.suffix == ".tmp"] == []
-    again = process(*slow)
-    assert again.returncode == 0
-    assert f"{n_noted} up to date".encode() in again.stderr
 
 
 def test_a_setting_for_blas_is_left_alone():

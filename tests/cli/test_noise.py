@@ -116,17 +116,6 @@ def test_the_fields_of_a_file(scan, tmp_path):
     assert np.array_equal(with_fields.faces, after.faces)
 
 
-def test_a_folder_and_a_rerun(scan, tmp_path):
-    folder_of(scan.parent / "below", other=closed_scan(1))
-    given = ("denoise", scan.parent, "-o", tmp_path / "out", "--fields", "sigma")
-    assert msal(*given).exit_code == 0
-    written = sorted(one.name for one in (tmp_path / "out").rglob("*.fields.ply"))
-    assert written == ["other.fields.ply", "scan.fields.ply"]
-    assert "2 up to date" in msal(*given).stderr.replace("up-to-date", "up to date")
-    assert msal(*given[:-1], "lambda,sigma").exit_code == 0
-    assert "lambda" in table(tmp_path / "out" / "scan.fields.ply").dtype.names
-
-
 def test_a_file_of_somebody_else_is_not_replaced(scan, tmp_path):
     theirs = tmp_path / "a.fields.ply"
     theirs.write_bytes(b"mine")

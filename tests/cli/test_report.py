@@ -135,60 +135,47 @@ class TestCheck:
         assert ran("report", "out", "--check").exit_code == 0
 
 
-class TestSeveral:
-    def test_the_newest_record_of_a_file_counts(self, scans):
-        (scans / "s1.ply").write_bytes(BAD_SCAN)
-        denoised("--report", "first.json", "--report", "first.jsonl")
-        (scans / "s1.ply").write_bytes(closed_scan(1))
-        denoised("--report", "second.json")
-        for first in ("first.json", "first.jsonl"):
-            document = told(first, "second.json")
-            assert [record["status"] for record in document["records"]] == [
-                "up-to-date",
-                "written",
-                "up-to-date",
-            ]
-        assert by_name(told("second.json", "first.json")) == by_name(told("second.json"))
-        # The folder's own record of s1 is newer than the first report's, and no other is.
-        assert set(by_name(told("first.json", "out")).values()) == {"written"}
+def test_the_newest_record_of_a_file_counts(scans):
+    (scans / "s1.ply").write_bytes(BAD_SCAN)
+    denoised("--report", "first.json", "--report", "first.jsonl")
+    (scans / "s1.ply").write_bytes(closed_scan(1))
+    denoised("--report", "second.json")
+    for first in ("first.json", "first.jsonl"):
+        states = by_name(told(first, "second.json"))
+        assert list(states.values()) == ["up-to-date", "written", "up-to-date"]
+    assert by_name(told("second.json", "first.json")) == by_name(told("second.json"))
+    # The folder's own record of s1 is newer than the first report's, and no other is.
+    assert set(by_name(told("first.json", "out")).values()) == {"written"}
 
 
-class TestRefusals:
-    @pytest.mark.parametrize(
-        ("words", "status", "said"),
-        [
-            (("nowhere",), 2, "no file or folder"),
-            (("in",), 2, "no manifest in the folder"),
-            (("in/s0.ply",), 2, "suffix"),
-            (("r.json", "-o", "r.xyz"), 2, "unknown report format"),
-            (("r.json", "-o", "r.json"), 2, "would replace"),
-            (("r.json", "-o", "./out/s0.json"), 0, ""),
-            (("r.json", "-o", "-"), 2, "name of a file"),
-            (("r.json", "-q", "-v"), 2, "contradict"),
-            ((), 2, "Missing argument"),
-        ],
-    )
-    def test_wrong_use(self, done, words, status, said):
-        before = tree(done.parent, has_own=True)
-        one = ran("report", *words)
-        assert one.exit_code == status and said in one.stderr
-        assert before.items() <= tree(done.parent, has_own=True).items()
-
-    @pytest.mark.parametrize(
-        "text", ["null", "[" * 100_000, '{"schema": "msal.report/1", "records": []}', "\xff"]
-    )
-    @pytest.mark.parametrize("name", ["bad.json", "bad.jsonl"])
-    def test_what_is_no_report(self, done, name, text):
-        (done.parent / name).write_text(text, "latin-1")
-        made = ran("report", name)
-        assert made.exit_code == 1
-        assert "no report of msal denoise" in made.stderr and name in made.stderr
-
-    @pytest.mark.parametrize("text", ["", '{"kind":"done"'])
-    def test_a_manifest_of_a_killed_run_has_no_records(self, done, text):
-        (done.parent / "bad.jsonl").write_text(text)
-        made = ran("report", "bad.jsonl")
-        assert made.exit_code == 0 and "0 files" in made.stderr
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (("nowhere",), 2, "no file or folder"),
+        (("in",), 2, "no manifest in the folder"),
+        (("in/s0.ply",), 2, "suffix"),
+        (("r.json", "-o", "r.xyz"), 2, "unknown report format"),
+        (("r.json", "-o", "r.json"), 2, "would replace"),
+        (("r.json", "-o", "./out/s0.json"), 0, ""),
+        (("r.json", "-o", "-"), 2, "name of a file"),
+        (("r.json", "-q", "-v"), 2, "contradict"),
+        ((), 2, "Missing argument"),
+        *(((f"{name}.{suffix}",), 1, "no report of msal denoise")
+          for name in ("null", "nested", "no schema", "latin") for suffix in ("json", "jsonl")),
+        (("empty.jsonl",), 0, "0 files"),
+        (("killed.jsonl",), 0, "0 files"),
+    ],
+)  # fmt: skip
+def test_what_is_a_run_and_what_is_none(done, words, status, said):
+    contents = {"null": "null", "nested": "[" * 100_000, "latin": "\xff", "empty": ""}
+    contents |= {"no schema": '{"schema": "msal.report/1", "records": []}'}
+    for name, text in (contents | {"killed": '{"kind":"done"'}).items():
+        for suffix in ("json", "jsonl"):
+            (done.parent / f"{name}.{suffix}").write_text(text, "latin-1")
+    before = tree(done.parent, has_own=True)
+    one = ran("report", *words)
+    assert one.exit_code == status and said in one.stderr
+    assert before.items() <= tree(done.parent, has_own=True).items()
 
 
 def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):
