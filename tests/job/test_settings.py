@@ -20,6 +20,9 @@ def test_what_is_chosen_among():
     assert parsed(assume="noise").parameters == {"assume": "noise"}
     assert parsed(method=None, max_move=None, lock=()) == Settings("adaptive")
     assert parsed(strength=0).method == parsed(method="auto", assume="noise").method == "auto"
+    wishes = {"prefer": "volume", "keep": "edges", "strength": -1.5, "budget": 4.0}
+    expected = Settings("auto", wishes | {"assume": None})
+    assert parsed(**wishes) == parsed(method="auto", **wishes) == expected
     assert parsed(keep="edges", budget="4").parameters["budget"] == 4.0
     settings = parsed(parameters=[("K", "K", 0.25)])
     assert (settings.method, settings.parameters["K"]) == ("msal", 0.25)

@@ -226,7 +226,7 @@ class TestBounds:
     def test_a_server_that_sends_what_it_has(self, server, is_bomb):
         pytest.importorskip("aiohttp")
         data = bytes(range(256)) * 8192
-        sent = gzip.compress(bytes(64 << 20)) if is_bomb else data
+        sent = gzip.compress(bytes(16 << 20)) if is_bomb else data
 
         def answer(handler):
             if is_bomb:

@@ -113,32 +113,43 @@ def test_links_that_lead_round_or_out(scene, tmp_path):
         carry(["mesh.mtl"], source, target)
 
 
+@posix
+@pytest.mark.parametrize("kind", ["pipe", "device", "outside", "folder outside"])
+def test_materials_that_are_no_files_of_the_folder(scene, tmp_path, kind):
+    source, target = scene
+    secret, folder = tmp_path / "secret", source.parent / "t"
+    secret.mkdir()
+    (secret / "m.mtl").write_bytes(b"map_Kd key.png\n")
+    if kind == "folder outside":
+        folder.symlink_to(secret)
+    else:
+        folder.mkdir()
+        if kind == "pipe":
+            os.mkfifo(folder / "m.mtl")
+        else:
+            (folder / "m.mtl").symlink_to("/dev/zero" if kind == "device" else secret / "m.mtl")
+    # Not even the names that stand in it are given.
+    (note,) = carry(["t/m.mtl"], source, target)
+    reason = "leads out of" if "outside" in kind else "is not a regular file"
+    assert f"t/m.mtl {reason}" in note and not target.parent.exists()
+
+
 @pytest.mark.parametrize(
     ("line", "name"),
     [
         (b"map_Kd a.png", "a.png"),
-        (b"  map_kd   a.png  ", "a.png"),
-        (b"map_Kd\ta.png", "a.png"),
+        *((b"map_Ks -o 0.5 %sa.png" % more, "a.png") for more in (b"", b"1 ", b"1 -2e-1 ")),
+        (b"  map_kd   a.png  ", "a.png"), (b"map_Kd\ta.png", "a.png"),
         (b"map_Kd my texture.png", "my texture.png"),
-        (b'map_Kd "quoted name.png"', "quoted name.png"),
-        (b"map_Ks -o 0.5 a.png", "a.png"),
-        (b"map_Ks -o 0.5 1 a.png", "a.png"),
-        (b"map_Ks -o 0.5 1 -2e-1 a.png", "a.png"),
-        (b"map_Ks -t 1 2 3 4.png", "4.png"),
+        (b'map_Kd "quoted name.png"', "quoted name.png"), (b"map_Ks -t 1 2 3 4.png", "4.png"),
         (b"map_d -mm 0 1 -blendu off -blendv on -cc on a.png", "a.png"),
-        (b"bump -bm 1.5 -imfchan r a.png", "a.png"),
-        (b"refl -type sphere a.png", "a.png"),
+        (b"bump -bm 1.5 -imfchan r a.png", "a.png"), (b"refl -type sphere a.png", "a.png"),
         (b"map_Kd -texres 256 -boost 2 -clamp on -s 2 2 a b.png", "a b.png"),
-        (b"map_Kd -strange.png", "-strange.png"),
-        (b"map_Kd", ""),
-        (b"map_Kd -clamp on", ""),
-        (b"Kd 1 0 0", ""),
-        (b"newmtl map_Kd", ""),
-        (b"# map_Kd a.png", ""),
-        (b"", ""),
-        (b"map_Kd caf\xe9.png", "caf\udce9.png"),
+        (b"map_Kd -strange.png", "-strange.png"), (b"map_Kd caf\xe9.png", "caf\udce9.png"),
+        *((line, "") for line in (b"map_Kd", b"map_Kd -clamp on", b"Kd 1 0 0", b"")),
+        *((line, "") for line in (b"newmtl map_Kd", b"# map_Kd a.png")),
     ],
-)
+)  # fmt: skip
 def test_texture_lines(line, name):
     assert sidecars._texture(line) == name
 
