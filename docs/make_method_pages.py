@@ -39,12 +39,14 @@ def inline(text: str, link_from: str = "") -> str:
     """A paragraph of a docstring as Markdown, in one line.
 
     Code stands between pairs of backticks; the name of another method than ``link_from`` leads to
-    its page.
+    its page, and so does the name of a page, such as ``docs/noise.md``.
     """
+    folder = "../" if link_from else ""
     parts = re.split(r"``(.+?)``", " ".join(text.split()))
     for at, part in enumerate(parts):
         if at % 2 == 0:
             parts[at] = re.sub(r"([*\\`|]|<(?=[A-Za-z/!]))", r"\\\1", part)
+            parts[at] = re.sub(r"\bdocs/(\w+\.md)", rf"[\1]({folder}\1)", parts[at])
         elif link_from and part != link_from and part in methods.names():
             parts[at] = f"[`{part}`]({part}.md)"
         else:

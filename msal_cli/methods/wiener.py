@@ -11,8 +11,9 @@ For organic and textured scans with noise up to about 0.4 mean edge lengths.  Th
        lambda = Q / (Q + 0.4 caution c s^2)
 
    This is ``schedule=wiener`` of ``msal``; docs/algorithm.md has all of it.
+
 3. The noisy normals of the scan are averaged over neighbouring faces, the more a neighbour counts
-   the more alike the two are *in the result*: a joint bilateral filter, with A areas, c centroids,
+   the more alike the two are in the result: a joint bilateral filter, with A areas, c centroids,
    g the normals of the result,
 
        w_ij = A_j exp(-|c_i - c_j|^2 / (2 sigma_c^2)) exp(-|g_i - g_j|^2 / (2 sigma_s^2))
