@@ -4,8 +4,8 @@
 
 Clean shapes of ``ground_truth`` with noise of every kind that ``msal noise`` adds, and surfaces of
 binary voxels.  The true level is the root mean square of what was added, along the direction that
-it was added in; estimate and truth are in mean edge lengths of the noisy mesh.  docs/noise.md holds
-the tables.
+it was added in; estimate and truth are in mean edge lengths of the noisy mesh.  The tables are
+in benchmarks/results/noise_kinds.txt.
 """
 
 from __future__ import annotations

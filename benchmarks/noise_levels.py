@@ -5,7 +5,8 @@
 Every clean shape of ``ground_truth`` with Gaussian noise along its normals at several levels, then
 with noise of other kinds, and with two halves of different noise.  Levels are in mean edge lengths
 of the clean shape, estimates in the same; where the true level lies outside the interval given it
-has an asterisk.  docs/noise.md holds the tables.
+has an asterisk.  The tables are in
+benchmarks/results/noise_levels.txt.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@
 
 Outliers are moved by 1 to 3 mean edge lengths in random directions, all other vertices by Gaussian
 noise along their normals.  The second table has the errors of the plain command, with --auto those
-of --auto too, without and with outliers brought back.  docs/noise.md holds the tables.
+of --auto too, without and with outliers brought back.  The tables are in
+benchmarks/results/outliers.txt.
 """
 
 from __future__ import annotations

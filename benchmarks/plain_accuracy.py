@@ -2,7 +2,7 @@
 
     MSAL_DATA=FOLDER python -m benchmarks.plain_accuracy [--quick]
 
-Prints the section "The plain command" of docs/accuracy.md: for every class of
+Prints what benchmarks/results/plain_accuracy.txt holds: for every class of
 ``benchmarks.ground_truth`` the mean angle between corresponding face normals in degrees / the mean
 distance between corresponding vertices in % of the true mean edge length, of what the plain
 command chooses and of the best fixed settings; then what was chosen for each mesh.
