@@ -98,15 +98,16 @@ def find_outliers(mesh: Mesh) -> Outliers:
     and those on open borders, are never outliers.  It costs about as much as
     one sweep where there are none.
     """
-    return _Search(mesh).run()
+    return _Search(mesh, BOUND).run()
 
 
 class _Search:
-    """The state of one search: positions, scores of all vertices, and outliers found so far."""
+    """The state of one search: positions, scores above a ``floor``, and outliers found so far."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, floor: float) -> None:
         n = len(mesh.vertices)
         self.mesh = mesh
+        self.floor = floor
         self.positions = mesh.vertices
         self.agreements = np.ones(n)
         self.may_move = mesh.topology.has_ring.copy()
@@ -121,7 +122,8 @@ class _Search:
         """All passes."""
         mesh = self.mesh
         n_used = max(int(np.count_nonzero(mesh.topology.has_ring)), 1)
-        self._score(np.ones(len(self.flags), dtype=np.bool_))
+        self._measure_agreement(np.arange(len(self.flags)))
+        self._score(np.arange(len(self.flags)))
         if not (self.scores > BOUND).any():
             return Outliers(self.flags, mesh.vertices, False, 0.0)
         n_certain, are_apart = 0, False
@@ -132,12 +134,15 @@ class _Search:
             if len(found):
                 n_certain += int(np.count_nonzero(self.scores[found] > CERTAIN))
                 self.flags[found] = True
-                self._bring_back(found)
+                self._score(self._bring_back(found))
             share = int(np.count_nonzero(self.flags)) / n_used
             if share > MAX_SHARE:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
             # What is not found yet is among the spikes, so they do not count here.
             are_apart = are_apart or (share > USUAL and self._are_beyond(self._noise().mean_edges))
+            if are_apart and self.floor == BOUND:
+                # The bound gets lower, and scores up to this one were left out.
+                return _Search(mesh, outliers.MIN_SCORE).run()
             before, bound = bound, BOUND
             if are_apart:
                 bound -= min(STEP * math.log(max(share / USUAL, 1.0)), MAX_STEPS)
@@ -150,7 +155,8 @@ class _Search:
         wrong = found[self._judge(found)[0] <= bound]
         if len(wrong):
             self.flags[wrong] = False
-            self._move(wrong, mesh.vertices[wrong])
+            self.positions[wrong] = mesh.vertices[wrong]
+            self.noise = None
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
         are_designed = _count_aligned(mesh.vertices[self.flags]) >= max(
@@ -190,14 +196,18 @@ class _Search:
         ways = distances(self.mesh.vertices, self.positions)[self.flags]
         return len(ways) > 0 and median(ways) >= APART * noise_edges * self.mesh.mean_edge_length
 
-    def _score(self, changed: Flags) -> None:
-        """Set the scores of vertices whose surroundings have changed."""
+    def _measure_agreement(self, changed: Longs) -> None:
+        """Set the agreement of the faces around vertices (c,) whose surroundings have changed."""
         mesh = self.mesh
         outliers.measure_agreement(
             self.positions, mesh.faces, mesh.topology, changed, self.agreements
         )
+
+    def _score(self, changed: Longs) -> None:
+        """Set the scores of such vertices."""
         self.scores[changed] = outliers.NOT_JUDGED
-        chosen = np.flatnonzero(changed & self.may_move & ~self.flags & (self.agreements < ROUGH))
+        is_rough = self.agreements[changed] < ROUGH
+        chosen = changed[is_rough & self.may_move[changed] & ~self.flags[changed]]
         self.scores[chosen], _ = self._judge(chosen, is_known=False)
 
     def _judge(self, chosen: Longs, is_known: bool = True) -> tuple[Floats, Floats]:
@@ -212,16 +222,16 @@ class _Search:
             self.agreements,
             mesh.mean_edge_length,
             is_known,
+            self.floor,
         )
 
-    def _bring_back(self, found: Longs) -> None:
-        """Move outliers to their places on the fits, and score their surroundings again."""
-        self._move(found, self._judge(found)[1])
-
-    def _move(self, which: Longs, targets: Floats) -> None:
-        self.positions[which] = targets
+    def _bring_back(self, found: Longs) -> Longs:
+        """Move outliers to their places on the fits; the vertices whose surroundings change."""
+        self.positions[found] = self._judge(found)[1]
         self.noise = None
-        self._score(outliers.mark_two_rings(which, self.mesh.topology))
+        changed = outliers.find_two_rings(found, self.mesh.topology)
+        self._measure_agreement(changed)
+        return changed
 
 
 def _count_aligned(points: Floats) -> int:

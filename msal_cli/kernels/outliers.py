@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.parallel import over_ranges
@@ -52,8 +52,10 @@ MIN_WAY = 0.75
 EARLY_WAY = 0.65
 """The same after the first of the fits: the others move it by much less than the difference."""
 
-NEAR = 0.5
-"""Local edges from the middle of its neighbours up to which it is none, and no fit is made."""
+NEAR, NEAR_BY_SCORE = 0.43, 0.17
+"""Local edges from the middle of its neighbours up to which a vertex has no score above 0, and no
+fit is made, and how many more for each 1 of the score.  Of 270,000 with more than 0.5 the nearest
+was at 0.58, of 105,000 with more than 1.3 at 0.73."""
 
 MIN_EDGES = 0.65
 """The same in mean edges of the mesh: folds of tiny faces are none."""
@@ -66,6 +68,11 @@ ALONG, ROUGH, SMOOTH, NOISE, TEXTURE = 1.2, 0.8, 1.4, 1.0, 2.2
 the fit, what the fit leaves over at the others, and the roughness of the corners around it; the way
 across the surface has 1.  By logistic regression over outliers, noise and clean meshes; a score of
 1 more is about 300 times the odds."""
+
+FARTHEST, MARGIN = (1.0 + ALONG * ALONG) ** 0.5, 0.1
+"""Weight of the way from the middle of the neighbours that those across and along the surface do
+not exceed together, if that is on the fit; and what is added as it may not be.  Of the same 270,000
+one exceeded it by 0.0001."""
 
 MIN_SCORE = 0.4
 """Scores up to which no vertex is ever an outlier, and it is not asked whether it is designed."""
@@ -106,9 +113,8 @@ def _normal(ax, ay, az, x, b, c, normal):
 @compiled
 def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):
     normal = np.empty(3)
-    for i in range(start, stop):
-        if not chosen[i]:
-            continue
+    for place in range(start, stop):
+        i = chosen[place]
         sx = sy = sz = 0.0
         for at in range(face_start[i], face_start[i + 1]):
             f = incident[at]
@@ -206,27 +212,27 @@ def _rank(values, count, share, ranking):
 
 
 @compiled
-def _median(values, count, below, ranking):
-    """As ``_rank`` for a half of some dozens of values, without branches; ``below`` is for how many
-    are below each."""
+def _rank_few(values, count, share, below, ranking):
+    """As ``_rank`` for some dozens of values, without branches; ``below`` is for how many are below
+    each."""
     total = 0.0
     for at in range(1, count):
         below[at] = 0
         total += values[at]
     if not total < np.inf:
-        return _rank(values, count, 0.5, ranking)
+        return _rank(values, count, share, ranking)
     for other in range(1, count):
         value = values[other]
         for at in range(1, count):
             below[at] += value < values[at]
-    place = np.int64(0.5 * (count - 1))
+    place = np.int64(share * (count - 1))
     # Of alike ones all have the same number below, and the greatest up to the place is theirs.
-    most, median = -1, 0.0
+    most, ranked = -1, 0.0
     for at in range(1, count):
         if most < below[at] <= place:
             most = below[at]
-            median = values[at]
-    return median
+            ranked = values[at]
+    return ranked
 
 
 @compiled
@@ -267,7 +273,7 @@ def _fit(
             return -1.0
         for at in range(1, count):
             rests[at] = abs(local[2, at] - _height(local[0, at], local[1, at], coefficients))
-        median = _median(rests, count, below, ranking)
+        median = _rank_few(rests, count, 0.5, below, ranking)
         width = WIDTH * median + MIN_WIDTH
         for at in range(1, count):
             share = width * width / (width * width + rests[at] * rests[at])
@@ -335,7 +341,7 @@ def _spread(i, x, found, count, ring_start, ring, lengths, ranking):
                 lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
                 n += 1
     shortest = _rank(lengths, n, 0.1, ranking)
-    return _rank(lengths, n, 0.9, ranking) / max(shortest, 1e-300)
+    return ranking[np.int64(0.9 * (n - 1))] / max(shortest, 1e-300)
 
 
 @compiled
@@ -353,6 +359,7 @@ def _judge(
     agreements,
     edge,
     is_known,
+    floor,
     scores,
     targets,
 ):
@@ -394,12 +401,26 @@ def _judge(
         cx, cy, cz = cx / total, cy / total, cz / total
         px, py, pz = places[at, 0], places[at, 1], places[at, 2]
         dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
-        if dx * dx + dy * dy + dz * dz < NEAR * NEAR and not is_known:
+        square = dx * dx + dy * dy + dz * dz
+        if square < (NEAR + NEAR_BY_SCORE * floor) ** 2 and not is_known:
             continue
         if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
             continue
         count = collect_patch(i, ring_start, ring, found, ends, slots)
         if count <= MIN_VERTICES:
+            continue
+        for k in range(n):
+            f = outer[k]
+            if f >= 0:
+                p = faces[f, 0]
+                _normal(x[p, 0], x[p, 1], x[p, 2], x, faces[f, 1], faces[f, 2], outer_normals[k])
+        now = _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
+        for near in range(1, count):
+            rests[near] = agreements[found[near]]
+        quiet = _rank_few(rests, count, QUIET, below, ranking)
+        texture = np.sqrt(max(1.0 - quiet, 0.0))
+        most = FARTHEST * np.sqrt(square) + ROUGH * now - TEXTURE * texture + MARGIN
+        if most <= floor and not is_known:
             continue
         # The direction of the neighbours' other faces.
         nx = ny = nz = 0.0
@@ -414,10 +435,6 @@ def _judge(
                     nx += weight * normal[0]
                     ny += weight * normal[1]
                     nz += weight * normal[2]
-            f = outer[k]
-            if f >= 0:
-                p = faces[f, 0]
-                _normal(x[p, 0], x[p, 1], x[p, 2], x, faces[f, 1], faces[f, 2], outer_normals[k])
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
         if length <= 1e-10:
             continue
@@ -460,18 +477,12 @@ def _judge(
         way = np.sqrt(across * across + along * along)
         if way < MIN_WAY or way * size < MIN_EDGES * edge:
             continue
-        now = _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
         then = _roughness(tx, ty, tz, n, x, after, following, outer, outer_normals, normals)
         if now - then < MIN_GAIN:
             continue
-        for near in range(1, count):
-            rests[near] = agreements[found[near]]
-        quiet = _rank(rests, count, QUIET, ranking)
-        texture = np.sqrt(max(1.0 - quiet, 0.0))
         score = across + ALONG * along + ROUGH * now
         score -= SMOOTH * then + NOISE * noise + TEXTURE * texture
-        if score <= MIN_SCORE:
-            scores[at] = score
+        if score <= floor:
             continue
         nearest = np.inf
         for k in range(n):
@@ -516,12 +527,12 @@ def _marked_around(chosen, ring_start, ring, marks):
 
 
 def measure_agreement(
-    x: Floats, faces: Ints, links: Connectivity, chosen: Flags, agreements: Floats
+    x: Floats, faces: Ints, links: Connectivity, chosen: Longs, agreements: Floats
 ) -> None:
-    """Set ``agreements`` (n,) of the ``chosen`` (n,) vertices: the length of the mean of their
+    """Set ``agreements`` (n,) of the vertices ``chosen`` (c,): the length of the mean of their
     faces' unit normals, 1 where these are the same and 0 where they are all ways."""
     around = links.incidence
-    over_ranges(_agreements, len(x), x, faces, *around, chosen, agreements)
+    over_ranges(_agreements, len(chosen), x, faces, *around, chosen, agreements)
 
 
 def judge(
@@ -533,10 +544,11 @@ def judge(
     agreements: Floats,
     edge: float,
     is_known: bool,
+    floor: float,
 ) -> tuple[Floats, Floats]:
     """How far out the vertices ``chosen`` (c,) are at ``places`` (c, 3) among all others at ``x``.
 
-    Those in the middle of their neighbours are passed over unless ``is_known``.
+    Those that will not have a score above ``floor`` are passed over unless ``is_known``.
 
     Returns
     -------
@@ -546,7 +558,7 @@ def judge(
     """
     scores, targets = np.empty(len(chosen)), np.empty((len(chosen), 3))
     around = faces, *links.incidence, *links.one_ring
-    known = chosen, places, x, *around, agreements, edge, is_known, scores, targets
+    known = chosen, places, x, *around, agreements, edge, is_known, floor, scores, targets
     over_ranges(_judge, len(chosen), *known, smallest=MIN_PER_THREAD)
     return scores, targets
 
@@ -559,8 +571,8 @@ def pick(scores: Floats, bound: float, links: Connectivity) -> Longs:
     return chosen[picked]
 
 
-def mark_two_rings(chosen: Longs, links: Connectivity) -> Flags:
-    """The vertices ``chosen`` (c,) and those at most two edges away from one, (n,)."""
+def find_two_rings(chosen: Longs, links: Connectivity) -> Longs:
+    """The vertices ``chosen`` (c,) and those at most two edges away from one, in order."""
     marks = np.zeros(len(links.has_ring), dtype=np.bool_)
     _marked_around(chosen, *links.one_ring, marks)
-    return marks
+    return np.flatnonzero(marks)
