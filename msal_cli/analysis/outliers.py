@@ -36,6 +36,9 @@ bound is less by ``STEP`` for each factor of e, up to ``MAX_STEPS``, unless they
 MAX_PASSES = 12
 """Spikes hide one another: each pass takes the ones furthest out among their neighbours."""
 
+NEW_SHARE = 0.1
+"""Share of the outliers that are new, above which the noise of the others is estimated anew."""
+
 RETURNS = 2
 """Passes that bring back all outliers at once, each among the places of the others."""
 
@@ -115,7 +118,7 @@ class _Search:
             self.may_move &= ~mesh.fixed_vertices
         self.scores = np.full(n, outliers.NOT_JUDGED)
         self.flags = np.zeros(n, dtype=np.bool_)
-        # Of the others as they are now, once it is estimated.
+        # Of the others, once it is estimated.
         self.noise: NoiseLevel | None = None
 
     def run(self) -> Outliers:
@@ -135,6 +138,8 @@ class _Search:
                 n_certain += int(np.count_nonzero(self.scores[found] > CERTAIN))
                 self.flags[found] = True
                 self._score(self._bring_back(found))
+                if len(found) > NEW_SHARE * int(np.count_nonzero(self.flags)):
+                    self.noise = None
             share = int(np.count_nonzero(self.flags)) / n_used
             if share > MAX_SHARE:
                 return Outliers(np.zeros_like(self.flags), mesh.vertices, False, share)
@@ -156,7 +161,7 @@ class _Search:
         if len(wrong):
             self.flags[wrong] = False
             self.positions[wrong] = mesh.vertices[wrong]
-            self.noise = None
+        self.noise = None
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
         are_designed = _count_aligned(mesh.vertices[self.flags]) >= max(
@@ -184,7 +189,7 @@ class _Search:
         return is_sure and not estimate_noise(self.mesh).is_negligible
 
     def _noise(self) -> NoiseLevel:
-        """The noise of all others."""
+        """The noise of all others, or of nearly as many."""
         from msal_cli.analysis.noise_estimate import estimate_noise
 
         if self.noise is None:
@@ -228,7 +233,6 @@ class _Search:
     def _bring_back(self, found: Longs) -> Longs:
         """Move outliers to their places on the fits; the vertices whose surroundings change."""
         self.positions[found] = self._judge(found)[1]
-        self.noise = None
         changed = outliers.find_two_rings(found, self.mesh.topology)
         self._measure_agreement(changed)
         return changed
