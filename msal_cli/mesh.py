@@ -12,7 +12,7 @@ import functools
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,28 +75,22 @@ class Mesh:
 
         known = self._cached_normals
         if (weighting, mollify) not in known:
-            normals = self._plain_normals(weighting)
-            links = self.topology
-            known[weighting, mollify] = geometry.mollify(
-                normals, links.ring_start, links.ring, mollify
-            )
+            done = [passes for kind, passes in known if kind == weighting and passes < mollify]
+            if done:
+                normals = known[weighting, max(done)]
+            elif weighting == "uniform" and "_left_normals" in self.__dict__:
+                # Those that counting flat faces has left behind are not kept for a second time,
+                # for they take as much memory as the vertices.
+                normals = self.__dict__.pop("_left_normals")
+            else:
+                normals = geometry.vertex_normals(self.vertices, self.faces, weighting)
+            passes = mollify - max(done, default=0)
+            known[weighting, mollify] = geometry.mollify(normals, *self.topology.one_ring, passes)
         return known[weighting, mollify]
 
     @functools.cached_property
     def _cached_normals(self) -> dict[tuple[str, int], Floats]:
         return {}
-
-    def _plain_normals(self, weighting: str) -> Floats:
-        """Normals (n, 3) that are not mollified; those that counting flat faces has left behind
-        are not kept for a second time, for they take as much memory as the vertices."""
-        from msal_cli.kernels.geometry import vertex_normals
-
-        left: Floats | None = None
-        if weighting == "uniform":
-            left = self.__dict__.pop("_left_normals", None)
-        if left is None:
-            left = self._cached_normals.get((weighting, 0))
-        return vertex_normals(self.vertices, self.faces, weighting) if left is None else left
 
     def release_normals(self) -> None:
         """Free the memory of all normals; they are computed anew when needed."""
@@ -132,18 +126,23 @@ class Mesh:
         return other
 
 
+Given = ParamSpec("Given")
 Value = TypeVar("Value")
 
 
-def cached_by_mesh(compute: Callable[[Mesh], Value]) -> Callable[[Mesh], Value]:
-    """``compute``, which runs once for each mesh; the value is kept as long as the mesh."""
-    cache: weakref.WeakKeyDictionary[Mesh, Value] = weakref.WeakKeyDictionary()
+def cached_by_mesh(
+    compute: Callable[Concatenate[Mesh, Given], Value],
+) -> Callable[Concatenate[Mesh, Given], Value]:
+    """``compute``, which runs once for each mesh and what else is given; the values, which must not
+    hold the mesh, are kept as long as it."""
+    cache: weakref.WeakKeyDictionary[Mesh, dict[object, Value]] = weakref.WeakKeyDictionary()
 
     @functools.wraps(compute)
-    def cached(mesh: Mesh) -> Value:
-        if mesh not in cache:
-            cache[mesh] = compute(mesh)
-        return cache[mesh]
+    def cached(mesh: Mesh, /, *given: Given.args, **named: Given.kwargs) -> Value:
+        known = cache.setdefault(mesh, {})
+        if given not in known:
+            known[given] = compute(mesh, *given, **named)
+        return known[given]
 
     return cached
 

@@ -106,10 +106,13 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
     Noise in all directions makes jagged triangles, across which normals err whatever the heights
     are.  Heights along the normal stay as they are, and so do vertices at open edges.
     """
+    return _even_out(mesh, passes) if passes else mesh
+
+
+@cached_by_mesh
+def _even_out(mesh: Mesh, passes: int) -> Mesh:
     from msal_cli.kernels.geometry import slide
 
-    if not passes:
-        return mesh
     links = mesh.topology
     normals = mesh.vertex_normals("uniform", EVEN_MOLLIFY)
     free = links.has_ring & ~links.boundary

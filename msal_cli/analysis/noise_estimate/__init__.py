@@ -348,8 +348,9 @@ class Estimate:
     regions: Floats
 
 
+@cached_by_mesh
 def characterize(mesh: Mesh) -> Estimate:
-    """What the noise is like, and its level as it is for such."""
+    """What the noise is like, and its level as it is for such; computed once for a mesh."""
     white = estimate_white(mesh)
     n_used = np.count_nonzero(mesh.topology.has_ring)
     if n_used < MIN_VERTICES:
