@@ -88,16 +88,14 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
 
 def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
     """What a dry run says of all files: how many, how large, how long on so many cores."""
-    todo = [
-        record.planned
-        for record in records
-        if record.status == "planned" and record.planned is not None
-    ]
-    parts = [
-        f"{format_count(len(todo), 'file')} to denoise",
-        figure(sum(planned.bytes or 0 for planned in todo) / 1e6, ",.1f", " MB"),
-        "about " + format_count(sum(planned.vertices or 0 for planned in todo), "vertex"),
-    ]
+    pending = [record for record in records if record.status == "planned"]
+    todo = [record.planned for record in pending if record.planned is not None]
+    parts = [f"{format_count(len(pending), 'file')} to denoise"]
+    if todo or not pending:
+        parts += [
+            figure(sum(planned.bytes or 0 for planned in todo) / 1e6, ",.1f", " MB"),
+            "about " + format_count(sum(planned.vertices or 0 for planned in todo), "vertex"),
+        ]
     seconds = known_values(todo, "seconds")
     if seconds:
         # A file is not shared among processes.

@@ -190,6 +190,13 @@ def test_a_set_is_up_to_date_as_a_whole(tiles):
     assert states(tiles) == ["written"] * 3
 
 
+def test_a_dry_run_counts_the_files(tiles):
+    assert denoise_by_command(tiles, "--dry-run").stderr.splitlines()[-1] == "4 files to denoise"
+    assert states(tiles) == ["written"] * 4
+    last = denoise_by_command(tiles, "--dry-run").stderr.splitlines()[-1]
+    assert last.endswith("4 up to date")
+
+
 def test_a_file_that_fails_is_mended(tiles):
     folder, _ = tiles
     good = (folder / "0.ply").read_bytes()
