@@ -7,13 +7,15 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
+import types
 from xml.etree import ElementTree
 
 import pytest
 
-from tests.cli.scans import closed_scan, folder_of
-from tests.pipelines import ROOT, action_steps, add_spike, make_project, run_action, run_shell
-from tests.scripts import load_script
+from tests.cli.scans import closed_scan, folder_of, open_scan
+from tests.scripts import ROOT, load_script
 
 yaml = pytest.importorskip("yaml")
 refresh = load_script("docs/refresh.py")
@@ -46,10 +48,93 @@ SPIKE = "spike.ply: broken: despiked > 0"
 
 @pytest.fixture
 def project(tmp_path):
-    return make_project(tmp_path)
+    """A folder with scans, beside a folder ``bin`` that has a command ``msal``."""
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    (tools / "msal").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m msal_cli "$@"\n')
+    (tools / "msal").chmod(0o755)
+    folder_of(tmp_path / "project/scans", closed=closed_scan())
+    folder_of(tmp_path / "project/scans/below", open=open_scan())
+    return tmp_path / "project"
+
+
+def add_spike(project):
+    """A scan with one vertex far out."""
+    lines = closed_scan(1).splitlines()
+    at = lines.index(b"end_header") + 7
+    lines[at] = b" ".join(b"%g" % (30.0 * float(coordinate)) for coordinate in lines[at].split())
+    (project / "scans" / "spike.ply").write_bytes(b"\n".join(lines) + b"\n")
+
+
+def run_shell(project, words, shell="sh", **variables):
+    """Run a command in the project; CI services stop at the first that fails."""
+    environment = {name: value for name, value in os.environ.items() if "GIT" not in name}
+    environment |= {
+        "PATH": f"{project.parent / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": str(ROOT),
+        **variables,
+    }
+    command = words if isinstance(words, list) else [shell, "-ec", words]
+    return subprocess.run(command, cwd=project, env=environment, capture_output=True, text=True)
 
 
 # The action
+
+
+def action_steps(given):
+    """The shell steps of the action by their names: script and environment, inputs filled in."""
+    assert set(given) <= set(ACTION["inputs"]), "an input that the action does not have"
+    values = {
+        f"inputs.{name}": given.get(name, spec["default"])
+        for name, spec in ACTION["inputs"].items()
+    }
+    values["github.action_path"] = str(ROOT)
+
+    def fill(text):
+        """A value of a workflow with its ``${{ a || b }}`` replaced."""
+        return re.sub(
+            r"\$\{\{\s*([\w.-]+)(?:\s*\|\|\s*([\w.-]+))?\s*\}\}",
+            lambda found: values[found[1]] or (values[found[2]] if found[2] else ""),
+            str(text),
+        )
+
+    return {
+        step["name"]: (
+            step["run"],
+            {name: fill(value) for name, value in step.get("env", {}).items()},
+        )
+        for step in ACTION["runs"]["steps"]
+        if "run" in step
+    }
+
+
+def run_action(project, given):
+    """Run the step of the action that denoises, as a runner does."""
+    script, variables = action_steps(given)["Denoise and check"]
+    written, summary = project.parent / "github_output", project.parent / "github_summary"
+    for path in (written, summary):
+        path.write_text("")
+    variables |= {"GITHUB_OUTPUT": str(written), "GITHUB_STEP_SUMMARY": str(summary)}
+    done = run_shell(project, "set -u\n" + script, "bash", GITHUB_ACTIONS="true", **variables)
+    return types.SimpleNamespace(
+        status=done.returncode,
+        outputs=read_outputs(written.read_text()),
+        summary=summary.read_text(),
+        stderr=done.stderr,
+    )
+
+
+def read_outputs(text):
+    """What a step wrote to ``GITHUB_OUTPUT``: ``name=value`` and ``name<<END``."""
+    outputs = {}
+    lines = iter(text.splitlines())
+    for line in lines:
+        if "<<" in line:
+            name, _, end = line.partition("<<")
+            outputs[name] = "\n".join(iter(lines.__next__, end))
+        else:
+            name, _, outputs[name] = line.partition("=")
+    return outputs
 
 
 def test_action_reports_and_stops_at_a_gate(project):
@@ -58,14 +143,14 @@ def test_action_reports_and_stops_at_a_gate(project):
         "options": "--method msal\n--timeout 10m",
         "report": "a b.json\nc.html",
     }
-    done = run_action(ACTION, project, given)
+    done = run_action(project, given)
     assert done.status == 0, done.stderr
     assert done.outputs == {"report": "a b.json\nc.html", "status": "0"}
     assert "closed.ply" in done.summary
     assert (project / "denoised/below/open.ply").exists()
     assert all((project / name).exists() for name in done.outputs["report"].splitlines())
     add_spike(project)
-    done = run_action(ACTION, project, given)
+    done = run_action(project, given)
     assert done.status == 4
     assert done.outputs["status"] == "4" and done.outputs["report"]
     assert "::error" in done.stderr and "spike.ply" in done.summary
@@ -76,9 +161,9 @@ def test_action_reports_and_stops_at_a_gate(project):
 def test_action_runs_nothing_of_its_inputs(project):
     hostile = '$(touch owned) `touch owned` "; touch owned; "'
     given = dict.fromkeys(("files", "gates", "options", "output", "baseline"), hostile)
-    assert run_action(ACTION, project, given).status not in (0, 4)
+    assert run_action(project, given).status not in (0, 4)
     assert not (project / "owned").exists()
-    scripts = [script for script, _ in action_steps(ACTION, {}).values()]
+    scripts = [script for script, _ in action_steps({}).values()]
     assert not any("${{" in script for script in scripts)
 
 
@@ -87,20 +172,20 @@ def test_the_example_passes_its_check_and_fails_for_a_worse_and_a_lost_scan(proj
     shutil.copytree(EXAMPLE, project)
     steps = load_yaml(EXAMPLE / ".github/workflows/meshes.yml")["jobs"]["meshes"]["steps"]
     (given,) = (step["with"] for step in steps if step.get("id") == "msal")
-    done = run_action(ACTION, project, given)
+    done = run_action(project, given)
     assert done.status == 0, done.stderr
     assert "ring_with_ribs.ply" in done.summary
     vertices, faces = make_scans.ring(0, 0.0)
     noisier = make_scans.add_noise(make_scans.add_noise(vertices, faces, 1), faces, 7)
     (project / "scans/ring.ply").write_bytes(make_scans.to_ply(noisier, faces))
-    done = run_action(ACTION, project, given)
+    done = run_action(project, given)
     assert done.status == 4 and done.outputs["status"] == "4"
     assert "denoised/ring.ply: broken: mean_angular_error_deg > " in done.stderr
     assert "in the baseline, tolerance 5 %" in done.stderr
     assert "plaque.ply: broken" not in done.stderr
     (project / "scans/ring.ply").unlink()
     (project / "scans/plaque.ply").unlink()
-    done = run_action(ACTION, project, given)
+    done = run_action(project, given)
     assert done.status == 4 and "ring.ply" in done.stderr
 
 

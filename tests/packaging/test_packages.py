@@ -13,8 +13,7 @@ import zipfile
 import pytest
 
 import msal_cli
-from tests.pipelines import ROOT
-from tests.scripts import load_script
+from tests.scripts import ROOT, load_script
 
 BUILD = ROOT / "packaging/debian/build.sh"
 
