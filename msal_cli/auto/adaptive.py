@@ -231,13 +231,14 @@ def _rate_by_level(
     case: _Case, part: Part, judge: SteinRisk, model: NoiseModel
 ) -> tuple[Floats, Floats, Floats]:
     """Logarithms of the squared errors of positions and slopes of every setting (k,), with as much
-    of it as is best at each level of local noise; and these weights (levels, k)."""
+    of it as is best at each level of local noise, and all of it where there is most; and these
+    weights (levels, k)."""
     squares, rows, total = [], [], 0.0
-    for judged in level_masks(part, case.local, case.levels):
+    for level, judged in enumerate(level_masks(part, case.local, case.levels), start=1):
         risk = judge.risk(judged)
         moved = np.maximum(np.diag(risk.positions.gram), FLOOR)
         row = np.clip(risk.positions.gain / moved, 0.0, 1.0).round(2)
-        if judged.sum() < MIN_JUDGED:
+        if level == len(case.levels) or judged.sum() < MIN_JUDGED:
             row = np.ones_like(row)
         energy = float(judged.sum()) * model.variance(judged)
         total += energy
@@ -249,10 +250,7 @@ def _rate_by_level(
             ]
         )
     places, tilts = np.log(np.maximum(np.sum(squares, axis=0) / total, FLOOR))
-    weights = np.array(rows)
-    # A setting that is best nowhere is taken as a whole, and its error says so.
-    weights[:, ~weights.any(axis=0)] = 1.0
-    return places, tilts, weights
+    return places, tilts, np.array(rows)
 
 
 def _candidates(case: _Case, noise: NoiseLevel, is_unsure: bool, is_drawn: bool) -> list[Candidate]:

@@ -279,6 +279,10 @@ class _Search:
             if judged.sum() >= MIN_JUDGED:
                 some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
                 row[kept] = np.where(some >= MIN_WEIGHT, some, 0.0)
+        # Where there is most noise what the filters do is right as a whole, whatever the judges
+        # make of the few vertices there.
+        loudest = rows[-1] if rows[-1].any() else weights
+        rows[-1] = round_weights(loudest / loudest.sum())
         return rows
 
     def _strengthen(
@@ -401,7 +405,7 @@ class _Search:
         total = float(weights.sum())
         if surface == MACHINED and self.wishes.prefer == "balanced" and total >= MOST:
             return round_weights(weights / total)
-        if members[0] is ROBUST_LEARNED and self.noise.character.kind == "correlated":
+        if members[0] is ROBUST_LEARNED and self.noise.character.rings:
             is_learned = np.array([member.method == LEARNED.method for member in members])
             if weights[is_learned].sum() < MIN_LEARNED:
                 return round_weights(0.5 * (weights + np.eye(len(members))[0]))

@@ -17,7 +17,7 @@ from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import count_relaxing
 from msal_cli.auto.search import _Search
 from msal_cli.mesh import prepare_mesh
-from msal_cli.methods.blend import parse_levels
+from msal_cli.methods.blend import parse_levels, parse_members
 from tests.auto.test_search import angle, made_by
 from tests.shapes import grid, torus
 
@@ -90,7 +90,10 @@ def test_triangles_are_evened_out_where_noise_is_in_all_directions(choose):
 def test_quiet_places_hardly_move(choose):
     mesh, true = pair("half")
     choice = choose(mesh)
-    assert len(parse_levels(choice.parameters["levels"])) > 1
+    levels = parse_levels(choice.parameters["levels"])
+    members = parse_members(choice.parameters["members"], len(levels))
+    assert len(levels) > 1
+    assert sum(member.weights[-1] for member in members) == pytest.approx(1.0)
     moved = np.linalg.norm(made_by(choice, mesh).vertices - mesh.vertices, axis=1)
     quiet, loud = true.vertices[:, 1] < -1.5, true.vertices[:, 1] > 1.5
     assert moved[quiet].mean() < 0.1 * moved[loud].mean()
