@@ -159,13 +159,21 @@ def test_weak_noise_that_may_be_relief_takes_no_linear_filter(
     assert choice.tried == (3 + len(LINEAR) if is_tried else 2)
 
 
-def test_what_is_farther_from_the_pilot_in_one_measure_is_not_taken(monkeypatch):
-    """The first is much better in angles, and worse in distances."""
+@pytest.mark.parametrize(
+    ("places", "tilts"),
+    [
+        # The first is much better in angles, and worse in distances than the input.
+        ([0.1, -0.5], [-3.0, -0.5]),
+        # The first is better in distances by more than the other in angles, which count more.
+        ([-1.2, -0.4], [-0.3, -0.8]),
+    ],
+)
+def test_what_is_farther_from_the_pilot_is_not_taken(monkeypatch, places, tilts):
     mesh, _ = torus_with(0.06)
     character = NoiseCharacter("correlated", 1, "normals", None, 0.0, 0.0, 0.9, "a test")
     noise = dataclasses.replace(estimate_noise(mesh), character=character)
     monkeypatch.setattr(adaptive, "estimate_noise", lambda mesh: noise)
-    errors = np.array([0.1, -0.5]), np.array([-3.0, -0.5]), np.full(2, 0.01)
+    errors = np.array(places), np.array(tilts), np.full(2, 0.01)
     monkeypatch.setattr("msal_cli.auto.risk.CandidateRuns.compare", lambda *_: errors)
     assert adaptive.choose_adaptive(mesh).method == "msal"
 
