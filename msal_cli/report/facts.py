@@ -493,13 +493,8 @@ def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[s
     if noise.low_edges is not None and noise.high_edges is not None:
         texts[0] = f"{noise.low_edges:.2g} to {noise.high_edges:.2g}; {texts[0]}"
     if noise.negligible:
-        is_filtered = (
-            isinstance(record, MeshRecord)
-            and record.method is not None
-            and record.left_alone is None
-            and record.status != "unchanged"
-        )
-        words = "hardly any, filtered all the same" if is_filtered else "none to speak of"
+        is_wanted = isinstance(record, MeshRecord) and is_filtered(record)
+        words = "hardly any, filtered all the same" if is_wanted else "none to speak of"
         return [f"{level}: {words}", *texts]
     if noise.words and noise.confidence is not None:
         texts.append(f"{100.0 * noise.confidence:.0f} % sure: {noise.basis}")
@@ -515,6 +510,12 @@ def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[s
     return [", ".join(filter(None, (level, noise.words))), *texts]
 
 
+def is_filtered(record: MeshRecord) -> bool:
+    """Whether a method moved vertices; a mesh that is left as it is may still be converted."""
+    has_method = record.method is not None and record.method.name != "none"
+    return has_method and record.status != "unchanged"
+
+
 def unsure_text(record: MeshRecord) -> str:
     """Where a choice was made for noise or texture: ``noise of 0.08 e (60 %) or texture (40 %):
     filtered mildly, --assume noise or texture decides``; else empty."""
@@ -527,7 +528,7 @@ def unsure_text(record: MeshRecord) -> str:
         + f" ({100.0 * reading.probability:.0f} %)"
         for reading in noise.readings
     )
-    done = "left as it is" if record.status == "unchanged" else "filtered mildly"
+    done = "filtered mildly" if is_filtered(record) else "left as it is"
     return f"{readings}: {done}, --assume noise or texture decides"
 
 

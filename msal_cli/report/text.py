@@ -25,6 +25,7 @@ from msal_cli.report.facts import (
     file_name,
     format_count,
     gate_text,
+    is_filtered,
     list_broken,
     list_figures,
     seconds_text,
@@ -240,9 +241,9 @@ def _batch_lines(
     done = [record for record in records if record.status in WITH_OUTPUT]
     if advice := auto_text([record for record in done if record.status != "up-to-date"]):
         yield Line(advice)
-    unsure = [record.status for record in done if unsure_text(record)]
+    unsure = [record for record in done if unsure_text(record)]
     if unsure:
-        n_filtered = len(unsure) - unsure.count("unchanged")
+        n_filtered = sum(map(is_filtered, unsure))
         yield Line(
             f"noise or texture: {format_count(len(unsure), 'file')}, {n_filtered} filtered mildly, "
             "the others left as they are; --assume noise or --assume texture decides "

@@ -89,7 +89,12 @@ SEEN_SELDOM = [
         noise_estimate=NOISE,
         choice=dataclasses.replace(CHOICE, auto_seconds=None, wishes={"assume": "noise"}),
     ),
-    written("as it was.ply", noise_estimate=HARDLY, left_alone="no noise"),
+    written(
+        "as it was.ply",
+        noise_estimate=HARDLY,
+        left_alone="no noise",
+        method=records.MethodUsed("none", {}),
+    ),
     written("despiked.ply", despiked=1, locked_vertices=0, volume=OPEN),
     written("open.ply", volume=OPEN, boundary_edges=2),
     written("passed.ply", gates=(dataclasses.replace(GATE, broken=False),)),
