@@ -39,6 +39,9 @@ fields of LINKS. And:
 | record | what it is | fields |
 |---|---|---|
 """
+SCHEMAS = {msal.ComparisonRecord: "[compare.schema.json](compare.schema.json)"}
+"""Where the fields of a record are explained one by one."""
+
 MIN_SHARED = 4
 """Arguments of a function before from which on a signature names them in a comment."""
 
@@ -110,7 +113,7 @@ def record(cls: type) -> str:
     for name, value in vars(cls).items():
         if isinstance(value, property) and not name.startswith("_"):
             names.append(name)
-    fields = ", ".join(f"`{name}`" for name in names)
+    fields = SCHEMAS.get(cls) or ", ".join(f"`{name}`" for name in names)
     first = inline((inspect.getdoc(cls) or "").split("\n\n")[0])
     return f"| `{cls.__name__}` | {first} | {fields} |\n"
 
