@@ -371,7 +371,7 @@ class _SetRun:
                 ready = run.prepare_mesh(mesh_file)
             with run.stage("measure"):
                 moved = at_other_positions(ready, vertices).vertices
-                run.know_changes(changes.measure(ready, moved, None))
+                run.know_changes(changes.measure(ready, moved, ready.mesh))
                 run.check_intersections(ready, moved)
                 run.know(seam_gap=ready.seam_gap(vertices), **known)
                 ready.mesh.release_normals()

@@ -19,7 +19,6 @@ from msal_cli.job.records import (
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics, Harm
-    from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.arrays import Floats
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
@@ -72,11 +71,11 @@ def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
     }
 
 
-def noise_field(mesh: Mesh, known: NoiseLevel | None = None) -> NoiseEstimate:
-    """The noise as records have it; ``known`` is what was estimated of this mesh before."""
+def noise_field(mesh: Mesh) -> NoiseEstimate:
+    """The noise as records have it."""
     from msal_cli.analysis.noise_estimate import estimate_noise
 
-    level = known or estimate_noise(mesh)
+    level = estimate_noise(mesh)
     character = level.character
     return NoiseEstimate(
         **{name: getattr(level, name) for name in _OF_LEVEL},
@@ -132,16 +131,15 @@ def area_changed(before: float, after: float) -> Area:
 def measure(
     ready: PreparedMesh,
     moved: Floats,
-    noise: NoiseLevel | None,
-    despiked: Mesh | None = None,
+    given: Mesh,
     *,
     is_named: bool = True,
 ) -> Measured:
     """What changed when the mesh's positions became ``moved`` (n, 3).
 
-    ``noise`` is the noise of the mesh where it is known already.  ``despiked`` is the mesh without
-    the outliers that were brought back, whose ways the noise does not explain.
-    ``is_named`` is whether the user named the method, or none ran, rather than a choice.
+    The method was ``given`` the mesh, without the outliers that were brought back, whose ways its
+    noise does not explain.  ``is_named`` is whether the user named the method, or none ran, rather
+    than a choice.
     """
     from msal_cli.analysis.measures import (
         NAMED_LEEWAY,
@@ -159,18 +157,18 @@ def measure(
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
     surface = enclosed.change(before, after, surface)
     warnings = [(INSIDE_OUT, enclosed.words)] if enclosed.is_inside_out else []
-    known = noise_field(before, noise)
+    known = noise_field(given)
     harm = harmful_change(before, after, surface, has_volume=not objection)
-    if harm is None and known is not None:
+    if harm is None:
         level = max(known.high_edges or 0.0, known.rms_edges or 0.0, known.mean_edges)
         if known.step_edges:
             # Steps tell the level exactly, and no vertex was moved by more than half of one.
             level = known.mean_edges
         ways, change = statistics, surface
-        if despiked is not None:
+        if given.vertices is not before.vertices:
             used = before.topology.has_ring
-            ways = displacement_statistics(despiked.vertices, after.vertices, used)
-            change = enclosed.change(despiked, after, measure_surface_change(despiked, after))
+            ways = displacement_statistics(given.vertices, after.vertices, used)
+            change = enclosed.change(given, after, measure_surface_change(given, after))
         edge = before.mean_edge_length
         harm = excessive_change(
             change,

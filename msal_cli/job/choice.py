@@ -29,7 +29,6 @@ class Preparation:
     mesh : the mesh to denoise, without its outliers if they were brought back.
     method : None where the mesh stays as it is.
     parameters : all parameters of the method.
-    noise : what was estimated of ``mesh`` on the way; None if nothing was.
     known : fields of the record.
     warnings : for the record.
     """
@@ -37,7 +36,6 @@ class Preparation:
     mesh: Mesh
     method: Method | None = None
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    noise: NoiseLevel | None = None
     known: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -51,15 +49,14 @@ def looks_at_mesh(settings: Settings) -> bool:
 def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None]) -> Preparation:
     """What ``settings`` mean for one mesh; ``on_step(done, total)`` is called while choosing."""
     from msal_cli import methods
-    from msal_cli.analysis.noise_estimate import estimate_noise
 
-    noise: NoiseLevel | None = None
     if settings.min_noise is not None:
-        noise = estimate_noise(mesh)
-        assumed = noise.assume(settings.assume, mesh.mean_edge_length)
-        if why := skip_reason(assumed, mesh, settings.min_noise):
+        from msal_cli.analysis.noise_estimate import estimate_noise
+
+        noise = estimate_noise(mesh).assume(settings.assume, mesh.mean_edge_length)
+        if why := skip_reason(noise, mesh, settings.min_noise):
             known = {"left_alone": why, "method": MethodUsed(NONE, {})}
-            return Preparation(mesh, noise=noise, known=known)
+            return Preparation(mesh, known=known)
     despiked = None
     warnings: tuple[str, ...] = ()
     is_named = settings.method not in CHOOSING
@@ -76,12 +73,10 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
         if outliers.count and (settings.despike or outliers.are_clear):
             despiked = outliers.count
             mesh = mesh.with_vertices(outliers.vertices)
-            # That of the mesh without them; a choice estimates it anyway.
-            noise = estimate_noise(mesh) if is_named else noise
     known = {} if despiked is None else {"despiked": despiked}
     if is_named:
         method = methods.find(settings.method)
-        return Preparation(mesh, method, settings.parameters, noise, known, warnings)
+        return Preparation(mesh, method, settings.parameters, known, warnings)
     wishes = settings.parameters if settings.method == AUTO else None
     made = choose(mesh, wishes, on_step, assume=settings.assume)
     if despiked:
@@ -142,8 +137,7 @@ def choose(
         # A choice avoids this where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
     known = {"method": MethodUsed(choice.method, parameters), "choice": made}
-    noise = choice.estimate or choice.noise
-    return Preparation(mesh, method, parameters, noise, known, warnings)
+    return Preparation(mesh, method, parameters, known, warnings)
 
 
 MILDER = (0.5, 0.25, 0.0)
@@ -160,10 +154,11 @@ def soften_choice(
     ``choice`` is the first one, before anything was milder.
     """
     from msal_cli import methods
+    from msal_cli.analysis.noise_estimate import estimate_noise
     from msal_cli.auto.candidates import wiener_al
 
     despiked = chosen.known.get("despiked")
-    if share == 0.0 or chosen.noise is None:
+    if share == 0.0:
         made = replace(
             choice,
             reason=f"{choice.reason}; rejected, for {harm.reason}; left as it is",
@@ -176,11 +171,9 @@ def soften_choice(
             "despiked": None if despiked is None else 0,
             "choice": made,
         }
-        # Where outliers were brought back, the noise was estimated without them.
-        noise = None if despiked else chosen.noise
         why = f"every choice would damage the mesh ({harm.reason}): left as it is"
-        return Preparation(given, None, {}, noise, known, (why,))
-    level = round(share * chosen.noise.mean_edges, 4)
+        return Preparation(given, None, {}, known, (why,))
+    level = round(share * estimate_noise(chosen.mesh).mean_edges, 4)
     candidate = wiener_al(level)
     method = methods.find(candidate.method)
     parameters = method.validate(candidate.settings(level))

@@ -307,7 +307,8 @@ class FileRun:
         choice = self._record.choice
         for share in (*MILDER, None):
             moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
-            measured = self._measure(chosen, ready, moved)
+            with self.stage("measure"):
+                measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
             if measured.harm is None or choice is None or share is None:
                 break
             chosen = soften_choice(mesh, chosen, choice, measured.harm, share)
@@ -360,13 +361,6 @@ class FileRun:
             self._seconds["sweeps"] -= normals_s
             self._seconds["normals"] = self._seconds.get("normals", 0.0) + normals_s
         return moved, fidelity if settings.fields else None, is_ruled
-
-    def _measure(self, chosen: Preparation, ready: PreparedMesh, moved: Floats) -> changes.Measured:
-        """What changed, by the noise of the mesh without its outliers."""
-        with self.stage("measure"):
-            despiked = chosen.mesh if self._record.despiked else None
-            is_named = self._record.choice is None
-            return changes.measure(ready, moved, chosen.noise, despiked, is_named=is_named)
 
     def know_changes(self, measured: changes.Measured) -> None:
         """Set the fields of what changed, and the warnings about it."""
