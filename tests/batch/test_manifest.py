@@ -73,12 +73,6 @@ def test_any_name_is_one_line(tmp_path, name):
     assert (tmp_path / NAME).read_bytes().count(b"\n") == 1
 
 
-def test_the_last_line_for_a_name_counts(tmp_path):
-    line = done_line("a.ply", "hash", record(tmp_path), "in")
-    assert not noted(tmp_path, line, intent_line("a.ply", "in")).get("a.ply").is_done
-    assert noted(tmp_path, line).get("a.ply").is_done
-
-
 def test_a_torn_last_line_costs_itself_only_wherever_it_is_torn(tmp_path):
     noted(tmp_path, *(done_line(name, "h", record(tmp_path), "in") for name in ("a", "b")))
     whole = (tmp_path / NAME).read_bytes()

@@ -81,17 +81,6 @@ def test_one_file_goes_to_a_file_or_into_a_folder(tmp_path, output, existing, ex
     assert (plan.tasks[0].manifest_dir is None) == (not expected.endswith("/a.ply"))
 
 
-def test_a_folder_into_what_is_called_like_a_file(tmp_path, refuses):
-    make_files(tmp_path, "in/a.ply", "in/b.ply")
-    hint = refuses(["called like one mesh file"], [tmp_path / "in"], tmp_path / "out.ply").hint
-    assert f"{tmp_path}/out.ply/" in hint
-    expected = ["out.ply/a.ply", "out.ply/b.ply"]
-    assert outputs(tmp_path, [tmp_path / "in"], f"{tmp_path}/out.ply/") == expected
-    # What is a folder already need not be called one.
-    make_files(tmp_path, "out.ply/x")
-    assert outputs(tmp_path, [tmp_path / "in"], tmp_path / "out.ply") == expected
-
-
 @pytest.mark.parametrize("output", ["y.gz", "y.stp.gz"])
 def test_an_unknown_suffix_of_a_single_output_is_refused(tmp_path, refuses, output):
     make_files(tmp_path, "in/a.ply")

@@ -128,19 +128,11 @@ def test_objects_of_others_are_not_replaced_without_force(scans):
 
 
 def test_odd_names_leave_neither_the_prefix_nor_the_folder(tmp_path):
-    names = ["../up.obj", "a//b.obj", "a/../../../up.obj", "c d%41#?ü.obj", "e\nf.obj", "./g.obj"]
-    for name in names:
+    plain = ["c d%41#?ü.obj", "e\nf.obj", "[x]*.obj", "q'\".obj"]
+    for name in ("../up.obj", "a//b.obj", "a/../../../up.obj", "./g.obj", *plain):
         write_whole(f"memory://scans/{name}", obj(1).encode())
-    told = [
-        "%2E%2E/up.obj",
-        "a/%2F/b.obj",
-        "a/%2E%2E/%2E%2E/%2E%2E/up.obj",
-        "c d%41#?ü.obj",
-        "e\nf.obj",
-        "%2E/g.obj",
-    ]
-    records = denoised()
-    assert {record.status for record in records} == {"written"}
+    told = ["%2E%2E/up.obj", "a/%2F/b.obj", "a/%2E%2E/%2E%2E/%2E%2E/up.obj", "%2E/g.obj", *plain]
+    assert {record.status for record in denoised()} == {"written"}
     assert sorted(outputs()) == sorted(told)
     folder = tmp_path / "deep/out"
     assert {record.status for record in denoised(output=str(folder))} == {"written"}

@@ -73,10 +73,15 @@ def test_whole_number_coordinates_are_rounded_with_a_warning(encoding):
     assert bytes(output) == plain_ply.written(
         file.with_columns("vertex", {"x": [0, 9, 0], "y": [0, 0, 10], "z": [2, 1, 2]})
     )
-    for far in (-1.0, 256.0):
+    for far in (-0.6, 255.6, 256.0):
         vertices[2, 2] = far
-        with pytest.raises(ContentError, match="new z of vertex 2"):
+        with pytest.raises(ContentError, match="new z of vertex 2") as caught:
             mesh.replaced(vertices)
+        assert (caught.value.where[:8], caught.value.code) == ("vertex 2", "E_RANGE")
+    for near, stored in ((-0.4, 0), (255.4, 255)):
+        vertices[2, 2] = near
+        assert plain_ply.read(bytes(mesh.replaced(vertices))).element("vertex").rows[2][2] == stored
+    vertices[2, 2] = 256.0
     wide = plain_ply.read(bytes(mesh.encoded(vertices, "same", "float64")))
     assert wide.element("vertex").properties[2] == ("z", "double", "")
     assert [row[2] for row in wide.element("vertex").rows] == [1.5, 1.2, 256.0]
@@ -531,6 +536,10 @@ def test_whole_numbers_that_no_double_holds_are_replaced_and_kept(extra):
     vertices[::2] += 65536.0
     output = mesh.replaced(vertices)
     mesh.check(output, vertices)
+    vertices[2, 2] = 2.0**63
+    with pytest.raises(ContentError, match="new z of vertex 2"):
+        mesh.replaced(vertices)
+    vertices[2, 2] = mesh.vertices[2, 2] + 65536.0
     damaged = bytearray(output)
     # The last bit of the y that stays, in the second record.
     damaged[data.index(b"end_header\n") + 11 + 20 + len(extra) + 4] ^= 1

@@ -5,45 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import (
     Patch,
     replace_statements,
     require_replaced,
 )
-from msal_cli.errors import ContentError, InternalError
+from msal_cli.errors import InternalError
 from msal_cli.kernels import parallel
-
-VALUES = np.arange(12.0).reshape(4, 3)
-LARGEST = float(np.finfo(np.float32).max)
 
 
 def as_bytes(*parts):
     return np.frombuffer(b"".join(parts), dtype=np.uint8)
-
-
-@pytest.mark.parametrize(
-    ("code", "value", "fits"),
-    [
-        ("<f4", LARGEST, True), ("<f4", -LARGEST, True), ("<f4", 1.1 * LARGEST, False),
-        ("<f4", -1.1 * LARGEST, False), ("<f4", np.nan, False), ("<f8", 1e300, True),
-        ("|u1", 255.4, True), ("|u1", 255.6, False), ("|u1", -0.4, True), ("|u1", -0.6, False),
-        ("<i8", 2.0**63, False), ("<i8", -(2.0**63), True),
-    ],
-)  # fmt: skip
-def test_a_number_fits_its_type_or_not(code, value, fits):
-    values, is_changed = VALUES.copy(), np.zeros((4, 3), dtype=bool)
-    values[2, 1] = value
-    for codes in (["<f8", code, "<f8"], [code] * 3):
-        is_changed[2, 1] = False
-        require_range(values, is_changed, codes)  # what stays as it is may be anything
-        is_changed[2, 1] = True
-        if fits:
-            require_range(values, is_changed, codes, first=5)
-            continue
-        with pytest.raises(ContentError, match="the new y of vertex 7 does not fit") as caught:
-            require_range(values, is_changed, codes, first=5)
-        assert (caught.value.where, caught.value.code) == ("vertex 7", "E_RANGE")
 
 
 def runs(separator):

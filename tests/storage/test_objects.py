@@ -56,15 +56,6 @@ def test_a_listing_goes_down_and_knows_no_neighbours():
     assert list_objects("memory://b/x.ply") == {}
 
 
-@pytest.mark.parametrize(
-    "name", ["x y.ply", "%41#?.ply", "ü\n.ply", "../up.ply", "a//b.ply", "[x]*.ply", "q'\""]
-)
-def test_names_are_taken_as_they_are(name):
-    write_whole(f"memory://b/{name}", name.encode())
-    assert read_whole(f"memory://b/{name}") == name.encode()
-    assert list(list_objects("memory://b")) == [name]
-
-
 def test_a_beginning_is_told_with_the_size():
     write_whole("memory://b/a.ply", b"0123456789")
     assert remote.read_beginning("memory://b/a.ply", 4) == (b"0123", 10)
