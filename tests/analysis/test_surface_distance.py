@@ -76,7 +76,7 @@ def test_as_a_search_through_all_triangles(scale, count):
     # The last one has no area.
     faces = np.concatenate([faces[: count - 1], [[0, 1, 1]]]).astype(np.int32)
     vertices = scale * noisy(vertices, 3, 0.1)
-    points = scale * np.random.default_rng(1).uniform(-5.0, 5.0, (200, 3))
+    points = scale * np.random.default_rng(1).uniform(-5.0, 5.0, (80, 3))
     points[:20] = vertices[:20]
     found, distances = find_nearest_triangles(points, vertices, faces)
     triangles = vertices[faces]
