@@ -6,8 +6,8 @@ Prints the cases whose bytes differ from those of ``sums.json``; ``--write`` rep
 Names select cases, such as ``toadstool`` or ``wiener``.  A change of the sums is a change of the
 results: write them anew only where a commit is meant to change results, and say so in it.
 
-The bytes depend on the system's libm and on the machine code that numpy chooses for a processor,
-so these are kept with the sums, and elsewhere they say nothing.
+The bytes depend on the system's libm and on numpy, so these are kept with the sums, and elsewhere
+they say nothing.
 """
 
 from __future__ import annotations
