@@ -103,7 +103,6 @@ class _Options(MethodParameters, total=False):
     prefer: Preference | None
     keep: Keep | None
     strength: float | None
-    budget: float | None
     assume: Assumption | None
     max_move: str | float | None
     lock: str | Sequence[str] | ArrayLike | None
@@ -137,7 +136,6 @@ def denoise(
     prefer: Preference | None = None,
     keep: Keep | None = None,
     strength: float | None = None,
-    budget: float | None = None,
     assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] | ArrayLike | None = None,
@@ -164,12 +162,10 @@ def denoise(
         parameters of AL and MSAL; ``"auto"`` chooses among all methods and their mixtures, which
         takes longer and comes closer to the true surface.  With parameters, None is ``"msal"``.
     prefer : for ``"auto"``, what is to come out best: ``"positions"``, ``"normals"``, ``"volume"``
-        or ``"balanced"``, the default.  This and the next three imply ``method="auto"``.
+        or ``"balanced"``, the default.  This and the next two imply ``method="auto"``.
     keep : for ``"auto"``, what must not suffer: ``"texture"`` (fine relief), ``"edges"`` (sharp
         ones) or ``"shape"`` (the smooth shape beneath the noise).
     strength : for ``"auto"``, -2 to 2: greater is smoother, less keeps more.  0 is the choice.
-    budget : for ``"auto"``, from 1: the most time for choosing and denoising, in runs of the
-        default method over this mesh; more may find a better result.  Default 60.
     assume : ``"noise"`` or ``"texture"``: what the roughness of the mesh is where the estimate
         cannot tell (``noise.unsure``); it changes nothing where it can.  None takes a mild filter
         that is not much worse either way.  For every choice, also without ``"auto"``.

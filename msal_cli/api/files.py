@@ -50,7 +50,6 @@ def denoise_file(
     prefer: Preference | None = None,
     keep: Keep | None = None,
     strength: float | None = None,
-    budget: float | None = None,
     assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] = (),
@@ -77,7 +76,7 @@ def denoise_file(
     ----------
     input : a mesh file of any format that msal reads (docs/formats.md), or a URL.
     output : the file to write; one that is there is replaced.  Its suffix decides the format.
-    method, prefer, keep, strength, budget, assume, max_move, despike, min_noise, unit, parameters,
+    method, prefer, keep, strength, assume, max_move, despike, min_noise, unit, parameters,
     more : as for ``denoise``.
     lock : ``"boundary"``, or a PLY vertex property compared with a number, such as
         ``"confidence < 0.2"``; several in a list add up.
@@ -131,7 +130,6 @@ def denoise_folder(
     prefer: Preference | None = None,
     keep: Keep | None = None,
     strength: float | None = None,
-    budget: float | None = None,
     assume: Assumption | None = None,
     max_move: str | float | None = None,
     lock: str | Sequence[str] = (),

@@ -2,9 +2,8 @@
 
 1. The noise is estimated.  Where there is none to speak of nothing is done, see ``choices``.
 2. The learned filter runs on a part of the mesh.  If what it leaves is machined, it is the choice.
-3. Else every candidate that the budget allows runs there.  Stein's lemma gives the error of any
-   blend of them, and a simulation does: the best result so far is taken as the truth, and noise is
-   added to it.
+3. Else every candidate runs there.  Stein's lemma gives the error of any blend of them, and a
+   simulation does: the best result so far is taken as the truth, and noise is added to it.
 4. The blend that is best by both estimates is taken, without members that hardly count.  Stein's
    counts the more the less sure it is what is noise and what is texture.
 
@@ -79,20 +78,13 @@ from msal_cli.auto.wishes import NONE, Choice, OnStep, Wishes
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
 
-RUN = 1.7
-"""What a default run costs beyond its filter, in filters of its kind over the same mesh: reading,
-measuring and writing.  benchmarks/auto_seconds.py measures 2.7 at a million vertices, where the
-filter takes 0.13 s; a smaller value is used, since candidates cost more on scans in a worse
-order."""
-
-START = 1_000_000
-"""Vertices that the filter would do while a run starts."""
-
 SECONDS = 1.3e-7
 """Of the filter for one vertex, on one core."""
 
-SEARCH = 0.4
-"""Part of the budget that may go into looking at candidates."""
+LARGE, MOST_COST = 200_000, 1.3 * LEARNED.cost
+"""Vertices from which the members of a blend cost so much at most, together: hardly more than the
+learned filter alone.  On smaller meshes that filter may count twice, for the noise and for twice
+of it: angles are 1 % less."""
 
 PART = 6_000
 """Vertices that the best are tried on; on fewer the estimates scatter too much."""
@@ -166,7 +158,7 @@ def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
 
 
 class _Search:
-    """One search: what is known of the mesh, and the budget that is left."""
+    """One search, and what is known of the mesh."""
 
     def __init__(
         self,
@@ -187,9 +179,7 @@ class _Search:
         self.drift = _DRIFT.get(wishes.prefer, 0.0)
         self.wished = factor
         self.level = self.unit = edges * factor * mesh.mean_edge_length
-        n = len(mesh.vertices)
-        # In filters of the default run over one vertex.
-        self.allowance = (wishes.budget - 1.0) * ((RUN + 1.0) * n + START) + n
+        self.most_cost = MOST_COST if len(mesh.vertices) >= LARGE else np.inf
         self._done = self._total = 0
         model = build_model(mesh, noise)
         # Jagged triangles first, and what is left of the noise is along the normals.
@@ -205,11 +195,8 @@ class _Search:
             self.levels = spread_levels(self.local[mesh.topology.has_ring])
 
     def choose(self) -> Choice:
-        """The best blend, or single method, that the budget allows."""
-        known = CANDIDATES if self.mesh.trust is None else PULLED
-        usable = [candidate for candidate in known if self._is_usable(candidate)]
-        # A budget of one run leaves nothing for trials.
-        usable = usable or [min(known, key=lambda candidate: candidate.cost)]
+        """The best blend, or single method."""
+        usable: Sequence[Candidate] = CANDIDATES if self.mesh.trust is None else PULLED
         study, surface = self._trials(), ORGANIC
         pilot = usable[0]
         if pilot is LEARNED:
@@ -251,11 +238,7 @@ class _Search:
         self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
         self.model = self.model.at_level(self.level)
         study = self._trials()
-        members = [
-            candidate
-            for candidate in (ROBUST_LEARNED, FARTHER, *LINEAR)
-            if self._is_usable(candidate)
-        ]
+        members = (ROBUST_LEARNED, FARTHER, *LINEAR)
         self._total = 3 * len(members)
         pilots = [ROBUST_LEARNED]
         if surface == TEXTURED:
@@ -291,8 +274,7 @@ class _Search:
         """The members and weights (levels, k) with one more, so that vertices move as much farther
         as the ``strength`` asks for."""
         part, used = study.part, np.flatnonzero(rows.any(axis=0)).tolist()
-        spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
-        spare -= sum(members[k].cost for k in used)
+        spare = self.most_cost - sum(members[k].cost for k in used)
         stronger = [
             candidate
             for candidate in stronger_candidates(self._noise_edges())
@@ -348,12 +330,9 @@ class _Search:
         return (level - self.noise.low) / level if level > 0.0 else 0.0
 
     def _is_usable(self, candidate: Candidate) -> bool:
-        """Whether one may be chosen: its run over the mesh fits, and trust has an effect."""
-        spare = self.allowance * (1.0 - SEARCH)
+        """Whether trust in the scan, if there is any, has an effect on it."""
         method = methods.find(candidate.method)
-        if self.mesh.trust is not None:
-            return method.has_data_term(method.validate(candidate.given))
-        return candidate.cost * len(self.mesh.vertices) <= spare
+        return self.mesh.trust is None or method.has_data_term(method.validate(candidate.given))
 
     def _noise_edges(self) -> float:
         """The noise in mean edge lengths, with as many digits as are worth writing down."""
@@ -377,8 +356,7 @@ class _Search:
         return score
 
     def _prune(self, members: Sequence[Candidate], risks: Sequence[Risk]) -> Floats:
-        """The best weights, rounded, of few members whose runs over the mesh fit the budget."""
-        spare = self.allowance * (1.0 - SEARCH) / len(self.mesh.vertices)
+        """The best weights, rounded, of few members that cost no more than ``most_cost``."""
         costs = np.array([member.cost for member in members])
         kept = list(range(len(members)))
         while True:
@@ -387,7 +365,7 @@ class _Search:
             if not used.any():
                 break
             cost = costs[kept]
-            if cost[used].sum() > spare and len(kept) > 1:
+            if cost[used].sum() > self.most_cost and len(kept) > 1:
                 # The least useful for what it takes; those that had no weight may get some then.
                 del kept[int(np.argmin(np.where(used, weights / cost, np.inf)))]
             elif not used.all():

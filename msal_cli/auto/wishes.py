@@ -28,8 +28,6 @@ class Wishes:
     prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to be most accurate.
     keep : ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said.
     strength : -2 to 2, around the automatic choice: greater is smoother.
-    budget : most time for choosing and denoising, in default MSAL runs over the same mesh, by what
-        candidates are known to cost and not by a clock.
     assume : ``noise`` or ``texture``, what the roughness of a mesh is where the estimate is unsure
         of it; None for a choice that is not much worse either way.
     """
@@ -37,7 +35,6 @@ class Wishes:
     prefer: str = "balanced"
     keep: str | None = None
     strength: float = 0.0
-    budget: float = 60.0
     assume: str | None = None
 
 

@@ -12,7 +12,7 @@ from click.core import ParameterSource
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import UsageError
 
-AUTOMATIC = ("auto", "keep", "strength", "prefer", "budget")
+AUTOMATIC = ("auto", "keep", "strength", "prefer")
 """Options of which each implies ``--auto``."""
 
 BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
@@ -25,8 +25,8 @@ _FOR_FILES = (
 )
 
 _AUTO_HINT = (
-    "--keep, --strength, --prefer and --auto-budget imply --auto: let it choose, or give method "
-    "and parameters by hand"
+    "--keep, --strength and --prefer imply --auto: let it choose, or give method and parameters "
+    "by hand"
 )
 _ASSUME_HINT = "--assume is for the choice of a method: leave it away, or the method"
 _ROWS = """

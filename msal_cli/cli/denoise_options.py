@@ -68,7 +68,7 @@ more:
         """
 --auto
     Choose method and parameters for each mesh; from its noise and its surface. The report says
-    what was chosen, and why. --keep, --strength, --prefer and --auto-budget imply it.
+    what was chosen, and why. --keep, --strength and --prefer imply it.
 --keep [texture|edges|shape]
     What must not suffer; fine relief, sharp edges, or the smooth shape beneath the noise.
     [default: as the surface looks]
@@ -82,12 +82,8 @@ more:
 --prefer [positions|normals|volume]
     What is to come out best: places of vertices, directions of faces, or the enclosed volume.
     [default: a balance]
---auto-budget N -> budget
-    Most time for choosing and denoising together, in runs of the default method over the same
-    mesh. [default: 60]
 """,
         strength=number(-2.0, 2.0),
-        budget=number(1.0),
     ),
     group(
         "Limits on movement",

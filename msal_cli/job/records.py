@@ -195,7 +195,7 @@ class ChoiceMade:
         "the next best candidates, best first, at most three"
     )
     wishes: dict[str, Any] = required(
-        "what was wished for: prefer, keep, strength, budget, assume; without --auto only "
+        "what was wished for: prefer, keep, strength, assume; without --auto only "
         "assume, or nothing"
     )
     repeat: tuple[str, ...] = required("options of msal denoise that do the same without --auto")

@@ -208,7 +208,6 @@ _CHECKS: dict[str, Check | None] = {
     "prefer": _word_of(Preference),
     "keep": _word_of(Keep),
     "strength": _number_from(-2.0, 2.0, "-2 to 2"),
-    "budget": _number_from(1.0, float("inf"), "1 or more"),
     "assume": _word_of(Assumption),
     "max_move": _length,
     "lock": _locks,
@@ -226,7 +225,7 @@ _CHECKS: dict[str, Check | None] = {
 """What a user may give beside a method and its parameters, by the names of the Python API, and what
 a value must be, if it is not any."""
 
-_WISHES = ("prefer", "keep", "strength", "budget", "assume")
+_WISHES = ("prefer", "keep", "strength", "assume")
 
 
 def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
@@ -242,8 +241,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
     """
 
     def label(name: str) -> str:
-        option = "auto-budget" if name == "budget" else name.replace("_", "-")
-        return f"--{option}" if as_options else name
+        return f"--{name.replace('_', '-')}" if as_options else name
 
     unit = given.get("unit")
     values = {

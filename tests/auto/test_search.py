@@ -18,10 +18,8 @@ from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_n
 from msal_cli.auto import NONE, Wishes, search
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.risk import Quadratic, Risk
-from msal_cli.auto.search import RUN, START
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
-from msal_cli.methods.blend import parse_members
 from tests.shapes import box, grid, noisy, torus
 
 
@@ -36,9 +34,6 @@ def test_settings_are_allowed(candidate):
     assert candidate.cost > 0.0
     assert {spec.name for spec in method.parameters} >= set(settings)
 
-
-CHEAP = 1.01
-"""A budget for a dozen candidates on small meshes."""
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
@@ -58,11 +53,6 @@ def spiky():
     """A scan with noise at one vertex in ten, and none at the others."""
     true = prepare_mesh(*torus(40, 20)).mesh
     return true.with_vertices(noise.add_plain_noise(true, "impulsive", 0.5, 3, fraction=0.1))
-
-
-@pytest.fixture(scope="module")
-def large():
-    return scan(250, 120, 0.01)
 
 
 def chosen(mesh, **wishes):
@@ -85,26 +75,6 @@ def angle(true, other):
     return measure_surface_change(true, other).mean_angular_error_deg
 
 
-def members_of(choice):
-    """The candidates that a choice is made of, and their weights."""
-    if choice.method == NONE:
-        return []
-    if choice.method != "blend":
-        parts = [(1.0, methods.find(choice.method), choice.parameters)]
-    else:
-        parts = [
-            (member.weights[0], member.method, member.parameters)
-            for member in parse_members(choice.parameters["members"])
-        ]
-    return [
-        (weight, candidate)
-        for weight, method, values in parts
-        for candidate in CANDIDATES
-        if candidate.method == method.name
-        and method.validate(candidate.settings(values.get("noise", 0.0))) == values
-    ]
-
-
 def test_it_is_the_same_with_any_number_of_threads(mesh, monkeypatch):
     # Small meshes are not shared between threads, unless they are made to be.
     monkeypatch.setattr(parallel, "MIN_RANGE", 100)
@@ -113,8 +83,7 @@ def test_it_is_the_same_with_any_number_of_threads(mesh, monkeypatch):
     for threads in ("1", "2"):
         monkeypatch.setenv("MSAL_THREADS", threads)
         again = Mesh(mesh.vertices.copy(), mesh.faces.copy())
-        # Threads take longer to start than such a mesh takes.
-        made.append(dataclasses.replace(chosen(again, budget=CHEAP), noise=None, estimate=None))
+        made.append(dataclasses.replace(chosen(again), noise=None, estimate=None))
     assert made[0] == made[1]
 
 
@@ -149,23 +118,22 @@ def test_what_is_preferred_comes_out_better():
     assert errors["volume"][2] < 0.001
 
 
-@pytest.mark.parametrize("budget", [1.0, 1.2, 2.0])
-def test_the_choice_keeps_within_the_budget(large, budget):
-    choice = chosen(large, budget=budget)
-    n = len(large.vertices)
-    assert choice.method != NONE
-    cost = sum(candidate.cost for _, candidate in members_of(choice)) * n
-    assert cost <= (budget - 1.0) * ((RUN + 1.0) * n + START) + n
-    if budget == 1.0:
-        assert choice.tried == 1
-        assert cost <= n
-        # What was chosen is not among the next best.
-        assert choice.runners_up == ()
+@pytest.mark.parametrize(("large", "count"), [(1, 1), (10**9, 2)])
+def test_on_large_meshes_the_learned_filter_runs_once(box_scan, monkeypatch, large, count):
+    def of_the_first_two(risks, *others):
+        weights = np.zeros(len(risks[0].drift))
+        weights[:2] = 0.5
+        return weights
+
+    with_kind(box_scan, monkeypatch, kind="correlated", rings=1)
+    monkeypatch.setattr(search, "best_weights", of_the_first_two)
+    monkeypatch.setattr(search, "LARGE", large)
+    assert chosen(box_scan).reason.count("learned") == count
 
 
 def test_with_trust_the_method_has_a_data_term(mesh):
     trust = np.linspace(0.0, 1.0, len(mesh.vertices))
-    for wish in ({}, {"budget": 1.0}, {"strength": 2.0}):
+    for wish in ({}, {"strength": 2.0}):
         choice = chosen(mesh.with_constraints(None, trust), **wish)
         assert methods.find(choice.method).has_data_term(choice.parameters)
 
@@ -242,7 +210,6 @@ def test_a_wish_for_smoothing_is_done_on_a_clean_mesh_too(wishes, level):
         ({}, "left as it is"),
         ({"prefer": "normals"}, "left as it is; --strength 1 smooths it all the same"),
         ({"keep": "edges"}, "left as it is; --strength 1 smooths it all the same"),
-        ({"budget": 20.0}, "left as it is"),
         ({"keep": "texture"}, "clean; left as it is"),
         ({"strength": -1.0}, "clean; left as it is"),
     ],
@@ -257,9 +224,7 @@ def test_noise_or_texture_gets_a_share_of_the_choice_for_noise(mesh, monkeypatch
     readings = (Reading(NOISE, 0.05, 0.6), Reading(TEXTURE, 0.0, 0.4))
     estimate = dataclasses.replace(estimate_noise(mesh), readings=readings)
     monkeypatch.setattr(search, "estimate_noise", lambda mesh: estimate)
-    mild, noise, texture = (
-        chosen(mesh, budget=CHEAP, assume=assume) for assume in (None, NOISE, TEXTURE)
-    )
+    mild, noise, texture = (chosen(mesh, assume=assume) for assume in (None, NOISE, TEXTURE))
     assert texture.method == NONE and "assumed" not in mild.reason
     assert mild.reason.startswith("noise of 0.05 e or texture")
     full = moved_edges(mesh, made_by(noise, mesh))
@@ -311,20 +276,15 @@ def check_wishes(mesh, **more):
 
 @pytest.mark.parametrize("mesh", [pytest.param(mesh, id=name) for name, mesh in wish_corpus()])
 def test_wishes_move_less_and_more_than_the_choice(mesh):
-    moved, plain, texture = check_wishes(mesh, budget=CHEAP)
+    moved, plain, texture = check_wishes(mesh)
     assert moved[0] < 0.65 * moved[2] or moved[0] == moved[2] == 0.0 < moved[3]
     assert relief(texture) >= relief(plain) * (1.0 - 1e-12)
 
 
 def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
-    for scan, wishes in (
-        (mesh, Wishes()),
-        (mesh, Wishes(budget=1.0)),
-        (spiky, Wishes()),
-        (spiky, Wishes(budget=1.0)),
-    ):
+    for scan in (mesh, spiky):
         steps = []
-        selection.choose_method(scan, wishes, lambda *step, steps=steps: steps.append(step))
+        selection.choose_method(scan, Wishes(), lambda *step, steps=steps: steps.append(step))
         (total,) = {total for _, total in steps}
         done = [step for step, _ in steps]
         assert done == sorted(done)
@@ -431,9 +391,9 @@ def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
     monkeypatch.setattr(
         search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
     )
-    left = chosen(mesh, budget=1.05)
+    left = chosen(mesh)
     assert left.method == NONE and "add more error" in left.reason
-    choice = chosen(mesh, budget=1.05, strength=1.0)
+    choice = chosen(mesh, strength=1.0)
     assert choice.method == "al" and choice.tried == left.tried
     assert choice.parameters["noise"] > 1.15 * estimate_noise(mesh).mean_edges
 

@@ -147,7 +147,7 @@ def test_an_unsure_file_is_named_everywhere(unsure, tmp_path):
     assert "noise of 0.08 e (60 %) or texture (40 %)" in looked_at
 
 
-@pytest.mark.parametrize("words", [(), ("--auto", "--auto-budget", "1.01")])
+@pytest.mark.parametrize("words", [(), ("--auto",)])
 def test_an_assumption_decides_what_is_done(unsure, tmp_path, words):
     records = {}
     for assume in ("noise", "texture"):

@@ -57,7 +57,7 @@ def test_the_command_line_wins(project):
 @pytest.mark.parametrize(
     ("text", "words", "key", "value"),
     [
-        ('method = "msal"\nK = 0.3', ("--auto", "--auto-budget", "1"), "method", "auto"),
+        ('method = "msal"\nK = 0.3', ("--auto",), "method", "auto"),
         ("auto = true", ("-n", "2"), "method", "msal"),
         ('method = "adaptive"', ("-K", "0.3"), "method", "msal"),
         ('backup = ".raw"', (), "method", "adaptive"),

@@ -94,12 +94,11 @@ TO_FILE, DASK, STREAM = "a.ply -o out ", "--engine dask --scheduler ", "- -o out
             for one in ("--auto", "--keep edges", "--strength 0", "--prefer normals")
             for other in ("--method msal", "--iterations 3", "-K 1", "--mollify 0", "--set a=1")
         ),
-        (TO_FILE + "--auto-budget 9 --schedule plain", "--auto-budget and --schedule contradict"),
+        (TO_FILE + "--strength 1 --schedule plain", "--strength and --schedule contradict"),
         (TO_FILE + "--method auto -n 3", "--method auto and --iterations contradict"),
         (TO_FILE + "--method adaptive -n 3", "--method adaptive and --iterations contradict"),
         (TO_FILE + "--method adaptive --auto", "--auto and --method adaptive contradict"),
         (TO_FILE + "--strength 2.5", "'2.5' is not a number from -2 to 2"),
-        (TO_FILE + "--auto-budget 0.5", "'0.5' is not a number from 1"),
         (TO_FILE + "--keep noise", "'texture', 'edges', 'shape'"),
         (TO_FILE + "--prefer speed", "'positions', 'normals', 'volume'"),
         (TO_FILE + "--max-move 0", "no length above 0"),

@@ -20,10 +20,9 @@ def test_what_is_chosen_among():
     assert parsed(assume="noise").parameters == {"assume": "noise"}
     assert parsed(method=None, max_move=None, lock=()) == Settings("adaptive")
     assert parsed(strength=0).method == parsed(method="auto", assume="noise").method == "auto"
-    wishes = {"prefer": "volume", "keep": "edges", "strength": -1.5, "budget": 4.0}
+    wishes = {"prefer": "volume", "keep": "edges", "strength": -1.5}
     expected = Settings("auto", wishes | {"assume": None})
     assert parsed(**wishes) == parsed(method="auto", **wishes) == expected
-    assert parsed(keep="edges", budget="4").parameters["budget"] == 4.0
     settings = parsed(parameters=[("K", "K", 0.25)])
     assert (settings.method, settings.parameters["K"]) == ("msal", 0.25)
 
@@ -53,8 +52,6 @@ def test_values_become_those_of_settings():
     ("given", "argument", "option"),
     [
         ({"prefer": "looks"}, "prefer = 'looks'", "--prefer = 'looks'"),
-        ({"budget": 0.5}, "budget = 0.5 is not", "--auto-budget = 0.5 is not"),
-        ({"budget": "much"}, "budget is 'much'", "--auto-budget is 'much'"),
         ({"max_move": 0}, "max_move 0.0: this is no length", "--max-move 0.0: this is no length"),
         ({"lock": ["a"]}, "lock a: this is neither", "--lock a: this is neither"),
         ({"to": "plz"}, "to plz: there is no such", "--to plz: there is no such"),
