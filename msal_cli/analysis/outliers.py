@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.quantiles import median
-
-if TYPE_CHECKING:
-    from msal_cli.analysis.noise_estimate import NoiseLevel
-    from msal_cli.mesh import Mesh
-
+from msal_cli.mesh import Mesh
 
 ROUGH = 0.85
 """Agreement of a vertex's face normals below which it is looked at: spikes and folds have less, and
@@ -174,8 +170,6 @@ class _Search:
         """Whether the others have much less noise than the outliers.  Where none of these is
         certain, there must be noise, and more of them than noise alone seems to have; points of a
         design that were moved look like noise."""
-        from msal_cli.analysis.noise_estimate import estimate_noise
-
         if not are_certain and share <= USUAL:
             return False
         after = self._noise()
@@ -190,8 +184,6 @@ class _Search:
 
     def _noise(self) -> NoiseLevel:
         """The noise of all others, or of nearly as many."""
-        from msal_cli.analysis.noise_estimate import estimate_noise
-
         if self.noise is None:
             self.noise = estimate_noise(self.mesh.with_vertices(self.positions))
         return self.noise
