@@ -81,21 +81,16 @@ def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, assume: str | Non
     The choice depends on the mesh alone, and on what to ``assume``, see ``Wishes``.
     """
     step = on_step or (lambda done, total: None)
-    estimate = estimate_noise(mesh)
-    choice = _choose(mesh, estimate, step, assume)
-    step(1, 1)
-    return dataclasses.replace(choice, estimate=estimate)
-
-
-def _choose(mesh: Mesh, estimate: NoiseLevel, on_step: OnStep, assume: str | None) -> Choice:
-    edge = mesh.mean_edge_length
+    estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
     noise = estimate.assume(assume, edge)
-    is_unsure = noise.is_unsure
     if noise.is_negligible or not noise.mean_edges:
         why = describe_rest(estimate, noise)
-        return _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
-    noise = noise.assume(NOISE, edge)
-    return _choose_by_risk(_build_case(mesh, noise), noise, on_step, is_unsure)
+        choice = _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
+    else:
+        assumed = noise.assume(NOISE, edge)
+        choice = _choose_by_risk(_build_case(mesh, assumed), assumed, step, noise.is_unsure)
+    step(1, 1)
+    return dataclasses.replace(choice, estimate=estimate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +139,9 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
     mesh = case.mesh
     what = describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
-    surface = _find_surface(part)
+    method = methods.find(FLATTENER.method)
+    flat = method.denoise(part.mesh, method.validate(FLATTENER.given))
+    surface = surface_kind(part.mesh.with_vertices(flat.vertices))
     model = case.model.on_part(part.numbers)
     done = total = 0
 
@@ -214,12 +211,6 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
         runners_up=next_best,
         among=FAMILY,
     )
-
-
-def _find_surface(part: Part) -> str:
-    method = methods.find(FLATTENER.method)
-    flat = method.denoise(part.mesh, method.validate(FLATTENER.given))
-    return surface_kind(part.mesh.with_vertices(flat.vertices))
 
 
 def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
