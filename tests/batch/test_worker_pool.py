@@ -299,11 +299,14 @@ class TestRun:
             if isinstance(event, Started):
                 begun.append("abcde"[event.index])
 
-        records = ran(tmp_path, texts, stop_after_failures=most, on_event=on_event)
+        # The workers' own way to stop, and that of a run.
+        options = {"engine": None if most == 2 else fakes.InProcess, "stop_after_failures": most}
+        records = ran(tmp_path, texts, on_event=on_event, **options)
         assert begun == ["a", "b", "c"][: most + 1]
         states = ["written", "failed", "failed", "planned", "planned"]
         assert [one.status for one in records] == [*states[: most + 1], *["planned"] * (4 - most)]
-        assert {one.status for one in ran(tmp_path, texts)} == {"up-to-date", "failed", "written"}
+        again = ran(tmp_path, texts, engine=fakes.InProcess)
+        assert {one.status for one in again} == {"up-to-date", "failed", "written"}
 
     @pytest.mark.parametrize(
         "options",
@@ -368,6 +371,7 @@ def test_a_record_beyond_the_limit_gets_a_warning():
 
 def test_the_command_gives_up(scans, monkeypatch):
     monkeypatch.chdir(scans)
+    monkeypatch.setattr("msal_cli.batch.workers.WorkerPool", fakes.InProcess)
     for name in ("a", "b"):
         (scans / f"in/{name}.obj").write_text("v 1 2\nf 1 2 3\n")
     made = msal("denoise", "in", "-o", "out", "-j1", "--include", "[2ab].obj", "--fail-fast")
