@@ -58,16 +58,13 @@ def guides(
     normals: np.ndarray, areas: np.ndarray, touching: list[set[int]], across: list[set[int]]
 ) -> np.ndarray:
     """Mean normals of the patches with the least scores."""
-
-    def jump(a, b):
-        has_both = normals[a].any() and normals[b].any()
-        return np.linalg.norm(normals[a] - normals[b]) if has_both else 0.0
-
+    has_normal = normals.any(axis=1)
+    jump = np.linalg.norm(normals[:, None] - normals, axis=2) * np.outer(has_normal, has_normal)
     scores, means = [], []
     for f, others in enumerate(touching):
-        patch = others | {f}
-        widest = max(jump(a, b) for a, b in itertools.product(patch, patch))
-        jumps = [jump(a, b) for a in patch for b in across[a] & patch if a < b]
+        patch = sorted(others | {f})
+        jumps = [jump[a, b] for a in patch for b in across[a].intersection(patch) if a < b]
+        widest = jump[np.ix_(patch, patch)].max()
         scores.append(widest * max(jumps) / (1e-9 + sum(jumps)))
         means.append(unit(sum(areas[a] * normals[a] for a in patch)))
     best = [min([f, *others], key=lambda g: scores[g]) for f, others in enumerate(touching)]
