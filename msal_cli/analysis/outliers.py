@@ -125,8 +125,7 @@ class _Search:
         self._score(np.arange(len(self.flags)))
         if not (self.scores > BOUND).any():
             return Outliers(self.flags, mesh.vertices, False, 0.0)
-        n_certain, are_apart = 0, False
-        bound = BOUND
+        n_certain, are_apart, bound = 0, False, BOUND
         self.positions = mesh.vertices.copy()
         for _ in range(MAX_PASSES):
             found = outliers.pick(self.scores, bound, mesh.topology)
@@ -190,7 +189,7 @@ class _Search:
 
     def _are_beyond(self, noise_edges: float) -> bool:
         """Whether the outliers went much further than noise of so many mean edge lengths does."""
-        ways = distances(self.mesh.vertices, self.positions)[self.flags]
+        ways = distances(self.mesh.vertices[self.flags], self.positions[self.flags])
         return len(ways) > 0 and median(ways) >= APART * noise_edges * self.mesh.mean_edge_length
 
     def _measure_agreement(self, changed: Longs) -> None:
