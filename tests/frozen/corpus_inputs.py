@@ -43,8 +43,8 @@ def format_of(name: str) -> str:
 def ordinary_files(format: str) -> dict[str, bytes]:
     """All files of a format but mutants, by name."""
     found: dict[str, bytes] = {}
-    for path in sorted((ROOT / "sample_meshes").iterdir()):
-        if "_" in path.name and path.suffix != ".py" and format_of(path.name) == format:
+    for path in sorted((ROOT / "sample_meshes").glob("*_*.*")):
+        if path.suffix != ".py" and format_of(path.name) == format:
             found[f"sample/{path.name}"] = path.read_bytes()
     if format in FUZZED:
         found |= {f"fuzz/{name[:10]}": data for name, data in kept(format).items()}
