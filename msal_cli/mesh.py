@@ -139,10 +139,10 @@ def cached_by_mesh(
 
     @functools.wraps(compute)
     def cached(mesh: Mesh, /, *given: Given.args, **named: Given.kwargs) -> Value:
-        known = cache.setdefault(mesh, {})
-        if given not in known:
-            known[given] = compute(mesh, *given, **named)
-        return known[given]
+        known, key = cache.setdefault(mesh, {}), (given, tuple(sorted(named.items())))
+        if key not in known:
+            known[key] = compute(mesh, *given, **named)
+        return known[key]
 
     return cached
 

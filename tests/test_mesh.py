@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msal_cli.errors import ContentError, TooLargeError
-from msal_cli.mesh import MAX_FACES, prepare_mesh
+from msal_cli.mesh import MAX_FACES, cached_by_mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
 
@@ -139,3 +139,17 @@ def test_more_faces_than_can_be_counted_are_refused():
     faces = np.broadcast_to(np.zeros(3, dtype=np.int32), (MAX_FACES + 1, 3))
     with pytest.raises(TooLargeError, match="357,913,942 triangles"):
         prepare_mesh(np.zeros((3, 3)), faces)
+
+
+def test_what_is_kept_with_a_mesh_depends_on_all_that_is_given():
+    calls = []
+
+    @cached_by_mesh
+    def pair(mesh, first=1, second=2):
+        calls.append((first, second))
+        return first, second
+
+    mesh, other = (prepare_mesh(*torus(6, 4)).mesh for _ in range(2))
+    found = [pair(mesh), pair(mesh, second=3), pair(mesh, 2), pair(mesh, second=3), pair(other)]
+    assert found == [(1, 2), (1, 3), (2, 2), (1, 3), (1, 2)]
+    assert calls == [(1, 2), (1, 3), (2, 2), (1, 2)]
