@@ -158,8 +158,8 @@ class TestShards:
             assert lock_owners(str(tmp_path)) == (f"process {os.getpid()}",)
         with FolderLock(str(tmp_path), Shard(1, 2)), FolderLock(str(tmp_path), Shard(2, 2)):
             before = locks_in(tmp_path)
-            told = [f"process {os.getpid()} (shard {k}/2)" for k in (1, 2)]
-            assert list(lock_owners(str(tmp_path))) == told
+            owners = [f"process {os.getpid()} (shard {k}/2)" for k in (1, 2)]
+            assert list(lock_owners(str(tmp_path))) == owners
             assert locks_in(tmp_path) == before
 
 

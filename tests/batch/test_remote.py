@@ -1,4 +1,4 @@
-"""Whole batches of objects in memory; and what is secret in a URL is told nowhere."""
+"""Whole batches of objects in memory; and what is secret in a URL is shown nowhere."""
 
 from __future__ import annotations
 
@@ -131,12 +131,18 @@ def test_odd_names_leave_neither_the_prefix_nor_the_folder(tmp_path):
     plain = ["c d%41#?ü.obj", "e\nf.obj", "[x]*.obj", "q'\".obj"]
     for name in ("../up.obj", "a//b.obj", "a/../../../up.obj", "./g.obj", *plain):
         write_whole(f"memory://scans/{name}", obj(1).encode())
-    told = ["%2E%2E/up.obj", "a/%2F/b.obj", "a/%2E%2E/%2E%2E/%2E%2E/up.obj", "%2E/g.obj", *plain]
+    expected = [
+        "%2E%2E/up.obj",
+        "a/%2F/b.obj",
+        "a/%2E%2E/%2E%2E/%2E%2E/up.obj",
+        "%2E/g.obj",
+        *plain,
+    ]
     assert {record.status for record in denoised()} == {"written"}
-    assert sorted(outputs()) == sorted(told)
+    assert sorted(outputs()) == sorted(expected)
     folder = tmp_path / "deep/out"
     assert {record.status for record in denoised(output=str(folder))} == {"written"}
-    assert sorted(tree(tmp_path)) == sorted(f"deep/out/{name}" for name in told)
+    assert sorted(tree(tmp_path)) == sorted(f"deep/out/{name}" for name in expected)
     assert {record.status for record in denoised(output=str(folder))} == {"up-to-date"}
 
 
@@ -306,33 +312,33 @@ def no_secrets(monkeypatch):
         ("nosuch://joe:geheim@b/x.ply", False),
     ],
 )
-def test_no_secret_is_told(tmp_path, place, is_output):
+def test_no_secret_is_shown(tmp_path, place, is_output):
     (tmp_path / "scans").mkdir()
     (tmp_path / "scans/a.ply").write_bytes(closed_scan())
     pair = (tmp_path / "scans/a.ply", place) if is_output else (place, tmp_path / "out")
     report, log = tmp_path / "r.json", tmp_path / "log"
-    told = msal("denoise", pair[0], "-o", pair[1], "-vv", "--report", report, "--log-file", log)
-    assert told.exit_code in (1, 2)
-    everything = [told.stdout, told.stderr, log.read_text()]
+    made = msal("denoise", pair[0], "-o", pair[1], "-vv", "--report", report, "--log-file", log)
+    assert made.exit_code in (1, 2)
+    everything = [made.stdout, made.stderr, log.read_text()]
     everything += [path.read_text() for path in tmp_path.rglob("*.json*")]
     assert not any("geheim" in text for text in everything)
-    assert "Traceback" not in told.stderr
+    assert "Traceback" not in made.stderr
 
 
 @pytest.mark.parametrize("words", ["denoise a.ply -o b.ply", "info a.ply", "methods"])
 def test_broken_secrets_are_wrong_use(monkeypatch, words):
     monkeypatch.setenv(urls.SECRETS, "{{{")
-    told = msal(*words.split())
-    assert told.exit_code == 2
-    assert urls.SECRETS in told.stderr and "{{{" not in told.stderr
+    made = msal(*words.split())
+    assert made.exit_code == 2
+    assert urls.SECRETS in made.stderr and "{{{" not in made.stderr
 
 
 def test_reports_may_go_to_a_store_and_pipes_come_from_one_and_go_there():
     write_whole("memory://p/a.ply", closed_scan())
     report = "memory://reports/r.json"
-    told = msal("denoise", "memory://p/a.ply", "-o", "memory://o/", "--report", report)
-    assert told.exit_code == 0 and b'"written"' in read_whole(report)
-    told = msal("denoise", "memory://p/a.ply", "-o", "-")
-    assert (told.exit_code, told.stdout_bytes[:3]) == (0, b"ply")
+    made = msal("denoise", "memory://p/a.ply", "-o", "memory://o/", "--report", report)
+    assert made.exit_code == 0 and b'"written"' in read_whole(report)
+    made = msal("denoise", "memory://p/a.ply", "-o", "-")
+    assert (made.exit_code, made.stdout_bytes[:3]) == (0, b"ply")
     assert msal_on(closed_scan(), "denoise", "-", "-o", "memory://p/b.ply").exit_code == 0
-    assert read_whole("memory://p/b.ply") == told.stdout_bytes
+    assert read_whole("memory://p/b.ply") == made.stdout_bytes

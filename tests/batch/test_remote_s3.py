@@ -105,10 +105,10 @@ def test_from_bucket_to_bucket(server, expected, tmp_path):
     assert len(server.requests) - 3 * n < 15
     assert outputs("s3://out/x") == expected
 
-    # What the run did can be told later, from the store alone.
-    told = msal("report", "s3://out/x", "--json", "--check")
-    assert told.exit_code == 0
-    assert json.loads(told.stdout)["totals"]["written"] == n
+    # What the run did can be reported later, from the store alone.
+    listed = msal("report", "s3://out/x", "--json", "--check")
+    assert listed.exit_code == 0
+    assert json.loads(listed.stdout)["totals"]["written"] == n
 
     # Nothing is downloaded, and of all objects together there are two listings.
     server.requests = []

@@ -145,7 +145,7 @@ def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
     assert names_in(tmp_path) == sorted([mine] if is_told else [mine, earlier])
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="told by /proc")
+@pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="it is read from /proc")
 def test_a_process_that_nobody_asked_after_is_dead(tmp_path):
     process = subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE)
     process.stdout.read()  # until it ends, but without taking its exit status

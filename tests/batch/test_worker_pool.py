@@ -125,7 +125,9 @@ class TestReplacement:
         pids = results(heard([("pid", 0)] * 4, jobs=1))
         assert pids[0] == pids[1] != pids[2] == pids[3]
 
-    @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is not told")
+    @pytest.mark.skipif(
+        not Path("/proc/self/statm").exists(), reason="the system reports no memory"
+    )
     def test_when_memory_has_grown(self, monkeypatch):
         megabyte = 1 << 20
         tasks = [("grow", 0), *[("grow", 30 * megabyte)] * 3, *[("grow", 0)] * 2]

@@ -28,8 +28,8 @@ def test_two_files_in_words_as_one_object_and_as_a_heat_map(scans):
     lines = made.stdout.splitlines()
     assert lines[0] == f"before  {scans / 'a.ply'}: 576 vertices, 1,152 triangles"
     assert lines[1].startswith(f"after   {scans / 'b.ply'}")
-    told = {line[2:20].strip(): line[21:] for line in lines[2:]}
-    assert {"normal angle", "vertex error", "displacement", "volume", "area"} <= told.keys()
+    shown = {line[2:20].strip(): line[21:] for line in lines[2:]}
+    assert {"normal angle", "vertex error", "displacement", "volume", "area"} <= shown.keys()
     data = json.loads(msal(*words, "--json").stdout)
     ONE.validate(data)
     assert (data["before"], data["after"]) == (str(scans / "a.ply"), str(scans / "b.ply"))

@@ -130,11 +130,11 @@ def test_the_commands_make_what_the_numbers_say(sweep_scans):
     for cell in data["cells"]:
         command = shlex.split(cell["command"])
         assert command[:2] == ["msal", "denoise"]
-        told = compared(sweep_scans, *command[1:])
+        compared_record = compared(sweep_scans, *command[1:])
         # The file has six decimals.
-        moved = pytest.approx(told["displacement"]["mean"], rel=1e-3)
+        moved = pytest.approx(compared_record["displacement"]["mean"], rel=1e-3)
         assert cell["mean_displacement"] == moved
-        change = pytest.approx(told["volume_change_percent"], rel=1e-2)
+        change = pytest.approx(compared_record["volume_change_percent"], rel=1e-2)
         assert cell["volume_change_percent"] == change
 
 
@@ -144,8 +144,12 @@ def test_what_msal_chooses_is_shown_and_the_nearest_is_named(sweep_scans):
     plain, auto = data["choices"]
     assert plain["command"].endswith("-o OUT") and auto["command"].endswith("-o OUT --auto")
     for cell, words in ((plain, ()), (auto, ("--auto",))):
-        told = compared(sweep_scans, "denoise", sweep_scans / "a.ply", "-o", "OUT", *words)
-        assert cell["mean_displacement"] == pytest.approx(told["displacement"]["mean"], rel=1e-3)
+        compared_record = compared(
+            sweep_scans, "denoise", sweep_scans / "a.ply", "-o", "OUT", *words
+        )
+        assert cell["mean_displacement"] == pytest.approx(
+            compared_record["displacement"]["mean"], rel=1e-3
+        )
     risks = {cell["command"]: cell["risk_edges"] for cell in data["cells"] + data["choices"]}
     assert data["nearest"] == min(risks, key=risks.get)
     # Forty sweeps flatten the shape itself.

@@ -102,9 +102,9 @@ def test_the_fields_of_a_file(scan, tmp_path):
     assert made.exit_code == 0
     data = json.loads(made.stdout)
     Draft202012Validator(load_schema("report")).validate(data)
-    told = data["records"][0]["fields"]
-    assert told["path"] == str(tmp_path / "out.fields.ply")
-    assert (told["names"], told["coloured"]) == (list(fields.KINDS), "lambda")
+    entry = data["records"][0]["fields"]
+    assert entry["path"] == str(tmp_path / "out.fields.ply")
+    assert (entry["names"], entry["coloured"]) == (list(fields.KINDS), "lambda")
     rows = table(tmp_path / "out.fields.ply")
     assert rows["lambda"] == pytest.approx(rows["sigma"] / rows["sigma"].max(), rel=1e-6)
     before = codecs.open_mesh(scan.read_bytes(), "a.ply").vertices

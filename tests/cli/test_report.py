@@ -1,4 +1,4 @@
-"""``msal report``: runs told from what they left behind; reports are written whole."""
+"""``msal report``: runs reported from what they left behind; reports are written whole."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def denoised(*words, out="out"):
     return ran("denoise", "in", "-o", out, "-j", "1", *words)
 
 
-def told(*words):
+def report_of(*words):
     one = ran("report", *words, "--json")
     assert one.exit_code == 0, one.stderr
     return json.loads(one.stdout)
@@ -72,7 +72,7 @@ class TestOneFolder:
     def test_it_tells_what_the_run_itself_told(self, scans):
         (scans / "bad.ply").write_bytes(BAD_SCAN)
         own = json.loads(denoised("--json").stdout)
-        again = told("out")
+        again = report_of("out")
         assert again["records"] == own["records"]
         for key in ("schema", "version", "command", "settings", "totals", "interrupted"):
             assert again[key] == own[key], key
@@ -87,8 +87,8 @@ class TestOneFolder:
             rows = list(csv.DictReader(io.StringIO(file.read())))
         names = [f"in/s{n}.ply" for n in range(3)]
         assert [row["input"] for row in rows] == names
-        assert list(by_name(told("new/r.json"))) == names
-        assert list(by_name(told("r.jsonl"))) == names
+        assert list(by_name(report_of("new/r.json"))) == names
+        assert list(by_name(report_of("r.jsonl"))) == names
         assert ran("report", "out", "-q").stderr == ""
 
     def test_what_was_not_finished_is_seen(self, done):
@@ -97,7 +97,7 @@ class TestOneFolder:
         torn, kept = lines[-2], lines[:-3]
         assert b'"end"' in lines[-1] and b'"done"' in torn
         path.write_bytes(b"".join(kept) + torn[:-7])
-        document = told("out")
+        document = report_of("out")
         assert list(by_name(document)) == ["in/s0.ply", "in/s1.ply", "in/s2.ply"]
         assert sorted(by_name(document).values()) == ["planned", "planned", "written"]
         assert document["interrupted"] and document["totals"]["planned"] == 2
@@ -141,11 +141,11 @@ def test_the_newest_record_of_a_file_counts(scans):
     (scans / "s1.ply").write_bytes(closed_scan(1))
     denoised("--report", "second.json")
     for first in ("first.json", "first.jsonl"):
-        states = by_name(told(first, "second.json"))
+        states = by_name(report_of(first, "second.json"))
         assert list(states.values()) == ["up-to-date", "written", "up-to-date"]
-    assert by_name(told("second.json", "first.json")) == by_name(told("second.json"))
+    assert by_name(report_of("second.json", "first.json")) == by_name(report_of("second.json"))
     # The folder's own record of s1 is newer than the first report's, and no other is.
-    assert set(by_name(told("first.json", "out")).values()) == {"written"}
+    assert set(by_name(report_of("first.json", "out")).values()) == {"written"}
 
 
 @pytest.mark.parametrize(

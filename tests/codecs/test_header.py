@@ -125,7 +125,7 @@ def peak(path, target):
     return int(ran.stdout)
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak is not told")
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the system reports no peak")
 @pytest.mark.parametrize(
     ("form", "around"),
     [

@@ -181,8 +181,8 @@ def test_one_side_may_decide(text, is_broken, is_decided):
 
 def test_only_files_with_an_output_are_judged():
     gates = parse_gates(["faces > 9"], MeshRecord)
-    told = [CLOSED, failed(), MeshRecord("b", "planned"), MeshRecord("c", "up-to-date")]
-    assert [len(one.gates) for one in with_gates(gates, told)] == [1, 0, 0, 1]
+    judged = [CLOSED, failed(), MeshRecord("b", "planned"), MeshRecord("c", "up-to-date")]
+    assert [len(one.gates) for one in with_gates(gates, judged)] == [1, 0, 0, 1]
     assert with_gates((), [CLOSED]) == [CLOSED]
 
 

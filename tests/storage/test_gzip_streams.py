@@ -116,10 +116,10 @@ def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch,
     monkeypatch.setattr(streams, "LARGE_BYTES", large_bytes)
     path = tmp_path / "a.ply"
     path.write_bytes(b"x" * 1000)
-    told = os.fstat
+    real_fstat = os.fstat
 
     def smaller(handle):
-        status = list(told(handle))
+        status = list(real_fstat(handle))
         status[6] = 10
         return os.stat_result(status)
 

@@ -39,10 +39,10 @@ def test_names_are_joined_as_they_are():
 def test_odd_names_stay_below_their_folder_and_apart():
     names = ["../x", "..", "a/../../x", "a//b", "a/b", "/x", "./x", "a/%2F/b", "a\0b", "x"]
     for is_local in (True, False):
-        told = [escape_name(name, is_local=is_local) for name in names]
-        for one in told:
+        escaped = [escape_name(name, is_local=is_local) for name in names]
+        for one in escaped:
             assert not {"", ".", ".."} & set(one.split("/"))
-        assert not is_local or all("\0" not in one for one in told)
+        assert not is_local or all("\0" not in one for one in escaped)
     assert escape_name("../x", is_local=True) == "%2E%2E/x"
     assert escape_name("a b/ü%41#?.ply", is_local=False) == "a b/ü%41#?.ply"
 

@@ -128,9 +128,9 @@ def test_the_deviation_has_colours_and_a_scale(pair):
 
     assert colourful(coloured) > 0.05 > colourful(plain)
     _, _, deviation = scene_of_two()
-    told = pair.run("document.querySelector('.msal-legend').innerText")
-    assert "Displacement" in told and "file units" in told
-    assert f"{deviation.max():.4f}".rstrip("0") in told
+    words = pair.run("document.querySelector('.msal-legend').innerText")
+    assert "Displacement" in words and "file units" in words
+    assert f"{deviation.max():.4f}".rstrip("0") in words
 
 
 def test_the_script_reads_what_was_written(pair, folder):
