@@ -13,7 +13,6 @@ import contextlib
 import logging
 import os
 import pickle
-import queue
 import threading
 import time
 from collections.abc import Callable, Generator
@@ -32,6 +31,8 @@ _PATIENCE_S = 60.0
 _BETWEEN_CHECKS_S = 0.2
 _CLOSED_WITHIN_S = 1.5
 _GOES_ON = "finished files are kept; the same command goes on from there"
+_DEATHS = "Dask workers died while at work on it"
+_DEATHS_HINT = "a library broke on this file, or the machines ran out of memory"
 
 _log = logging.getLogger("msal.dask")
 
@@ -45,12 +46,8 @@ class DaskEngine:
     def __init__(self, work: Work, scheduler: str) -> None:
         self._work = work
         self._scheduler = scheduler
-        self._inbox: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
-        self._client: Any = None
-        self._submitted: dict[Any, int] = {}
-        # Lost with their workers, as others may have been beside them: they go last, one by one.
-        self._suspects: list[int] = []
-        self._tries: collections.Counter[int] = collections.Counter()
+        folders = map(os.path.abspath, work.folders)
+        self._probes = [os.path.join(folder, temporary_name("probe")) for folder in folders]
         self._is_stopped = self._is_interrupted = False
 
     def stop(self) -> None:
@@ -61,66 +58,65 @@ class DaskEngine:
         self._is_interrupted = True
 
     def batches(self) -> Generator[list[Message], None, None]:
-        folders = map(os.path.abspath, self._work.folders)
-        self._probes = [os.path.join(folder, temporary_name("probe")) for folder in folders]
+        client = None
         try:
             for probe in self._probes:
                 Path(probe).touch()
-            self._connect()
-            _log.info("waiting for workers at the Dask scheduler %s", self._scheduler)
-            started = time.monotonic()
-            while not self._has_workers():
-                if self._is_interrupted:
-                    raise Interrupt
-                self._require_patience(started)
-                time.sleep(_BETWEEN_CHECKS_S)
-            weights = self._work.weights
-            # Large files first, so that none is left to run alone at the end.
-            for index in sorted(self._work.tasks, key=lambda index: -weights.get(index, 0)):
-                self._submit(index)
-            yield from self._run()
+            client = _connect(self._scheduler)
+            yield from self._run(client)
         finally:
-            self._close()
+            if client is not None:
+                with contextlib.suppress(Exception):
+                    # The scheduler drops the tasks of a client that is gone.
+                    client.close(timeout=_CLOSED_WITHIN_S)
             for probe in self._probes:
                 Path(probe).unlink(missing_ok=True)
             # A worker of this machine that was killed with its Dask worker cannot do that itself.
             sweep(output_folders(self._work.tasks.values()))
 
-    def _connect(self) -> None:
-        try:
-            import distributed
-        except ImportError as error:
-            raise not_installed() from error
-        # They print to standard error.
-        for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-        try:
-            self._client = distributed.Client(
-                self._scheduler, set_as_default=False, timeout=_CONNECT_S
-            )
-        except (OSError, ValueError, TimeoutError, RuntimeError) as error:
-            raise UsageError(
-                f"there is no Dask scheduler at {self._scheduler}: {error}",
-                hint="`dask scheduler` prints its address when it starts",
-            ) from error
+    def _run(self, client: Any) -> Generator[list[Message], None, None]:
+        from distributed import as_completed
 
-    def _has_workers(self) -> bool:
-        try:
-            return bool(self._client.nthreads())
-        except (OSError, TimeoutError) as error:
-            _log.debug("the scheduler does not answer: %s", error)
-            return False
+        weights = self._work.weights
+        # Large files first, so that none is left to run alone at the end.
+        order = sorted(self._work.tasks, key=lambda index: -weights.get(index, 0))
+        indices = {self._submit(client, index): index for index in order}
+        ended = as_completed(indices, loop=client.loop, with_results=True, raise_errors=False)
+        # Lost with their workers, as others may have been beside them: they go last, one by one.
+        suspects: list[int] = []
+        tries: collections.Counter[int] = collections.Counter()
+        seen_workers = time.monotonic()
+        while (indices or suspects) and not self._is_stopped:
+            if self._is_interrupted:
+                raise Interrupt
+            if not indices:
+                index = suspects.pop()
+                future = self._submit(client, index)
+                indices[future] = index
+                ended.add(future)
+            for future, answer in ended.next_batch(block=False):
+                seen_workers, index = time.monotonic(), indices.pop(future)
+                tries[index] += 1
+                if (end := _read_answer(index, answer)) is not None:
+                    yield [Started(index), end]
+                elif tries[index] <= max(1, self._work.retries):
+                    suspects.append(index)
+                else:
+                    yield [Started(index), Failed(index, "crash", _DEATHS, _DEATHS_HINT)]
+            if ended.has_ready():
+                continue
+            if _has_workers(client):
+                seen_workers = time.monotonic()
+            elif (waited := time.monotonic() - seen_workers) > _PATIENCE_S:
+                raise ResourceError(
+                    f"no worker at the Dask scheduler {self._scheduler} for {waited:.0f} s",
+                    hint="start some with `dask worker ADDRESS`, then run the same command again",
+                )
+            time.sleep(_BETWEEN_CHECKS_S)
 
-    def _require_patience(self, since: float) -> None:
-        if (waited := time.monotonic() - since) > _PATIENCE_S:
-            raise ResourceError(
-                f"no worker at the Dask scheduler {self._scheduler} for {waited:.0f} s",
-                hint="start some with `dask worker ADDRESS`, then run the same command again",
-            )
+    def _submit(self, client: Any, index: int) -> Any:
+        """The future of a task."""
 
-    # Work
-
-    def _submit(self, index: int) -> None:
         # Sent by value, and all else as bytes: the scheduler need not have msal.
         def msal(version: str, payload: bytes) -> bytes:
             from msal_cli.batch.dask import denoise_in_child
@@ -133,69 +129,47 @@ class DaskEngine:
         payload = pickle.dumps(
             (must_exist, common, work.limits, work.retries, index, work.tasks[index])
         )
-        future = self._client.submit(msal, __version__, payload, pure=False)
-        self._submitted[future] = index
-        future.add_done_callback(self._note_end)
+        return client.submit(msal, __version__, payload, pure=False)
 
-    def _note_end(self, future: Any) -> None:
-        """Called in a thread of Dask's."""
-        answer: Any
-        try:
-            answer = future.result()
-        except BaseException as error:
-            answer = error
-        self._inbox.put((future, answer))
 
-    def _run(self) -> Generator[list[Message], None, None]:
-        seen_workers = looked = time.monotonic()
-        while (self._submitted or self._suspects) and not self._is_stopped:
-            if not self._submitted:
-                self._submit(self._suspects.pop())
-            if self._is_interrupted:
-                raise Interrupt
-            try:
-                future, answer = self._inbox.get(timeout=_BETWEEN_CHECKS_S)
-            except queue.Empty:
-                now = time.monotonic()
-                if now - looked > 5 * _BETWEEN_CHECKS_S:
-                    seen_workers = now if self._has_workers() else seen_workers
-                    looked = now
-                    self._require_patience(seen_workers)
-                continue
-            if (end := self._handle_answer(self._submitted.pop(future), answer)) is not None:
-                yield [Started(end.index), end]
+def _connect(scheduler: str) -> Any:
+    """A client of a scheduler; UsageError if there is none."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise not_installed() from error
+    # They print to standard error.
+    for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        return distributed.Client(scheduler, set_as_default=False, timeout=_CONNECT_S)
+    except (OSError, ValueError, TimeoutError, RuntimeError) as error:
+        raise UsageError(
+            f"there is no Dask scheduler at {scheduler}: {error}",
+            hint="`dask scheduler` prints its address when it starts",
+        ) from error
 
-    def _handle_answer(self, index: int, answer: Any) -> Returned | Failed | None:
-        """How a task has ended; None if it is to be tried again."""
-        if isinstance(answer, bytes):
-            end: Returned | Failed = pickle.loads(answer)
-            return end
-        if isinstance(answer, UsageError):
-            raise answer
-        if type(answer).__name__ != "KilledWorker":
-            raise ResourceError(
-                f"Dask cannot go on: {type(answer).__name__}: {answer}", hint=_GOES_ON
-            )
-        self._tries[index] += 1
-        if self._tries[index] <= max(1, self._work.retries):
-            self._suspects.append(index)
-            return None
-        hint = "a library broke on this file, or the machines ran out of memory"
-        return Failed(index, "crash", "Dask workers died while at work on it", hint)
 
-    def _close(self) -> None:
-        """Take back what has not been done, and close the connection; two seconds at most."""
-        if self._client is None:
-            return
+def _has_workers(client: Any) -> bool:
+    try:
+        return bool(client.nthreads())
+    except (OSError, TimeoutError) as error:
+        _log.debug("the scheduler does not answer: %s", error)
+        return False
 
-        def close() -> None:
-            with contextlib.suppress(Exception):
-                self._client.cancel(list(self._submitted))
-                self._client.close(timeout=_CLOSED_WITHIN_S)
 
-        closing = threading.Thread(target=close, daemon=True)
-        closing.start()
-        closing.join(_CLOSED_WITHIN_S)
+def _read_answer(index: int, answer: Any) -> Returned | Failed | None:
+    """How a task has ended; None if the Dask workers that did it died."""
+    if isinstance(answer, bytes):
+        end: Returned | Failed = pickle.loads(answer)
+        return end
+    # Of an error there are type, value and traceback.
+    error = answer[1] if isinstance(answer, tuple) else answer
+    if type(error).__name__ == "KilledWorker":
+        return None
+    if isinstance(error, UsageError):
+        raise error
+    raise ResourceError(f"Dask cannot go on: {type(error).__name__}: {error}", hint=_GOES_ON)
 
 
 def not_installed() -> UsageError:
