@@ -27,7 +27,7 @@ from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
-from msal_cli.view import pictures, viewer
+from msal_cli.view import pages, pictures
 from msal_cli.view.colours import coloured_surface_of
 from msal_cli.view.panels import jpeg_bytes
 from msal_cli.view.scene import encode_scene
@@ -172,7 +172,7 @@ def _draw(
     )
     poster = jpeg_bytes(image(scene.after, scene.painted(1), "paint", _POSTER))
     name = f"{record.input}, after"
-    return shown, viewer.embed_scene(key, data, picture=poster, description=name, starts="click")
+    return shown, pages.embed_scene(key, data, picture=poster, description=name, starts="click")
 
 
 def _surface(path: str, sha256: str | None, format: str | None) -> Surface | None:

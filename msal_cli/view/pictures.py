@@ -15,12 +15,12 @@ from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
-from msal_cli.mesh import Mesh, PreparedMesh
+from msal_cli.job.room import are_arrays_in_files
+from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.colours import Scale, scale_of
 from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
-from msal_cli.view.thinning import choose_vertices, is_to_be_thinned, thin
 
 COLOURS = ("auto", "file", "deviation", "none")
 """What colours show: the files' own and the deviation, one of the two, or nothing."""
@@ -29,6 +29,9 @@ SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
 
 NOTHING_MOVED = "Nothing moved"
+
+MIN_VERTICES = 4_000_000
+"""Vertices from which on a mesh whose arrays live in files is thinned for pictures."""
 
 _MIN_TALLNESS, _MAX_TALLNESS = 0.6, 1.4
 """Height over width of a panel."""
@@ -52,7 +55,7 @@ class Scene:
     record : the numbers; None for one mesh.
     colours : one for each mesh, (n, 3) of its vertices or None; empty where none were read.
     notes : what could not be shown of the files, by name.
-    counts : triangles and vertices of each file where the meshes are thinned (``thinning``).
+    counts : triangles and vertices of each file where the meshes are thinned.
     """
 
     names: tuple[str, ...]
@@ -334,3 +337,44 @@ def _move(scene: Scene, deviation: Floats, edge: float) -> str:
         return f"Moved by {moved.mean_edges:.3g} e (mean), {moved.max_edges:.3g} e (max)"
     sizes = abs(deviation) / edge
     return f"{sizes.mean():.3g} e (mean), {sizes.max():.3g} e (max)"
+
+
+# Meshes beyond the memory, thinned: one vertex in each cell of a grid.
+#
+# A picture has far fewer pixels than such a mesh has faces.  The grid is finer than a picture of
+# the usual size, and vertices that stay keep their places.
+
+
+def is_to_be_thinned(surface: Surface) -> bool:
+    """Whether pictures show a part of the vertices only."""
+    return are_arrays_in_files() and len(surface.vertices) >= MIN_VERTICES
+
+
+def choose_vertices(surface: Surface) -> tuple[Ints, Ints]:
+    """The numbers (k,) of the vertices that stay, and the faces (j, 3) between these: faces whose
+    corners are in three cells.
+
+    ContentError if the surface is none.
+    """
+    from msal_cli.kernels import spatial_order
+    from msal_cli.kernels.welding import repeated_corners
+
+    vertices, faces, (low, high) = validate_arrays(surface.vertices, surface.faces)
+    extent = max(float((high - low).max()), np.finfo(float).tiny)
+    vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces, low, extent)
+    is_first = spatial_order.begins_cell(vertices, low, extent)
+    number = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
+    faces = number[faces]
+    faces = faces[~repeated_corners(faces)]
+    stays = np.flatnonzero(is_first[ranks])
+    kept = np.empty(len(stays), dtype=np.int32)
+    kept[number[ranks[stays]]] = stays
+    return kept, faces
+
+
+def thin(surface: Surface, kept: Ints, faces: Ints) -> Surface:
+    """The surface with the vertices ``kept`` (k,) and ``faces`` (j, 3) between these only."""
+    colours = surface.colours
+    if colours is not None and colours.vertices is not None:
+        colours = replace(colours, vertices=colours.vertices[kept])
+    return Surface(surface.vertices[kept], faces, colours=colours)

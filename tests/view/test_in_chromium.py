@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msal_cli.mesh import Mesh
-from msal_cli.view import pages, pictures, scene, viewer
+from msal_cli.view import pages, pictures, scene
 from tests.report.made import HOSTILE_NAMES
 from tests.shapes import cube, noisy, torus
 from tests.view.decoded import decoded
@@ -138,7 +138,7 @@ def test_the_script_reads_what_was_written(pair, folder):
     before, _, _ = scene_of_two(12, 8)
     text = scene.encode_scene(before, Mesh(*cube()), np.arange(8.0)).text
     _, meshes, values = decoded(text)
-    code = viewer.script().replace(
+    code = pages.viewer_script().replace(
         "for (const box of", "globalThis.unpacked = unpacked;\nfor (const box of"
     )
     page = f"<div class='msal-scene'></div><script>{code}</script>"

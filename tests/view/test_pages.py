@@ -9,7 +9,7 @@ from msal_cli.errors import InternalError
 from msal_cli.job.comparison import Surface
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.mesh import Mesh
-from msal_cli.view import pages, pictures, viewer
+from msal_cli.view import pages, pictures
 from msal_cli.view.scene import encode_scene
 from tests.html_pages import Page, assert_self_contained
 from tests.report.made import HOSTILE_NAMES
@@ -96,14 +96,14 @@ def test_names_stay_text(name):
 
 def test_nothing_is_loaded_or_run_but_what_is_there():
     assert_self_contained(parts_of(pair()))
-    for code in (viewer.script(), viewer.style()):
+    for code in (pages.viewer_script(), pages.viewer_style()):
         for word in ("http", "//cdn", "@import", "fetch(", "innerHTML", "eval(", "url("):
             assert word not in code
 
 
 def test_a_fragment_for_other_pages():
     drawn = encode_scene(MESH, MESH)
-    parts = Page(viewer.embed_scene("worst-1", drawn, picture=b"JPEG", deviation='"<'))
+    parts = Page(pages.embed_scene("worst-1", drawn, picture=b"JPEG", deviation='"<'))
     (box,) = parts.attributes("div")
     assert (box["data-scene"], box["data-start"]) == ("worst-1", "click")
     assert box["data-deviation"] == '"<'
@@ -111,4 +111,4 @@ def test_a_fragment_for_other_pages():
     assert data == {"type": "application/octet-stream", "id": "worst-1"}
     assert parts.texts["script"] == [drawn.text]
     with pytest.raises(InternalError):
-        viewer.embed_scene('x"><script>', drawn, picture=b"JPEG")
+        pages.embed_scene('x"><script>', drawn, picture=b"JPEG")

@@ -10,7 +10,7 @@ from msal_cli.job.display_names import escape_for_display
 from msal_cli.mesh import Mesh
 from msal_cli.report import html as as_html
 from msal_cli.report.html import Gallery, Pictures
-from msal_cli.view import scene, viewer
+from msal_cli.view import pages, scene
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 from tests.shapes import noisy, torus
 
@@ -42,7 +42,7 @@ def path(tmp_path_factory):
     views = Pictures(jpeg("red"), jpeg("green"), jpeg("blue"))
     gallery = Gallery(
         pictures=dict.fromkeys(range(at, len(every)), views),
-        scenes={at: viewer.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])},
+        scenes={at: pages.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])},
         legend="<p>moved</p>",
     )
     page = tmp_path_factory.mktemp("report") / "run.html"

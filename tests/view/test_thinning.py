@@ -9,15 +9,15 @@ from msal_cli.codecs.colours import SurfaceColours
 from msal_cli.errors import ContentError
 from msal_cli.job.comparison import Surface
 from msal_cli.kernels import spatial_order
-from msal_cli.view import pages, pictures, thinning
+from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View, draw_picture, scene_of
 from tests.shapes import torus
 
 
 @pytest.fixture
 def beyond(monkeypatch):
-    monkeypatch.setattr(thinning, "are_arrays_in_files", lambda: True)
-    monkeypatch.setattr(thinning, "MIN_VERTICES", 1000)
+    monkeypatch.setattr(pictures, "are_arrays_in_files", lambda: True)
+    monkeypatch.setattr(pictures, "MIN_VERTICES", 1000)
 
 
 def surface_of_torus(move: float = 0.0) -> Surface:
@@ -29,12 +29,12 @@ def surface_of_torus(move: float = 0.0) -> Surface:
 
 def test_in_a_fine_grid_all_vertices_stay_as_they_are(beyond):
     surface = surface_of_torus()
-    kept, faces = thinning.choose_vertices(surface)
+    kept, faces = pictures.choose_vertices(surface)
     assert np.array_equal(np.sort(kept), np.arange(len(surface.vertices)))
     assert {frozenset(face) for face in kept[faces].tolist()} == {
         frozenset(face) for face in surface.faces.tolist()
     }
-    thinned = thinning.thin(surface, kept, faces)
+    thinned = pictures.thin(surface, kept, faces)
     assert np.array_equal(thinned.vertices, surface.vertices[kept])
     assert np.array_equal(thinned.colours.vertices, surface.colours.vertices[kept])
 
@@ -42,7 +42,7 @@ def test_in_a_fine_grid_all_vertices_stay_as_they_are(beyond):
 def test_one_vertex_of_a_cell_stays(beyond, monkeypatch):
     monkeypatch.setattr(spatial_order, "_CELLS", 12)
     surface = surface_of_torus()
-    kept, faces = thinning.choose_vertices(surface)
+    kept, faces = pictures.choose_vertices(surface)
     low = surface.vertices.min(axis=0)
     width = np.ptp(surface.vertices, axis=0).max() / 12
     cells = np.floor((surface.vertices - low) / width)
@@ -53,7 +53,7 @@ def test_one_vertex_of_a_cell_stays(beyond, monkeypatch):
 def test_the_numbers_are_those_of_the_files(beyond, monkeypatch):
     before, after = surface_of_torus(), surface_of_torus(0.01)
     with monkeypatch.context() as patch:
-        patch.setattr(thinning, "MIN_VERTICES", 10**6)
+        patch.setattr(pictures, "MIN_VERTICES", 10**6)
         whole = scene_of(before, after, ("a", "b"))
     monkeypatch.setattr(spatial_order, "_CELLS", 12)
     scene = scene_of(before, after, ("a", "b"))
