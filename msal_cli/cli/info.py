@@ -50,7 +50,7 @@ def command(request: Request) -> int:
     from msal_cli.cli.streams import read_stream
     from msal_cli.job.inspection import inspect_file
     from msal_cli.job.records import InfoRecord
-    from msal_cli.report.info import InfoTable, describe_info
+    from msal_cli.report.text import InfoTable, describe_info
 
     format, is_checked = resolve_format(request.format), bool(request.checks)
     paths = _find_paths(request)

@@ -14,19 +14,9 @@ from msal_cli.errors import FormatError
 from msal_cli.job.display_names import figure
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference
+from msal_cli.report import facts
 from msal_cli.report.data import parse_json, read_json, read_record
-from msal_cli.report.facts import (
-    Fact,
-    Line,
-    fact_lines,
-    failure_lines,
-    file_name,
-    format_count,
-    gate_text,
-    list_broken,
-    self_intersections_text,
-    vertices_text,
-)
+from msal_cli.report.facts import Fact, Line, file_name
 from msal_cli.report.text import table_lines
 
 # Title, path in the record, format and unit.
@@ -61,17 +51,19 @@ _SIGNED = ("volume_change_percent", "area_change_percent")
 def describe_comparison(record: ComparisonRecord) -> list[Line]:
     """The lines on two files: their names, then one line per measure."""
     if record.error is not None:
-        return failure_lines(_pair_name(record), record.error)
-    before = vertices_text(record.vertices_before, record.corners_before)
-    after = vertices_text(record.vertices_after, record.corners_after)
+        return facts.failure_lines(_pair_name(record), record.error)
+    before = facts.vertices_text(record.vertices_before, record.corners_before)
+    after = facts.vertices_text(record.vertices_after, record.corners_after)
     lines = [
-        Line(f"{side:8}{file_name(path)}: {vertices}, {format_count(n_faces or 0, 'triangle')}")
+        Line(
+            f"{side:8}{file_name(path)}: {vertices}, {facts.format_count(n_faces or 0, 'triangle')}"
+        )
         for side, path, vertices, n_faces in (
             ("before", record.before, before, record.faces_before),
             ("after", record.after, after, record.faces_after),
         )
     ]
-    return [*lines, *fact_lines(_facts(record), 18)]
+    return [*lines, *facts.fact_lines(_facts(record), 18)]
 
 
 def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
@@ -88,7 +80,7 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
         for text in record.warnings:
             yield Line(f"warning: {_pair_name(record)}: {text}", "bad")
     for record in records:
-        yield from failure_lines(_pair_name(record), record.error)
+        yield from facts.failure_lines(_pair_name(record), record.error)
     n_failed = len(records) - len(compared)
     end = f"{len(compared):,} compared" + (f", {n_failed:,} not" if n_failed else "")
     yield Line(f"{end}; e: mean edge lengths before", "bad" if n_failed else "good")
@@ -97,8 +89,8 @@ def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -
 def broken_gates(records: Sequence[ComparisonRecord]) -> Iterator[Line]:
     """A line for every gate that a pair breaks, with the value."""
     for record in records:
-        for gate in list_broken(record):
-            yield Line(f"{file_name(record.after)}: {gate_text(gate)}", "bad")
+        for gate in facts.list_broken(record):
+            yield Line(f"{file_name(record.after)}: {facts.gate_text(gate)}", "bad")
 
 
 def _pair_name(record: ComparisonRecord) -> str:
@@ -138,7 +130,7 @@ def _facts(record: ComparisonRecord) -> Iterator[Fact]:
     if record.flipped_faces is not None:
         yield Fact("flipped faces", f"{record.flipped_faces:,}")
     if record.self_intersections is not None:
-        yield Fact("intersecting", self_intersections_text(record.self_intersections))
+        yield Fact("intersecting", facts.self_intersections_text(record.self_intersections))
     yield from (Fact("warning", text, "bad") for text in record.warnings)
 
 

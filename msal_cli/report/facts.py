@@ -1,8 +1,8 @@
 """Facts and figures of records, from which all reports for people are written.
 
-``facts`` says in words what is known of a file, ``FIGURES`` are the columns of tables, and
-``worst_first`` is the order in which files are listed.  ``facts`` are escaped for display; other
-texts are not: every writer escapes them for its format.
+``list_facts`` says in words what is known of a file, ``FIGURES`` are the columns of tables, and
+``worst_first`` is the order in which files are listed.  The texts of ``list_facts`` are escaped for
+display; others are not: every writer escapes them for its format.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Line:
 # Facts of a file
 
 
-def facts(record: MeshRecord, defaults: Mapping[str, Any] | None = None) -> list[Fact]:
+def list_facts(record: MeshRecord, defaults: Mapping[str, Any] | None = None) -> list[Fact]:
     """What is known of a mesh and of what was done to it, what calls for attention first among
     the remarks at the end; of its method's parameters those that differ from ``defaults``."""
     return [

@@ -22,29 +22,11 @@ from typing import Any, NamedTuple
 
 from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import DONE, MeshRecord
+from msal_cli.report import facts
 from msal_cli.report.data import Run, Totals, known_values, plain, totals
-from msal_cli.report.facts import (
-    DETAIL,
-    ORDER_TEXT,
-    Fact,
-    Tone,
-    command_text,
-    count_states,
-    facts,
-    file_name,
-    format_count,
-    gate_values,
-    list_broken,
-    list_figures,
-    percent_text,
-    problem_tables,
-    seconds_text,
-    setting_texts,
-    total_facts,
-    worst_first,
-)
-from msal_cli.view import viewer
-from msal_cli.view.viewer import asset, content_policy, escape, to_base64
+from msal_cli.report.facts import Fact, Tone
+from msal_cli.view import pages
+from msal_cli.view.pages import asset, content_policy, escape, to_base64
 
 STATIC_ROWS = 100
 """Rows in the page itself, for readers without scripts."""
@@ -65,7 +47,7 @@ class Pictures(NamedTuple):
 class Gallery:
     """Pictures and scenes by the number of the record, as far as there are any.
 
-    ``scenes`` are elements of ``viewer.embed_scene``;
+    ``scenes`` are elements of ``pages.embed_scene``;
     ``legend`` are elements that say what the colours of all deviations mean.
     ``remarks`` say in words what was left out, and why.
     """
@@ -85,25 +67,25 @@ Row = dict[str, Any]
 def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GALLERY) -> bytes:
     """The page as UTF-8."""
     numbers = {id(record): at for at, record in enumerate(records)}
-    worst = worst_first(records)
+    worst = facts.worst_first(records)
     order = [numbers[id(record)] for record in worst]
     columns, data = build_table(worst)
     pictures = [_pictures(gallery.pictures.get(at)) for at in order]
-    scripts = ([viewer.script()] if gallery.scenes else []) + [asset(__file__, "report.js")]
-    styles = ([viewer.style()] if gallery.scenes else []) + [asset(__file__, "report.css")]
+    scripts = ([pages.viewer_script()] if gallery.scenes else []) + [asset(__file__, "report.js")]
+    styles = ([pages.viewer_style()] if gallery.scenes else []) + [asset(__file__, "report.css")]
     n_more = len(records) - STATIC_ROWS
     beyond = f'<noscript><p class="note">{n_more:,} more need scripts.</p></noscript>'
     sums = totals(records)
     page = Template(asset(__file__, "report.html")).substitute(
         policy=content_policy(scripts, styles),
         version=escape(run.version),
-        title=f"msal: {format_count(len(records), 'file')}",
+        title=f"msal: {facts.format_count(len(records), 'file')}",
         styles="".join(f"<style>{style}</style>" for style in styles),
         verdict=_verdict(run, sums),
         totals=_totals(run, sums),
         notes="".join(
             f'<p class="note">{escape(fact.word.capitalize())}: {escape(fact.text)}</p>'
-            for fact in total_facts(records, sums)
+            for fact in facts.total_facts(records, sums)
         ),
         problems=_problems(worst),
         histograms=_histograms(records),
@@ -112,7 +94,7 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
         heads="".join(map(_head, columns)),
         static="".join(_static_row(columns, row) for row in data[:STATIC_ROWS]),
         beyond=beyond if n_more > 0 else "",
-        words=escape(ORDER_TEXT),
+        words=escape(facts.ORDER_TEXT),
         scale=gallery.legend if gallery.pictures else "",
         remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in gallery.remarks),
         settings=_settings(run),
@@ -130,7 +112,7 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]
     """The columns, with ``kind`` ``name``, ``word`` or ``figure``, and a row for each record: its
     ``kind`` (``failed``, ``gate``, ``planned``, ``good``), ``values`` in the order of the columns
     (None: not known) and ``details``, pairs of a word and a text."""
-    figures = list_figures(records, DETAIL)
+    figures = facts.list_figures(records, facts.DETAIL)
     has_choice = any(record.choice is not None for record in records)
     heads = [("File", "", "name"), ("Status", "", "word")]
     heads += [("Chosen", "", "word")] if has_choice else []
@@ -138,17 +120,17 @@ def build_table(records: Sequence[MeshRecord]) -> tuple[list[Column], list[Row]]
     columns = [dict(zip(("title", "unit", "kind"), head, strict=True)) for head in heads]
     rows = []
     for record in records:
-        kind = "gate" if list_broken(record) else "good"
+        kind = "gate" if facts.list_broken(record) else "good"
         kind = record.status if record.status in ("failed", "planned") else kind
         status = {"planned": "not done", "up-to-date": "up to date"}.get(
             record.status, "gate broken" if kind == "gate" else record.status
         )
-        values: list[Any] = [file_name(record.input), status]
+        values: list[Any] = [facts.file_name(record.input), status]
         if has_choice:
             chosen = record.method.name if record.choice and record.method else ""
             values.append(escape_for_display(chosen))
         values += [_round(item.value(record)) for item in figures]
-        details = [[fact.word.capitalize(), fact.text] for fact in facts(record)]
+        details = [[fact.word.capitalize(), fact.text] for fact in facts.list_facts(record)]
         details += [["Output", escape_for_display(record.output)]] if record.output else []
         rows.append({"kind": kind, "values": values, "details": details})
     return columns, rows
@@ -201,7 +183,7 @@ _KINDS: Mapping[Tone, str] = {"bad": "bad", "faint": "warn"}
 def _verdict(run: Run, sums: Totals) -> str:
     chips = [
         (_KINDS[fact.tone], f"{fact.text} {fact.word}")
-        for fact in count_states(sums)
+        for fact in facts.count_states(sums)
         if fact.tone in _KINDS
     ]
     if run.interrupted and not sums.planned:
@@ -211,11 +193,14 @@ def _verdict(run: Run, sums: Totals) -> str:
 
 
 def _totals(run: Run, sums: Totals) -> str:
-    tiles = [Fact("file" if sums.files == 1 else "files", f"{sums.files:,}"), *count_states(sums)]
+    tiles = [
+        Fact("file" if sums.files == 1 else "files", f"{sums.files:,}"),
+        *facts.count_states(sums),
+    ]
     if sums.vertices:
         tiles.append(Fact("vertices denoised", _short(sums.vertices)))
     if run.seconds > 0.0:
-        tiles.append(Fact("wall time", seconds_text(run.seconds)))
+        tiles.append(Fact("wall time", facts.seconds_text(run.seconds)))
         if sums.vertices:
             rate = float(f"{sums.vertices / run.seconds:.3g}")
             tiles.append(Fact("vertices a second", _short(rate)))
@@ -228,7 +213,7 @@ def _totals(run: Run, sums: Totals) -> str:
 
 def _problems(worst: Sequence[MeshRecord]) -> str:
     parts = []
-    for title, heads, rows in problem_tables(worst):
+    for title, heads, rows in facts.problem_tables(worst):
         cells = "".join(f'<th scope="col">{head.capitalize()}</th>' for head in ("file", *heads))
         lines = "".join(
             f"<tr><th scope=row>{_name(record)}</th><td>{'</td><td>'.join(map(escape, texts))}"
@@ -252,12 +237,12 @@ def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
     title = "The worst file in 3D" if len(scenes) == 1 else f"The worst {len(scenes)} in 3D"
     cards = []
     for record, elements in scenes:
-        parts = [gate_values(gate) for gate in list_broken(record)]
+        parts = [facts.gate_values(gate) for gate in facts.list_broken(record)]
         if record.displacement is not None:
             parts.append(f"moved at most {record.displacement.max_edges:.3g} mean edge lengths")
         if record.volume is not None and record.volume.valid:
             inside_out = ", inside out" if record.inside_out else ""
-            parts.append(f"volume {percent_text(record.volume.change_percent)}{inside_out}")
+            parts.append(f"volume {facts.percent_text(record.volume.change_percent)}{inside_out}")
         caption = escape("; ".join(parts))
         cards.append(
             f'<article class="card"><h3>{_name(record)}</h3><p class="note">{caption}</p>'
@@ -267,7 +252,7 @@ def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
 
 
 def _settings(run: Run) -> str:
-    command = command_text(run.command, _MAX_COMMAND)
+    command = facts.command_text(run.command, _MAX_COMMAND)
     head = f"<h3>Command</h3><pre><code>{escape(command)}</code></pre>" if command else ""
     parts = []
     for title, values in (
@@ -277,14 +262,14 @@ def _settings(run: Run) -> str:
     ):
         lines = "".join(
             f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
-            for name, value in setting_texts(values)
+            for name, value in facts.setting_texts(values)
         )
         parts.append(f'<div class="facts"><h3>{title}</h3><table>{lines}</table></div>')
     return f'{head}<div class="grid">{"".join(parts)}</div>'
 
 
 def _name(record: MeshRecord) -> str:
-    return html.escape(file_name(record.input))
+    return html.escape(facts.file_name(record.input))
 
 
 def _json(data: Any) -> str:
@@ -375,7 +360,7 @@ def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "
             parts.append(
                 f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
                 f'y="{_FLOOR - height:.2f}" width="{slot - 1.5:.2f}" height="{height:.2f}">'
-                f"<title>{format_count(count, 'file')}, {places[at]}</title></rect>"
+                f"<title>{facts.format_count(count, 'file')}, {places[at]}</title></rect>"
             )
     for kind, y, number in (("rule", _TOP, max(counts)), ("axis", _FLOOR, 0)):
         parts.append(

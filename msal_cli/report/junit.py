@@ -17,16 +17,8 @@ from xml.etree import ElementTree as Xml
 
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import DONE, MeshRecord
+from msal_cli.report import facts
 from msal_cli.report.data import Run
-from msal_cli.report.facts import (
-    SHORT,
-    facts,
-    failure_text,
-    gate_values,
-    list_broken,
-    problem_texts,
-    setting_texts,
-)
 
 # Half of a pair, and two code points that are no characters: all that is left for XML to refuse.
 _NO_CHARACTERS = re.compile("[\ud800-\udfff\ufffe\uffff]")
@@ -69,14 +61,18 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
     properties_of_run = (
         ("msal.version", run.version),
         ("msal.command", " ".join(run.command)),
-        *((f"msal.settings.{name}", text) for name, text in setting_texts(run.settings)),
+        *((f"msal.settings.{name}", text) for name, text in facts.setting_texts(run.settings)),
     )
     for name, value in properties_of_run:
         properties.append(_element("property", name=name, value=value))
     suite.extend(cases)
     texts, warnings = [], []
     for record in records:
-        parts = [f"{fact.word}: {fact.text}" for fact in facts(record) if fact.level == SHORT]
+        parts = [
+            f"{fact.word}: {fact.text}"
+            for fact in facts.list_facts(record)
+            if fact.level == facts.SHORT
+        ]
         if parts and record.error is None:
             texts.append(f"{_name(record)}: {record.status}; {'; '.join(parts)}")
         warnings += [f"{_name(record)}: {escape_for_display(text)}" for text in record.warnings]
@@ -89,13 +85,13 @@ def _case(folder: str, record: MeshRecord) -> Xml.Element:
     case = _element(
         "testcase", name=_name(record), classname=folder, time=_seconds(_duration(record))
     )
-    why = "\n".join(map(escape_for_display, problem_texts(record)))
+    why = "\n".join(map(escape_for_display, facts.problem_texts(record)))
     if record.error is not None:
-        message = failure_text(record.error, with_code=False)
+        message = facts.failure_text(record.error, with_code=False)
         case.append(_element("error", type=record.error.code, message=message))
     elif why:
         # Ant's schema has room for one failure in a case.
-        broken = "; ".join(map(gate_values, list_broken(record)))
+        broken = "; ".join(map(facts.gate_values, facts.list_broken(record)))
         case.append(_element("failure", type="gate", message=broken))
     elif record.status == "planned":
         case.append(_element("skipped"))

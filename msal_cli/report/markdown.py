@@ -19,20 +19,8 @@ from collections.abc import Sequence
 
 from msal_cli.job.display_names import escape_for_display, shorten_name
 from msal_cli.job.records import MeshRecord
+from msal_cli.report import facts
 from msal_cli.report.data import Run, Totals, plain, totals
-from msal_cli.report.facts import (
-    DETAIL,
-    ORDER_TEXT,
-    command_text,
-    list_broken,
-    list_figures,
-    problem_tables,
-    problem_texts,
-    speed_text,
-    total_facts,
-    totals_text,
-    worst_first,
-)
 
 MAX_BYTES = 900_000
 """Bytes of the largest report: below the 1 MiB that the summary of a step may have."""
@@ -59,8 +47,8 @@ def render(run: Run, records: Sequence[MeshRecord], *, max_bytes: int = MAX_BYTE
     sums = totals(records)
     parts = [_heading(run, sums), _totals(run, records, sums), _settings(run)]
     left = max_bytes - sum(len(part.encode()) for part in parts)
-    worst = worst_first(records)
-    for table in problem_tables(worst):
+    worst = facts.worst_first(records)
+    for table in facts.problem_tables(worst):
         codes = Counter(cells[1] for _, cells in table.rows) if table.title == "Failed" else {}
         counts = sorted(codes.items(), key=lambda item: -item[1])[:12]
         remark = ", ".join(f"{count:,} × {_code(code)}" for code, count in counts)
@@ -76,18 +64,18 @@ def render(run: Run, records: Sequence[MeshRecord], *, max_bytes: int = MAX_BYTE
 def _heading(run: Run, sums: Totals) -> str:
     is_bad = sums.failed or sums.gate_broken
     sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
-    return f"## {sign} msal denoise: {totals_text(sums)}\n\n"
+    return f"## {sign} msal denoise: {facts.totals_text(sums)}\n\n"
 
 
 def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:
-    rows = [(fact.word, fact.text) for fact in total_facts(records, sums)]
-    rows += [("denoised", speed)] if (speed := speed_text(run, sums)) else []
+    rows = [(fact.word, fact.text) for fact in facts.total_facts(records, sums)]
+    rows += [("denoised", speed)] if (speed := facts.speed_text(run, sums)) else []
     lines = "".join(f"| {word} | {_text(text)} |\n" for word, text in rows)
     return f"| | |\n|---|---|\n{lines}\n" if lines else ""
 
 
 def _settings(run: Run) -> str:
-    command = command_text(run.command, _MAX_COMMAND)
+    command = facts.command_text(run.command, _MAX_COMMAND)
     lines = [_text(f"msal {run.version}, {run.started} to {run.finished}")]
     lines += [f"Command: {_code(command)}"] if command else []
     settings = json.dumps(plain(dict(run.settings)), ensure_ascii=False)
@@ -98,18 +86,18 @@ def _settings(run: Run) -> str:
 
 def _file_section(worst: Sequence[MeshRecord], max_bytes: int) -> str:
     done = [record for record in worst if record.status not in ("failed", "planned")]
-    figures = list_figures(done, DETAIL)
+    figures = facts.list_figures(done, facts.DETAIL)
     has_choice = any(record.choice is not None for record in done)
     heads = ["file", "status"] + ["chosen"] * has_choice
     heads += [", ".join(filter(None, (figure.title.lower(), figure.unit))) for figure in figures]
     rows = []
     for record in done[:MAX_ROWS]:
-        status: str = "**gate**" if list_broken(record) else record.status
+        status: str = "**gate**" if facts.list_broken(record) else record.status
         chosen = "" if record.choice is None else record.choice.reason
         status += ", inside out" if record.inside_out else ""
         cells = [figure.text(record) for figure in figures]
         rows.append((_name(record), status, *[_text(chosen)] * has_choice, *cells))
-    return _section("Files", ORDER_TEXT, heads, rows, len(done), max_bytes, len(figures))
+    return _section("Files", facts.ORDER_TEXT, heads, rows, len(done), max_bytes, len(figures))
 
 
 def _section(
@@ -181,8 +169,8 @@ def list_annotations(records: Sequence[MeshRecord], folder: str = "") -> list[st
     that is where the program runs.
     """
     commands = []
-    for record in worst_first(records):
-        if texts := problem_texts(record):
+    for record in facts.worst_first(records):
+        if texts := facts.problem_texts(record):
             n_gates = len(texts) - 1
             title = "broken gate" if n_gates == 1 else f"{n_gates} broken gates"
             title = "failed" if record.error is not None else title

@@ -1,5 +1,5 @@
-"""The summary of a run for people: the facts of one file; of several a table, what failed and
-why, and the totals."""
+"""What msal prints for people: of a run the facts of one file, or a table of several, what failed
+and why, and the totals; of files what is in them."""
 
 from __future__ import annotations
 
@@ -8,35 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
-from msal_cli.job.records import DONE, WITH_OUTPUT, MeshRecord, Planned
+from msal_cli.job.records import DONE, WITH_OUTPUT, InfoRecord, MeshRecord, Planned
 from msal_cli.machine import megabytes
+from msal_cli.report import facts
 from msal_cli.report.data import Run, known_values, totals
-from msal_cli.report.facts import (
-    SHORT,
-    Fact,
-    Line,
-    Tone,
-    auto_text,
-    despiked_text,
-    fact_lines,
-    facts,
-    failure_lines,
-    failure_text,
-    file_name,
-    format_count,
-    gate_text,
-    is_filtered,
-    list_broken,
-    list_figures,
-    seconds_text,
-    speed_text,
-    tile_set_text,
-    total_facts,
-    totals_text,
-    touches_text,
-    unsure_text,
-    vertices_text,
-)
+from msal_cli.report.facts import Fact, Line, Tone, file_name, format_count
 
 MAX_LINES = 8
 """Lines on a single file; -v has all."""
@@ -51,6 +27,13 @@ _MIN_NAME_WIDTH = 16
 
 _START_S = 0.9
 """Seconds until the first worker denoises."""
+
+_SHAPES = {"3": "triangle", "4": "quad"}
+
+# Heads and their widths, left to right; a file is printed before the next is read.
+_INFO_COLUMNS = (("format", 7), ("vertices", 10), ("faces", 10), ("noise", 6), ("surface", 7))
+_LAST = "problems"
+_ROOM_FOR_PROBLEMS = 12
 
 
 def summary(
@@ -76,15 +59,15 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
     """The lines of a dry run: one per file, ``input -> output``."""
     for record in records:
         if record.status == "failed":
-            yield from failure_lines(file_name(record.input), record.error)
+            yield from facts.failure_lines(file_name(record.input), record.error)
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
             ending = "" if record.planned is None else f": {_planned_text(record.planned)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
             if record.tile_set is not None:
-                counts = vertices_text(record.vertices, record.corners)
-                yield Line(f"  {counts}, {touches_text(record.tile_set)}")
+                counts = facts.vertices_text(record.vertices, record.corners)
+                yield Line(f"  {counts}, {facts.touches_text(record.tile_set)}")
 
 
 def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
@@ -101,7 +84,7 @@ def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
     if seconds:
         # A file is not shared among processes.
         total_s = max(max(seconds), sum(seconds) / min(n_cores, len(seconds))) + _START_S
-        parts.append(f"about {seconds_text(total_s)} on an idle machine")
+        parts.append(f"about {facts.seconds_text(total_s)} on an idle machine")
     n_current = sum(record.status == "up-to-date" for record in records)
     n_failed = sum(record.status == "failed" for record in records)
     parts += [f"{n_current:,} up to date"] if n_current else []
@@ -113,7 +96,7 @@ def _planned_text(planned: Planned) -> str:
     parts = [
         "" if planned.bytes is None else f"{planned.bytes / 1e3:,.1f} kB",
         format_count(planned.vertices, "vertex"),
-        "" if planned.seconds is None else f"about {seconds_text(planned.seconds)}",
+        "" if planned.seconds is None else f"about {facts.seconds_text(planned.seconds)}",
     ]
     if planned.scratch_bytes is not None and planned.memory_bytes is not None:
         memory, scratch = megabytes(planned.memory_bytes), megabytes(planned.scratch_bytes)
@@ -124,7 +107,7 @@ def _planned_text(planned: Planned) -> str:
 def file_text(record: MeshRecord) -> str:
     """What became of a file, in one line: how, how far it moved, what calls for attention."""
     if record.error is not None:
-        return escape_for_display(f"failed: {failure_text(record.error)}")
+        return escape_for_display(f"failed: {facts.failure_text(record.error)}")
     moved = record.displacement
     parts = [
         record.method.name if record.method is not None else "",
@@ -134,8 +117,8 @@ def file_text(record: MeshRecord) -> str:
         parts = [f"left as it is: {record.left_alone or 'no vertex moved'}"]
     parts += [
         format_count(record.flipped_faces or None, "flipped face"),
-        despiked_text(record.despiked) if record.despiked else "",
-        seconds_text(record.seconds.total) if record.seconds is not None else "",
+        facts.despiked_text(record.despiked) if record.despiked else "",
+        facts.seconds_text(record.seconds.total) if record.seconds is not None else "",
     ]
     warnings = (f"warning: {warning}" for warning in record.warnings)
     return escape_for_display("; ".join([", ".join(filter(None, parts)), *warnings]))
@@ -144,7 +127,7 @@ def file_text(record: MeshRecord) -> str:
 def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
     """The lines on what failed and why; none if nothing did."""
     failed = [record for record in records if record.status == "failed"]
-    items = [failure_lines(file_name(record.input), record.error, "  ") for record in failed]
+    items = [facts.failure_lines(file_name(record.input), record.error, "  ") for record in failed]
     yield from _section("failed", items, None if verbose else MAX_FAILURES)
     if n_remembered := sum(record.remembered for record in failed):
         yield Line(f"  {n_remembered:,} of them {remembered_text(n_remembered)}")
@@ -159,11 +142,11 @@ def remembered_text(count: int = 1) -> str:
 def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
     """The lines on which file broke which gate, and with what value; none if none did."""
     items = [
-        [Line(f"  {file_name(record.input)}: {gate_text(gate)}", "bad")]
+        [Line(f"  {file_name(record.input)}: {facts.gate_text(gate)}", "bad")]
         for record in records
-        for gate in list_broken(record)
+        for gate in facts.list_broken(record)
     ]
-    n_files = sum(bool(list_broken(record)) for record in records)
+    n_files = sum(bool(facts.list_broken(record)) for record in records)
     yield from _section("broke a gate", items, None if verbose else MAX_FAILURES, count=n_files)
 
 
@@ -175,7 +158,7 @@ def _file_lines(
 ) -> Iterator[Line]:
     name = file_name(record.input)
     if record.error is not None:
-        yield from failure_lines(name, record.error)
+        yield from facts.failure_lines(name, record.error)
         if record.remembered:
             yield Line(f"it {remembered_text()}")
         return
@@ -190,18 +173,22 @@ def _file_lines(
     else:
         why = record.left_alone or "no vertex moved"
         ending = f", byte for byte as it was: {why}" if record.status == "unchanged" else ""
-        seconds = "" if record.seconds is None else f" in {seconds_text(record.seconds.total)}"
+        seconds = (
+            "" if record.seconds is None else f" in {facts.seconds_text(record.seconds.total)}"
+        )
         yield Line(f"{name} -> {output}{seconds}{ending}", "good")
-    shown = facts(record, None if verbose else defaults)
+    shown = facts.list_facts(record, None if verbose else defaults)
     rest: list[Fact] = []
     if not verbose:
-        shown = [fact for fact in shown if fact.level <= SHORT]
+        shown = [fact for fact in shown if fact.level <= facts.SHORT]
         if len(shown) > MAX_LINES - 1:
             shown, rest = shown[: MAX_LINES - 2], shown[MAX_LINES - 2 :]
-    yield from fact_lines(shown, 13)
+    yield from facts.fact_lines(shown, 13)
     if rest:
         worst: Tone = "bad" if any(fact.tone == "bad" for fact in rest) else "faint"
-        yield from fact_lines([Fact("...", f"and {len(rest):,} more (-v shows them)", worst)], 13)
+        yield from facts.fact_lines(
+            [Fact("...", f"and {len(rest):,} more (-v shows them)", worst)], 13
+        )
 
 
 def _output_name(record: MeshRecord) -> str:
@@ -220,7 +207,7 @@ def _batch_lines(
         if record.status in DONE or (verbose and record.status == "up-to-date")
     ]
     if listed and (verbose or len(listed) <= MAX_ROWS):
-        figures = list_figures(listed, SHORT)
+        figures = facts.list_figures(listed, facts.SHORT)
         heads = [column.title.lower() for column in figures]
         rows = [[column.text(record) or "-" for column in figures] for record in listed]
         names = [file_name(record.input) for record in listed]
@@ -239,24 +226,24 @@ def _batch_lines(
     yield from _references(records, verbose)
     yield from broken_gates(records, verbose)
     done = [record for record in records if record.status in WITH_OUTPUT]
-    if advice := auto_text([record for record in done if record.status != "up-to-date"]):
+    if advice := facts.auto_text([record for record in done if record.status != "up-to-date"]):
         yield Line(advice)
-    unsure = [record for record in done if unsure_text(record)]
+    unsure = [record for record in done if facts.unsure_text(record)]
     if unsure:
-        n_filtered = sum(map(is_filtered, unsure))
+        n_filtered = sum(map(facts.is_filtered, unsure))
         yield Line(
             f"noise or texture: {format_count(len(unsure), 'file')}, {n_filtered} filtered mildly, "
             "the others left as they are; --assume noise or --assume texture decides "
             "(-v or --report lists them)"
         )
     sums = totals(records)
-    for word, text, tone, _ in total_facts(done, sums):
+    for word, text, tone, _ in facts.total_facts(done, sums):
         yield Line(f"{word}: {text}", tone)
-    if tile_set := tile_set_text(done):
+    if tile_set := facts.tile_set_text(done):
         yield Line(f"tile set: {tile_set}")
     is_bad = sums.failed or sums.gate_broken or run.interrupted
     yield Line(
-        "; ".join(filter(None, (totals_text(sums), speed_text(run, sums)))),
+        "; ".join(filter(None, (facts.totals_text(sums), facts.speed_text(run, sums)))),
         "bad" if is_bad else "good",
     )
 
@@ -287,7 +274,7 @@ def _note(record: MeshRecord) -> str:
     volume, is_unchanged = record.volume, record.status == "unchanged"
     notes = (
         record.method.name if record.choice is not None and record.method is not None else "",
-        "noise or texture" if unsure_text(record) else "",
+        "noise or texture" if facts.unsure_text(record) else "",
         ("left as it is" if record.left_alone else "no vertex moved") if is_unchanged else "",
         "up to date" if record.status == "up-to-date" else "",
         volume.reason if volume is not None and not volume.valid else "",
@@ -333,6 +320,116 @@ def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
             # The place may name the reference already.
             is_named = f"{error.where}: ".startswith(f"{reference.path}: ")
             name = "" if is_named else f"{file_name(reference.path)}: "
-            items.append([Line(f"  {name}{failure_text(error)}", "bad")])
+            items.append([Line(f"  {name}{facts.failure_text(error)}", "bad")])
     max_items = None if verbose else MAX_FAILURES
     yield from _section("no comparison with the reference", items, max_items)
+
+
+# What is in files, for msal info
+
+
+def describe_info(record: InfoRecord) -> list[Line]:
+    """The lines on one file: its name, then one line per fact."""
+    name = file_name(record.input)
+    if record.error is not None:
+        return facts.failure_lines(name, record.error)
+    return [Line(name, "good"), *facts.fact_lines(_info_facts(record), 15)]
+
+
+def _info_facts(record: InfoRecord) -> Iterator[Fact]:
+    storage = [part for part in (record.format, record.encoding, record.precision) if part]
+    size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
+    yield Fact("format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size]))
+    beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
+    yield Fact("vertices", _count_text(record.vertices) + beside)
+    sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
+    parts = [
+        format_count(count, _SHAPES[size]) if size in _SHAPES else f"{count:,} with {size} corners"
+        for size, count in sizes
+    ]
+    yield Fact("faces", _count_text(record.faces) + (f" ({', '.join(parts)})" if parts else ""))
+    yield Fact("components", _count_text(record.components))
+    surface = "closed"
+    if not record.closed:
+        surface = f"open, {format_count(record.boundary_edges, 'boundary edge')}"
+    if record.non_manifold_edges:
+        surface += f", {format_count(record.non_manifold_edges, 'non-manifold edge')}"
+    yield Fact("surface", surface)
+    yield Fact("winding", (record.winding or "-") + (", inside out" if record.inside_out else ""))
+    for word, count, unit in (
+        ("degenerate", record.degenerate_faces, ("face",)),
+        ("duplicate", record.duplicate_faces, ("face",)),
+        ("unreferenced", record.unreferenced_vertices, ("vertex", "vertices")),
+        ("welded", record.welded_vertices, ("vertex", "vertices")),
+    ):
+        yield Fact(word, format_count(count, *unit) or "-")
+    if record.self_intersections is not None:
+        pairs = format_count(record.self_intersections, "pair of faces", "pairs of faces")
+        yield Fact("intersecting", pairs)
+    if record.bounds is not None:
+        low, high = record.bounds
+        yield Fact("from", ", ".join(f"{x:.9g}" for x in low))
+        yield Fact("to", ", ".join(f"{x:.9g}" for x in high))
+        yield Fact("size", " x ".join(f"{b - a:.6g}" for a, b in zip(low, high, strict=True)))
+    yield Fact("area", figure(record.area, ".6g", unknown="-"))
+    if record.volume_valid and record.volume is not None:
+        yield Fact(
+            "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
+        )
+    else:
+        yield Fact("volume", f"- {record.volume_reason}".rstrip())
+    yield Fact("mean edge", figure(record.mean_edge_length, ".6g", unknown="-"))
+    if record.noise_estimate is not None:
+        level, *details = facts.noise_texts(record.noise_estimate, record)
+        yield Fact("noise estimate", level)
+        yield from (Fact("", text) for text in details)
+    yield Fact("carried along", ", ".join(record.properties) or "nothing else")
+    if record.references:
+        yield Fact("refers to", ", ".join(record.references))
+    yield from (Fact("warning", text, "bad") for text in record.warnings)
+
+
+def _count_text(number: int | None) -> str:
+    return figure(number, ",", unknown="-")
+
+
+class InfoTable:
+    """The lines of a table for files whose paths are known beforehand; ``width`` in columns."""
+
+    def __init__(self, paths: Sequence[str], width: int) -> None:
+        taken = sum(size + 2 for _, size in _INFO_COLUMNS) + 2 + _ROOM_FOR_PROBLEMS
+        longest = max((columns(file_name(path)) for path in paths), default=0)
+        self._name_width = max(4, min(longest, max(_MIN_NAME_WIDTH, width - taken)))
+
+    def head(self) -> Line:
+        return Line(self._join("file", [name for name, _ in _INFO_COLUMNS], _LAST), "faint")
+
+    def row(self, record: InfoRecord) -> Line:
+        """The line on a file that could be read."""
+        noise = record.noise_estimate
+        cells = [
+            (record.format or "-") + (".gz" if record.compressed else ""),
+            figure(record.vertices, ",", unknown="-"),
+            figure(record.faces, ",", unknown="-"),
+            "-" if noise is None else "none" if noise.negligible else f"{noise.mean_edges:.2g}",
+            "-" if record.closed is None else "closed" if record.closed else "open",
+        ]
+        pairs = ("pair of faces that intersect", "pairs of faces that intersect")
+        counts = (
+            facts.defects_text(record),
+            format_count(record.self_intersections or None, *pairs),
+            format_count(len(record.warnings) or None, "warning"),
+        )
+        problems = ", ".join(filter(None, counts))
+        return Line(self._join(file_name(record.input), cells, problems))
+
+    def foot(self) -> Line:
+        return Line(
+            "(noise in mean edge lengths; -v shows all that is known of each file)", "faint"
+        )
+
+    def _join(self, name: str, cells: Sequence[str], last: str) -> str:
+        parts = [pad_name(shorten_name(name, self._name_width), self._name_width)]
+        for cell, (head, size) in zip(cells, _INFO_COLUMNS, strict=True):
+            parts.append(pad_name(cell, size, right=head not in ("format", "surface")))
+        return "  ".join([*parts, last]).rstrip()

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from msal_cli.job import records
-from msal_cli.report import comparison, data, facts, html, info, junit, markdown, text
+from msal_cli.report import comparison, data, facts, html, junit, markdown, text
 from tests.report.made import RUN, failed, gated, written
 
 FOLDER = Path(__file__).with_name("golden")
@@ -171,13 +171,13 @@ def outputs() -> Iterator[tuple[str, str]]:
     yield "all_of_one.txt", lines(text.summary(RUN, [FULL], verbose=True))
     yield "summary.txt", lines(text.summary(RUN, RECORDS))
     yield "summary_verbose.txt", lines(text.summary(RUN, RECORDS, verbose=True))
-    every, usual = [*SEEN_SELDOM, *RECORDS], facts.facts(RECORDS[1])
+    every, usual = [*SEEN_SELDOM, *RECORDS], facts.list_facts(RECORDS[1])
     yield (
         "facts.txt",
         "".join(
             f"{record.input}, level {fact.level}: {fact.word}: {fact.text}\n"
             for record in every
-            for fact in facts.facts(record)
+            for fact in facts.list_facts(record)
             if fact not in usual
         ),
     )
@@ -191,8 +191,8 @@ def outputs() -> Iterator[tuple[str, str]]:
     yield "cut_short.txt", "".join(f"{line.tone}: {line.text}\n" for line in every)
     spans = (0.0, 9.994, 12.34, 99.96, 185.4, 3599.9, 7800.0)
     yield "seconds.txt", "".join(f"{span}: {facts.seconds_text(span)}\n" for span in spans)
-    yield "info.txt", lines([*info.describe_info(INFO), *info.describe_info(CLOSED)])
-    table = info.InfoTable(["scan.ply", "ball.ply"], 80)
+    yield "info.txt", lines([*text.describe_info(INFO), *text.describe_info(CLOSED)])
+    table = text.InfoTable(["scan.ply", "ball.ply"], 80)
     yield "info_table.txt", lines([table.head(), table.row(INFO), table.row(CLOSED), table.foot()])
     yield "compare.txt", lines(comparison.describe_comparison(PAIR))
     yield "compare_table.txt", lines(comparison.comparison_table([PAIR, UNLIKE], width=90))

@@ -32,7 +32,7 @@ from msal_cli.report.comparison import (
 )
 from msal_cli.report.data import json_bytes, plain_record, render_json
 from msal_cli.report.facts import worst_first
-from msal_cli.report.info import describe_info
+from msal_cli.report.text import describe_info
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 
 BROKEN = GateResult("flipped_faces > 0", True, True, {}, "flipped_faces is 3")
