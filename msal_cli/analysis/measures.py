@@ -8,13 +8,14 @@ its normals point to, and changes so large that they are damage rather than deno
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
+from msal_cli.structs import dataclass
 
 FLAT = 1e-9
 """A volume below this share of area ** 1.5 is rounding: the surface encloses nothing."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msal_cli.kernels.connectivity import boundary_curves
 from msal_cli.kernels.welding import first_alike
+from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints, Longs

@@ -20,7 +20,6 @@ from texture, the setting and the share of it are taken whose error is least in 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from msal_cli.auto.search import forecast_seconds
 from msal_cli.auto.wishes import FAMILY, NONE, Choice, OnStep
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
+from msal_cli.structs import dataclass
 
 PART = 4_000
 """Vertices that candidates run on."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from dataclasses import dataclass
 from typing import Any
+
+from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from msal_cli.arrays import Floats
 from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
 from msal_cli.auto.wishes import NONE, Choice, Wishes
 from msal_cli.methods.blend import format_levels, format_members
+from msal_cli.structs import dataclass
 
 PLAIN = ("none", "white", "impulsive", "unknown")
 """Kinds of noise that need no words beside the level."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.mesh import Mesh
+from msal_cli.structs import dataclass
 
 Ints = NDArray[Any]
 

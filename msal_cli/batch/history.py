@@ -7,7 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from msal_cli.batch.manifest import (
 from msal_cli.batch.shard import Shard
 from msal_cli.job.plain_data import from_data
 from msal_cli.job.records import MeshRecord
+from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:

@@ -25,13 +25,13 @@ import re
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.machine import is_alive
 from msal_cli.storage.regular import open_own
+from msal_cli.structs import dataclass
 
 NAME = ".msal-lock"
 _ANY_NAME = re.compile(re.escape(NAME) + r"(?:-(\d{1,9})-of-(\d{1,9}))?")

@@ -8,7 +8,7 @@ import os
 import stat
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -31,6 +31,7 @@ from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
+from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 # Failures that the file itself causes come again with the same file, settings and version.  All

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -18,6 +18,7 @@ from msal_cli.cli.options import MESSAGES, PATH, group, resolve_format
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.job.plain_data import as_data
 from msal_cli.storage import gzip_streams
+from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.codecs.gltf import SceneFile

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any
 from urllib.parse import unquote
 
@@ -30,6 +30,7 @@ from msal_cli.errors import (
     UnsupportedError,
     damaged,
 )
+from msal_cli.structs import dataclass
 
 Span = tuple[int, int]
 """The first character of a value, and the one behind its last."""

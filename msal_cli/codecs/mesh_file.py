@@ -7,7 +7,7 @@ A codec parses what it must (positions, faces), keeps the original bytes, and re
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,6 +17,7 @@ from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs.slots import Slots
 from msal_cli.errors import ContentError
 from msal_cli.storage.regular import Buffer
+from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.errors import (
@@ -19,6 +19,7 @@ from msal_cli.errors import (
     UnsupportedError,
     UsageError,
 )
+from msal_cli.structs import dataclass
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
@@ -95,7 +96,7 @@ class Property:
         return f"{self.name} {kind}"
 
 
-@dataclass
+@dataclass()
 class Element:
     """One ``element`` line with its properties; ``count`` is what the file claims."""
 
@@ -127,7 +128,7 @@ class Stray:
     is_doubtful: bool
 
 
-@dataclass
+@dataclass()
 class Header:
     """A parsed header.
 

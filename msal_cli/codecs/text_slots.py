@@ -11,7 +11,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.slots import Change, Slots, is_same
 from msal_cli.errors import EXPORT_AGAIN, FormatError, InternalError
 from msal_cli.storage.regular import Buffer
+from msal_cli.structs import dataclass
 
 SHORTEST = 18
 """In place of a number of decimals: the shortest text that is read back as the same double."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from msal_cli.errors import (
     UnsupportedError,
     damaged,
 )
+from msal_cli.structs import dataclass
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
 _INDEX = rb'"[0-9]++"'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.job.records import (
@@ -16,6 +15,7 @@ from msal_cli.job.records import (
     SurfaceDistance,
     Volume,
 )
+from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics, Harm

@@ -5,7 +5,7 @@ Like ``pipeline`` it never raises for a file's fault: that becomes a record with
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import MsalError
@@ -19,6 +19,7 @@ from msal_cli.job.records import (
 )
 from msal_cli.job.room import open_mesh, room_for_files, to_known_error
 from msal_cli.mesh import PreparedMesh, prepare_mesh
+from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:

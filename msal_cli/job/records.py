@@ -8,11 +8,12 @@ them in the JSON Schemas (docs/make_schemas.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Literal
 
 from msal_cli.errors import MsalError
 from msal_cli.job.plain_data import ScreenRepr, about, known, required
+from msal_cli.structs import dataclass
 
 SCHEMA = "msal.report/1"
 

@@ -14,7 +14,6 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
@@ -27,6 +26,7 @@ from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
+from msal_cli.structs import dataclass
 from msal_cli.view import pages, pictures
 from msal_cli.view.colours import coloured_surface_of
 from msal_cli.view.panels import jpeg_bytes

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from msal_cli.codecs.colours import SurfaceColours, surface_colours
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.job import comparison
 from msal_cli.job.comparison import Surface
+from msal_cli.structs import dataclass
 from msal_cli.view.panels import Legend
 
 SHARE_WITHIN = 0.99

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
 from msal_cli.job.room import are_arrays_in_files
 from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
+from msal_cli.structs import dataclass
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.colours import Scale, scale_of
 from msal_cli.view.panels import Panel, draw_panels

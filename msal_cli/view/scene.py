@@ -15,7 +15,6 @@ import json
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.mesh import Mesh
+from msal_cli.structs import dataclass
 
 MAX_FACES = 200_000
 """Faces of one mesh that a page holds; more are decimated."""

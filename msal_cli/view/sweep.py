@@ -10,7 +10,7 @@ import itertools
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from msal_cli.job.changes import volume_changed
 from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method
+from msal_cli.structs import dataclass
 from msal_cli.view import pictures
 from msal_cli.view.camera import Camera
 from msal_cli.view.panels import Panel, draw_panels
