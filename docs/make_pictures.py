@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from msal_cli import auto as selection
 from msal_cli import codecs, methods
 from msal_cli.auto import adaptive
-from msal_cli.job.comparison import Surface
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 from msal_cli.view import pictures, sweep

@@ -65,7 +65,7 @@ def _parameters(cls: Hashable) -> tuple[list[str], int, dict[str, Any], dict[str
 
 
 def _init(self: Any, *values: Any, **named: Any) -> None:
-    names, n_positional, defaults, factories = _parameters(type(self))
+    names, n_positional, defaults, factories = _parameters(cast(Hashable, type(self)))
     given = defaults | dict(zip(names, values, strict=False)) | named
     for name in factories.keys() - given.keys():
         given[name] = factories[name]()

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from msal_cli.api.mesh_objects import explained_errors, read_mesh
-from msal_cli.job.comparison import Surface, compare_meshes, measure_files, open_surface
+from msal_cli.codecs.mesh_file import Surface
+from msal_cli.job.comparison import compare_meshes, measure_files, open_surface
 from msal_cli.job.records import ComparisonRecord
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from msal_cli.arrays import Floats, Longs
-from msal_cli.codecs.mesh_file import cut_polygons
+from msal_cli.codecs.mesh_file import Surface, cut_polygons
 from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
 from msal_cli.job.room import to_known_error
 from msal_cli.structs import dataclass
@@ -37,27 +37,22 @@ _INSTEAD = {
 """What to give in place of other classes of these packages."""
 
 
-@dataclass(eq=False)
-class MemoryMesh:
-    """A mesh that is not in a file; ``codecs.mesh_file.Surface`` says what the pipeline reads.
+@dataclass(eq=False, kw_only=True)
+class MemoryMesh(Surface):
+    """A mesh that is not in a file.
 
     Attributes
     ----------
-    vertices : (n, 3) float64.
-    faces : (m, 3) integers, triangles.
     dtype : number type of the positions that were given, and of those that go back.
     name : what records and errors call it.
     properties : numbers at the vertices, (n,) each, by name.
     copy_object : makes a copy of the object that was given, from this mesh and other positions.
     """
 
-    vertices: Floats
-    faces: Array
     dtype: np.dtype[Any]
     name: str = ARRAYS
     properties: dict[str, Array] = field(default_factory=dict)
     copy_object: Callable[[MemoryMesh, Array], Any] | None = None
-    merged_vertices: int = 0
 
     def to_result(self, vertices: Array) -> Any:
         """A copy of the object that was given with other positions (n, 3), or these alone."""
@@ -77,11 +72,7 @@ class MemoryMesh:
         renewed, _ = regroup_normals(self.vertices, after, faces, entries.astype(np.int32), values)
         return renewed.astype(stored.dtype)
 
-    def forget_vertices(self) -> None:
-        """Nothing: they cannot be read again."""
-
     def vertex_property(self, name: str) -> Floats:
-        """The numbers (n,) of one name; InputError (``E_PROPERTY``) if there are none."""
         if name not in self.properties:
             known = ", ".join(self.properties)
             raise InputError(
@@ -160,10 +151,10 @@ def from_arrays(
     return MemoryMesh(
         np.ascontiguousarray(positions, dtype=np.float64),
         corners,
-        positions.dtype if positions.dtype.kind == "f" else np.dtype(np.float64),
-        name,
-        properties,
-        copy_object,
+        dtype=positions.dtype if positions.dtype.kind == "f" else np.dtype(np.float64),
+        name=name,
+        properties=properties,
+        copy_object=copy_object,
     )
 
 

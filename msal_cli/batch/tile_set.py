@@ -27,6 +27,7 @@ from msal_cli.batch import interrupts
 from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress
 from msal_cli.batch.workers import limited_memory
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
 from msal_cli.job.pipeline import FileRun, start_record
@@ -82,21 +83,14 @@ class Member:
         return self.record.vertices or 0
 
 
-@dataclass(eq=False)
-class JoinedMesh:
-    """The vertices (n, 3) and faces (m, 3) of several files behind one another, with ``properties``
-    (n,) of the vertices by name."""
+@dataclass(eq=False, kw_only=True)
+class JoinedMesh(Surface):
+    """The mesh of several files behind one another, with ``properties`` (n,) of the vertices by
+    name."""
 
-    vertices: Floats
-    faces: Ints
     properties: Mapping[str, Floats]
-    merged_vertices: int = 0
-
-    def forget_vertices(self) -> None:
-        """Keep them: they cannot be read again in little time."""
 
     def vertex_property(self, name: str) -> Floats:
-        """A number of each vertex (n,)."""
         return self.properties[name]
 
 
@@ -220,14 +214,13 @@ class _SetRun:
 
     def _read_properties(self, mesh_file: MeshFile) -> dict[str, Floats]:
         """The properties of vertices that --lock and --weights name, of one file."""
-        from msal_cli import codecs
         from msal_cli.job.constraints import parse_lock
 
         locks = (parse_lock(lock) for lock in self._settings.lock)
         names = {lock.name for lock in locks if lock is not None}
         if self._settings.weights is not None:
             names.add(self._settings.weights)
-        return {name: codecs.vertex_property(mesh_file, name) for name in sorted(names)}
+        return {name: mesh_file.vertex_property(name) for name in sorted(names)}
 
     def _share(self) -> SharedBorders:
         is_single = [member.record.precision == "float32" for member in self._members]
@@ -343,7 +336,7 @@ class _SetRun:
             vertices[start + border.vertices] = positions[own][border.points]
             if pinned is not None and fixed is not None:
                 pinned[start + border.vertices] = fixed[own][border.points]
-        return JoinedMesh(vertices, faces, properties), pinned
+        return JoinedMesh(vertices, faces, properties=properties), pinned
 
     def _write(
         self,

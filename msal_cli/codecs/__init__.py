@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
-
 from msal_cli.codecs.detection import resolve_format
-from msal_cli.codecs.mesh_file import MeshFile, Surface
-from msal_cli.errors import UnsupportedError
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.storage.regular import Buffer
-
-if TYPE_CHECKING:
-    from msal_cli.codecs.mesh_file import Companion
 
 
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
@@ -59,54 +50,7 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
         from msal_cli.codecs import vtk_xml
 
         return vtk_xml.VtkXmlFile(data, wanted)
-    from msal_cli.codecs import off, slot_file, vtk
+    from msal_cli.codecs import off, vtk
 
     layout = off.parse(data) if wanted == "off" else vtk.parse(data)
-    return slot_file.SlotFile(data, wanted, layout)
-
-
-def normal_warnings(mesh_file: MeshFile, vertices: NDArray[np.float64]) -> tuple[str, ...]:
-    """What a user should know of the normals that the file stores once its vertices are there.
-
-    Only an OBJ stores normals that several places of the surface share.
-    """
-    if mesh_file.format != "obj":
-        return ()
-    from msal_cli.codecs import obj
-
-    assert isinstance(mesh_file, obj.ObjFile)
-    return mesh_file.normal_warnings(vertices)
-
-
-def with_companions(
-    mesh_file: MeshFile, output: Buffer, vertices: NDArray[np.float64], path: str | None
-) -> tuple[Buffer, tuple[Companion, ...]]:
-    """``output``, which ``mesh_file`` made of ``vertices`` (n, 3), as it is to be at ``path``, and
-    the files that it needs in its folder; see ``gltf.GltfFile.beside``."""
-    if mesh_file.format != "gltf":
-        return output, ()
-    from msal_cli.codecs import gltf
-
-    assert isinstance(mesh_file, gltf.GltfFile)
-    return mesh_file.beside(output, vertices, path)
-
-
-def vertex_property(mesh_file: Surface, name: str) -> NDArray[np.float64]:
-    """A number that a mesh has for each vertex, (n,) in the order of its vertices.
-
-    Raises
-    ------
-    InputError
-        with code ``E_PROPERTY`` if it has no such property; the hint lists those that it has.
-    UnsupportedError
-        for a format other than PLY.
-    """
-    read = getattr(mesh_file, "vertex_property", None)
-    if read is None:
-        format = getattr(mesh_file, "format", "")
-        raise UnsupportedError(
-            f"vertex properties such as {name!r} are read from PLY, not from {format.upper()}",
-            hint="give a PLY, or leave out for this file what names a property",
-        )
-    values: NDArray[np.float64] = read(name)
-    return values
+    return MeshFile(data, wanted, layout)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.codecs.gltf import SceneFile
@@ -28,14 +27,6 @@ _CONTINUED = re.compile(rb"\\\r?\n")
 
 _GLTF_TYPES = {5126: "<f4", 5121: "<u1", 5123: "<u2"}
 """Number types of colours; the largest whole number stands for 1."""
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceColours:
-    """Colours (n, 3) of the vertices, None where there are none to show, and notes about them."""
-
-    vertices: Colours | None = None
-    notes: tuple[str, ...] = ()
 
 
 def vertex_colours(mesh_file: MeshFile) -> Colours | None:

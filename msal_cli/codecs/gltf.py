@@ -36,11 +36,11 @@ from msal_cli.codecs.mesh_file import (
     PLACEMENT,
     Companion,
     Layout,
+    MeshFile,
     is_placed,
     is_usable,
     require_finite,
 )
-from msal_cli.codecs.slot_file import SlotFile
 from msal_cli.codecs.slots import Change
 from msal_cli.errors import (
     CUT_SHORT,
@@ -60,7 +60,7 @@ from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open
 from msal_cli.storage.urls import is_url
 
 
-class SceneFile(SlotFile):
+class SceneFile(MeshFile):
     """An opened scene; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are those of every part, one behind the other.  With several parts they are in the

@@ -1,21 +1,41 @@
-"""What a codec gives to the rest of the program: a mesh, and the power to write it back.
+"""An opened mesh file: a mesh, and the power to write it back.
 
-A codec parses what it must (positions, faces), keeps the original bytes, and replaces positions
-(and normals, where the file has them) inside a copy of them.
+The formats' own modules (``ply``, ``off``, ``vtk`` ...) parse a file into a ``Layout``: positions,
+faces, and where they lie.  ``MeshFile`` keeps the original bytes, and replaces positions (and
+normals, where the file has them) inside a copy of them.  Replacing, checking, ranges and normals
+are the same for all formats and are here.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.slots import Slots
-from msal_cli.errors import ContentError
+from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.codecs.slots import (
+    Change,
+    RecordSlots,
+    Slots,
+    check_overwritten,
+    overwrite,
+    require_range,
+)
+from msal_cli.codecs.text_slots import (
+    Patch,
+    TextSlots,
+    plan_patches,
+    replace_statements,
+    require_replaced,
+)
+from msal_cli.codecs.tokens import require_indices
+from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 from msal_cli.structs import dataclass
 
@@ -28,90 +48,62 @@ class Companion:
     data: Buffer
 
 
-class Surface(Protocol):
-    """What can be denoised: a mesh file, several as one, or one in memory; see ``MeshFile`` for the
-    attributes."""
+@dataclass(frozen=True, eq=False)
+class SurfaceColours:
+    """Colours (n, 3) of the vertices, None where there are none to show, and notes about them."""
 
-    faces: NDArray[np.int32]
-    merged_vertices: int
-
-    @property
-    def vertices(self) -> NDArray[np.float64]:
-        """The positions (n, 3) of the vertices."""
-        ...
-
-    def forget_vertices(self) -> None:
-        """Let go of ``vertices`` where they can be read again in little time."""
-        ...
+    vertices: NDArray[np.uint8] | None = None
+    notes: tuple[str, ...] = ()
 
 
-class MeshFile(Surface, Protocol):
-    """An opened mesh file; every codec returns one.
+@dataclass(eq=False)
+class Surface:
+    """What can be denoised and compared: a mesh file, several as one, or a mesh in memory.
 
     Attributes
     ----------
-    format : ``"ply"``, ``"obj"``, ``"stl"``, or the suffix of a format read by a library.
-    encoding : ``"ascii"``, ``"binary_little_endian"``, ``"binary_big_endian"`` or ``"binary"``.
-    precision : ``"float32"``, ``"float64"``, ``"text"`` or ``"integer"``: how positions are stored.
     vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
     faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
         are cut into triangles and strips are unrolled, for the mathematics only.
     merged_vertices : vertices of the file that ``vertices`` leaves out because an earlier one is at
         the same position, as corners of STL's facets are; then no two of ``vertices`` are alike.
-    n_polygons : faces as the file counts them (a quad is one).
-    properties : what else is carried along unchanged, for reports: ``"vertex.quality float"``,
-        ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
-    references : other files that this one names (materials, textures), as written in the file.
-    warnings : what a user should know about this file although it could be read.
+    grid : the samples (rows, columns) of a range grid that the faces join.
+    colours : those of its vertices where they were read, for pictures.
     """
 
-    format: str
-    encoding: str
-    precision: str
-    n_polygons: int
-    properties: tuple[str, ...]
-    references: tuple[str, ...]
-    warnings: tuple[str, ...]
+    vertices: Floats
+    faces: Ints
+    merged_vertices: int = 0
+    grid: Ints | None = None
+    colours: SurfaceColours | None = None
 
-    def replaced(self, vertices: NDArray[np.float64]) -> Buffer:
-        """The file with its positions replaced and its normals, where it has them, recomputed.
+    @property
+    def n_corners(self) -> int | None:
+        """Corners that the file stores where it has no vertices of its own (STL), else None."""
+        n_merged = self.merged_vertices
+        return len(self.vertices) + n_merged if n_merged else None
 
-        ``vertices`` is (n, 3) float64 in file order.  A vertex equal to the stored one keeps its
-        very bytes; with no vertex moved the result is the input byte for byte.
+    def has_same_grid(self, other: Surface) -> bool:
+        """Whether both are range grids of the same samples.
+
+        Their vertices correspond, even where their triangles, which depend on positions, differ.
         """
-        ...
+        own, others = self.grid, other.grid
+        return own is not None and others is not None and np.array_equal(own, others)
 
-    def check(self, output: Buffer, vertices: NDArray[np.float64]) -> None:
-        """Raise InternalError unless ``output`` is this file with only positions (and normals)
-        replaced, by ``vertices`` up to the rounding that the file's number type asks for."""
-        ...
+    def has_same_faces(self, other: Surface) -> bool:
+        """Whether the vertices of both correspond one by one."""
+        return self.has_same_grid(other) or (
+            len(self.vertices) == len(other.vertices) and np.array_equal(self.faces, other.faces)
+        )
 
-    def encoded(self, vertices: NDArray[np.float64], encoding: str, precision: str) -> Buffer:
-        """The file in the same format with new positions, re-encoded.
+    def forget_vertices(self) -> None:
+        """Let go of ``vertices`` where they can be read again in little time."""
 
-        ``encoding`` is ``same``, ``ascii`` or ``binary``, ``precision`` ``same``, ``float32`` or
-        ``float64``.  Raises UnsupportedError where the format cannot.
-        """
-        ...
-
-    def polygons(self) -> list[Any] | NDArray[np.int32]:
-        """The faces as the file has them, for conversion: an (m, k) array or a list of arrays."""
-        ...
-
-
-def has_same_grid(mesh: object, other: object) -> bool:
-    """Whether both are range grids of the same samples.
-
-    Their vertices correspond, even where their triangles, which depend on positions, differ.
-    """
-    own, others = getattr(mesh, "grid", None), getattr(other, "grid", None)
-    return own is not None and others is not None and np.array_equal(own, others)
-
-
-def corner_count(mesh_file: MeshFile) -> int | None:
-    """Corners that a file stores where it has no vertices of its own (STL), None for others."""
-    n_merged = mesh_file.merged_vertices
-    return len(mesh_file.vertices) + n_merged if n_merged else None
+    def vertex_property(self, name: str) -> Floats:
+        """A number of each vertex (n,); InputError (``E_PROPERTY``), whose hint lists those that
+        there are, if it has no such one, and UnsupportedError for a format without any."""
+        raise NotImplementedError
 
 
 _MAX_CONDITION = 1e6
@@ -161,7 +153,7 @@ class Layout:
 
     Attributes
     ----------
-    encoding, precision : as in ``mesh_file.MeshFile``.
+    encoding, precision : as in ``MeshFile``.
     positions : arrays of positions (n_i, 3), whose rows one behind the other are the vertices;
         ``RecordSlots`` in binary files.
     corners : (c,) int64, the vertices of all surface polygons, one polygon behind the other.
@@ -229,3 +221,269 @@ def cut_polygons(corners: Ints, sizes: Ints | Longs) -> Ints:
     triangles = np.empty((int(np.maximum(sizes - 2, 0).sum()), 3), dtype=np.int32)
     ply_scan.fans(corners, np.ascontiguousarray(sizes), triangles)
     return triangles
+
+
+_NORMAL_SLACK = 1e-5
+"""How far the length of a new normal may be from one."""
+
+
+class MeshFile(Surface):
+    """An opened mesh file; every codec returns one.
+
+    Attributes
+    ----------
+    format : the suffix of its format, such as ``"ply"``.
+    encoding : ``"ascii"``, ``"binary_little_endian"``, ``"binary_big_endian"`` or ``"binary"``.
+    precision : ``"float32"``, ``"float64"``, ``"text"`` or ``"integer"``: how positions are stored.
+    n_polygons : faces as the file counts them (a quad is one).
+    properties : what else is carried along unchanged, for reports: ``"vertex.quality float"``,
+        ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
+    references : other files that this one names (materials, textures), as written in the file.
+    warnings : what a user should know about this file although it could be read.
+
+    Raises ContentError (``E_NO_FACES``, ``E_NONFINITE``, ``E_INDEX``) for a layout that is no
+    mesh.
+    """
+
+    def __init__(self, data: Buffer, format: str, layout: Layout) -> None:
+        self.format = format
+        self._data = data
+        self._layout = layout
+        self.encoding, self.precision = layout.encoding, layout.precision
+        self._vertices, layout.vertices = layout.vertices, None
+        self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
+        if layout.faces is None:
+            self.faces = self._cut_faces()
+        else:
+            self.faces = layout.faces
+        self.n_polygons = len(layout.sizes) or len(self.faces)
+        self.properties = layout.properties
+        self.references = layout.references
+        self.warnings = layout.warnings
+
+    @property
+    def vertices(self) -> Floats:  # type: ignore[override]
+        """The positions (n, 3)."""
+        if self._vertices is None:
+            arrays = [slots.values for slots in self._layout.positions]
+            if frames := self._layout.frames:
+                arrays = [transform(*pair) for pair in zip(arrays, frames, strict=True)]
+            self._vertices = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        return self._vertices
+
+    def _cut_faces(self) -> Ints:
+        layout = self._layout
+        if not len(layout.sizes):
+            raise ContentError(
+                f"the file has no surface faces; it holds {layout.held or 'nothing'}",
+                code="E_NO_FACES",
+                hint="msal denoises surfaces; extract the surface of a volume mesh first",
+            )
+        require_finite(self.vertices)
+        corners = layout.corners.astype(np.int64, copy=False)
+        require_indices(corners, len(self.vertices))
+        return cut_polygons(corners.astype(np.int32), layout.sizes)
+
+    def forget_vertices(self) -> None:
+        # A text's are kept with it, others are read again.
+        self._vertices = None
+
+    def vertex_property(self, name: str) -> Floats:
+        raise UnsupportedError(
+            f"vertex properties such as {name!r} are read from PLY, not from {self.format.upper()}",
+            hint="give a PLY, or leave out for this file what names a property",
+        )
+
+    def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
+        """What a user should know of the normals that the file stores once its vertices (n, 3) are
+        there."""
+        return ()
+
+    def beside(
+        self, output: Buffer, vertices: Floats, path: str | None
+    ) -> tuple[Buffer, tuple[Companion, ...]]:
+        """``output``, made of ``vertices`` (n, 3), as it is to be at ``path``, None for a stream,
+        and the files that it needs in its folder."""
+        return output, ()
+
+    def polygons(self) -> list[Any] | Ints:
+        """The faces as the file has them, for conversion: an (m, k) array or a list of arrays."""
+        corners = self._layout.corners.astype(np.int32, copy=False)
+        sizes = self._layout.sizes
+        if not len(sizes):
+            return self.faces
+        if (sizes == sizes[0]).all():
+            return corners.reshape(-1, int(sizes[0]))
+        return np.split(corners, np.cumsum(sizes[:-1]))
+
+    def replaced(self, vertices: Floats) -> Buffer:
+        """The file with the positions (n, 3) that moved, and their normals, replaced.
+
+        A vertex equal to the stored one keeps its very bytes; with none moved the result is the
+        input byte for byte.
+        New numbers of a text have as many decimals as their own line or the file usually has, or
+        as 1e-7 of its extent asks for, whichever is more.  Raises ContentError (``E_RANGE``) for a
+        position that does not fit the file's number type.
+        """
+        changes = self._changes(vertices)
+        if not changes:
+            return self._data
+        self._require_ranges(changes)
+        require_finite_result(vertices)
+        return self._write(changes, vertices)
+
+    def _write(self, changes: Sequence[Change], vertices: Floats) -> Buffer:
+        data = as_bytes(self._data)
+        if self._is_binary:
+            return overwrite(data, changes)
+        return replace_statements(data, self._plan_patches(changes))
+
+    def _plan_patches(self, changes: Sequence[Change]) -> list[Patch]:
+        return plan_patches(changes)
+
+    def _require_ranges(self, changes: Sequence[Change]) -> None:
+        for slots, values, is_changed in changes:
+            if slots in self._layout.positions and slots.codes:
+                require_range(values, is_changed, slots.codes)
+
+    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
+        """The file with ``vertices`` (n, 3); its encoding and its precision cannot be changed.
+
+        Raises
+        ------
+        UnsupportedError
+            for another encoding or precision than the file has.
+        """
+        own = "ascii" if self.encoding == "ascii" else "binary"
+        if precision not in ("same", self.precision):
+            raise UnsupportedError(
+                f"the precision of {self.format} files cannot be changed",
+                hint="use --to ply, which has float32 and float64",
+            )
+        if encoding not in ("same", own):
+            raise UnsupportedError(
+                f"this {self.format} file is {own}, and stays so",
+                hint="leave --encoding away, or use --to ply, which has both",
+            )
+        return self.replaced(vertices)
+
+    def check(self, output: Buffer, vertices: Floats) -> None:
+        """Raise InternalError unless ``output`` is this file with only positions (and normals)
+        replaced, by ``vertices`` up to the rounding that the file's number type asks for."""
+        changes = self._changes(vertices)
+        require_finite_result(vertices)
+        for slots, values, is_changed in changes:
+            if isinstance(slots, TextSlots) and slots.unit_length:
+                require_unit_length(values, np.asarray(is_changed.any(axis=1)))
+        self._compare(as_bytes(output), changes, vertices)
+
+    def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
+        """Raise InternalError unless ``result`` is what ``_write`` makes of these changes."""
+        data = as_bytes(self._data)
+        if self._is_binary or not changes:
+            check_overwritten(data, result, changes)
+        else:
+            require_replaced(data, result, self._plan_patches(changes))
+
+    @property
+    def _is_binary(self) -> bool:
+        """Whether all numbers are overwritten in place."""
+        return all(isinstance(slots, RecordSlots) for slots in self._layout.positions)
+
+    def _changes(self, vertices: Floats) -> list[Change]:
+        """The arrays that change; none where no vertex moves."""
+        require_shape(vertices, self.vertices)
+        is_moved = vertices != self.vertices
+        if not is_moved.any():
+            return []
+        layout = self._layout
+        is_one = len(layout.positions) == 1 and not layout.frames
+        changes = []
+        for slots, values in zip(layout.positions, self._to_file(vertices), strict=True):
+            is_changed = is_moved if is_one else values != slots.values
+            if slots.whole_rows:
+                is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
+            if isinstance(slots, TextSlots):
+                rounded = slots.rounded(values)
+                if rounded is not values:
+                    values, is_changed = rounded, is_changed & (rounded != slots.values)
+            changes.append(Change(slots, values, is_changed))
+        changes += self._changed_normals(vertices)
+        return [change for change in changes if change.is_changed.any()]
+
+    def _changed_normals(self, vertices: Floats) -> list[Change]:
+        if not self._layout.normals:
+            return []
+        changes = []
+        renewed = self._new_normals(vertices)
+        for slots, (values, rows) in zip(self._layout.normals, renewed, strict=True):
+            is_changed = np.broadcast_to(rows[:, None], values.shape)
+            if not slots.whole_rows:
+                is_changed = is_changed & (values != slots.values) & ~np.isnan(slots.values)
+            elif isinstance(slots, TextSlots):
+                # A number that stays the same keeps its spelling, as -0 does.
+                is_changed = is_changed & (values != slots.values)
+            changes.append(Change(slots, values, is_changed))
+        return changes
+
+    def _new_normals(self, vertices: Floats) -> Sequence[tuple[Floats, Flags]]:
+        """What ``Layout.renew_normals`` makes of new vertices (n, 3).
+
+        Remembered for the last positions, which writing and checking ask for in turn.
+        """
+        key = hashlib.sha256(np.ascontiguousarray(vertices).data).digest()
+        if self._last_normals[0] != key:
+            renew = self._layout.renew_normals or self._renew_normals
+            self._last_normals = key, list(renew(self.vertices, vertices))
+        return self._last_normals[1]
+
+    def _to_file(self, vertices: Floats) -> list[Floats]:
+        """New positions of each array, unmoved rows exactly as they are stored."""
+        layout = self._layout
+        if len(layout.positions) == 1 and not layout.frames:
+            return [vertices]
+        stored = [slots.values for slots in layout.positions]
+        rows = np.split(vertices, np.cumsum([len(slots) for slots in stored])[:-1])
+        if not layout.frames:
+            return rows
+        result = []
+        for new, own, frame in zip(rows, stored, layout.frames, strict=True):
+            is_moved = (new != transform(own, frame)).any(axis=1)
+            back = transform(new, np.linalg.inv(frame).astype(np.float64))
+            result.append(np.where(is_moved[:, None], back, own))
+        return result
+
+    def _renew_normals(self, old: Floats, new: Floats) -> list[tuple[Floats, Flags]]:
+        """The normals of each array, those of faces that did not move as they are stored, and
+        which rows changed."""
+        from msal_cli.kernels.geometry import regroup_normals
+
+        arrays = [slots.values for slots in self._layout.normals]
+        normals = np.concatenate(arrays) if len(arrays) > 1 else arrays[0]
+        normals, rows = regroup_normals(old, new, self.faces, self.faces, normals)
+        cuts = np.cumsum([len(array) for array in arrays])[:-1]
+        return list(zip(np.split(normals, cuts), np.split(rows, cuts), strict=True))
+
+
+def require_shape(vertices: Floats, old: Floats) -> None:
+    if vertices.shape != old.shape or vertices.dtype != np.float64:
+        raise InternalError(
+            f"positions of shape {vertices.shape} and type {vertices.dtype} for a file with "
+            f"{len(old)} vertices"
+        )
+
+
+def require_finite_result(vertices: Floats) -> None:
+    # Infinity and what is no number show in the sum of the extremes.
+    if not math.isfinite(float(vertices.max()) + float(vertices.min())):
+        raise InternalError("a new position is not finite")
+
+
+def require_unit_length(normals: Floats, is_new: Flags) -> None:
+    """Raise InternalError where a new normal (n, 3) is not of length one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.sqrt((normals * normals).sum(axis=1))
+    is_wrong = ~(np.abs(lengths - 1.0) <= _NORMAL_SLACK) & is_new
+    if is_wrong.any():
+        where = f"normal {np.argmax(is_wrong) + 1}"
+        raise InternalError("a new normal is not of unit length", where=where)

@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Layout, cut_polygons
-from msal_cli.codecs.slot_file import SlotFile, require_finite_result
+from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons, require_finite_result
 from msal_cli.codecs.slots import Change, require_range
 from msal_cli.codecs.text_slots import (
     SHORTEST,
@@ -121,7 +120,7 @@ def _renew_normals(
     return [regroup_normals(old, new, faces, face_normals, stored)]
 
 
-class ObjFile(SlotFile):
+class ObjFile(MeshFile):
     """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes.
 
     Raises FormatError (binary data, a word that is no number, a statement that is too short),

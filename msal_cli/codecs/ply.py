@@ -24,7 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import Layout, cut_polygons, require_finite
+from msal_cli.codecs.mesh_file import (
+    Layout,
+    MeshFile,
+    cut_polygons,
+    require_finite,
+    require_shape,
+)
 from msal_cli.codecs.ply_body import Lines, Section, find_sections
 from msal_cli.codecs.ply_header import (
     NORMAL,
@@ -34,7 +40,6 @@ from msal_cli.codecs.ply_header import (
     parse_header,
     retype_header,
 )
-from msal_cli.codecs.slot_file import SlotFile, require_shape
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.codecs.text_slots import plan_patches, replace_statements
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
@@ -527,7 +532,7 @@ def _renew_normals(
     ]
 
 
-class PlyFile(SlotFile):
+class PlyFile(MeshFile):
     """An opened PLY file; see ``codecs.mesh_file.MeshFile`` for what its attributes mean.
 
     ``precision`` is the type of the coordinates: ``float32`` (also when mixed with double, since

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Layout
-from msal_cli.codecs.slot_file import (
-    SlotFile,
+from msal_cli.codecs.mesh_file import (
+    Layout,
+    MeshFile,
     require_finite_result,
     require_shape,
     require_unit_length,
@@ -173,7 +173,7 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
 
-class _FacetFile(SlotFile):
+class _FacetFile(MeshFile):
     """An STL file; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are the different positions of corners, in order of appearance; ``name`` is what

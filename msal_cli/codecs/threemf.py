@@ -16,8 +16,14 @@ from collections import deque
 import numpy as np
 
 from msal_cli.arrays import Bytes, Floats, Ints
-from msal_cli.codecs.mesh_file import PLACEMENT, Layout, is_placed, is_usable, transform
-from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.mesh_file import (
+    PLACEMENT,
+    Layout,
+    MeshFile,
+    is_placed,
+    is_usable,
+    transform,
+)
 from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import (
     SHORTEST,
@@ -218,7 +224,7 @@ class _Coordinates(TextSlots):
         return np.clip(self.used, least, most).astype(np.uint8)
 
 
-class ThreeMfFile(SlotFile):
+class ThreeMfFile(MeshFile):
     """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are those of every mesh, one behind the other.  With several meshes they are in the

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
-from msal_cli.codecs.mesh_file import Layout
-from msal_cli.codecs.slot_file import SlotFile
+from msal_cli.codecs.mesh_file import Layout, MeshFile
 from msal_cli.codecs.slots import Change, Slots, to_type
 from msal_cli.codecs.text_slots import (
     Patch,
@@ -350,7 +349,7 @@ class XmlLayout(Layout):
         return [*self.positions, *self.normals]  # type: ignore[list-item]
 
 
-class VtkXmlFile(SlotFile):
+class VtkXmlFile(MeshFile):
     """An opened VTU or VTP file; see ``mesh_file.MeshFile`` for the attributes."""
 
     _layout: XmlLayout

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
 from msal_cli.job.records import (
@@ -17,16 +18,14 @@ from msal_cli.job.records import (
     Reference,
     SelfIntersections,
 )
-from msal_cli.job.room import open_mesh, room_for_files, to_known_error
-from msal_cli.mesh import PreparedMesh, prepare_mesh
-from msal_cli.structs import dataclass
+from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
+from msal_cli.mesh import PreparedMesh
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from msal_cli.arrays import Floats, Ints
-    from msal_cli.codecs.colours import SurfaceColours
+    from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.records import MeshRecord
     from msal_cli.mesh import Mesh
@@ -34,38 +33,6 @@ if TYPE_CHECKING:
 
 HEATMAP_QUANTILE = 0.99
 """Share of the vertices that the range of a heat map's colours covers."""
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """What a file holds: vertices (n, 3) in file units, triangles (m, 3), and how many vertices the
-    file has more because they coincide (see ``codecs.mesh_file.MeshFile``).
-
-    ``colours`` are those of its vertices where they were read, for pictures; ``grid`` are the
-    samples (rows, columns) of a range grid.
-    """
-
-    vertices: Floats
-    faces: Ints
-    merged_vertices: int = 0
-    colours: SurfaceColours | None = None
-    grid: Ints | None = None
-
-    def has_same_faces(self, other: Surface) -> bool:
-        """Whether the vertices of both correspond one by one."""
-        import numpy as np
-
-        from msal_cli.codecs.mesh_file import has_same_grid
-
-        return has_same_grid(self, other) or (
-            len(self.vertices) == len(other.vertices) and np.array_equal(self.faces, other.faces)
-        )
-
-    @property
-    def n_corners(self) -> int | None:
-        """Corners that the file stores where it has no vertices of its own (STL), else None."""
-        n_merged = self.merged_vertices
-        return len(self.vertices) + n_merged if n_merged else None
 
 
 def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
@@ -81,8 +48,8 @@ def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
 
 def surface_of(mesh_file: MeshFile) -> Surface:
     """The surface in an open file."""
-    grid = getattr(mesh_file, "grid", None)
-    return Surface(mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices, grid=grid)
+    own = mesh_file
+    return Surface(own.vertices, own.faces, own.merged_vertices, own.grid)
 
 
 def open_surface(path: str, format: str | None = None) -> Surface:
@@ -152,8 +119,8 @@ def compare_meshes(
     from msal_cli.analysis import surface_distance
     from msal_cli.analysis.measures import count_self_intersections
 
-    first = prepare_surface(before, before_name)
-    second = prepare_surface(after, after_name)
+    first = prepare_mesh(before, before_name)
+    second = prepare_mesh(after, after_name)
     reference, edge = first.mesh, first.mesh.mean_edge_length
     figures: dict[str, Any] = {}
     if before.has_same_faces(after):
@@ -269,7 +236,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
 
     if before.has_same_faces(after):
         return distances(before.vertices, after.vertices)
-    reference = prepare_surface(before, "")
+    reference = prepare_mesh(before)
     return surface_distance.distances_to_surface(after.vertices - reference.origin, reference.mesh)
 
 
@@ -303,13 +270,3 @@ def build_heatmap(
         comments,
     )
     return data, low, high
-
-
-def prepare_surface(surface: Surface, name: str) -> PreparedMesh:
-    """The mesh of a surface and its vertex map; an error has the path ``name``."""
-    are_distinct = surface.merged_vertices > 0
-    try:
-        return prepare_mesh(surface.vertices, surface.faces, are_distinct=are_distinct)
-    except MsalError as error:
-        error.path = error.path or name
-        raise

@@ -213,8 +213,6 @@ def build_constraints(
     """
     import numpy as np
 
-    from msal_cli import codecs
-
     mesh = ready.mesh
     flags = [] if pinned is None else [pinned]
     held: Flags = np.zeros(len(mesh.vertices), dtype=np.bool_)
@@ -222,7 +220,7 @@ def build_constraints(
         if lock is None:
             held |= mesh.topology.boundary
         else:
-            flags.append(lock.select(codecs.vertex_property(mesh_file, lock.name)))
+            flags.append(lock.select(mesh_file.vertex_property(lock.name)))
     for file_pins in flags:
         # With a vertex all that coincide with it.
         held |= _spread_largest(ready, file_pins.astype(np.float64)) > 0.0
@@ -260,9 +258,7 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
     """
     import numpy as np
 
-    from msal_cli import codecs
-
-    values = codecs.vertex_property(mesh_file, name)
+    values = mesh_file.vertex_property(name)
     finite = np.isfinite(values)
     if not finite.all():
         raise ContentError(

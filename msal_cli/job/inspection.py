@@ -42,7 +42,6 @@ def inspect_file(
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
     from msal_cli.analysis.measures import area_and_volume, enclosure_of
-    from msal_cli.codecs.mesh_file import corner_count
 
     mesh_file, is_compressed = open_mesh(data, name, format)
     ready = prepare_mesh(mesh_file)
@@ -68,7 +67,7 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         compressed=is_compressed,
         bytes=len(data),
         vertices=len(mesh_file.vertices),
-        corners=corner_count(mesh_file),
+        corners=mesh_file.n_corners,
         faces=mesh_file.n_polygons,
         triangles=len(mesh_file.faces),
         polygon_sizes=_polygon_sizes(mesh_file),

@@ -55,7 +55,6 @@ def build_output(
     Raises LossError if ``settings`` are strict and another format would lose something, and
     InternalError if the output does not hold what it should.
     """
-    from msal_cli import codecs
     from msal_cli.storage import gzip_streams
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
@@ -83,12 +82,12 @@ def build_output(
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
-        output, companions = codecs.with_companions(mesh_file, source.data, vertices, path)
+        output, companions = mesh_file.beside(source.data, vertices, path)
         return Output(output, mesh_file.references, companions)
     else:
         output = gzip_streams.expand(source.data, source.name)[0]
-    notes = codecs.normal_warnings(mesh_file, vertices)
-    output, companions = codecs.with_companions(mesh_file, output, vertices, path)
+    notes = mesh_file.normal_warnings(vertices)
+    output, companions = mesh_file.beside(output, vertices, path)
     output = gzip_streams.compress(output) if compress else output
     return Output(output, mesh_file.references, companions, notes)
 
@@ -109,7 +108,6 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
 
     from msal_cli import codecs
     from msal_cli.codecs import detection
-    from msal_cli.codecs.mesh_file import has_same_grid
 
     if f".{target}" not in detection.readable_suffixes():
         return
@@ -117,7 +115,7 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
         again = codecs.open_mesh(bytes(output), f"output.{target}", target)
     except MsalError as error:
         raise InternalError(f"the {target} output cannot be read back: {error}") from error
-    faces = mesh_file.faces if has_same_grid(again, mesh_file) else again.faces
+    faces = mesh_file.faces if mesh_file.has_same_grid(again) else again.faces
     if len(faces) != len(mesh_file.faces):
         raise InternalError(
             f"the {target} output has {len(faces)} triangles, not {len(mesh_file.faces)}"
@@ -242,9 +240,7 @@ def read_weights(mesh_file: Surface, ready: PreparedMesh, name: str) -> Floats:
     first in the file counts."""
     import numpy as np
 
-    from msal_cli import codecs
-
-    values = codecs.vertex_property(mesh_file, name)
+    values = mesh_file.vertex_property(name)
     if ready.vertex_map is None:
         return values
     is_used = ready.vertex_map >= 0

@@ -195,7 +195,6 @@ class FileRun:
 
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
-        from msal_cli.codecs.mesh_file import corner_count
         from msal_cli.storage import gzip_streams
 
         with self.stage("read"):
@@ -212,7 +211,7 @@ class FileRun:
                 encoding=mesh_file.encoding,
                 precision=mesh_file.precision,
                 vertices=len(mesh_file.vertices),
-                corners=corner_count(mesh_file),
+                corners=mesh_file.n_corners,
                 faces=mesh_file.n_polygons,
                 triangles=len(mesh_file.faces),
             )

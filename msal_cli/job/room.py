@@ -243,13 +243,17 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
     return codecs.open_mesh(plain, name, format), is_compressed
 
 
-def prepare_mesh(mesh_file: Surface) -> PreparedMesh:
-    """The mesh of a file, fit for computing; ContentError if it is not."""
+def prepare_mesh(surface: Surface, name: str = "") -> PreparedMesh:
+    """The mesh of a surface, fit for computing; ContentError, with the path ``name``, if it is
+    not."""
     from msal_cli.mesh import prepare_mesh
 
-    return prepare_mesh(
-        mesh_file.vertices, mesh_file.faces, are_distinct=mesh_file.merged_vertices > 0
-    )
+    are_distinct = surface.merged_vertices > 0
+    try:
+        return prepare_mesh(surface.vertices, surface.faces, are_distinct=are_distinct)
+    except MsalError as error:
+        error.path = error.path or name
+        raise
 
 
 def to_known_error(error: Exception, name: str) -> MsalError:

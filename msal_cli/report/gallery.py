@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.codecs import header
-from msal_cli.job.comparison import Surface
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh

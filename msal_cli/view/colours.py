@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.colour_maps import colour_table, map_colours
 from msal_cli.arrays import Floats
-from msal_cli.codecs.colours import SurfaceColours, surface_colours
-from msal_cli.codecs.mesh_file import MeshFile
+from msal_cli.codecs.colours import surface_colours
+from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
 from msal_cli.job import comparison
-from msal_cli.job.comparison import Surface
 from msal_cli.structs import dataclass
 from msal_cli.view.panels import Legend
 

@@ -10,12 +10,12 @@ import numpy as np
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.measures import measure_enclosure
 from msal_cli.arrays import Floats, Ints
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import MsalError
 from msal_cli.job import comparison
-from msal_cli.job.comparison import Surface, prepare_surface
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
-from msal_cli.job.room import are_arrays_in_files
+from msal_cli.job.room import are_arrays_in_files, prepare_mesh
 from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
 from msal_cli.structs import dataclass
 from msal_cli.view.camera import Camera, choose_camera
@@ -116,7 +116,7 @@ def scene_of(
     """
     if is_to_be_thinned(before) or (after is not None and is_to_be_thinned(after)):
         return _thinned_scene(before, after, names)
-    first = prepare_surface(before, names[0])
+    first = prepare_mesh(before, names[0])
     if after is None:
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
     if before.has_same_faces(after):
@@ -128,7 +128,7 @@ def scene_of(
         scene = Scene(names, first.mesh, moved, along, True, record)
         return _with_colours(scene, (before, after), (first, first))
     record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
-    second = prepare_surface(after, names[1])
+    second = prepare_mesh(after, names[1])
     there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
     distances = None
     if to_surface:

@@ -18,9 +18,10 @@ import numpy as np
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.measures import Enclosure, measure_enclosure, measure_surface_change
 from msal_cli.arrays import Floats
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed
-from msal_cli.job.comparison import Surface, prepare_surface
+from msal_cli.job.room import prepare_mesh
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method
 from msal_cli.structs import dataclass
@@ -151,7 +152,7 @@ def subject(
 ) -> Subject:
     """Make a mesh ready to be denoised and drawn; ContentError for a file without a surface, and a
     reference with other faces."""
-    ready = prepare_surface(surface, name)
+    ready = prepare_mesh(surface, name)
     truth = None
     if reference is not None:
         if not surface.has_same_faces(reference):
@@ -160,7 +161,7 @@ def subject(
                 path=reference_name,
                 hint="give the mesh from which the noisy one was made",
             )
-        prepare_surface(reference, reference_name)
+        prepare_mesh(reference, reference_name)
         truth = surface_distance.at_other_positions(ready, reference.vertices)
     camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
     return Subject(name, ready, truth, camera, measure_enclosure(ready))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.codecs import normal_warnings, obj, open_mesh
+from msal_cli.codecs import obj, open_mesh
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
 from tests.codecs.patching import any_float
@@ -429,8 +429,8 @@ def test_shared_normals_that_cannot_fit_are_counted():
     file = open_mesh(ROOF.replace(b"0.00 -0.71 0.71", b"0 0 1").replace(b"//2", b"//1"), "a.obj")
     vertices = file.vertices.copy()
     vertices[[2, 3], 2] = 0.0
-    assert normal_warnings(file, vertices) == ()
-    (warning,) = normal_warnings(open_mesh(bytes(file.replaced(vertices)), "a.obj"), file.vertices)
+    assert file.normal_warnings(vertices) == ()
+    (warning,) = open_mesh(bytes(file.replaced(vertices)), "a.obj").normal_warnings(file.vertices)
     counted = (
         "turned apart: 2 of 2 faces (100.0 %) are now more than 30 degrees off their vn (0.0 %"
     )

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.codecs import normal_warnings, open_mesh, vertex_property
+from msal_cli.codecs import open_mesh
 from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
@@ -129,7 +129,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
         return f"{digest(output)} {len(losses)}", "\n".join(losses)
 
     def about_normals() -> tuple[str, str]:
-        lines = normal_warnings(file, moved)
+        lines = file.normal_warnings(moved)
         return str(len(lines)), "\n".join(lines)
 
     attempt(steps, "forecast", lambda: (str(of_beginning(data[:HEAD_BYTES], len(data), name)), ""))
@@ -148,7 +148,7 @@ def _outcome(data: bytes, format: str, is_mutant: bool) -> list[Step]:
             label = f"encoded {encoding} {precision}"
             attempt(steps, label, functools.partial(encode, encoding, precision))
     for name in ("x", "quality", "nothing"):
-        numbers = functools.partial(vertex_property, file, name)
+        numbers = functools.partial(file.vertex_property, name)
         attempt(steps, f"property {name}", lambda of=numbers: (digest(of()), ""))
     if not is_mutant:
         for to in PLAIN if len(data) > LARGE_BYTES else WRITABLE:

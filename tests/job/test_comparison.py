@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import ContentError
 from msal_cli.job import comparison
-from msal_cli.job.comparison import Surface, compare_meshes
+from msal_cli.job.comparison import compare_meshes
 from tests.shapes import cube, grid, torus
 
 

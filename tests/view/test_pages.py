@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import InternalError
-from msal_cli.job.comparison import Surface
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.mesh import Mesh
 from msal_cli.view import pages, pictures

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.codecs.colours import SurfaceColours
-from msal_cli.job.comparison import Surface
+from msal_cli.codecs.mesh_file import Surface, SurfaceColours
 from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View
 from tests.shapes import ball, cube, grid

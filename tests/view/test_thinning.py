@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.codecs.colours import SurfaceColours
+from msal_cli.codecs.mesh_file import Surface, SurfaceColours
 from msal_cli.errors import ContentError
-from msal_cli.job.comparison import Surface
 from msal_cli.kernels import spatial_order
 from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View, draw_picture, scene_of
