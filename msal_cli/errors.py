@@ -55,16 +55,6 @@ class MsalError(Exception):
         if code:
             self.code = code
 
-    def __reduce__(self) -> tuple[object, ...]:
-        # Errors cross process borders; the default pickling would drop the keyword arguments.
-        return (_rebuilt, (type(self), self.message, self.where, self.hint, self.path, self.code))
-
-
-def _rebuilt(
-    kind: type[MsalError], message: str, where: str, hint: str, path: str, code: str
-) -> MsalError:
-    return kind(message, where=where, hint=hint, path=path, code=code)
-
 
 class UsageError(MsalError):
     """Wrong use or configuration, or another run at work (``E_LOCKED``); raised before any work."""
@@ -146,35 +136,17 @@ class InternalError(MsalError):
     code = "E_INTERNAL"
 
 
-DISTRIBUTION = "msal-cli"
+EXTRAS = {"cloud": "fsspec gcsfs s3fs", "dask": "distributed"}
+"""The packages of extras, for messages."""
 
 
 def install_hint(extra: str) -> str:
     """What to do where a package of an extra, such as ``msal-cli[cloud]``, is missing.
 
-    It names the packages of the extra: msal may have come from a checkout or a wheel,
-    and pip would look for ``msal-cli`` itself on an index that does not have it.
+    It names the packages: msal may have come from a checkout or a wheel, and pip would look for
+    ``msal-cli`` itself on an index that does not have it.
     """
-    import shlex
-
-    packages = " ".join(map(shlex.quote, _packages(extra)))
-    if not packages:
-        return f"install {DISTRIBUTION}[{extra}]; in its checkout: pip install '.[{extra}]'"
-    return f"pip install {packages} (that is {DISTRIBUTION}[{extra}])"
-
-
-def _packages(extra: str) -> list[str]:
-    """The requirements of an extra, as the installed distribution has them; none if it is not."""
-    import re
-    from importlib import metadata
-
-    try:
-        requirements = metadata.requires(DISTRIBUTION) or []
-    except metadata.PackageNotFoundError:
-        return []
-    marker = re.compile(rf"""extra\s*==\s*['"]{re.escape(extra)}['"]""")
-    found = (one.partition(";") for one in requirements)
-    return [name.strip() for name, _, condition in found if marker.search(condition)]
+    return f"pip install {EXTRAS[extra]} (that is msal-cli[{extra}])"
 
 
 def damaged(message: str, where: str = "") -> FormatError:

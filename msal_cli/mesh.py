@@ -364,15 +364,6 @@ def _require_extent(low: Floats, high: Floats) -> float:
     return extent
 
 
-def no_faces_error() -> ContentError:
-    """What is wrong with a file that has no faces."""
-    return ContentError(
-        "the file has no faces",
-        code="E_NO_FACES",
-        hint="msal denoises surfaces; make a mesh of the point cloud first",
-    )
-
-
 def _is_within(faces: Ints, n_vertices: int) -> bool:
     """Whether all indices go from 0 to ``n_vertices`` - 1."""
     if faces.dtype == np.int32:
@@ -400,27 +391,39 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
     cannot be used."""
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise ContentError(f"vertices have shape {vertices.shape}, not (n, 3)")
-    if faces.ndim != 2 or faces.shape[1] != 3:
-        raise ContentError(f"faces have shape {faces.shape}, not (m, 3)")
-    if not len(faces):
-        raise no_faces_error()
+    if not faces.size:
+        raise ContentError(
+            "there are no faces",
+            code="E_NO_FACES",
+            hint="msal denoises surfaces; make a mesh of the point cloud first",
+        )
+    for array, what, shape in ((vertices, "vertices", "(n, 3)"), (faces, "faces", "(m, 3)")):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ContentError(
+                f"{what} have shape {array.shape}, not {shape}", hint=_reshape_hint(array, what)
+            )
+    n = len(vertices)
     if len(faces) > MAX_FACES:
         raise TooLargeError(
             f"the mesh has {len(faces):,} triangles, more than the {MAX_FACES:,} that fit",
             hint="cut it into parts",
         )
     if faces.dtype.kind not in "iu":
-        raise ContentError(f"face indices are {faces.dtype}, not integers", code="E_INDEX")
-    if not _is_within(faces, len(vertices)):
-        bad = int(np.argmax(((faces < 0) | (faces >= len(vertices))).any(axis=1)))
-        wrong = next(int(i) for i in faces[bad] if not 0 <= i < len(vertices))
         raise ContentError(
-            f"a face names vertex {wrong} of {len(vertices)}",
+            f"face indices are {faces.dtype}, not integers",
             code="E_INDEX",
-            where=f"face {bad}",
-            hint="the file is damaged or was cut short; export it again",
+            hint="give faces.astype(int) if they are whole numbers",
+        )
+    if not _is_within(faces, n):
+        at, corner = np.argwhere((faces < 0) | (faces >= n))[0].tolist()
+        counts_from_1 = faces.min() == 1 and faces.max() == n
+        raise ContentError(
+            f"a face names vertex {int(faces[at, corner])} of {n}",
+            code="E_INDEX",
+            where=f"face {at}",
+            hint="the faces count from 1: give faces - 1"
+            if counts_from_1
+            else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
         )
     ends = bounds(vertices)
     if not np.isfinite(ends).all():
@@ -432,3 +435,19 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
             hint="remove the vertex, or export the scan again",
         )
     return vertices, np.ascontiguousarray(faces, dtype=np.int32), ends
+
+
+def _reshape_hint(array: NDArray[Any], name: str) -> str:
+    """What to give in place of an array of a wrong shape."""
+    if array.ndim == 2 and array.shape[0] == 3:
+        return f"each row must be one of them: give {name}.T"
+    if array.ndim == 1 and array.size % 3 == 0:
+        return f"give {name}.reshape(-1, 3)"
+    if name == "faces" and array.ndim == 2 and array.shape[1] == 4:
+        if (array[:, 0] == 3).all():
+            return "each row begins with the number of its corners: give faces[:, 1:]"
+        return (
+            "cut each quad into two triangles: "
+            "numpy.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
+        )
+    return f"give a row of three numbers for each of the {name}"

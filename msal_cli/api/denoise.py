@@ -292,13 +292,13 @@ def _as_trust(weights: Any, n: int) -> Array:
 def _run(mesh: MemoryMesh, settings: Settings) -> DenoiseResult:
     """The mesh denoised by the steps that files take."""
     run = FileRun(mesh.name, settings, None, NO_LIMITS)
+    vertices = run.move_vertices(mesh)
     run.know(
         precision=str(mesh.dtype),
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
         triangles=len(mesh.faces),
     )
-    vertices = run.move_vertices(mesh)
     is_moved = not np.array_equal(vertices, mesh.vertices)
     record = replace(run.finish(None), status="written" if is_moved else "unchanged")
     result = DenoiseResult(mesh.to_given_type(vertices), record)

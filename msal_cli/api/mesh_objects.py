@@ -104,8 +104,8 @@ def from_arrays(
     arrays: Mapping[str, Any] | None = None,
     copy_object: Callable[[MemoryMesh, Array], Any] | None = None,
 ) -> MemoryMesh:
-    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers;
-    ContentError for other shapes and types, and where there are no faces (``E_NO_FACES``).
+    """The mesh of vertices (n, 3), any real numbers, and triangles (m, 3), any integers; what
+    ``mesh.prepare_mesh`` refuses is not refused here.
 
     Those of the ``arrays`` are properties that have one real number for each vertex.
     """
@@ -114,39 +114,11 @@ def from_arrays(
         raise ContentError(
             f"vertices are {positions.dtype}, not real numbers", hint="give float64 or float32"
         )
-    if not corners.size:
-        raise ContentError(
-            "there are no faces",
-            code="E_NO_FACES",
-            hint="msal denoises surfaces; make a mesh of the point cloud first",
-        )
-    for array, what, shape in ((positions, "vertices", "(n, 3)"), (corners, "faces", "(m, 3)")):
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise ContentError(
-                f"{what} have shape {array.shape}, not {shape}", hint=_hint(array, what)
-            )
-    if corners.dtype.kind not in "iu":
-        raise ContentError(
-            f"face indices are {corners.dtype}, not integers",
-            code="E_INDEX",
-            hint="give faces.astype(int) if they are whole numbers",
-        )
-    n, low, high = len(positions), int(corners.min()), int(corners.max())
-    if low < 0 or high >= n:
-        at, corner = np.argwhere((corners < 0) | (corners >= n))[0]
-        raise ContentError(
-            f"a face names vertex {int(corners[at, corner])} of {n}",
-            code="E_INDEX",
-            where=f"face {int(at)}",
-            hint="the faces count from 1: give faces - 1"
-            if low == 1 and high == n
-            else f"indices go from 0 to {n - 1}: give the vertices that these faces belong to",
-        )
     properties = {}
     for key, values in (arrays or {}).items():
         # Masks are looked at where the numbers are used.
         array = np.asanyarray(values)
-        if array.dtype.kind in "fiub" and array.size == n == len(array):
+        if array.dtype.kind in "fiub" and array.size == len(positions) == len(array):
             properties[str(key)] = array
     return MemoryMesh(
         np.ascontiguousarray(positions, dtype=np.float64),
@@ -156,22 +128,6 @@ def from_arrays(
         properties=properties,
         copy_object=copy_object,
     )
-
-
-def _hint(array: Array, name: str) -> str:
-    """What to give in place of an array of a wrong shape."""
-    if array.ndim == 2 and array.shape[0] == 3:
-        return f"each row must be one of them: give {name}.T"
-    if array.ndim == 1 and array.size % 3 == 0:
-        return f"give {name}.reshape(-1, 3)"
-    if name == "faces" and array.ndim == 2 and array.shape[1] == 4:
-        if (array[:, 0] == 3).all():
-            return "each row begins with the number of its corners: give faces[:, 1:]"
-        return (
-            "cut each quad into two triangles: "
-            "numpy.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
-        )
-    return f"give a row of three numbers for each of the {name}"
 
 
 def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError) -> Array:
