@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.errors import ContentError, TooLargeError
@@ -65,7 +65,6 @@ def test_a_soup_becomes_the_mesh_it_was():
     )
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 10**6), st.booleans(), st.integers(0, 5))
 def test_the_way_back(seed, as_soup, loose):
     vertices, faces = torus(7, 5)

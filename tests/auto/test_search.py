@@ -234,19 +234,22 @@ def test_noise_or_texture_gets_a_share_of_the_choice_for_noise(mesh, monkeypatch
 
 
 def wish_corpus():
-    """Small meshes: noise along the normals, in all directions, impulsive, uneven, shared; texture;
-    none."""
+    """Small meshes: noise along the normals, in all directions, impulsive, uneven; texture; none.
+
+    What is chosen for two kinds of noise is nearly what is chosen for another, after seconds.
+    """
     true = prepare_mesh(*torus(40, 20)).mesh
     kinds = (("gaussian-normal", 0.2), ("gaussian", 0.15), ("impulsive", 0.4))
     for kind, level in kinds:
-        yield kind, true.with_vertices(noise.add_plain_noise(true, kind, level, 1))
+        rough = true.with_vertices(noise.add_plain_noise(true, kind, level, 1))
+        yield pytest.param(rough, id=kind, marks=[pytest.mark.ci] if kind == "gaussian" else [])
     half = noise.add_plain_noise(true, "gaussian-normal", 0.3, 1)
     half[true.vertices[:, 0] < 0.0] = true.vertices[true.vertices[:, 0] < 0.0]
-    yield "uneven", true.with_vertices(half)
+    yield pytest.param(true.with_vertices(half), id="uneven", marks=pytest.mark.ci)
     bumps = true.vertices.copy()
     bumps[:, 2] += 0.02 * np.sin(9.0 * bumps[:, 0]) * np.sin(9.0 * bumps[:, 1])
-    yield "texture", true.with_vertices(bumps)
-    yield "clean", true
+    yield pytest.param(true.with_vertices(bumps), id="texture")
+    yield pytest.param(true, id="clean")
 
 
 def relief(mesh):
@@ -274,7 +277,7 @@ def check_wishes(mesh, **more):
     return moved, plain, texture
 
 
-@pytest.mark.parametrize("mesh", [pytest.param(mesh, id=name) for name, mesh in wish_corpus()])
+@pytest.mark.parametrize("mesh", list(wish_corpus()))
 def test_wishes_move_less_and_more_than_the_choice(mesh):
     moved, plain, texture = check_wishes(mesh)
     assert moved[0] < 0.65 * moved[2] or moved[0] == moved[2] == 0.0 < moved[3]

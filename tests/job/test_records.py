@@ -107,7 +107,7 @@ def test_what_people_see(text, said):
     assert escape_for_display(text) == said
 
 
-@given(st.text(), st.integers(3, 30))
+@given(ANY_TEXT, st.integers(3, 30))
 def test_shortened_fits_and_keeps_the_end(text, width):
     short = shorten_name(text, width)
     assert columns(short) <= width

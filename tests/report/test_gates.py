@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from msal_cli.errors import UsageError
@@ -224,10 +224,10 @@ WORDS = [
     *("0.5e", "1%", "0", "1e9", "(", ")", ",", "+", "-", "*", "/", "<", ">=", "==", "and", "or"),
     *("not", "abs(", "min(", "max(", "known("),
 ]
+ANY = st.characters(exclude_categories=["Cs"])
 
 
-@settings(max_examples=300, deadline=None)
-@given(st.lists(st.sampled_from(WORDS), max_size=12).map(" ".join) | st.text(max_size=40))
+@given(st.lists(st.sampled_from(WORDS), max_size=12).map(" ".join) | st.text(ANY, max_size=40))
 @example("volume.valid == 1")
 def test_any_text_is_refused_or_judged(text):
     try:

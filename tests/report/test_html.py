@@ -7,7 +7,7 @@ import json
 from xml.etree import ElementTree as Xml
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from msal_cli.job.display_names import escape_for_display
@@ -40,7 +40,6 @@ def test_names_stay_text(make):
     assert set(map(escape_for_display, HOSTILE_NAMES)) <= set(reader.texts["th"])
 
 
-@settings(max_examples=25, deadline=None)
 @given(RECORDS)
 def test_any_records_make_a_page(records):
     _, reader = page(records)

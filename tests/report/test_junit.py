@@ -6,7 +6,7 @@ import re
 from xml.etree import ElementTree as Xml
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from msal_cli.job.records import Failure
 from msal_cli.report import junit as as_junit
@@ -63,7 +63,6 @@ def parsed(records):
     return root
 
 
-@settings(max_examples=30, deadline=None)
 @given(RECORDS)
 def test_any_records_keep_to_the_schemas(records):
     root = parsed(records)

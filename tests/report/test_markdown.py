@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from markdown_it import MarkdownIt
 
 from msal_cli.job.records import Failure
@@ -59,7 +59,6 @@ def test_names_stay_text(name):
         assert files[1][0] == name
 
 
-@settings(max_examples=20, deadline=None)
 @given(RECORDS)
 def test_any_records_make_a_page(records):
     page = text(records)
