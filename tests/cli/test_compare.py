@@ -61,26 +61,6 @@ def test_a_warning_in_the_table_names_its_pair(scans):
     assert warning.startswith(f"warning: {pair}: after: the surface is inside out")
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        *((words, "two folders") for words in ("a.ply .", "a.ply b.ply .", ". . .")),
-        (". . --heatmap h.ply", "--heatmap"),
-        *((f"a.ply b.ply --heatmap {name}", "") for name in ("a.ply", "b.ply", "heat.obj", ".")),
-        ("a.ply b.ply --tolerance 2%", "--baseline"),
-        ("a.ply b.ply --ignore-missing", "folders"),
-        ("a.ply b.ply --baseline none.json", "none.json"),
-    ],
-)
-def test_wrong_use(scans, monkeypatch, words, message):
-    monkeypatch.chdir(scans)
-    before = (scans / "a.ply").read_bytes()
-    made = msal("compare", *words.split())
-    assert (made.exit_code in (1, 2), made.stdout) == (True, ""), made.stderr
-    assert message in made.stderr
-    assert (scans / "a.ply").read_bytes() == before
-
-
 @pytest.fixture
 def folders(tmp_path):
     a = folder_of(tmp_path / "A", one=closed_scan(0), gone=closed_scan(1))

@@ -77,36 +77,6 @@ def test_the_schedules_offered_are_those_of_the_methods():
     assert tuple(option.type.choices) == methods.find("al").spec("schedule").choices
 
 
-# Wrong use: status 2, a word on what to do, and nothing is touched
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "hint"),
-    [
-        ([], "there is no output", "-o OUT, or replace the inputs with --in-place"),
-        (["-o", "OUT", "--method", "msaal"], "there is no method 'msaal'", "did you mean msal"),
-        (["-o", "OUT", "-n", "3", "--set", "iterations=4"], "two different values", "once"),
-        (["--in-place", "--backup", ".ply"], "would be inputs of the next run", ".orig"),
-        (["-o", "OUT", "--encoding", "hex"], "'hex' is not one of", "denoise --help"),
-        (["-o", "OUT", "--report", "SCAN.json", "--report", "SCAN.json"], "given twice", ""),
-        (["-o", "SCAN"], "overwritten by its own output", "--in-place"),
-    ],
-)
-def test_wrong_use(scan, tmp_path, arguments, error, hint):
-    words = [
-        one.replace("SCAN", str(scan)).replace("OUT", str(tmp_path / "out")) for one in arguments
-    ]
-    before = scan.read_bytes()
-    made = msal("denoise", scan, *words)
-    assert made.exit_code == 2, made.stderr
-    assert made.stdout == ""
-    assert made.stderr.startswith("msal: error: ")
-    assert error in made.stderr.splitlines()[0]
-    if hint:
-        assert hint in made.stderr.splitlines()[1]
-    assert tree(tmp_path, has_own=True) == {"a folder/scan.ply": before}
-
-
 # Dry run
 
 

@@ -29,23 +29,6 @@ def scans(tmp_path):
     return folder_of(tmp_path / "scans", closed=closed_scan(), open=open_scan())
 
 
-@pytest.mark.parametrize(
-    ("expression", "messages"),
-    [
-        ("volume_chnge > 1%", ("the gate 'volume_chnge > 1%', column ", "hint: ")),
-        ("", ("the gate '', column ", "hint: ")),
-        ("hausdorff > 0", ("hausdorff is measured against a reference", "give --reference TRUTH")),
-    ],
-)
-def test_what_means_nothing_is_refused_before_any_work(scans, tmp_path, expression, messages):
-    output = tmp_path / "out"
-    made = msal("denoise", scans, *MSAL, "-o", output, "--fail-on", expression)
-    assert made.exit_code == 2
-    assert all(message in made.stderr for message in messages)
-    assert not output.exists()
-    assert msal("report", scans, "--fail-on", expression).exit_code == 2
-
-
 def test_report_judges_earlier_runs(scans, tmp_path):
     output, page = tmp_path / "out", tmp_path / "page.json"
     assert msal("denoise", scans, *MSAL, "-o", output).exit_code == 0
@@ -117,14 +100,6 @@ def test_references_of_a_folder_have_the_same_relative_paths(pairs, tmp_path):
         rows = {row["input"].rpartition("/")[2]: row for row in csv.DictReader(table)}
     assert rows["a.ply"]["reference.error.message"]
     assert float(rows["b.ply"]["reference.vertex_error_percent"]) > 0.0
-
-
-@pytest.mark.parametrize("words", [("out.ply", "none.ply"), ("-", "truth/a.ply")])
-def test_a_reference_that_cannot_be_is_refused(pairs, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    made = msal("denoise", "noisy/a.ply", "-o", words[0], "--reference", words[1])
-    assert (made.exit_code, made.stdout) == (2, "")
-    assert not (tmp_path / "out.ply").exists()
 
 
 # --check self-intersections

@@ -86,17 +86,6 @@ def test_standard_input():
     assert (record["input"], record["vertices"]) == ("-", 576)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status"),
-    [(["-", "FOLDER"], 2), (["-", "--include", "*"], 2), (["nowhere.ply"], 2), ([], 2)]
-    + [(["FOLDER", "--include", "*.stl"], 5), (["FOLDER", "--format", "zzz"], 2)],
-)
-def test_wrong_use(scans, arguments, status):
-    made = msal("info", *(one.replace("FOLDER", str(scans)) for one in arguments))
-    assert (made.exit_code, made.stdout) == (status, "")
-    assert "msal: error: " in made.stderr
-
-
 @pytest.fixture
 def sweep_scans(tmp_path):
     clean = ply_text(*torus())
@@ -156,35 +145,3 @@ def test_what_msal_chooses_is_shown_and_the_nearest_is_named(sweep_scans):
     assert data["cells"][1]["risk_edges"] > 2.0 * max(plain["risk_edges"], auto["risk_edges"])
     words, _ = swept(sweep_scans, *columns)
     assert words.splitlines()[-1].endswith(data["nearest"])
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--rows", "K"), "NAME=VALUE"),
-        (("--rows", "K=0.5,,1"), "NAME=VALUE"),
-        (("--rows", "K=0.5,2"), "K = 2"),
-        (("--columns", "k=0.5"), "no parameter"),
-        (("--columns", "K=0.5,0.50"), "twice"),
-        (("--columns", "K=0.5", "--rows", "K=1"), "two places"),
-        (("--columns", "K=0.5", "--set", "K=1"), "two places"),
-        (("--columns", "K=0.5", "--set", "mollify=1", "--set", "mollify=2"), "twice"),
-        (("--columns", "iterations=" + ",".join(map(str, range(1, 102)))), "100 cells"),
-        (("--method", "nothing"), "no method"),
-        (("--rows", "K"), "--rows K: not of the form"),
-        (("-o", "g.ply"), "NAME.png"),
-    ],
-)
-def test_what_cannot_be_tried_is_said(sweep_scans, monkeypatch, options, said):
-    monkeypatch.chdir(sweep_scans)
-    made = msal("sweep", "a.ply", "-o", "g.png", *options)
-    assert made.exit_code == 2
-    assert said in made.stderr
-    assert not (sweep_scans / "g.png").exists()
-
-
-def test_a_reference_must_have_the_same_faces(sweep_scans):
-    words = ("sweep", sweep_scans / "a.ply", "-o", sweep_scans / "g.png", "--reference")
-    made = msal(*words, sweep_scans / "open.ply")
-    assert made.exit_code == 1
-    assert "open.ply" in made.stderr and "same vertices and faces" in made.stderr

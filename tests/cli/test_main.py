@@ -37,25 +37,10 @@ def test_help_imports_nothing_heavy(arguments):
     assert heavy_modules_after(*arguments) == "0 []"
 
 
-@pytest.mark.parametrize("arguments", [[], ["denose"], ["frob"], ["--iterations"], ["den"]])
-def test_no_such_command_or_option(arguments):
-    made = msal(*arguments)
+def test_no_word_at_all_gets_the_help():
+    made = msal()
     assert (made.exit_code, made.stdout) == (2, "")
-    if not arguments:
-        assert "Usage: msal" in made.stderr
-        return
-    assert made.stderr.startswith("msal: error: ")
-    assert made.stderr.endswith("hint: msal --help shows how it is used\n")
-    assert "did you mean 'denoise'?" in made.stderr or arguments != ["denose"]
-
-
-@pytest.mark.parametrize("option", ["--iter=3", "--meth=al", "--out=x", "--dry", "--jso"])
-def test_options_have_no_abbreviations(tmp_path, option):
-    folder_of(tmp_path, a=closed_scan())
-    made = msal("denoise", tmp_path / "a.ply", "-o", tmp_path / "b.ply", option)
-    assert made.exit_code == 2
-    assert option.partition("=")[0] in made.stderr
-    assert not (tmp_path / "b.ply").exists()
+    assert "Usage: msal" in made.stderr
 
 
 def test_the_help_of_denoise_tells_the_real_defaults():

@@ -41,28 +41,6 @@ def test_a_folder_becomes_a_mirrored_tree(tmp_path):
     assert (again.exit_code, "--force" in again.stderr) == (2, True)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        "--level much", "--seed -3", "--fraction 1.5", "--kind salt", "--kind property",
-        "--kind view --direction up", "--kind view --rings 1.5", "--kind quantised --step 0",
-    ],
-)  # fmt: skip
-def test_wrong_values_touch_nothing(scan, wrong):
-    target = scan.with_name("out.ply")
-    made = msal("noise", scan, "-o", target, *wrong.split())
-    assert (made.exit_code, target.exists()) == (2, False)
-
-
-def test_an_input_is_not_overwritten_and_the_format_is_kept(scan):
-    before = scan.read_bytes()
-    assert msal("noise", scan, "-o", scan).exit_code == 2
-    made = msal("noise", scan, "-o", scan.with_name("out.stl"))
-    assert (made.exit_code, scan.with_name("out.stl").exists()) == (1, False)
-    assert "the format" in made.stderr
-    assert scan.read_bytes() == before
-
-
 def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
     text = ply_text(*torus()).decode().splitlines()
     start = text.index("end_header") + 1

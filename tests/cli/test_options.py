@@ -8,7 +8,6 @@ import pytest
 from msal_cli import methods
 from msal_cli.cli import options
 from msal_cli.errors import UsageError
-from tests.cli.scans import msal
 
 SIZE = {"500M": 500 * 10**6, "500mb": 500 * 10**6, "2G": 2 * 10**9, "1.5GiB": 3 << 29}
 DURATION = {"90": 90.0, "90s": 90.0, "1.5m": 90.0, "2h": 7200.0, ".5 h": 1800.0, "none": None}
@@ -66,73 +65,6 @@ def test_a_number_of_threads_that_is_none_is_refused(text, monkeypatch):
         options.check_threads_variable()
     monkeypatch.setenv("MSAL_THREADS", "3")
     options.check_threads_variable()
-
-
-TO_FILE, DASK, STREAM = "a.ply -o out ", "--engine dask --scheduler ", "- -o out.ply "
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("a.ply", "there is no output"),
-        (TO_FILE + "-q -v", "--quiet and --verbose contradict"),
-        (TO_FILE + "--in-place", "--in-place and --output contradict"),
-        ("a.ply --in-place --to obj", "--in-place cannot change the format"),
-        ("a.ply --in-place --backup .x --no-backup", "--backup and --no-backup contradict"),
-        (TO_FILE + "--backup .x", "--backup needs --in-place"),
-        (TO_FILE + "--no-backup", "--no-backup needs --in-place"),
-        (TO_FILE + "--fail-fast --max-failures 2", "--fail-fast and --max-failures contradict"),
-        ("a.ply --in-place --fields sigma", "the next run in place would take for an input"),
-        (TO_FILE + "--scheduler tcp://host:1", "--scheduler needs --engine dask"),
-        (TO_FILE + "--engine dask", "--engine dask needs --scheduler"),
-        (TO_FILE + DASK + "x", "--scheduler x: this is not an address"),
-        (TO_FILE + DASK + "local", "--scheduler local: this is not an address"),
-        (TO_FILE + DASK + "tcp://host:1 -j 2", "-j is for this machine"),
-        ("a.ply --in-place " + DASK + "tcp://host:1", "--in-place cannot be used with Dask"),
-        *(
-            (f"{TO_FILE}{one} {other}", f"{one.split(' ')[0]}.* and {other.split(' ')[0]}")
-            for one in ("--auto", "--keep edges", "--strength 0", "--prefer normals")
-            for other in ("--method msal", "--iterations 3", "-K 1", "--mollify 0", "--set a=1")
-        ),
-        (TO_FILE + "--strength 1 --schedule plain", "--strength and --schedule contradict"),
-        (TO_FILE + "--method auto -n 3", "--method auto and --iterations contradict"),
-        (TO_FILE + "--method adaptive -n 3", "--method adaptive and --iterations contradict"),
-        (TO_FILE + "--method adaptive --auto", "--auto and --method adaptive contradict"),
-        (TO_FILE + "--strength 2.5", "'2.5' is not a number from -2 to 2"),
-        (TO_FILE + "--keep noise", "'texture', 'edges', 'shape'"),
-        (TO_FILE + "--prefer speed", "'positions', 'normals', 'volume'"),
-        (TO_FILE + "--max-move 0", "no length above 0"),
-        (TO_FILE + "--lock confidence", "neither 'boundary' nor"),
-        (TO_FILE + "--weights q --method al", "al has none with the schedule plain"),
-        (TO_FILE + "--weights q --method taubin", "taubin has none"),
-        *(
-            (STREAM + word, f"{word.split(' ')[0]} is for files, not for standard input")
-            for word in (
-                "--include x",
-                "--timeout 5",
-                "--memory-limit 2G",
-                "--dry-run",
-                "--shard 1/2",
-            )
-        ),
-        (STREAM + "--retries 0", "--retries is for files"),
-        (STREAM + "--max-failures 1", "--max-failures is for files"),
-        (STREAM + "--retry-failed", "--retry-failed is for files"),
-        (STREAM + "--fields sigma", "--fields is for files"),
-        (STREAM + "--engine dask", "--engine dask is for files"),
-        ("- --in-place", "--in-place is for files"),
-        ("- -o - --reference x.ply", "--reference measures a file"),
-        ("- -o - --json", "the mesh and --json cannot both go to standard output"),
-    ],
-)
-def test_options_of_denoise_that_do_not_go_together(line, message, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.ply").touch()
-    made = msal("denoise", *line.split())
-    assert made.exit_code == 2
-    with pytest.raises(AssertionError, match=message):
-        raise AssertionError(made.stderr)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
 
 
 @pytest.mark.parametrize("text", ["K", "=1", "K=", " = ", ""])

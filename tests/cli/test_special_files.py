@@ -31,29 +31,6 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "info pipe.ply",
-        "view scan.ply pipe.ply -o a.png",
-        "sweep pipe.ply -o a.png",
-        "compare scan.ply pipe.ply",
-        "compare scan.ply scan.ply --baseline pipe.json",
-        "noise pipe.ply -o a.ply",
-        "denoise pipe.ply -o -",
-        "denoise scan.ply -o a.ply --reference pipe.ply",
-        "denoise scan.ply -o pipe.ply",
-        "report pipe.json",
-        "report pipe.jsonl",
-    ],
-)
-def test_a_pipe_is_refused_at_once(place, words):
-    made = msal(*words.split())
-    assert made.exit_code in (1, 2), made.stderr
-    assert "file" in made.stderr and "Traceback" not in made.stderr
-    assert "internal" not in made.stderr
-
-
 @pytest.mark.parametrize("name", [".msal-manifest.jsonl", ".msal-lock", "a hole"])
 def test_a_pipe_or_a_hole_in_the_place_of_what_msal_keeps(place, name):
     folder_of(place / "in", a=closed_scan(), b=closed_scan(1))
@@ -129,29 +106,6 @@ def project(tmp_path, monkeypatch):
         os.symlink("in/a.ply", "soft.csv")
         os.mkfifo("pipe.csv")
     return tmp_path
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        *((*DENOISE, "--log-file", name) for name in ("b.ply", "new.ply", "hard.log", "soft.log")),
-        *((*DENOISE, "--log-file", name) for name in ("notes.txt", "mesh.json", ".msal-lock")),
-        *((*DENOISE, "--report", name) for name in ("hard.csv", "soft.csv", "pipe.csv")),
-        *((*DENOISE, "--report", name) for name in ("mesh.json", "out/.msal-manifest.jsonl")),
-        (*DENOISE, "--report", "OUT/.MSAL-manifest.jsonl"),
-        ("compare", "in/a.ply", "in/a.ply", "--heatmap", "b.ply"),
-        ("compare", "in/a.ply", "in/a.ply", "--heatmap", "in/a.ply"),
-        ("compare", "in/a.ply", "in/a.ply", "--heatmap", ".msal-x.ply"),
-        ("view", "in/a.ply", "-o", "mesh.png"),
-        ("sweep", "in/a.ply", "-o", "mesh.png"),
-        ("noise", "in/a.ply", "-o", "b.ply"),
-    ],
-)
-def test_what_would_be_replaced_is_refused_before_any_work(project, words):
-    before = tree(project, has_own=True)
-    made = msal(*words)
-    assert made.exit_code == 2, made.stderr
-    assert tree(project, has_own=True) == before
 
 
 def test_a_report_does_not_replace_the_log_of_its_run(project):

@@ -90,29 +90,6 @@ def test_a_file_is_compressed_if_its_name_says_so(tmp_path, denoised, is_packed,
     assert record["output_sha256"] == hashlib.sha256(written).hexdigest()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["-", "SCAN", "-o", "o.ply"], "hold one mesh, not several"),
-        (["SCAN", "SCAN", "-o", "-"], "hold one mesh, not several"),
-        (["FOLDER", "-o", "-"], "is a folder"),
-        (["nowhere.ply", "-o", "-"], "is no file"),
-        (["-", "-o", "FOLDER"], "has no name to put there"),
-        (["-", "--report", "-"], "needs the name of a file"),
-        (["-", "-o", "o.ply", "--to", "stl"], "say two formats"),
-        (["-", "-o", "y.stp"], "no mesh format"),
-        (["SCAN", "-o", "-", "--report", "SCAN"], "unknown report format"),
-    ],
-)
-def test_wrong_use(scan, tmp_path, arguments, words):
-    given = [one.replace("SCAN", str(scan)).replace("FOLDER", str(tmp_path)) for one in arguments]
-    made = msal_on(SCAN, "denoise", *given)
-    assert made.exit_code == 2
-    assert made.stdout == ""
-    assert words in made.stderr
-    assert [one.name for one in tmp_path.iterdir()] == ["scan.ply"]
-
-
 def test_a_mesh_does_not_go_to_a_terminal_unasked(monkeypatch):
     monkeypatch.setattr(sys, "stdout", Terminal())
     with pytest.raises(UsageError, match="would go to the terminal"):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 
 
 @pytest.fixture
@@ -90,31 +90,3 @@ def test_standard_output_takes_a_picture(scans):
     made = msal("view", scans / "a.ply", "-o", "-", "--size", "64")
     assert Image.open(io.BytesIO(made.stdout_bytes)).format == "PNG"
     assert made.stderr == ""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "said"),
-    [
-        (("missing.ply", "-o", "p.png"), 1, "missing.ply"),
-        (("bad.ply", "-o", "p.png"), 1, "bad.ply"),
-        (("a.ply", "bad.ply", "-o", "p.png"), 1, "bad.ply"),
-        (("points.ply", "-o", "p.png"), 1, "E_NO_FACES"),
-        (("a.ply", "-o", "none/p.png"), 1, "the output folder does not exist"),
-        (("a.ply", "-o", "p.jpg"), 2, "NAME.png"),
-        (("a.ply", "-o", "a.ply"), 2, "NAME.png"),
-        (("a.ply", "-o", "p.png", "--size", "9"), 2, "48"),
-        (("a.ply", "-o", "p.png", "--turn", "nan"), 2, "from -360 to 360"),
-        (("a.ply", "-o", "p.png", "--view", "inside"), 2, "inside"),
-        (("-", "-o", "p.png"), 2, "stream"),
-    ],
-)
-def test_what_cannot_be_done_is_said(scans, monkeypatch, arguments, status, said):
-    folder_of(scans, points=ply_text([(0.0, 0.0, 0.0)], []))
-    before = (scans / "a.ply").read_bytes()
-    monkeypatch.chdir(scans)
-    made = msal("view", *arguments)
-    assert made.exit_code == status
-    assert said in made.stderr
-    assert "Traceback" not in made.stderr
-    assert not (scans / "p.png").exists()
-    assert (scans / "a.ply").read_bytes() == before

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -158,20 +157,3 @@ def test_a_file_written_slowly_is_taken_once_and_whole(inbox):
     assert made.exit_code == 0, made.stderr
     assert made.stderr.count(" -> ") == 1
     assert list(tree(inbox.parent / "out")) == ["slow.ply"]
-
-
-@pytest.mark.parametrize(
-    ("folder", "out", "words"),
-    [
-        ("none", "out", "there is no folder"),
-        ("in", "in", "is the folder that is watched"),
-        ("in", "file", "is no folder"),
-        ("s3://bucket/in", "out", "folders of this machine"),
-    ],
-)
-def test_what_cannot_be_watched(inbox, folder, out, words, monkeypatch):
-    monkeypatch.chdir(inbox.parent)
-    Path("file").write_text("x")
-    made = msal("watch", folder, "-o", out, "--idle-exit", "1s")
-    assert made.exit_code == 2
-    assert words in made.stderr
