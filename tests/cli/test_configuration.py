@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.scans import closed_scan, folder_of, msal, process
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on
 
 WORDS = ("denoise", "in/a.ply", "-o", "o.ply")
 
@@ -71,8 +71,8 @@ def test_what_contradicts_the_command_line_is_left_out(project, text, words, key
 def test_options_for_files_are_left_out_for_a_stream(project):
     write(project, "[denoise]\nretries = 2\nfail-fast = true\nquiet = true")
     assert msal(*WORDS).exit_code == 0
-    made = process("denoise", "-", input=(project / "in/a.ply").read_bytes())
-    assert (made.returncode, made.stderr) == (0, b"")
+    made = msal_on((project / "in/a.ply").read_bytes(), "denoise", "-")
+    assert (made.exit_code, made.stderr) == (0, "")
     assert "time" in msal("denoise", "in/a.ply", "-o", "b.ply", "-v").stderr
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import threading
 import time
 
 import pytest
 
 from msal_cli.batch.lock import FolderLock
+from tests.campaigns import runs
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
 from tests.files import tree
 
@@ -95,7 +95,7 @@ def test_a_signal_leaves_whole_files_and_no_lock_and_the_next_watch_does_the_res
     folder_of(inbox, **{f"s{n}": closed_scan(n) for n in range(5)})
     out = inbox.parent / "out"
     command = [*MSAL, "watch", inbox, "-o", out, *QUICK, "-j", "1"]
-    with subprocess.Popen([*map(str, command)], stderr=subprocess.PIPE, text=True) as process:
+    with runs.started([*map(str, command)], text=True) as process:
         lines = [process.stderr.readline() for _ in range(3)]
         process.send_signal(number)
         words = process.stderr.read()
