@@ -250,7 +250,7 @@ class TestInterrupts:
             ("SIGINT", True, 130),
             pytest.param("SIGTERM", False, 143, marks=pytest.mark.ci),
             pytest.param("SIGHUP", False, 129, marks=pytest.mark.ci),
-            ("SIGKILL", False, -9),
+            pytest.param("SIGKILL", False, -9, marks=pytest.mark.ci),
         ],
     )
     def test_a_signal_ends_all_and_keeps_what_is_finished(self, folders, name, to_group, status):

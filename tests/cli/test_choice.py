@@ -113,9 +113,6 @@ def test_a_choice_that_damages_is_softened_or_rejected(tmp_path, monkeypatch, co
     assert any("damage" in warning for warning in record["warnings"])
 
 
-# --auto
-
-
 # --assume
 
 

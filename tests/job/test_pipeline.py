@@ -7,7 +7,6 @@ import functools
 import gzip
 import hashlib
 import itertools
-import os
 import struct
 import time
 
@@ -163,20 +162,6 @@ def test_a_conversion_by_option_has_the_same_bytes_and_no_materials(tmp_path):
     lost = denoised(scan, tmp_path / "lost/scan.obj")
     assert lost.status == "written"
     assert any("none.mtl is missing" in warning for warning in lost.warnings)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="permission bits of POSIX")
-@pytest.mark.parametrize("name", ["out.ply", "deep/out.stl"])
-def test_an_output_is_as_private_as_its_input(tmp_path, name):
-    scan = tmp_path / "scan.ply"
-    vertices, faces = torus()
-    scan.write_bytes(ply_binary(noisy(vertices, 1, 0.1), faces))
-    scan.chmod(0o600)
-    out = tmp_path / "made" / name
-    assert denoised(scan, out, fields=("curvature",)).error is None
-    made = [path for path in (tmp_path / "made").rglob("*") if path.is_file()]
-    assert len(made) == 2
-    assert {path.stat().st_mode & 0o777 for path in made} == {0o600}
 
 
 def test_a_failure_leaves_the_old_output(tmp_path):

@@ -115,8 +115,9 @@ def test_all_parameters_are_resolved(texts, name, value):
     ("method", "assignments", "words", "hint"),
     [
         (MSAL, given("-n 4", "n=5"), "-n 4 and --set n=5 give iterations two different", "once"),
-        *((MSAL, given(f"K={k}"), "is not allowed", "0 < K <= 1") for k in ("2", "nan", "x")),
-        (MSAL, given("iterations=1.5"), "iterations = 1.5 is not allowed", "whole number"),
+        *((MSAL, given(f"K={k}"), "is not allowed", "0 < K <= 1") for k in ("0", "2", "nan", "x")),
+        *((MSAL, given(f"n={n}"), f"= {n} is not allowed", "whole number") for n in ("1.5", "-1")),
+        (MSAL, given("normals=angle"), "normals = angle is not allowed", "uniform | area"),
         (MSAL, given("iteratons=3"), "no parameter 'iteratons'", "iterations"),
         (HC, [("-K 1", "K", "1")], "-K 1 does not go with hc, which has no parameter 'K'", "msal"),
         (HC, [("K", "K", 1)], "hc has no parameter 'K'", "it has"),

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import os
 import stat
-import subprocess
 import sys
 
 import pytest
@@ -209,24 +208,6 @@ def test_write_new_never_replaces(tmp_path, monkeypatch, has_links):
     assert not write_new(path, b"second")
     assert path.read_bytes() == b"first"
     assert names(tmp_path) == ["tex.png"]
-
-
-def test_a_killed_writer_leaves_the_old_file_and_is_swept(tmp_path):
-    path = tmp_path / "a.ply"
-    path.write_bytes(b"old")
-    code = (
-        "import os, sys\n"
-        "from msal_cli.storage.atomic import write_whole\n"
-        "def pieces():\n"
-        "    yield b'half'\n"
-        "    os._exit(9)\n"
-        "write_whole(sys.argv[1], pieces())\n"
-    )
-    assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == 9
-    assert path.read_bytes() == b"old"
-    assert len(names(tmp_path)) == 2
-    assert writing.sweep([tmp_path]) == 1
-    assert names(tmp_path) == ["a.ply"]
 
 
 def test_folders_of_any_depth_are_made(tmp_path, monkeypatch):
