@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.noise_kinds import KINDS, outcomes
-from benchmarks.scan_simulation import ScannerSettings, simulate_scan
+from benchmarks.scan_simulation import ScannerSettings, find_truth, simulate_scan
 from msal_cli.analysis import noise_estimate
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence
@@ -125,6 +125,20 @@ def test_terraces(smooth, shape, scanner):
     assert noise.character.step * mesh.mean_edge_length == pytest.approx(height, rel=digits)
     assert noise.character.confidence > 0.9 or shape == "smooth"
     assert not noise.is_negligible
+
+
+def test_noise_of_a_volume_is_not_taken_for_white():
+    """Its surface has sliver triangles, on which fits over one-rings leave hardly anything."""
+    pytest.importorskip("skimage")
+    pytest.importorskip("scipy")
+    true = prepare_mesh(*box(30, 8, 20)).mesh
+    scan = simulate_scan(true, ScannerSettings("ct", cells=40, level=0.1, direction=SLANTED))
+    mesh = prepare_mesh(scan.vertices, scan.faces).mesh
+    distances = np.linalg.norm(scan.vertices - find_truth(true, scan), axis=1)
+    noise = noise_estimate.estimate_noise(mesh)
+    assert summarize(noise)[0] == "correlated"
+    assert noise.file_units == pytest.approx(np.sqrt((distances**2).mean()), rel=0.4)
+    assert noise.mean_edges > 3.0 * estimate_white(mesh).level.mean_edges
 
 
 @pytest.mark.parametrize("sizes", [(8, 8, 8), (20, 20, 20), (60, 6, 6), (40, 40, 2)])

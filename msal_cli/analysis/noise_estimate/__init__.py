@@ -33,6 +33,7 @@ from msal_cli.analysis.noise_estimate.evidence import (
     gather_evidence,
 )
 from msal_cli.analysis.noise_estimate.fits import (
+    FLATTEST,
     NEGLIGIBLE,
     SIX,
     TWO,
@@ -126,6 +127,15 @@ QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
 MAX_SEEN = (1.0, 0.65, 0.19)
 """Greatest level for white noise, over that of noise shared over so many rings, or more, of which
 it is: 0.5 over one ring, 0.10 to 0.17 over two, on 21 shapes; white noise on relief has more."""
+
+MAX_WHITE = 1.25
+"""What fits over two rings leave at the flattest fifth of the places, over the level for white
+noise, above which it is not white: 0.8 to 1.1 for white and isotropic noise on 30 shapes, 1.4 to
+5 for noise shared over two rings and more, 3.2 and more on surfaces of CT volumes."""
+
+SURE_SHARED_NOISE = 0.9
+"""Probability of noise from which what is not white is shared, and not relief under a trace of
+white noise."""
 
 FACING, MIN_GAIN = 0.6, 0.05
 """Mean squared cosine of the normals to an axis that a mesh faces as a whole, and by how much an
@@ -361,15 +371,17 @@ def characterize(mesh: Mesh) -> Estimate:
     if is_few:
         verdict = dataclasses.replace(verdict, noise=min(verdict.noise, MAX_FEW))
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
-    measured = verdict.measured
-    # What fits over one-rings see, beyond what noise that neighbours share leaves there.
-    max_seen = MAX_SEEN[min(verdict.rings, 2)] * measured
-    if verdict.kind == "correlated" and white.level.mean_edges > max_seen:
-        measured = white.level.mean_edges
+    measured, finest = verdict.measured, white.level.mean_edges
+    # Fits over one-rings see more than noise that neighbours share leaves there.
+    is_white = verdict.kind == "correlated" and finest > MAX_SEEN[min(verdict.rings, 2)] * measured
+    if (is_white or not is_named) and _is_surely_shared(verdict, evidence):
+        measured = verdict.level
+    elif is_white:
+        measured = finest
         verdict = dataclasses.replace(_with_level(verdict, measured), kind="white")
     elif not is_named:
         # In doubt what the finest fits see, which relief adds least to.
-        measured = min(measured, white.level.mean_edges)
+        measured = min(measured, finest)
         verdict = _with_level(verdict, measured)
     elif verdict.kind == "view" and evidence.axis is not None and not verdict.rings:
         # Rows of a range scan slide within the surface farther than noise makes them.
@@ -431,6 +443,20 @@ def _with_level(verdict: Verdict, level: float) -> Verdict:
     return dataclasses.replace(
         verdict, level=level, low=scale * verdict.low, high=scale * verdict.high
     )
+
+
+def _may_be_white(evidence: Evidence) -> bool:
+    """Whether fits over two rings leave what the finest do, as of white noise."""
+    flat = evidence.survey.quantile(TWO, FLATTEST)
+    finest = math.exp(evidence.numbers[LEVELS.index("white")])
+    return not math.sqrt(max(flat, 0.0)) > MAX_WHITE * finest
+
+
+def _is_surely_shared(verdict: Verdict, evidence: Evidence) -> bool:
+    """Whether there is noise that neighbours share for sure: no white noise, and no relief."""
+    is_relief = evidence.colour is not None and evidence.colour.is_relief
+    is_noise = verdict.noise >= SURE_SHARED_NOISE
+    return is_noise and not is_relief and not _may_be_white(evidence)
 
 
 def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
@@ -501,7 +527,10 @@ def _least_probabilities(evidence: Evidence) -> dict[str, float]:
     if steps.axis is not None and not has_depths:
         # Rows of a range scan are in steps within the surface, which the mesh does not face.
         has_depths = float(((evidence.survey.normals @ steps.axis) ** 2).mean()) > FACING
+    may_be_white = _may_be_white(evidence)
     is_known = {
+        "white": may_be_white,
+        "isotropic": may_be_white,
         "view": evidence.axis is not None,
         "staircase": steps.n_axes == 3,
         "uneven": evidence.differences is not None,

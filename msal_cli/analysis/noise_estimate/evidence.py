@@ -273,7 +273,7 @@ def _colour_numbers(colour: Colour | None, base: float) -> list[float]:
         colour.margin,
         *colour.sharpness.tolist(),
         float(colour.is_floor),
-        float(colour.is_relief),
+        float(colour.rings > 0 and colour.is_relief),
         _log(colour.level),
     ]
 

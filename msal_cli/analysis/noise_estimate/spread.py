@@ -193,7 +193,7 @@ def find_colour(
         margin=float(others.min() - chosen[rings]),
         sharpness=sharpness,
         is_floor=bool((sharpness >= least_sharpness).all()) and not is_pattern,
-        is_relief=rings > 0 and is_relief,
+        is_relief=is_relief,
     )
 
 
