@@ -1,4 +1,4 @@
-"""The table of who may import whom (docs/architecture.md), held against the syntax trees."""
+"""Who may import whom (docs/architecture.md), by the syntax trees; what extras need."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import functools
 import graphlib
 import importlib
 import re
+import tomllib
 from pathlib import Path
 
 import msal_cli
+from msal_cli.errors import EXTRAS, install_hint
 
 PACKAGE = Path(msal_cli.__file__).parent
 
@@ -125,3 +127,14 @@ def test_every_name_of_the_page_is_one_in_the_code():
             break
         else:
             raise AssertionError(f"{name} of docs/architecture.md does not exist")
+
+
+# What to install for an optional part
+
+
+def test_the_packages_of_an_extra_are_named():
+    text = (Path(__file__).parent.parent / "pyproject.toml").read_text("utf-8")
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    for extra, words in EXTRAS.items():
+        assert words.split() == [re.split("[<>=]", package)[0] for package in extras[extra]]
+    assert install_hint("dask") == "pip install distributed (that is msal-cli[dask])"

@@ -1,4 +1,4 @@
-"""The summary for people: what is cut, what comes first; and comparisons with earlier runs."""
+"""The summary for people, comparisons with earlier runs, and every writer's output."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from msal_cli.report.comparison import (
 from msal_cli.report.data import json_bytes, plain_record, render_json
 from msal_cli.report.facts import worst_first
 from msal_cli.report.text import describe_info
+from tests.report.golden import FOLDER, outputs
 from tests.report.made import HOSTILE_NAMES, RUN, failed, gated, written
 
 BROKEN = GateResult("flipped_faces > 0", True, True, {}, "flipped_faces is 3")
@@ -193,3 +194,18 @@ def test_what_is_no_baseline(content, reason):
     with pytest.raises(FormatError, match=reason) as caught:
         read_comparisons(content, "x.json")
     assert caught.value.path == "x.json"
+
+
+# Every writer makes of one run exactly what is kept
+
+
+MADE = dict(outputs())
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_output(name):
+    assert MADE[name] == (FOLDER / name).read_bytes().decode()
+
+
+def test_every_kept_file_is_compared():
+    assert {path.name for path in FOLDER.iterdir()} == set(MADE)

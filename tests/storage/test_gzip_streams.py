@@ -39,7 +39,7 @@ def _flipped(data: bytes, at: int) -> bytes:
 PACKED = gzip.compress(bytes(range(256)) * 40, mtime=0)
 
 
-# Each goes through the whole way of a file in tests/test_whole_files.py.
+# Each goes through the whole way of a file in tests/test_sample_meshes.py.
 DAMAGED = {
     "empty": (b"", "E_TRUNCATED"),
     "not compress": (b"ply\nformat ascii 1.0\n", "E_FORMAT"),
