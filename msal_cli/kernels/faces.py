@@ -13,7 +13,7 @@ other side of a thin wall is not found, and no search tree is needed.  It goes o
 whose centroids are within the distance.
 
 To find rows twice, once for their lengths, would cost twice the time.  So a kernel writes them into
-room for the longest rows, a part of the items after the other, and they are put together then.
+room for the longest rows, which is cut off behind the last one then.
 """
 
 from __future__ import annotations
@@ -40,54 +40,30 @@ _MAX_AROUND = np.uint64(MAX_AROUND)
 MAX_PAIRS = 2**31 - 1
 """Entries that 32-bit rows can number."""
 
-MAX_PARTS = 8
-"""Parts of the items, at most: the rows of one are in memory twice."""
-
-MIN_PART = 1 << 17
-"""Items in a part, at least, unless their rows may be very long."""
-
-MAX_ROOM = 1 << 26
-"""Indices that there is room for in a part: a limit on memory counts it, even if unused."""
-
 
 def find_rows(
     kernel: Callable[..., Any], count: int, most: int, *known: object
 ) -> tuple[Ints, Ints]:
     """Sizes (count,) of the rows of all items, and the rows one behind the other.
 
-    ``kernel(start, stop, first, *known, sizes, found)`` finds the rows of the items from
-    ``first + start`` to ``first + stop``, ``most`` indices at most in each.  It writes their
-    ``sizes``, and the rows, one behind the other, into ``found`` (uint32) from start * most on, and
-    returns the places where they begin and end.
+    ``kernel(start, stop, *known, sizes, found)`` finds the rows of a range of items, ``most``
+    indices at most in each.  It writes their ``sizes``, and the rows, one behind the other, into
+    ``found`` (uint32) from start * most on, and returns the places where they begin and end.
     """
     sizes = np.empty(count, dtype=np.int32)
-    part = max(MIN_PART, -(-count // MAX_PARTS))
-    part = max(1, min(part, MAX_ROOM // max(most, 1)))
-    pieces = []
-    for first in range(0, count, part):
-        items = min(part, count - first)
-        # What is not written to takes no memory.
-        found = np.empty(items * most, dtype=np.uint32)
-        ends = over_ranges(kernel, items, first, *known, sizes, found, most=MARKING_THREADS)
-        pieces += [found[start:end] for start, end in ends]
-        del found
-    if len(pieces) == 1:
-        return sizes, pieces[0].view(np.int32).copy()
-    filled = sum(map(len, pieces))
-    rows = np.empty(filled, dtype=np.int32)
-    while pieces:
-        # Each part is let go of as soon as it is copied.
-        last = pieces.pop().view(np.int32)
-        rows[filled - len(last) : filled] = last
-        filled -= len(last)
-        del last
-    return sizes, rows
+    # What is not written to takes no memory.
+    found = np.empty(count * most, dtype=np.uint32)
+    filled = 0
+    for start, end in over_ranges(kernel, count, *known, sizes, found, most=MARKING_THREADS):
+        if start:
+            found[filled : filled + end - start] = found[start:end]
+        filled += end - start
+    found.resize(filled, refcheck=False)
+    return sizes, found.view(np.int32)
 
 
 @compiled
-def _neighbours(
-    start, stop, first, faces, face_start, incident, following, at_corners, most, sizes, ring
-):
+def _neighbours(start, stop, faces, face_start, incident, following, at_corners, most, sizes, ring):
     """Find rows as ``find_rows`` wants them.
 
     Whether a face was met before cannot be predicted: without a branch each is written down, and
@@ -97,7 +73,7 @@ def _neighbours(
     for face in range(np.uint64(len(seen))):
         seen[face] = len(seen)
     filled = np.uint64(start * most)
-    for f in range(np.uint64(first + start), np.uint64(first + stop)):
+    for f in range(np.uint64(start), np.uint64(stop)):
         name = np.uint32(f)
         seen[f] = name
         row = filled
@@ -196,7 +172,7 @@ def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> f
 
 
 @compiled
-def _find_near(start, stop, first, c, ring_start, ring, radii, most, sizes, near):
+def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
     """Find rows as ``find_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
     has_own = len(radii) > 1
     seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
@@ -206,7 +182,7 @@ def _find_near(start, stop, first, c, ring_start, ring, radii, most, sizes, near
     most = np.uint64(most)
     found = np.empty(np.int64(most + most_neighbours(np.uint64(0), none, ring_start)), np.uint32)
     filled = np.uint64(start) * most
-    for own in range(np.uint64(first + start), np.uint64(first + stop)):
+    for own in range(np.uint64(start), np.uint64(stop)):
         p = THREE * own
         x, y, z = c[p], c[p + ONE], c[p + TWO]
         radius = radii[own] if has_own else radii[0]
@@ -368,7 +344,7 @@ def _pairs(edge_start, edge_ring, first_pair, pairs):
 
 
 @compiled
-def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes, inner):
+def _inner(start, stop, ring_start, ring, first_pair, pairs, most, sizes, inner):
     """Find rows as ``find_rows`` wants them: of each pair as many as both faces are in a patch.
 
     ``pairs`` flat.  Which are cannot be predicted: without a branch each is written down, and kept
@@ -378,7 +354,7 @@ def _inner(start, stop, first, ring_start, ring, first_pair, pairs, most, sizes,
     for face in range(np.uint64(len(member))):
         member[face] = len(member)
     filled = np.uint64(start * most)
-    for f in range(np.uint64(first + start), np.uint64(first + stop)):
+    for f in range(np.uint64(start), np.uint64(stop)):
         name = np.uint32(f)
         row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
         member[f] = name
