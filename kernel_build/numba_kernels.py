@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import dis
 import functools
 import types
 from typing import Any, cast
 
 from msal_cli.kernels.compiled import Kernel
+
+ARRAY_MAKERS = frozenset({"arange", "empty", "empty_like", "full", "ones", "zeros"})
+"""Functions of numpy by which kernels make arrays."""
 
 
 def to_dispatcher(kernel: Kernel, **options: bool) -> Any:
@@ -26,7 +28,8 @@ def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
 
     known = kernel.function.__globals__
     called = {}
-    for name in _globals_used(kernel.function.__code__):
+    names = _names_used(kernel.function.__code__)
+    for name in names:
         value = known.get(name)
         if isinstance(value, Kernel):
             called[name] = _dispatcher(value, options)
@@ -38,15 +41,18 @@ def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
     function.__module__ = kernel.function.__module__
     # A division by zero gives infinity or no number, as in numpy: a check would be a branch,
     # and a loop with a branch does not become vector code.
-    decorate: Any = njit(nogil=True, error_model="numpy", **dict(options))  # type: ignore[call-overload]
+    # References are counted, with atomic instructions, only where arrays are made.
+    counts = not names.isdisjoint(ARRAY_MAKERS)
+    decorate: Any = njit(nogil=True, error_model="numpy", _nrt=counts, **dict(options))  # type: ignore[call-overload]
     return decorate(function)
 
 
-def _globals_used(code: types.CodeType) -> set[str]:
-    names = {one.argval for one in dis.get_instructions(code) if one.opname == "LOAD_GLOBAL"}
+def _names_used(code: types.CodeType) -> set[str]:
+    """The names of globals and attributes."""
+    names = set(code.co_names)
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            names |= _globals_used(constant)
+            names |= _names_used(constant)
     return names
 
 
