@@ -180,13 +180,9 @@ def _flat_volume(area: float) -> float:
 
 def apply_umbrella(mesh: Mesh, values: Floats) -> Floats:
     """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value."""
-    from msal_cli.kernels.geometry import ring_means
+    from msal_cli.kernels import geometry
 
-    moves = np.empty_like(values)
-    for axis in range(3):
-        column = np.ascontiguousarray(values[:, axis])
-        moves[:, axis] = ring_means(column, *mesh.topology.one_ring) - column
-    return moves
+    return geometry.apply_umbrella(values, *mesh.topology.one_ring, mesh.topology.has_ring)
 
 
 def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:

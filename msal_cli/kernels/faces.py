@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, side_circles
@@ -161,6 +161,22 @@ def centroid_points(vertices: Floats, faces: Ints) -> Floats:
     over_ranges(_centroids, len(faces), vertices, faces, points[:-1].reshape(-1, 3))
     points[-1] = 0.0
     return points
+
+
+@compiled
+def _corner_means(start, stop, values, faces, means):
+    for f in range(start, stop):
+        a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+        for column in range(values.shape[1]):
+            total = values[a, column] + values[b, column] + values[c, column]
+            means[f, column] = np.float32(total / 3.0)
+
+
+def corner_means(values: Floats, faces: Ints) -> Floats32:
+    """Means (m, k) of what the three corners of each face have of ``values`` (n, k)."""
+    means = np.empty((len(faces), values.shape[1]), dtype=np.float32)
+    over_ranges(_corner_means, len(faces), values, faces, means)
+    return means
 
 
 def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> float:

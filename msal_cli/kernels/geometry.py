@@ -292,6 +292,51 @@ def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
 
 
 @compiled
+def _apply_umbrella(start, stop, x, ring_start, ring, inner, moves):
+    for i in range(start, stop):
+        sx = sy = sz = 0.0
+        for at in range(ring_start[i], ring_start[i + 1]):
+            k = np.uint64(ring[at])
+            sx += x[k, 0]
+            sy += x[k, 1]
+            sz += x[k, 2]
+        m = ring_start[i + 1] - ring_start[i] if inner[i] else 0
+        moves[i, 0] = sx / m - x[i, 0] if m else 0.0
+        moves[i, 1] = sy / m - x[i, 1] if m else 0.0
+        moves[i, 2] = sz / m - x[i, 2] if m else 0.0
+
+
+def apply_umbrella(values: Floats, ring_start: Ints, ring: Ints, inner: Flags) -> Floats:
+    """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value.
+
+    Zero where the vertex is not ``inner`` (n,), and where it has no neighbours."""
+    return fill_array(_apply_umbrella, values.shape, values, ring_start, ring, inner)
+
+
+@compiled
+def _average_around(start, stop, values, ring_start, ring, averages):
+    columns = values.shape[1]
+    for i in range(start, stop):
+        m = np.float64(ring_start[i + 1] - ring_start[i])
+        for column in range(columns):
+            own, total = values[i, column], 0.0
+            for at in range(ring_start[i], ring_start[i + 1]):
+                total += values[np.uint64(ring[at]), column]
+            around = total / m if m else own
+            averages[i, column] = (around * m + own) / (m + 1.0)
+
+
+def average_around(values: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
+    """Means of vertex values, (n,) or (n, k), over each vertex and its one-ring, so many times."""
+    before = np.array(values, order="C").reshape(len(values), -1)
+    after = np.empty_like(before)
+    for _ in range(passes):
+        over_ranges(_average_around, len(before), before, ring_start, ring, after)
+        before, after = after, before
+    return before.reshape(values.shape)
+
+
+@compiled
 def _slide(start, stop, x, normals, free, share, ring_start, ring, result):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]

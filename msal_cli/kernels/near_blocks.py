@@ -24,8 +24,8 @@ from msal_cli.kernels.lanes import (
 )
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
-R1, R2, R3, R4, R7, R9, R10, R13, R16, R19 = (
-    LANES * np.uint64(rows) for rows in (1, 2, 3, 4, 7, 9, 10, 13, 16, 19)
+R1, R2, R3, R4, R5, R6, R7, R9, R10, R13, R16, R19 = (
+    LANES * np.uint64(rows) for rows in (1, 2, 3, 4, 5, 6, 7, 9, 10, 13, 16, 19)
 )
 """What so many rows of lanes take."""
 
@@ -35,8 +35,8 @@ X, Y, Z, NX, NY, NZ, NARROW_WEIGHT, WIDE_WEIGHT, JUMP = (LANES * np.uint64(row) 
 ENTRY = R9
 """What a neighbour takes in a block."""
 
-GUIDES, LATER_GUIDES = R13, R19
-"""What a neighbour takes in a block of ``lay_guides``: a weight, and four or six vectors."""
+GUIDES = R19
+"""What a neighbour takes in a block of ``lay_guides``: a weight, and six vectors."""
 
 RECORD = np.uint64(24)
 """Numbers of a face that ``lay_guides`` reads."""
@@ -118,19 +118,21 @@ def lay_neighbours(rows, points, marks, faces, counts, scales, block):
 
 
 @compiled
-def lay_guides(rows, points, records, is_later, faces, counts, scales, block):
+def lay_guides(row, stop, begin, points, records, is_later, faces, counts, scales, block, sums):
     """Lay the wide weights of ``lay_neighbours`` and what is filtered jointly side by side.
 
+    They are those of the neighbours from ``row`` to ``stop``, in ``block`` from ``begin`` on.
     ``records`` has RECORD numbers of each face: six vectors, of which two are there ``is_later``,
     and behind each a number: the area, then the scatter and the ripples.  The vectors stand behind
-    the weight.  Returns the sums of those numbers over a face and its neighbours.
+    the weight.  The numbers are added to the first six rows of ``sums``.
     """
     zero, one = fill_lanes(_0), fill_lanes(_1)
     last, own = load_lanes(counts, ZERO), load_rows(faces, ZERO)
-    entry_size = LATER_GUIDES if is_later else GUIDES
-    areas = scatter = first = second = third = fourth = zero
-    at = ZERO
-    for k in range(rows):
+    areas, scatter = load_lanes(sums, ZERO), load_lanes(sums, R1)
+    first, second = load_lanes(sums, R2), load_lanes(sums, R3)
+    third, fourth = load_lanes(sums, R4), load_lanes(sums, R5)
+    at = begin
+    for k in range(row, stop):
         near, past = load_rows(faces, k * R1), fill_lanes(np.float32(k))
         x, y, z = load_offsets(points, own, near, scales)
         wide = one - (x * x + y * y + z * z)
@@ -157,8 +159,9 @@ def lay_guides(rows, points, records, is_later, faces, counts, scales, block):
         fourth = fourth + choose_greater(past, last, zero, number)
         if is_later:
             _store_row(block, at + R16, x, y, z)
-        at += entry_size
-    return areas, scatter, first, second, third, fourth
+        at += GUIDES
+    _store_row(sums, ZERO, areas, scatter, first)
+    _store_row(sums, R3, second, third, fourth)
 
 
 @compiled
@@ -325,18 +328,20 @@ def fit_plane(sums, base):
 
 
 @compiled
-def add_pair(rows, entry_size, guide, normal, per_1, per_2, block):
-    """Sums of w n for two ranges of the differences of guides: six lanes.
+def add_pair(begin, end, guide, normal, per_1, per_2, block, sums, place):
+    """Add w n for two ranges of the differences of guides to the six rows of ``sums`` at ``place``.
 
-    ``guide`` and ``normal`` are the places of their vectors in a block of ``lay_guides``.
+    They are those of the neighbours in ``block``, of ``lay_guides``, from ``begin`` to ``end``;
+    the first one in it is the face itself.  ``guide`` and ``normal`` are the places of vectors.
     """
     zero, one = fill_lanes(_0), fill_lanes(_1)
     first, second = fill_lanes(per_1), fill_lanes(per_2)
     own_x, own_y = load_lanes(block, guide), load_lanes(block, guide + R1)
     own_z = load_lanes(block, guide + R2)
-    a_x = a_y = a_z = b_x = b_y = b_z = zero
-    for k in range(rows):
-        at = k * entry_size
+    a_x, a_y = load_lanes(sums, place), load_lanes(sums, place + R1)
+    a_z, b_x = load_lanes(sums, place + R2), load_lanes(sums, place + R3)
+    b_y, b_z = load_lanes(sums, place + R4), load_lanes(sums, place + R5)
+    for at in range(begin, end, GUIDES):
         dx = load_lanes(block, at + guide) - own_x
         dy = load_lanes(block, at + guide + R1) - own_y
         dz = load_lanes(block, at + guide + R2) - own_z
@@ -348,4 +353,5 @@ def add_pair(rows, entry_size, guide, normal, per_1, per_2, block):
         a, b = w * a * a, w * b * b
         a_x, a_y, a_z = a_x + a * nx, a_y + a * ny, a_z + a * nz
         b_x, b_y, b_z = b_x + b * nx, b_y + b * ny, b_z + b * nz
-    return (a_x, a_y, a_z), (b_x, b_y, b_z)
+    _store_row(sums, place, a_x, a_y, a_z)
+    _store_row(sums, place + R3, b_x, b_y, b_z)

@@ -11,21 +11,16 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.faces import faces_within
-from msal_cli.kernels.geometry import ring_means
+from msal_cli.kernels.faces import centroid_points, face_centroids, faces_within
+from msal_cli.kernels.geometry import apply_umbrella, face_normals, face_normals_and_areas
 from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
+    AXES,
     DEVIATION,
-    NARROW_MEAN,
-    NORMAL,
+    KNOWN,
     NUMBERS,
     OWN_NUMBERS,
-    OWN_VECTORS,
-    SCATTER,
-    UNIT,
     VECTORS,
-    WIDE_FILTERED,
-    WIDE_MEAN,
     describe,
 )
 from msal_cli.kernels.parallel import over_ranges
@@ -114,46 +109,14 @@ def _fill_marks(start, stop, normals, areas, per_area, ring_start, ring, marks):
 
 
 @compiled
-def _fill_records(
-    start,
-    stop,
-    faces,
-    heights,
-    units,
-    unit,
-    marks,
-    table,
-    others,
-    scanned,
-    before,
-    numbers,
-    records,
-):
-    """The ``records`` (m, 24) of ``lay_guides``, and the own unit over itself plus the mean.
-
-    Their vectors are the normal, two of ``table``, the first of the ``others``, and, where there
-    are any, the normals that were ``scanned`` and of the stage ``before``; their numbers are the
-    area, the scatter, and means of the corners' ``heights`` (n, 4) in the unit of the face.
-    """
-    is_later = len(scanned) > 0
-    for f in range(np.uint64(start), np.uint64(stop)):
-        numbers[f, UNIT] = np.float32(units[f] / (units[f] + unit))
-        for k in range(4):
-            records[f, k] = marks[_FOUR * f + np.uint64(k)]
-        for k in range(3):
-            records[f, 4 + k] = table[f, WIDE_FILTERED, k]
-            records[f, 8 + k] = table[f, WIDE_MEAN, k]
-            records[f, 12 + k] = others[f, k]
-            records[f, 16 + k] = np.float32(scanned[f, k] if is_later else 0.0)
-            records[f, 20 + k] = np.float32(before[f, k] if is_later else 0.0)
-        records[f, 7] = numbers[f, SCATTER]
-        a, b, c = faces[THREE * f], faces[THREE * f + ONE], faces[THREE * f + TWO]
-        per_unit = 1.0 / (3.0 * units[f]) if units[f] > 0.0 else 0.0
-        for k in range(4):
-            total = heights[a, k] + heights[b, k] + heights[c, k]
-            value = total * per_unit
-            # Bounded, so that a single spike does not decide a mean.
-            records[f, 11 + 4 * k] = np.float32(value / (1.0 + value))
+def _measure_heights(start, stop, left, normals, time, ripples):
+    """How long what is left is along the normals; after the second ``time`` also across them."""
+    for i in range(np.uint64(start), np.uint64(stop)):
+        x, y, z = left[i, 0], left[i, 1], left[i, 2]
+        along = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
+        ripples[i, time] = abs(along)
+        if time == 1:
+            ripples[i, 3] = np.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
 
 
 def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> Floats:
@@ -163,17 +126,11 @@ def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> F
     applied once, twice and three times: ever finer ripples.  The last is what is left sideways of
     the second.  Boundary vertices have none.
     """
-    rows = links.one_ring
     inner = links.has_ring & ~links.boundary
-    left = [np.ascontiguousarray(vertices[:, axis]) for axis in range(3)]
-    ripples = np.empty((len(vertices), 4))
+    left, ripples = vertices, np.empty((len(vertices), 4))
     for time in range(3):
-        left = [np.where(inner, ring_means(one, *rows) - one, 0.0) for one in left]
-        along = left[0] * normals[:, 0] + left[1] * normals[:, 1] + left[2] * normals[:, 2]
-        ripples[:, time] = np.abs(along)
-        if time == 1:
-            square = left[0] ** 2 + left[1] ** 2 + left[2] ** 2 - along**2
-            ripples[:, 3] = np.sqrt(np.maximum(square, 0.0))
+        left = apply_umbrella(left, *links.one_ring, inner)
+        over_ranges(_measure_heights, len(vertices), left, normals, time, ripples)
     return ripples
 
 
@@ -251,7 +208,8 @@ class Descriptors:
     @property
     def axes(self) -> Floats32:
         """The axes (m, 3, 3) of each face."""
-        return self.arrays[7].reshape(-1, 3, 3)
+        known = self.arrays[4].reshape(-1, int(KNOWN))
+        return known[:, AXES:OWN_NUMBERS].reshape(-1, 3, 3)
 
     @property
     def n_vectors(self) -> int:
@@ -263,7 +221,7 @@ class Descriptors:
 
         The inputs are the candidates along axes of the face, NUMBERS, STATISTICS and GLOBALS.
         """
-        m, k = len(self.arrays[2]), self.n_vectors
+        m, k = len(self.arrays[1]), self.n_vectors
         own = np.empty((m, 3 * k + NUMBERS + STATISTICS), dtype=np.float32)
         vectors = np.empty((m, 3 * k), dtype=np.float32)
         over_ranges(collect_inputs, m, *self.arrays, self.is_later, own, vectors)
@@ -272,7 +230,7 @@ class Descriptors:
 
     def predict(self, network: Network) -> Floats:
         """The unit normals (m, 3) that the network gives."""
-        m = len(self.arrays[2])
+        m = len(self.arrays[1])
         normals = np.empty((m, 3))
         sizes = self.n_vectors, network.n_in, network.n_hidden, network.n_out
         weights = network.bound(self.globals)
@@ -334,77 +292,69 @@ class NormalDescriber:
 
     Parameters
     ----------
-    faces : (m, 3).
-    centroids : (m, 3) of the scan, file units, from which the faces near each are found.
+    faces, vertices : (m, 3) and (n, 3), the scan, from which the faces near each are found.
     ring_start, ring : rows of the faces that share an edge with each face.
     evidence : what is known of the scan.
     """
 
     def __init__(
-        self, faces: Ints, centroids: Floats, ring_start: Ints, ring: Ints, evidence: Evidence
+        self, faces: Ints, vertices: Floats, ring_start: Ints, ring: Ints, evidence: Evidence
     ) -> None:
         m = len(faces)
-        self.around = find_neighbourhoods(centroids, ring_start, ring)
+        self.around = find_neighbourhoods(face_centroids(vertices, faces), ring_start, ring)
         self.evidence = evidence
-        self._corners = faces.reshape(-1).view(np.uint32)
+        self._faces = faces
         self._marks = np.empty(4 * m, dtype=np.float32)
-        self._table = np.empty((m, OWN_VECTORS, 3), dtype=np.float32)
-        self._numbers = np.empty((m, OWN_NUMBERS), dtype=np.float32)
-        self._axes = np.empty(9 * m, dtype=np.float32)
+        self._known = np.empty((m, int(KNOWN)), dtype=np.float32)
         self._records = np.empty((m, int(RECORD)), dtype=np.float32)
+        self._records[:, 16:19] = face_normals(vertices, faces)
 
-    def lay_marks(self, normals: Floats, areas: Floats) -> None:
-        """Take the normals (m, 3) and areas (m,) that the next descriptors are of; zero normals
-        where there is none."""
+    def describe(
+        self, positions: Floats, ripples: Floats, earlier: Floats | None = None
+    ) -> Descriptors:
+        """The descriptors for one stage, with the vertices at ``positions`` (n, 3).
+
+        Parameters
+        ----------
+        ripples : (n, 4) of the vertices, ``measure_ripples``.
+        earlier : the normals (m, 3) of the stage before, for a later stage.
+        """
+        known, records, around = self._known, self._records, self.around
+        if earlier is not None:
+            records[:, 20:23] = earlier
+        m, given = len(known), self.evidence
+        self._lay_marks(*face_normals_and_areas(positions, self._faces))
+        points = centroid_points(positions, self._faces)
+        units = _find_units(points[:-1].reshape(-1, 3), around.ring_start, around.ring)
+        unit = float(units.mean()) or 1.0
+        per_reach = np.where(units > 0.0, units, unit)
+        np.multiply(per_reach, WIDE, out=per_reach)
+        np.divide(1.0, per_reach, out=per_reach)
+        near = per_reach, around.near_start.view(np.uint64), around.near.view(np.uint32)
+        sizes = self._faces.reshape(-1).view(np.uint32), ripples, units, unit
+        others, made = given.normals.reshape(-1), (known.reshape(-1), records.reshape(-1))
+        over_ranges(describe, m, points, self._marks, *near, *sizes, others, *made)
+        arrays = points, *near, *made, given.statistics.reshape(-1), others
+        values = _find_globals(known, records, given)
+        return Descriptors(arrays, earlier is not None, values)
+
+    def _lay_marks(self, normals: Floats, areas: Floats) -> None:
+        """Take normals (m, 3) and areas (m,) for ``describe``; zero normals where there is none."""
         around = self.around
         rows = around.ring_start.view(np.uint32), around.ring.view(np.uint32)
         per_area = 1.0 / (float(areas.mean()) or 1.0)
         of = normals.reshape(-1), areas, per_area, *rows
         over_ranges(_fill_marks, len(normals), *of, self._marks)
 
-    def describe(
-        self, points: Floats, heights: Floats, earlier: tuple[Floats, Floats] | None = None
-    ) -> Descriptors:
-        """The descriptors for one stage, of the faces that ``lay_marks`` got.
 
-        Parameters
-        ----------
-        points : (3 m + 1,), their centroids, ``centroid_points``.
-        heights : (n, 4) of the vertices, ``measure_ripples``.
-        earlier : the scanned normals and those of the stage before, (m, 3) each, for a later
-            stage.
-        """
-        around = self.around
-        table, numbers, records = self._table, self._numbers, self._records
-        m, given = len(table), (self.evidence.normals, self.evidence.statistics)
-        units = _find_units(points[:-1].reshape(-1, 3), around.ring_start, around.ring)
-        unit = float(units.mean()) or 1.0
-        per_reach = np.where(units > 0.0, units, unit)
-        np.multiply(per_reach, WIDE, out=per_reach)
-        np.divide(1.0, per_reach, out=per_reach)
-        near = around.near_start.view(np.uint64), around.near.view(np.uint32)
-        of: tuple[NDArray[Any], ...] = (points, self._marks, per_reach, *near)
-        made = table.reshape(-1), numbers.reshape(-1), self._axes
-        over_ranges(describe, m, *of, *made)
-        scanned, before = earlier or (np.empty((0, 3)), np.empty((0, 3)))
-        sizes = self._corners, heights, units, unit, self._marks
-        vectors = table, given[0], scanned, before
-        over_ranges(_fill_records, m, *sizes, *vectors, numbers, records)
-        arrays = *of, *made, *[array.reshape(-1) for array in (records, given[1], given[0])]
-        values = _find_globals(table, numbers, records, self.evidence)
-        return Descriptors(arrays, earlier is not None, values)
-
-
-def _find_globals(
-    table: Floats32, numbers: Floats32, records: Floats32, evidence: Evidence
-) -> Floats32:
+def _find_globals(known: Floats32, records: Floats32, evidence: Evidence) -> Floats32:
     """What the whole mesh is like: medians of differences between means, of the deviation from
     planes, of scatter and ripples; the level of the noise, whether it is known, and as white."""
-    step = max(len(table) // SAMPLED, 1)
-    table, numbers, ripples = table[::step], numbers[::step], records[::step, 7::4]
-    own, narrow, wide = table[:, NORMAL], table[:, NARROW_MEAN], table[:, WIDE_MEAN]
+    step = max(len(known) // SAMPLED, 1)
+    known, records = known[::step], records[::step]
+    own, narrow, wide = records[:, :3], known[:, :3], records[:, 8:11]
     of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
-    of += [numbers[:, DEVIATION], *ripples.T]
+    of += [known[:, OWN_NUMBERS + DEVIATION], *records[:, 7::4].T]
     values = [median(column.astype(np.float64)) for column in of] + [evidence.noise or 0.0]
     bounded = [value / (value + 0.1) for value in values]
     is_known = evidence.noise is not None

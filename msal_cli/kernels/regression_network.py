@@ -16,8 +16,8 @@ import numpy as np
 
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.lanes import LANES, choose_greater, fill_lanes, load_lanes, store_lanes
-from msal_cli.kernels.near_blocks import LATER_GUIDES, R1, R2
-from msal_cli.kernels.normal_descriptors import FACES, S1, S2, S3, lay_inputs
+from msal_cli.kernels.near_blocks import GUIDES, R1
+from msal_cli.kernels.normal_descriptors import CHUNK, FACES, S1, S2, S3, SUMS, lay_inputs
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, most_neighbours
 
 TILE = np.uint64(4)
@@ -79,13 +79,10 @@ def predict_normals(
     start,
     stop,
     points,
-    marks,
     per_reach,
     near_start,
     near,
-    table,
-    numbers,
-    axes,
+    known,
     records,
     statistics,
     others,
@@ -103,13 +100,12 @@ def predict_normals(
     last of at least ``n_vectors``.  ``weights`` has the three layers one behind another.
     """
     n_in, n_hidden, n_out = np.uint64(n_in), np.uint64(n_hidden), np.uint64(n_out)
-    described = points, marks, per_reach, near_start, near, table, numbers, axes
-    of = (*described, records, statistics, others)
+    of = points, per_reach, near_start, near, known, records, statistics, others
     widest = most_neighbours(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
-    block = np.empty(np.int64(widest * LATER_GUIDES), dtype=np.float32)
+    block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
     counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
-    spare = np.empty(np.int64(R2), dtype=np.float32)
+    sums = np.empty(np.int64(SUMS), dtype=np.float32)
     vectors = np.zeros(np.int64(S3) * n_vectors, dtype=np.float32)
     x = np.zeros(np.int64(n_in * S1), dtype=np.float32)
     first_layer = np.empty(np.int64(n_hidden * S1), dtype=np.float32)
@@ -120,7 +116,7 @@ def predict_normals(
         for group in range(ZERO, min(FACES, last - chunk), LANES):
             first = chunk + group
             lay_inputs(
-                first, last, group, of, is_later, faces, counts, scales, block, spare, vectors, x
+                first, last, group, of, is_later, faces, counts, scales, block, sums, vectors, x
             )
         at = _multiply(n_in, n_hidden, weights, ZERO, x, first_layer, LEAK)
         at = _multiply(n_hidden, n_hidden, weights, at, first_layer, second_layer, LEAK)
@@ -147,13 +143,10 @@ def collect_inputs(
     start,
     stop,
     points,
-    marks,
     per_reach,
     near_start,
     near,
-    table,
-    numbers,
-    axes,
+    known,
     records,
     statistics,
     others,
@@ -162,20 +155,19 @@ def collect_inputs(
     vectors,
 ):
     """The inputs (m, n_in) and the vectors (m, 3 k) of all faces, for training."""
-    described = points, marks, per_reach, near_start, near, table, numbers, axes
-    of = (*described, records, statistics, others)
+    of = points, per_reach, near_start, near, known, records, statistics, others
     widest = most_neighbours(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
-    block = np.empty(np.int64(widest * LATER_GUIDES), dtype=np.float32)
+    block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
     counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
-    spare = np.empty(np.int64(R2), dtype=np.float32)
+    sums = np.empty(np.int64(SUMS), dtype=np.float32)
     n_in, n_vectors = np.uint64(inputs.shape[1]), np.uint64(vectors.shape[1])
     of_vectors = np.empty(np.int64(S1 * n_vectors), dtype=np.float32)
     x = np.empty(np.int64(S1 * n_in), dtype=np.float32)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
         lay_inputs(
-            first, last, ZERO, of, is_later, faces, counts, scales, block, spare, of_vectors, x
+            first, last, ZERO, of, is_later, faces, counts, scales, block, sums, of_vectors, x
         )
         for lane in range(min(LANES, last - first)):
             for k in range(n_in):

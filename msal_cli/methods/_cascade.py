@@ -25,9 +25,8 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Floats32
 from msal_cli.errors import InternalError
-from msal_cli.kernels.connectivity import Connectivity
-from msal_cli.kernels.faces import centroid_points, face_centroids, face_rings
-from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, ring_means
+from msal_cli.kernels.faces import corner_means, face_rings
+from msal_cli.kernels.geometry import average_around, face_normals, ring_means
 from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
@@ -85,12 +84,20 @@ class Cascade:
     ) -> None:
         self.mesh = mesh
         self.free = free_vertices(mesh, boundary)
-        self.scanned = face_normals_and_areas(mesh.vertices, mesh.faces)[0]
-        self.evidence = gather_evidence(mesh, noise, is_white)
+        self._ripples: Floats | None = measure_ripples(
+            mesh.vertices, mesh.vertex_normals(), mesh.topology
+        )
+        self.evidence = gather_evidence(mesh, noise, is_white, self._ripples)
         self._describer: NormalDescriber | None = None
 
+    @property
+    def scanned(self) -> Floats:
+        """The normals (m, 3) of the scan."""
+        return face_normals(self.mesh.vertices, self.mesh.faces)
+
     def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
-        """The descriptors of all faces with the vertices at ``positions`` (n, 3).
+        """The descriptors of all faces with the vertices at ``positions`` (n, 3), at first those of
+        the scan.
 
         ``earlier`` are the normals (m, 3) of the stage before; None for the first one.  The next
         call overwrites what this one gives.
@@ -98,17 +105,14 @@ class Cascade:
         mesh = self.mesh
         if self._describer is None:
             rings = face_rings(mesh.faces, mesh.topology, "edge")
-            centroids = face_centroids(mesh.vertices, mesh.faces)
-            self._describer = NormalDescriber(mesh.faces, centroids, *rings, self.evidence)
-            del rings, centroids
-        at_vertices = mesh.with_vertices(positions).vertex_normals()
-        heights = measure_ripples(positions, at_vertices, mesh.topology)
-        # What is not given a name is gone before the next array is there.
-        del at_vertices
-        self._describer.lay_marks(*face_normals_and_areas(positions, mesh.faces))
-        points = centroid_points(positions, mesh.faces)
-        before = None if earlier is None else (self.scanned, earlier)
-        return self._describer.describe(points, heights, before)
+            self._describer = NormalDescriber(mesh.faces, mesh.vertices, *rings, self.evidence)
+            del rings
+        ripples, self._ripples = self._ripples, None
+        if ripples is None:
+            at_vertices = mesh.with_vertices(positions).vertex_normals()
+            ripples = measure_ripples(positions, at_vertices, mesh.topology)
+            del at_vertices
+        return self._describer.describe(positions, ripples, earlier)
 
     def release(self) -> None:
         """Give the memory of the descriptors back; the next ones take it again."""
@@ -145,13 +149,13 @@ def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
     taken = np.einsum("ij,ij->i", positions - mesh.vertices, normals)
     taken /= noise * mesh.mean_edge_length
     ripples = np.where(count > 0, ring_means(taken, *links.one_ring) - taken, 0.0)
-    power = average_around(ripples * ripples * (count / (count + 1.0)), links)
+    power = average_around(ripples * ripples * (count / (count + 1.0)), *links.one_ring, AROUND)
     mean = float(power.mean())
     if mean > MAX_WHITE or np.quantile(power, 0.25) < MIN_WHITE:
         return positions
     level = np.sqrt(np.maximum(UNEVEN * power / max(mean, 1.0) ** 2, 1.0))
     back = restoration(taken / level, links.ring_start, links.ring, 1.0, CAUTION).returned
-    shape = average_around(back * back, links)
+    shape = average_around(back * back, *links.one_ring, AROUND)
     back *= level * shape / (shape + DOUBT) * (noise * mesh.mean_edge_length)
     return positions - back[:, None] * normals
 
@@ -244,8 +248,9 @@ AROUND, NEAR = 6, 2
 """Passes by which powers, and by which shares, are averaged around a vertex."""
 
 
-def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool) -> Evidence:
-    """The evidence for ``mesh``; ``noise`` in mean edge lengths, None where it is not known."""
+def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool, ripples: Floats) -> Evidence:
+    """The evidence for ``mesh`` and its ``ripples`` (n, 4); ``noise`` in mean edge lengths, None
+    where it is not known."""
     level = max(_guess_level(mesh) if noise is None else noise, MIN_LEVEL)
     unit = level * mesh.mean_edge_length
     parameters = RestorationParameters()
@@ -258,7 +263,7 @@ def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool) -> Evidence
     normals = np.empty((len(mesh.faces), 3 * len(outcomes)), dtype=np.float32)
     for place, outcome in enumerate(outcomes):
         normals[:, 3 * place : 3 * place + 3] = face_normals(outcome, mesh.faces)
-    return Evidence(noise, is_white, normals, _measure_surroundings(mesh, restored, unit))
+    return Evidence(noise, is_white, normals, _measure_surroundings(mesh, ripples, restored, unit))
 
 
 def _ignore(done: int, total: int) -> None:
@@ -271,29 +276,13 @@ def _guess_level(mesh: Mesh) -> float:
     return heights / (float(np.sqrt(WHITE_POWERS[1])) * (mesh.mean_edge_length or 1.0))
 
 
-def _measure_surroundings(mesh: Mesh, restored: Restored, unit: float) -> Floats32:
+def _measure_surroundings(mesh: Mesh, ripples: Floats, restored: Restored, unit: float) -> Floats32:
     """Numbers from 0 to 1 of the surroundings of each face, (m, STATISTICS); ``unit`` is the noise
     in file units."""
-    links = mesh.topology
-    ripples = measure_ripples(mesh.vertices, mesh.vertex_normals(), links)
-    columns = []
-    for place, white in enumerate(WHITE_POWERS):
-        columns.append(_compare(average_around(ripples[:, place] ** 2, links), white * unit**2))
-    columns.append(average_around(restored.share, links, NEAR))
-    columns.append(_compare(average_around(restored.returned**2, links), unit**2))
-    statistics = np.empty((len(mesh.faces), STATISTICS), dtype=np.float32)
-    for place, column in enumerate(columns):
-        statistics[:, place] = column[mesh.faces].mean(axis=1)
-    return statistics
-
-
-def _compare(power: Floats, usual: float) -> Floats:
-    return power / (power + usual)
-
-
-def average_around(values: Floats, links: Connectivity, passes: int = AROUND) -> Floats:
-    """Means (n,) of ``values`` (n,) over the surroundings of each vertex, in so many passes."""
-    count = np.diff(links.ring_start)
-    for _ in range(passes):
-        values = (ring_means(values, *links.one_ring) * count + values) / (count + 1.0)
-    return values
+    rows = mesh.topology.one_ring
+    powers = np.column_stack([ripples[:, :3], restored.returned])
+    powers = average_around(powers * powers, *rows, AROUND)
+    powers /= powers + np.array([*WHITE_POWERS, 1.0]) * unit**2
+    share = average_around(restored.share, *rows, NEAR)
+    columns = np.column_stack([powers[:, :3], share, powers[:, 3]])
+    return corner_means(columns, mesh.faces)
