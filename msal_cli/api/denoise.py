@@ -12,14 +12,7 @@ from typing import Any, TypeVar, Unpack, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msal_cli.api.mesh_objects import (
-    Array,
-    MemoryMesh,
-    as_array,
-    explained_errors,
-    read_mesh,
-    vertex_numbers,
-)
+from msal_cli.api import mesh_objects
 from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.pipeline import FileRun
@@ -48,7 +41,7 @@ class DenoiseResult:
         vertices, or in mean edge lengths where a name ends in ``_edges``.
     """
 
-    vertices: Array
+    vertices: mesh_objects.Array
     record: MeshRecord
 
     @property
@@ -223,8 +216,8 @@ def denoise(
     >>> result.vertices.shape, result.displacement.max_edges  # doctest: +SKIP
     """
     given = locals()
-    with explained_errors():
-        mesh = read_mesh(vertices, faces)
+    with mesh_objects.explained_errors():
+        mesh = mesh_objects.read_mesh(vertices, faces)
         is_text = isinstance(lock, list | tuple) and lock and all(isinstance(k, str) for k in lock)
         if not (lock is None or isinstance(lock, str) or is_text):
             mesh.properties[_MASK] = _as_mask(lock, len(mesh.vertices))
@@ -259,9 +252,9 @@ def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> S
     return parse({**given, "parameters": assignments})
 
 
-def _as_mask(lock: Any, n: int) -> Array:
+def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
     """A mask (n,) of a mask or of indices; UsageError for anything else."""
-    values = as_array(lock, "lock", UsageError)
+    values = mesh_objects.as_array(lock, "lock", UsageError)
     if values.dtype == np.bool_ and values.shape == (n,):
         return values
     mask = np.zeros(n, dtype=np.bool_)
@@ -278,9 +271,9 @@ def _as_mask(lock: Any, n: int) -> Array:
     return mask
 
 
-def _as_trust(weights: Any, n: int) -> Array:
+def _as_trust(weights: Any, n: int) -> mesh_objects.Array:
     """Weights (n,), at least one above 0, all finite; UsageError or ContentError if not."""
-    values = vertex_numbers(weights, "weights", n)
+    values = mesh_objects.vertex_numbers(weights, "weights", n)
     if not np.isfinite(values).all():
         where = f"vertex {int(np.argmin(np.isfinite(values)))}"
         raise ContentError("a weight is not finite", code="E_NONFINITE", where=where)
@@ -289,7 +282,7 @@ def _as_trust(weights: Any, n: int) -> Array:
     return values
 
 
-def _run(mesh: MemoryMesh, settings: Settings) -> DenoiseResult:
+def _run(mesh: mesh_objects.MemoryMesh, settings: Settings) -> DenoiseResult:
     """The mesh denoised by the steps that files take."""
     run = FileRun(mesh.name, settings, None, NO_LIMITS)
     vertices = run.move_vertices(mesh)

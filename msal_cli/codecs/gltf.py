@@ -20,47 +20,17 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from msal_cli import errors
 from msal_cli.arrays import Flags, Floats, Ints
-from msal_cli.codecs.gltf_scene import (
-    Scene,
-    as_dict,
-    as_dicts,
-    find_entries,
-    has_scheme,
-    parse_json,
-    replace_spans,
-    require_short,
-    write_bound,
-)
-from msal_cli.codecs.mesh_file import (
-    PLACEMENT,
-    Companion,
-    Layout,
-    MeshFile,
-    is_placed,
-    is_usable,
-    require_finite,
-)
+from msal_cli.codecs import gltf_scene, mesh_file
 from msal_cli.codecs.slots import Change
-from msal_cli.errors import (
-    CUT_SHORT,
-    EXPORT_AGAIN,
-    InputError,
-    InternalError,
-    MsalError,
-    OutputError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-    damaged,
-)
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open_regular
 from msal_cli.storage.urls import is_url
 
 
-class SceneFile(MeshFile):
+class SceneFile(mesh_file.MeshFile):
     """An opened scene; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are those of every part, one behind the other.  With several parts they are in the
@@ -75,7 +45,7 @@ class SceneFile(MeshFile):
     _pack: Callable[[memoryview], Buffer]
     _unpack: Callable[[Buffer, Floats], tuple[bytes, Buffer]]
 
-    def __init__(self, data: Buffer, text: bytes, scene: Scene) -> None:
+    def __init__(self, data: Buffer, text: bytes, scene: gltf_scene.Scene) -> None:
         self.data = data
         self.scene = scene
         self.text = text.decode("latin-1")
@@ -95,8 +65,8 @@ class SceneFile(MeshFile):
         try:
             text, data = self._unpack(output, vertices)
             content = json.loads(text.decode().removeprefix("\ufeff"))
-        except (MsalError, ValueError) as failure:
-            raise InternalError(
+        except (errors.MsalError, ValueError) as failure:
+            raise errors.InternalError(
                 f"the {self.format} file that was made cannot be read: {failure}"
             ) from None
         super().check(data, vertices)
@@ -104,11 +74,11 @@ class SceneFile(MeshFile):
         for index, word, bound in self._bounds(data):
             entry = expected["accessors"][index]
             if word in entry:
-                entry[word] = json.loads(write_bound(json.dumps(entry[word]), bound))
+                entry[word] = json.loads(gltf_scene.write_bound(json.dumps(entry[word]), bound))
         # As text, because a number that is none, which Python reads, is not equal to itself.
         is_right = json.dumps(content) == json.dumps(expected)
         if not is_right or text.rstrip(b" ") != self.text_of(data).rstrip(b" "):
-            raise InternalError("the description of a scene is not what it should be")
+            raise errors.InternalError("the description of a scene is not what it should be")
 
     def _changes(self, vertices: Floats) -> list[Change]:
         # Also when checked: positions of the first part that moved must be ones that can be stored.
@@ -128,34 +98,36 @@ class SceneFile(MeshFile):
 
     def text_of(self, data: Buffer) -> bytes:
         """The description with the bounds that positions have in ``data``."""
-        spans = find_entries(self.text, "accessors")
+        spans = gltf_scene.find_entries(self.text, "accessors")
         edits = [
-            (span, write_bound(self.text[slice(*span)], bound))
+            (span, gltf_scene.write_bound(self.text[slice(*span)], bound))
             for index, word, bound in self._bounds(data)
             if (span := spans[index].get(word))
         ]
-        return replace_spans(self.text, edits).encode("latin-1")
+        return gltf_scene.replace_spans(self.text, edits).encode("latin-1")
 
 
-def _layout(scene: Scene) -> Layout:
+def _layout(scene: gltf_scene.Scene) -> mesh_file.Layout:
     parts, properties, frames = list(scene.parts.values()), scene.properties(), scene.frames()
     if len(parts) > 1:
         properties = (f"{len(parts)} parts", *properties)
-    elif is_placed(frames[0]):
-        properties = (*properties, PLACEMENT)
-    is_framed = len(parts) > 1 and all(map(is_usable, frames))
+    elif mesh_file.is_placed(frames[0]):
+        properties = (*properties, mesh_file.PLACEMENT)
+    is_framed = len(parts) > 1 and all(map(mesh_file.is_usable, frames))
     positions = tuple(part.positions.slots(scene.data) for part in parts)
     faces, normals = [], []
     first = 0
     for part, slots, frame in zip(parts, positions, frames, strict=True):
-        require_finite(slots.values, f"accessor {part.positions.index}, vertex {{}}".format)
+        mesh_file.require_finite(
+            slots.values, f"accessor {part.positions.index}, vertex {{}}".format
+        )
         own = np.concatenate(list(part.triangles.values()))
         faces.append(own + np.int32(first))
         if part.normals is not None:
             linear = frame[:3, :3] if is_framed else np.eye(3)
             normals.append((own, part.normals.slots(scene.data), linear, first))
         first += slots.count
-    return Layout(
+    return mesh_file.Layout(
         "binary_little_endian",
         "float32" if any(part.positions.code == "<f4" for part in parts) else "integer",
         positions,
@@ -200,21 +172,21 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 def expected_bytes(head: memoryview, total: int) -> int:
     """The bytes that a file of ``total`` bytes that begins with ``head`` should have."""
     if total < _HEAD:
-        raise TruncatedError(f"the file has only {total} bytes", hint=EXPORT_AGAIN)
+        raise errors.TruncatedError(f"the file has only {total} bytes", hint=errors.EXPORT_AGAIN)
     magic, version, length, size, kind = struct.unpack_from("<4sIIII", head)
     if magic != b"glTF" or (version == 2 and kind != _JSON):
-        raise damaged("the file does not begin as a GLB file does", "byte 0")
+        raise errors.damaged("the file does not begin as a GLB file does", "byte 0")
     if version != 2:
-        raise UnsupportedError(
+        raise errors.UnsupportedError(
             f"glTF version {version} is not read", hint="convert it to version 2"
         )
     if length > total or _HEAD + size > length:
-        raise TruncatedError(
+        raise errors.TruncatedError(
             f"the file should have {max(length, _HEAD + size)} bytes but has {total}",
             where=f"byte {total}",
-            hint=CUT_SHORT,
+            hint=errors.CUT_SHORT,
         )
-    require_short(size, "JSON chunk")
+    gltf_scene.require_short(size, "JSON chunk")
     return int(length)
 
 
@@ -238,20 +210,20 @@ class GlbFile(SceneFile):
 
     def __init__(self, data: Buffer) -> None:
         text, rest, length = _split_glb(data)
-        content = parse_json(text, "JSON chunk")
+        content = gltf_scene.parse_json(text, "JSON chunk")
         size = 0
         if length >= 8:
             size, kind = struct.unpack_from("<II", rest)
             size *= kind == _BINARY
             if 8 + size > length:
-                raise TruncatedError(
+                raise errors.TruncatedError(
                     f"the binary chunk should have {size} bytes but has {length - 8}",
                     where=f"byte {_HEAD + len(text) + length}",
-                    hint=CUT_SHORT,
+                    hint=errors.CUT_SHORT,
                 )
-        is_inside = "uri" not in (as_dicts(content.get("buffers")) or [{}])[0]
+        is_inside = "uri" not in (gltf_scene.as_dicts(content.get("buffers")) or [{}])[0]
         places = {0: (8 * (size > 0), size)} if is_inside else {}
-        super().__init__(data, text, Scene(content, as_bytes(rest), places))
+        super().__init__(data, text, gltf_scene.Scene(content, as_bytes(rest), places))
 
     def _pack(self, data: memoryview) -> bytes:
         """The file with other data behind the description, whose padding is made to fit."""
@@ -266,7 +238,7 @@ class GlbFile(SceneFile):
         text, data, length = _split_glb(output)
         head, own_head = (bytes(memoryview(file).cast("B")[:_HEAD]) for file in (output, self.data))
         if length != len(data) and head != own_head:
-            raise InternalError("the length in its header is not what it should be")
+            raise errors.InternalError("the length in its header is not what it should be")
         return text, data
 
 
@@ -285,11 +257,13 @@ def _decode_data_uri(uri: str, where: str) -> bytes | None:
         return None
     comma = uri.find(",", 0, 1000)
     if not uri[: comma + 1].lower().endswith(_BASE64):
-        raise UnsupportedError("data that are not base64 are not read", where=where, hint=_AS_GLB)
+        raise errors.UnsupportedError(
+            "data that are not base64 are not read", where=where, hint=_AS_GLB
+        )
     try:
         return base64.b64decode(uri[comma + 1 :], validate=True)
     except ValueError as failure:
-        raise damaged(f"the data are not base64: {str(failure)[:100]}", where) from None
+        raise errors.damaged(f"the data are not base64: {str(failure)[:100]}", where) from None
 
 
 def _file_name(uri: str, where: str) -> str:
@@ -302,7 +276,7 @@ def _file_name(uri: str, where: str) -> str:
     except UnicodeDecodeError:  # percent signs that are no escapes
         name = uri
     if (
-        has_scheme(uri)
+        gltf_scene.has_scheme(uri)
         or not name.strip()
         or name.startswith("/")
         or "\0" in name
@@ -310,7 +284,7 @@ def _file_name(uri: str, where: str) -> str:
         or PureWindowsPath(name).drive
         or "\\" in name
     ):
-        raise UnsupportedError(
+        raise errors.UnsupportedError(
             f"the buffer {uri[:200]!r} is not in the folder of the .gltf, and is not read",
             where=where,
             hint=f"put it beside the .gltf, or {_AS_GLB}",
@@ -322,7 +296,7 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
     """The bytes of the file ``name`` beside that at ``path``: from ``declared`` to ``room``."""
     # A stream and an object in a store have no folder.
     if path in ("", "-") or is_url(path):
-        raise UnsupportedError(
+        raise errors.UnsupportedError(
             f"the buffer {name!r} cannot be read, because the .gltf came without its folder",
             where=where,
             hint="give the file by its path, or export it as .glb",
@@ -331,7 +305,7 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
     try:
         target = os.path.realpath(folder / name)
         if not Path(target).is_relative_to(os.path.realpath(folder)):
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"the buffer {name!r} is a link that leads out of the folder, and is not read",
                 where=where,
                 hint="put the file itself beside the .gltf",
@@ -339,20 +313,20 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
         with open_regular(target) as file:
             size = os.fstat(file.fileno()).st_size
             if size > min(2 * declared + _MAX_BEHIND, room):
-                raise TooLargeError(
+                raise errors.TooLargeError(
                     f"the buffer {name!r} has {size:,} bytes, not {declared:,}",
                     where=where,
                     hint="export the mesh again",
                 )
             content = file.read()
     except NotRegularError:
-        raise UnsupportedError(
+        raise errors.UnsupportedError(
             f"the buffer {name!r} is not a regular file", where=where, hint=_AS_GLB
         ) from None
     except (OSError, ValueError) as failure:
         is_missing = getattr(failure, "errno", None) in (errno.ENOENT, errno.ENOTDIR)
         reason = getattr(failure, "strerror", None) or str(failure)
-        raise InputError(
+        raise errors.InputError(
             f"the buffer {name!r} is missing beside the .gltf"
             if is_missing
             else f"the buffer {name!r} cannot be read: {reason}",
@@ -361,10 +335,10 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
             hint="copy it beside the .gltf; a .gltf does not hold its mesh itself",
         ) from failure
     if len(content) < declared:
-        raise TruncatedError(
+        raise errors.TruncatedError(
             f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
             where=where,
-            hint=CUT_SHORT,
+            hint=errors.CUT_SHORT,
         )
     return content
 
@@ -385,18 +359,18 @@ class GltfFile(SceneFile):
         text = bytes(data)
         # Base64 inside the text does not count.
         uris = (uri.end() - uri.start() for uri in _DATA_URI.finditer(text))
-        require_short(len(text) - sum(size - 1 for size in uris))
-        content = parse_json(text, "description")
+        gltf_scene.require_short(len(text) - sum(size - 1 for size in uris))
+        content = gltf_scene.parse_json(text, "description")
         self._path = path
         self.names: dict[int, str] = {}
         self.spans: dict[int, tuple[int, int]] = {}
-        entries = as_dicts(content.get("buffers"))
+        entries = gltf_scene.as_dicts(content.get("buffers"))
         if len(entries) > _MAX_BUFFERS:
-            raise TooLargeError(
+            raise errors.TooLargeError(
                 f"{len(entries):,} buffers are more than the {_MAX_BUFFERS:,} that are read",
                 hint="export the mesh alone",
             )
-        places: dict[int, tuple[int, int] | MsalError] = {}
+        places: dict[int, tuple[int, int] | errors.MsalError] = {}
         pieces: list[bytes] = []
         files: dict[str, tuple[int, int]] = {}
         size = 0
@@ -407,14 +381,14 @@ class GltfFile(SceneFile):
                 pieces.append(piece)
                 size += len(piece)
                 places[number] = self.spans[number][0], entry["byteLength"]
-            except MsalError as failure:
+            except errors.MsalError as failure:
                 places[number] = failure.with_traceback(None)
-        version = str(as_dict(content.get("asset")).get("version", ""))
+        version = str(gltf_scene.as_dict(content.get("asset")).get("version", ""))
         if not version.startswith("2."):
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"glTF version {version[:20]!r} is not read", hint="convert it to version 2"
             )
-        super().__init__(data, text, Scene(content, as_bytes(b"".join(pieces)), places))
+        super().__init__(data, text, gltf_scene.Scene(content, as_bytes(b"".join(pieces)), places))
 
     def _read_buffer(
         self, number: int, entry: dict[str, Any], start: int, files: dict[str, tuple[int, int]]
@@ -424,9 +398,9 @@ class GltfFile(SceneFile):
         where = f"buffer {number}"
         uri, declared = entry.get("uri"), entry.get("byteLength")
         if not isinstance(uri, str) or not uri:
-            raise damaged("the buffer names no data", where)
+            raise errors.damaged("the buffer names no data", where)
         if not isinstance(declared, int) or isinstance(declared, bool) or declared < 0:
-            raise damaged(f"byteLength is {declared!r}, not a count", where)
+            raise errors.damaged(f"byteLength is {declared!r}, not a count", where)
         content = _decode_data_uri(uri, where)
         if content is None:
             name = _file_name(uri, where)
@@ -438,10 +412,10 @@ class GltfFile(SceneFile):
         else:
             span = start, len(content)
         if span[1] < declared:
-            raise TruncatedError(
+            raise errors.TruncatedError(
                 f"the buffer should have {declared:,} bytes but has {span[1]:,}",
                 where=where,
-                hint=CUT_SHORT,
+                hint=errors.CUT_SHORT,
             )
         self.spans[number] = span
         return content or b""
@@ -469,22 +443,22 @@ class GltfFile(SceneFile):
         written yet."""
         data = self.replace_data(vertices)
         text = bytes(output).decode("latin-1")
-        content = parse_json(bytes(output), "description")
+        content = gltf_scene.parse_json(bytes(output), "description")
         restored = []
-        original = find_entries(self.text, "buffers")
-        for number, spans in enumerate(find_entries(text, "buffers")):
+        original = gltf_scene.find_entries(self.text, "buffers")
+        for number, spans in enumerate(gltf_scene.find_entries(text, "buffers")):
             if number in self.names or number not in self.spans:
                 continue
             at, size = self.spans[number]
             uri = content["buffers"][number]["uri"]
             if _decode_data_uri(uri, "") != bytes(data[at : at + size]):
-                raise InternalError("a buffer of a .gltf file was not written right")
+                raise errors.InternalError("a buffer of a .gltf file was not written right")
             restored.append((spans["uri"], self.text[slice(*original[number]["uri"])]))
-        return replace_spans(text, restored).encode("latin-1"), data
+        return gltf_scene.replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         if self.names:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "a .gltf with buffers of its own has one encoding",
                 hint="leave --encoding and --precision away",
             )
@@ -492,7 +466,7 @@ class GltfFile(SceneFile):
 
     def beside(
         self, output: Buffer, vertices: Floats, path: str | None
-    ) -> tuple[Buffer, tuple[Companion, ...]]:
+    ) -> tuple[Buffer, tuple[mesh_file.Companion, ...]]:
         """``output``, which ``replaced`` made, and the files that it needs in its folder.
 
         Where a vertex moved, a buffer that is named as the input is gets the name of the output at
@@ -509,19 +483,19 @@ class GltfFile(SceneFile):
         if not self.names or (path is None and not is_moved):
             return output, ()
         if path is None or is_url(path):
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "a .gltf whose mesh is in a file of its own goes to a folder only",
                 hint="write one file with --to glb",
             )
         folder, own = Path(path).parent, Path(self._path)
         if is_moved and _is_same(Path(path), own):
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "a .gltf and the file of its mesh cannot be replaced at once",
                 hint="write to another folder, or convert it to .glb first",
             )
         data = self.replace_data(vertices) if is_moved else self.scene.data.data
         changed = self._changed(data)
-        companions: dict[str, Companion] = {}
+        companions: dict[str, mesh_file.Companion] = {}
         uris = {}
         stem, new_stem = _stem(self._path), _stem(path)
         renamed: dict[str, str] = {}
@@ -535,14 +509,14 @@ class GltfFile(SceneFile):
             if number not in self.spans or (is_input and number not in changed):
                 continue
             if is_input:
-                raise OutputError(
+                raise errors.OutputError(
                     f"the output would replace {name}, which the input names",
                     code="E_SIDECAR",
                     path=os.fspath(folder / name),
                     hint="write to another folder",
                 )
             at, size = self.spans[number]
-            companions[name] = Companion(name, memoryview(data)[at : at + size])
+            companions[name] = mesh_file.Companion(name, memoryview(data)[at : at + size])
             if name != old_name:
                 uris[number] = quote(name)
         return _replace_uris(output, uris), tuple(companions.values())
@@ -552,9 +526,9 @@ def _replace_uris(text: Buffer, uris: dict[int, str]) -> Buffer:
     if not uris:
         return text
     plain = bytes(text).decode("latin-1")
-    spans = find_entries(plain, "buffers")
+    spans = gltf_scene.find_entries(plain, "buffers")
     edits = [(spans[number]["uri"], json.dumps(uri)) for number, uri in uris.items()]
-    return replace_spans(plain, edits).encode("latin-1")
+    return gltf_scene.replace_spans(plain, edits).encode("latin-1")
 
 
 def _stem(path: str) -> str:
@@ -572,10 +546,13 @@ def _is_same(path: Path, other: Path) -> bool:
 def names_of_buffers(data: Buffer) -> set[str]:
     """The files that the buffers of a .gltf file are in; none if it is no such file."""
     try:
-        uris = [entry.get("uri") for entry in as_dicts(parse_json(bytes(data), "").get("buffers"))]
+        uris = [
+            entry.get("uri")
+            for entry in gltf_scene.as_dicts(gltf_scene.parse_json(bytes(data), "").get("buffers"))
+        ]
         paths = [uri for uri in uris if isinstance(uri, str) and uri]
         return {_file_name(uri, "") for uri in paths if not uri.startswith("data:")}
-    except MsalError:
+    except errors.MsalError:
         return set()
 
 

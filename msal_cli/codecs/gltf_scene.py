@@ -18,18 +18,9 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs.slots import Strided
-from msal_cli.errors import (
-    EXPORT_AGAIN,
-    ContentError,
-    FormatError,
-    MsalError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-    damaged,
-)
 from msal_cli.structs import dataclass
 
 Span = tuple[int, int]
@@ -48,16 +39,16 @@ def parse_json(data: bytes, where: str) -> dict[str, Any]:
         content = json.loads(data.decode().removeprefix("\ufeff"))
         json.dumps(content)  # what is nested too deeply to be written is refused at once
     except (ValueError, RecursionError) as failure:
-        raise damaged(f"the description is not JSON: {str(failure)[:200]}", where) from None
+        raise errors.damaged(f"the description is not JSON: {str(failure)[:200]}", where) from None
     if not isinstance(content, dict):
-        raise damaged("the description is not a JSON object", where)
+        raise errors.damaged("the description is not a JSON object", where)
     return content
 
 
 def require_short(size: int, where: str = "") -> None:
     """Raise TooLargeError for a description of ``size`` bytes that is too long."""
     if size > _MAX_TEXT_BYTES:
-        raise TooLargeError(
+        raise errors.TooLargeError(
             f"the description has {size:,} bytes, more than the {_MAX_TEXT_BYTES:,} that are read",
             where=where,
             hint="it holds more than a mesh; export the mesh alone",
@@ -215,7 +206,7 @@ class Scene:
 
     content: dict[str, Any]
     data: Bytes
-    buffers: Mapping[int, tuple[int, int] | MsalError]
+    buffers: Mapping[int, tuple[int, int] | errors.MsalError]
     parts: dict[Accessor, Part] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
 
@@ -227,7 +218,7 @@ class Scene:
             entry = entries[index]
             if isinstance(entry, dict):
                 return entry
-        raise damaged(f"there is no entry {index!r} in {kind}", kind)
+        raise errors.damaged(f"there is no entry {index!r} in {kind}", kind)
 
     def find_rows(
         self, index: object, codes: Mapping[int, str], type: str, where: str
@@ -240,17 +231,17 @@ class Scene:
         if code is None or (type and accessor.get("type") != type):
             return None
         if "sparse" in accessor:
-            raise UnsupportedError("sparse accessors are not read", where=where, hint=_PLAIN)
+            raise errors.UnsupportedError("sparse accessors are not read", where=where, hint=_PLAIN)
         view = self.entry("bufferViews", accessor.get("bufferView"))
         if "EXT_meshopt_compression" in as_dict(view.get("extensions")):
-            raise UnsupportedError("compressed data are not read", where=where, hint=_PLAIN)
+            raise errors.UnsupportedError("compressed data are not read", where=where, hint=_PLAIN)
         number: Any = view.get("buffer")
         self.entry("buffers", number)
         place = self.buffers.get(number)
-        if isinstance(place, MsalError):
+        if isinstance(place, errors.MsalError):
             raise place
         if place is None:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "positions in another file are not read",
                 where=where,
                 hint="pack everything into the .glb file, or export it as .gltf",
@@ -265,10 +256,10 @@ class Scene:
         needed = within + stride * (count - 1) + width if count else within
         begin, size = place
         if stride < width or needed > length or offset + length > size:
-            raise TruncatedError(
+            raise errors.TruncatedError(
                 f"{count} rows of {width} bytes do not fit where they are said to lie",
                 where=where,
-                hint=EXPORT_AGAIN,
+                hint=errors.EXPORT_AGAIN,
             )
         is_share = accessor.get("normalized") is True and code != "<f4"
         unit = 1.0 / np.iinfo(code).max if is_share else 1.0
@@ -290,7 +281,7 @@ class Scene:
                 if "indices" in primitive:
                     indices = self.find_rows(primitive["indices"], _INDEX_TYPES, "", where)
                     if indices is None:
-                        raise damaged("the indices have no integer type", where)
+                        raise errors.damaged("the indices have no integer type", where)
                     n_corners = indices.count
                 source = primitive.get("mode", _TRIANGLES), indices
                 if source in part.triangles:
@@ -298,7 +289,7 @@ class Scene:
                 # Any number of lists of positions may be joined with any number of lists of
                 # indices, so that a small file can ask for more faces than fit into memory.
                 if n_corners > room:
-                    raise TooLargeError(
+                    raise errors.TooLargeError(
                         "the primitives together have more corners than the file has bytes",
                         where=where,
                         hint="the same indices are used with very many lists of positions; export "
@@ -307,16 +298,16 @@ class Scene:
                 room -= n_corners
                 corners = np.arange(count) if indices is None else indices.rows(self.data)[:, 0]
                 if n_corners and (highest := int(corners.max())) >= count:
-                    raise ContentError(
+                    raise errors.ContentError(
                         f"a face names vertex {highest} of {count}",
                         code="E_INDEX",
                         where=where,
-                        hint=EXPORT_AGAIN,
+                        hint=errors.EXPORT_AGAIN,
                     )
                 part.triangles[source] = _triangles(corners.astype(np.int32), source[0])
         self._refuse_overlaps(size)
         if not any(len(faces) for part in self.parts.values() for faces in part.triangles.values()):
-            raise ContentError(
+            raise errors.ContentError(
                 "the file has no triangles",
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
@@ -325,7 +316,7 @@ class Scene:
     def _find_part(self, mesh: int, primitive: dict[str, Any], where: str) -> Part | None:
         """The part over the positions of a primitive; None if the primitive is no surface."""
         if "KHR_draco_mesh_compression" in as_dict(primitive.get("extensions")):
-            raise UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
+            raise errors.UnsupportedError("Draco compression is not read", where=where, hint=_PLAIN)
         attributes = as_dict(primitive.get("attributes"))
         if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
             self.notes["points and lines are kept as they are"] = None
@@ -334,7 +325,7 @@ class Scene:
             return None
         positions = self.find_rows(attributes["POSITION"], _POSITION_TYPES, "VEC3", where)
         if positions is None:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "the positions have a type that glTF does not allow", where=where, hint=_PLAIN
             )
         if not positions.count:
@@ -379,7 +370,7 @@ class Scene:
             order = np.argsort(starts)
             is_overlap = bool((np.diff(starts[order]) < widths[order][:-1]).any())
         if is_overlap:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "lists of positions or normals overlap", where="accessors", hint=_PLAIN
             )
 
@@ -428,7 +419,7 @@ class Scene:
                     for number in reversed(chain):
                         frame = products[number] = frame @ _transform(self.entry("nodes", number))
                     result.append(frame @ np.diag([rows.unit] * 3 + [1.0]))
-        except (TypeError, ValueError, OverflowError, FormatError):
+        except (TypeError, ValueError, OverflowError, errors.FormatError):
             return [np.eye(4) for _ in self.parts]
         return result
 
@@ -457,7 +448,7 @@ def has_scheme(uri: str) -> bool:
 def _whole(entry: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
     value = entry.get(key, default)
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**40:
-        raise damaged(f"{key} is {value!r}, not a count", where)
+        raise errors.damaged(f"{key} is {value!r}, not a count", where)
     return value
 
 

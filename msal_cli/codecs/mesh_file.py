@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.codecs import text_slots
 from msal_cli.codecs.slots import (
     Change,
     RecordSlots,
@@ -25,13 +26,6 @@ from msal_cli.codecs.slots import (
     check_overwritten,
     overwrite,
     require_range,
-)
-from msal_cli.codecs.text_slots import (
-    Patch,
-    TextSlots,
-    plan_patches,
-    replace_statements,
-    require_replaced,
 )
 from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
@@ -336,10 +330,10 @@ class MeshFile(Surface):
         data = as_bytes(self._data)
         if self._is_binary:
             return overwrite(data, changes)
-        return replace_statements(data, self._plan_patches(changes))
+        return text_slots.replace_statements(data, self._plan_patches(changes))
 
-    def _plan_patches(self, changes: Sequence[Change]) -> list[Patch]:
-        return plan_patches(changes)
+    def _plan_patches(self, changes: Sequence[Change]) -> list[text_slots.Patch]:
+        return text_slots.plan_patches(changes)
 
     def _require_ranges(self, changes: Sequence[Change]) -> None:
         for slots, values, is_changed in changes:
@@ -373,7 +367,7 @@ class MeshFile(Surface):
         changes = self._changes(vertices)
         require_finite_result(vertices)
         for slots, values, is_changed in changes:
-            if isinstance(slots, TextSlots) and slots.unit_length:
+            if isinstance(slots, text_slots.TextSlots) and slots.unit_length:
                 require_unit_length(values, np.asarray(is_changed.any(axis=1)))
         self._compare(as_bytes(output), changes, vertices)
 
@@ -383,7 +377,7 @@ class MeshFile(Surface):
         if self._is_binary or not changes:
             check_overwritten(data, result, changes)
         else:
-            require_replaced(data, result, self._plan_patches(changes))
+            text_slots.require_replaced(data, result, self._plan_patches(changes))
 
     @property
     def _is_binary(self) -> bool:
@@ -403,7 +397,7 @@ class MeshFile(Surface):
             is_changed = is_moved if is_one else values != slots.values
             if slots.whole_rows:
                 is_changed = np.broadcast_to(is_changed.any(axis=1)[:, None], values.shape)
-            if isinstance(slots, TextSlots):
+            if isinstance(slots, text_slots.TextSlots):
                 rounded = slots.rounded(values)
                 if rounded is not values:
                     values, is_changed = rounded, is_changed & (rounded != slots.values)
@@ -420,7 +414,7 @@ class MeshFile(Surface):
             is_changed = np.broadcast_to(rows[:, None], values.shape)
             if not slots.whole_rows:
                 is_changed = is_changed & (values != slots.values) & ~np.isnan(slots.values)
-            elif isinstance(slots, TextSlots):
+            elif isinstance(slots, text_slots.TextSlots):
                 # A number that stays the same keeps its spelling, as -0 does.
                 is_changed = is_changed & (values != slots.values)
             changes.append(Change(slots, values, is_changed))

@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli import errors
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons, require_finite_result
@@ -41,14 +42,6 @@ from msal_cli.codecs.text_slots import (
     number_hint,
     replace_statements,
     usual_decimals,
-)
-from msal_cli.errors import (
-    ContentError,
-    FormatError,
-    InputError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
 )
 from msal_cli.kernels import obj_scan as scan
 from msal_cli.kernels.parallel import over_ranges, threads
@@ -142,7 +135,7 @@ class ObjFile(MeshFile):
         (``E_RANGE``) for a position beyond float32.
         """
         if encoding == "binary":
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "OBJ is text; it has no binary encoding",
                 hint="leave --encoding away, or write PLY with --to ply --encoding binary",
             )
@@ -275,7 +268,7 @@ class _Reader:
         most = (size + 1) // 8 + 1
         n_vertices, n_faces = min(n_vertices, most), min(n_faces, most)
         if size > 2**33 or n_vertices >= 2**31:
-            raise TooLargeError(
+            raise errors.TooLargeError(
                 f"{size:,} bytes are more than an OBJ file may have here",
                 hint="convert the mesh to binary PLY",
             )
@@ -462,7 +455,7 @@ class _Reader:
     def _place(self, at: int) -> str:
         return f"line {line_of(self._data, at)}"
 
-    def _scan_error(self, result: int) -> InputError:
+    def _scan_error(self, result: int) -> errors.InputError:
         state = self._state
         at = int(state[scan.WORD])
         place = self._place(at)
@@ -473,7 +466,7 @@ class _Reader:
         if result == scan.BAD_INDEX:
             return _bad_index_error(shown, f"{place}, {next_face}", int(state[scan.VERTICES]))
         if self._is_last_line(at) and _BEGUN.fullmatch(word) is not None:
-            return TruncatedError(
+            return errors.TruncatedError(
                 "the last line breaks off", where=place, hint="copy or export the file again"
             )
         hint = "correct the line, or export the file again"
@@ -489,11 +482,11 @@ class _Reader:
                 message += ", but it has two: the file is a drawing in the plane"
                 hint = "msal denoises surfaces in space; add a third number to every v line"
             where = f"{place}, {what} {number}"
-            return FormatError(message, where=where, hint=number_hint(word, hint))
+            return errors.FormatError(message, where=where, hint=number_hint(word, hint))
         message = f"{shown!r} is not a corner of a face: v, v/vt, v//vn or v/vt/vn in whole numbers"
         if result == scan.NO_CORNERS:
             message = "a face has no corners"
-        return FormatError(message, where=f"{place}, {next_face}", hint=hint)
+        return errors.FormatError(message, where=f"{place}, {next_face}", hint=hint)
 
     def _is_last_line(self, at: int) -> bool:
         """Whether the file ends, without a line end, in the line of byte ``at``."""
@@ -508,7 +501,7 @@ class _Reader:
         last_short = int(state[scan.LAST_SHORT_AT])
         if state[scan.SHORT] and self._is_last_line(last_short):
             # A face that lost its last corners and its line end did not lose them on purpose.
-            raise TruncatedError(
+            raise errors.TruncatedError(
                 "the last line breaks off: its face has fewer than three corners",
                 where=self._place(last_short),
                 hint="copy or export the file again",
@@ -518,7 +511,7 @@ class _Reader:
         finite = np.isfinite(positions.values)
         if not finite.all():
             bad = int(np.argmin(finite.all(axis=1)))
-            raise ContentError(
+            raise errors.ContentError(
                 f"the position {tuple(positions.values[bad].tolist())} is not finite",
                 where=f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
                 hint="remove the vertex and its faces, or export the file again",
@@ -527,7 +520,9 @@ class _Reader:
         if state[scan.LARGEST_VERTEX] >= n_vertices:
             raise self._missing_vertex_error(corners, sizes, n_vertices)
 
-    def _missing_vertex_error(self, corners: Ints, sizes: Ints, n_vertices: int) -> ContentError:
+    def _missing_vertex_error(
+        self, corners: Ints, sizes: Ints, n_vertices: int
+    ) -> errors.ContentError:
         """The error for a face that names a vertex that the whole file does not have."""
         corner = int(np.argmax(corners >= n_vertices))
         face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
@@ -626,7 +621,7 @@ def _counted(number: int, one: str, many: str) -> str:
 def refuse_binary(data: Buffer) -> None:
     """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
     if not len(data):
-        raise TruncatedError("the file is empty", hint="copy or export it again")
+        raise errors.TruncatedError("the file is empty", hint="copy or export it again")
     head = bytes(memoryview(data)[:_LOOKED_AT])
     # Old systems end a text with this mark; it is kept as a line that is no statement.
     control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
@@ -636,15 +631,17 @@ def refuse_binary(data: Buffer) -> None:
         raise _binary_error(data, found)
 
 
-def _binary_error(data: Buffer, at: int) -> FormatError:
-    return FormatError(
+def _binary_error(data: Buffer, at: int) -> errors.FormatError:
+    return errors.FormatError(
         f"byte {at} is a control character: this is binary data, not OBJ text",
         where=f"byte {at}, line {line_of(data, at)}",
         hint="pass --format if the suffix is wrong, or copy the file again",
     )
 
 
-def _no_faces_error(n_vertices: int, n_short: int, keywords: Collection[bytes]) -> ContentError:
+def _no_faces_error(
+    n_vertices: int, n_short: int, keywords: Collection[bytes]
+) -> errors.ContentError:
     if not {b"V", b"F"}.isdisjoint(keywords):
         hint = "the keywords V and F are in capitals; OBJ writes them small"
     elif n_short:
@@ -653,15 +650,15 @@ def _no_faces_error(n_vertices: int, n_short: int, keywords: Collection[bytes]) 
         hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
     else:
         hint = "check that this is an OBJ file"
-    return ContentError(
+    return errors.ContentError(
         f"the file has {'no faces' if n_vertices else 'no vertices'}",
         hint=hint,
         code="E_NO_FACES",
     )
 
 
-def _bad_index_error(number: str, where: str, n_vertices: int) -> ContentError:
-    return ContentError(
+def _bad_index_error(number: str, where: str, n_vertices: int) -> errors.ContentError:
+    return errors.ContentError(
         f"a face names vertex {number}, but there are {n_vertices} vertices",
         where=where,
         hint="the file is cut off or was put together wrongly; export it again",

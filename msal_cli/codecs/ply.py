@@ -24,22 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
-from msal_cli.codecs.mesh_file import (
-    Layout,
-    MeshFile,
-    cut_polygons,
-    require_finite,
-    require_shape,
-)
+from msal_cli.codecs import mesh_file, ply_header
 from msal_cli.codecs.ply_body import Lines, Section, find_sections
-from msal_cli.codecs.ply_header import (
-    NORMAL,
-    POSITION,
-    Element,
-    Header,
-    parse_header,
-    retype_header,
-)
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.codecs.text_slots import plan_patches, replace_statements
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
@@ -56,7 +42,7 @@ _FIRST, _SECOND = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
 """The triangles of four corners along the diagonal of the first, and of the second corner."""
 
 
-def grid_shape(header: Header, grid: Element) -> tuple[int, int]:
+def grid_shape(header: ply_header.Header, grid: ply_header.Element) -> tuple[int, int]:
     """Rows and columns of the grid; FormatError where the header does not give them."""
     sizes = {name: header.infos.get(name, "") for name in ("num_rows", "num_cols")}
     missing = [f"'obj_info {name}'" for name, word in sizes.items() if not word]
@@ -196,7 +182,7 @@ def _area_vectors(
     return np.stack(sums, axis=1), scale
 
 
-def corner_list(element: Element) -> str:
+def corner_list(element: ply_header.Element) -> str:
     """The name of the element's list of corners, empty where it has none.
 
     Raises FormatError where the property of that name is no list.
@@ -213,7 +199,9 @@ def corner_list(element: Element) -> str:
     return ""
 
 
-def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floats) -> Surface:
+def find_surface(
+    sections: Mapping[str, Section], header: ply_header.Header, vertices: Floats
+) -> Surface:
     """The surface in the elements ``face`` and ``tristrips``, or between the samples of a range
     grid where these have no triangles.
 
@@ -241,7 +229,7 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
         if all(faces.element.find(name) for name in CORNERS):
             warnings.append(f"faces have both {CORNERS[0]} and {CORNERS[1]}; {name} is used")
         corners, lengths = _read_corners(faces, name, n_vertices)
-        triangles = cut_polygons(corners, lengths)
+        triangles = mesh_file.cut_polygons(corners, lengths)
         sizes, is_face = lengths, lengths >= 3
         if not is_face.all():
             warnings.append(
@@ -267,7 +255,7 @@ def find_surface(sections: Mapping[str, Section], header: Header, vertices: Floa
     return Surface(triangles, corners, sizes, lengths, len(strips), warnings, samples)
 
 
-def _grid_samples(section: Section, name: str, header: Header, n_vertices: int) -> Ints:
+def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vertices: int) -> Ints:
     shape = grid_shape(header, section.element)
     lengths = section.items(name)[1]
     if (lengths > 1).any():
@@ -348,22 +336,22 @@ def _as_indices(items: NDArray[Any]) -> Ints:
     return np.ascontiguousarray(items.astype(np.int32, copy=False)).reshape(-1)
 
 
-def wanted_names(element: Element) -> Sequence[str]:
+def wanted_names(element: ply_header.Element) -> Sequence[str]:
     """Properties whose places are kept: positions, normals, corners."""
     if element.name == "vertex":
-        return POSITION + NORMAL
+        return ply_header.POSITION + ply_header.NORMAL
     if element.name == "face":
-        return CORNERS + NORMAL
+        return CORNERS + ply_header.NORMAL
     return CORNERS if element.name in ("tristrips", GRID) else ()
 
 
-def has_normals(element: Element) -> bool:
+def has_normals(element: ply_header.Element) -> bool:
     """Whether the element has nx, ny, nz as floating-point scalars."""
-    found = [element.find(name) for name in NORMAL]
+    found = [element.find(name) for name in ply_header.NORMAL]
     return all(prop is not None and not prop.is_list and prop.code[0] == "f" for prop in found)
 
 
-def vertex_element(header: Header) -> Element:
+def vertex_element(header: ply_header.Header) -> ply_header.Element:
     """The element ``vertex`` with x, y and z as scalars; FormatError without."""
     vertex = header.find("vertex")
     if vertex is None:
@@ -372,7 +360,7 @@ def vertex_element(header: Header) -> Element:
             where="header",
             hint="this PLY file does not hold a mesh",
         )
-    for name in POSITION:
+    for name in ply_header.POSITION:
         prop = vertex.find(name)
         if prop is None or prop.is_list:
             problem = "is a list" if prop is not None else "is missing"
@@ -382,17 +370,17 @@ def vertex_element(header: Header) -> Element:
     return vertex
 
 
-def precision_of(header: Header, vertex: Element) -> str:
+def precision_of(header: ply_header.Header, vertex: ply_header.Element) -> str:
     """How the coordinates are stored, as ``codecs.mesh_file.MeshFile`` says it."""
     if header.encoding == "ascii":
         return "text"
-    codes = {vertex.properties[vertex.index(name)].code for name in POSITION}
+    codes = {vertex.properties[vertex.index(name)].code for name in ply_header.POSITION}
     if "f4" in codes:
         return "float32"
     return "float64" if "f8" in codes else "integer"
 
 
-def properties_of(header: Header, grid: Ints | None = None) -> tuple[str, ...]:
+def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[str, ...]:
     """What the file carries besides positions and corners, in file order; ``grid`` (rows, columns)
     is that of a range grid whose surface is read."""
     carried: list[str] = []
@@ -403,14 +391,14 @@ def properties_of(header: Header, grid: Ints | None = None) -> tuple[str, ...]:
         if element.name not in ("vertex", "face", "tristrips"):
             carried.append(f"element {element.name} ({element.count})")
             continue
-        known = POSITION if element.name == "vertex" else (corner_list(element),)
+        known = ply_header.POSITION if element.name == "vertex" else (corner_list(element),)
         carried += [
             f"{element.name}.{prop}" for prop in element.properties if prop.name not in known
         ]
     return tuple(carried)
 
 
-def warnings_of(header: Header, vertex: Element) -> tuple[str, ...]:
+def warnings_of(header: ply_header.Header, vertex: ply_header.Element) -> tuple[str, ...]:
     """What a user should know of the header."""
     warnings: list[str] = []
     if header.strays:
@@ -420,14 +408,14 @@ def warnings_of(header: Header, vertex: Element) -> tuple[str, ...]:
             f"{'is' if count == 1 else 'are'} kept like comments: {first.text} in line {first.line}"
             + (", ..." if count > 1 else "")
         )
-    whole = [n for n in POSITION if vertex.properties[vertex.index(n)].code[0] != "f"]
+    whole = [n for n in ply_header.POSITION if vertex.properties[vertex.index(n)].code[0] != "f"]
     if whole:
         warnings.append(
             f"coordinates {', '.join(whole)} are whole numbers: new ones are rounded to the "
             "nearest, halves to the even one"
         )
     for element in header.elements:
-        named = [prop for prop in element.properties if prop.name in NORMAL]
+        named = [prop for prop in element.properties if prop.name in ply_header.NORMAL]
         if element.name in ("vertex", "face") and named and not has_normals(element):
             warnings.append(
                 f"the {', '.join(prop.name for prop in named)} of element '{element.name}' are not "
@@ -437,7 +425,7 @@ def warnings_of(header: Header, vertex: Element) -> tuple[str, ...]:
 
 
 @dataclass(eq=False, kw_only=True)
-class PlyLayout(Layout):
+class PlyLayout(mesh_file.Layout):
     """What the parser makes of a PLY file.
 
     Attributes
@@ -446,7 +434,7 @@ class PlyLayout(Layout):
     normal_elements : those that the arrays of normals belong to.
     """
 
-    header: Header
+    header: ply_header.Header
     sections: Mapping[str, Section] = field(repr=False)
     end: int
     normal_elements: tuple[str, ...]
@@ -462,15 +450,15 @@ class PlyLayout(Layout):
 def parse(data: Buffer) -> PlyLayout:
     """Find the positions, normals and faces of a PLY file; errors as of ``PlyFile``."""
     content = as_bytes(memoryview(data).cast("B"))
-    header = parse_header(memoryview(data).cast("B"))
+    header = ply_header.parse_header(memoryview(data).cast("B"))
     vertex = vertex_element(header)
     sections, end = find_sections(content, header, wanted_names)
-    positions = sections["vertex"].slots(POSITION)
+    positions = sections["vertex"].slots(ply_header.POSITION)
     vertices = positions.values
-    require_finite(vertices, sections["vertex"].where)
+    mesh_file.require_finite(vertices, sections["vertex"].where)
     # Read here, so that a word that is no number is reported before any work is done.
     normals = {
-        name: section.slots(NORMAL)
+        name: section.slots(ply_header.NORMAL)
         for name, section in sections.items()
         if name in ("vertex", "face") and has_normals(section.element)
     }
@@ -532,7 +520,7 @@ def _renew_normals(
     ]
 
 
-class PlyFile(MeshFile):
+class PlyFile(mesh_file.MeshFile):
     """An opened PLY file; see ``codecs.mesh_file.MeshFile`` for what its attributes mean.
 
     ``precision`` is the type of the coordinates: ``float32`` (also when mixed with double, since
@@ -591,15 +579,17 @@ class PlyFile(MeshFile):
         """
         layout = self._layout
         data, old = as_bytes(self._data), layout.header
-        retypable: dict[str, tuple[str, ...]] = dict.fromkeys(layout.normal_elements, NORMAL)
-        retypable["vertex"] = POSITION + retypable.get("vertex", ())
+        retypable: dict[str, tuple[str, ...]] = dict.fromkeys(
+            layout.normal_elements, ply_header.NORMAL
+        )
+        retypable["vertex"] = ply_header.POSITION + retypable.get("vertex", ())
         old_text = data[: old.size].tobytes()
-        text = retype_header(old, old_text, encoding, precision, retypable)
+        text = ply_header.retype_header(old, old_text, encoding, precision, retypable)
         if text == old_text:
             return self.replaced(vertices)
-        require_shape(vertices, self.vertices)
-        header = parse_header(memoryview(text))
-        codes = tuple(prop.code for prop in vertex_element(header).find_all(POSITION))
+        mesh_file.require_shape(vertices, self.vertices)
+        header = ply_header.parse_header(memoryview(text))
+        codes = tuple(prop.code for prop in vertex_element(header).find_all(ply_header.POSITION))
         require_range(vertices, np.ones(vertices.shape, dtype=bool), codes)
         if header.encoding == old.encoding == "ascii":
             # New numbers as the new types need them; nothing else of the lines changes.
@@ -611,11 +601,11 @@ class PlyFile(MeshFile):
             patches = plan_patches(changes, have_own=False)
             lines = replace_statements(data, patches) if changes else data.data
             return text + lines[old.size :]
-        values = {("vertex", name): vertices[:, k] for k, name in enumerate(POSITION)}
+        values = {("vertex", name): vertices[:, k] for k, name in enumerate(ply_header.POSITION)}
         for element, (_, normals, _) in zip(
             layout.normal_elements, self._changed_normals(vertices), strict=True
         ):
-            values |= {(element, name): normals[:, k] for k, name in enumerate(NORMAL)}
+            values |= {(element, name): normals[:, k] for k, name in enumerate(ply_header.NORMAL)}
         from msal_cli.codecs.ply_write import recode
 
         return recode(data, old, header, text, values, layout.end, is_stream=layout.is_stream)

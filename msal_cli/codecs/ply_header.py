@@ -10,15 +10,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 
+from msal_cli import errors
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.errors import (
-    CUT_SHORT,
-    FormatError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-    UsageError,
-)
 from msal_cli.structs import dataclass
 
 POSITION = ("x", "y", "z")
@@ -192,16 +185,16 @@ def _first_line_end(head: bytes) -> bytes:
     if match:
         return match.group(1)
     if head.startswith(BYTE_ORDER_MARK):
-        raise FormatError(
+        raise errors.FormatError(
             "the file begins with a byte-order mark instead of the word 'ply'",
             where="byte 0",
             hint="remove the first three bytes",
         )
     if not head:
-        raise TruncatedError("the file is empty", hint="copy or export it again")
+        raise errors.TruncatedError("the file is empty", hint="copy or export it again")
     if b"ply\n".startswith(head) or b"ply\r".startswith(head):
-        raise TruncatedError("the file ends within its first line", hint="export it again")
-    raise FormatError(
+        raise errors.TruncatedError("the file ends within its first line", hint="export it again")
+    raise errors.FormatError(
         "the file does not begin with a line 'ply'",
         where="line 1",
         hint="is it another format under a .ply name?",
@@ -225,13 +218,13 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
             return lines, len(head) if stop < 0 else at
     place = f"line {len(lines)}"
     if whole and len(lines) < MAX_LINES:
-        raise TruncatedError(
+        raise errors.TruncatedError(
             "the file ends within its header: there is no 'end_header'",
             where=place,
-            hint=CUT_SHORT,
+            hint=errors.CUT_SHORT,
         )
     limit = f"{MAX_LINES} lines" if len(lines) >= MAX_LINES else f"{MAX_BYTES} bytes"
-    raise TooLargeError(
+    raise errors.TooLargeError(
         f"the header has no 'end_header' within its first {limit}",
         where=place,
         hint="the file is damaged, or is not a PLY mesh",
@@ -245,8 +238,8 @@ class _Parser:
         self.header = header
         self.line = 0
 
-    def fail(self, message: str, hint: str = "") -> FormatError:
-        return FormatError(message, where=f"line {self.line + 1}", hint=hint)
+    def fail(self, message: str, hint: str = "") -> errors.FormatError:
+        return errors.FormatError(message, where=f"line {self.line + 1}", hint=hint)
 
     def read_format(self, words: list[bytes]) -> None:
         if self.header.encoding:
@@ -258,7 +251,7 @@ class _Parser:
                 "'format binary_big_endian 1.0'",
             )
         if words[2] != b"1.0":
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"PLY version {_show(words[2])} is not known",
                 where=f"line {self.line + 1}",
                 hint="only version 1.0 exists",
@@ -352,7 +345,7 @@ def parse_header(data: memoryview, is_whole: bool = True) -> Header:
         if 0 < parser.line < len(lines) - 1:
             parser.read(text)
     if not header.encoding:
-        raise FormatError(
+        raise errors.FormatError(
             "the header has no format line",
             where="header",
             hint="expected 'format ascii 1.0' or one of the binary formats after 'ply'",
@@ -383,7 +376,7 @@ def retype_header(
     (``double`` for ``float``, ``float64`` for ``float32``).  Raises UsageError for another word.
     """
     if encoding not in ("same", *_ENCODING_OF) or precision not in ("same", *_CODE_OF):
-        raise UsageError(
+        raise errors.UsageError(
             f"a PLY file cannot be written with encoding '{encoding}' and precision '{precision}'",
             hint="encodings are same, ascii, binary; precisions same, float32, float64",
         )

@@ -16,35 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli import errors
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.codecs import mesh_file, text_slots
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import (
-    Layout,
-    MeshFile,
-    require_finite_result,
-    require_shape,
-    require_unit_length,
-)
 from msal_cli.codecs.slots import Change, as_float32, require_range
-from msal_cli.codecs.text_slots import (
-    NORMAL_DECIMALS,
-    Patch,
-    TextSlots,
-    extent_decimals,
-    line_of,
-    number_hint,
-)
-from msal_cli.errors import (
-    CUT_SHORT,
-    EXPORT_AGAIN,
-    ContentError,
-    FormatError,
-    InputError,
-    InternalError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-)
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 from msal_cli.structs import dataclass
@@ -119,7 +95,7 @@ def require_bytes(head: bytes, size: int) -> int:
     if size >= max(wanted, _FIRST_FACET):
         return wanted
     message = f"the file has {size} bytes; a binary STL file has at least {_FIRST_FACET}"
-    hint = CUT_SHORT
+    hint = errors.CUT_SHORT
     if size >= _FIRST_FACET:
         count, n_whole = ((n - _FIRST_FACET) // FACET.itemsize for n in (wanted, size))
         message = (
@@ -127,7 +103,7 @@ def require_bytes(head: bytes, size: int) -> int:
             f"{size}: {n_whole} whole facets"
         )
         hint = "the file was cut short, or is not STL; copy or export it again"
-    raise TruncatedError(message, where=f"byte {size}", hint=hint)
+    raise errors.TruncatedError(message, where=f"byte {size}", hint=hint)
 
 
 def is_text(head: bytes, size: int) -> bool:
@@ -146,20 +122,20 @@ def is_text(head: bytes, size: int) -> bool:
 def _check_count(n_facets: int, n_trailing: int = 0) -> None:
     if not n_facets:
         more = f"; {n_trailing} bytes follow that it does not count" if n_trailing else ""
-        raise ContentError(
+        raise errors.ContentError(
             f"the file has no facets{more}",
             code="E_NO_FACES",
             hint="export the mesh again" if more else "msal denoises surfaces; this file has none",
         )
     if n_facets > MAX_FACETS:
-        raise TooLargeError(
+        raise errors.TooLargeError(
             f"{n_facets} facets are more than the {MAX_FACETS} whose corners can be numbered",
             hint="cut the mesh into parts",
         )
 
 
-def _not_finite(facet: int, corner: int, line: int | None = None) -> ContentError:
-    return ContentError(
+def _not_finite(facet: int, corner: int, line: int | None = None) -> errors.ContentError:
+    return errors.ContentError(
         "a position is not finite",
         code="E_NONFINITE",
         where=f"facet {facet}, corner {corner}" + (f", line {line}" if line else ""),
@@ -173,7 +149,7 @@ def _facets(data: Buffer, count: int) -> NDArray[np.void]:
     return np.frombuffer(fixed, dtype=FACET, count=count, offset=_FIRST_FACET)
 
 
-class _FacetFile(MeshFile):
+class _FacetFile(mesh_file.MeshFile):
     """An STL file; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are the different positions of corners, in order of appearance; ``name`` is what
@@ -182,7 +158,7 @@ class _FacetFile(MeshFile):
 
     normals: Floats
 
-    def __init__(self, data: Buffer, layout: Layout, name: str) -> None:
+    def __init__(self, data: Buffer, layout: mesh_file.Layout, name: str) -> None:
         super().__init__(data, "stl", layout)
         self._name = name
         self.merged_vertices = self.faces.size - len(self.vertices)
@@ -201,7 +177,7 @@ class _FacetFile(MeshFile):
         was_text = self.encoding == "ascii"
         to_text = was_text if encoding == "same" else encoding == "ascii"
         if not to_text and precision == "float64":
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 "binary STL has no float64",
                 hint="use --encoding ascii, or --to ply",
             )
@@ -209,7 +185,7 @@ class _FacetFile(MeshFile):
             if to_text and precision == "float32":
                 vertices = as_float32(vertices).astype(np.float64)
             return self.replaced(vertices)
-        require_finite_result(vertices)
+        mesh_file.require_finite_result(vertices)
         normals, _ = self._facet_normals(vertices)
         corners = vertices[self.faces].reshape(-1, 9)
         if to_text:
@@ -219,7 +195,7 @@ class _FacetFile(MeshFile):
     def _facet_normals(self, vertices: Floats) -> tuple[Floats, Flags]:
         from msal_cli.kernels.stl_facets import renew_facet_normals
 
-        require_shape(vertices, self.vertices)
+        mesh_file.require_shape(vertices, self.vertices)
         return renew_facet_normals(self.vertices, vertices, self.faces, self.normals)
 
 
@@ -245,7 +221,7 @@ class StlFile(_FacetFile):
             warnings = (
                 f"{n_trailing} bytes behind the last facet are kept as they are{room * bool(more)}",
             )
-        layout = Layout(
+        layout = mesh_file.Layout(
             "binary_little_endian",
             "float32",
             (),
@@ -263,7 +239,7 @@ class StlFile(_FacetFile):
             return _facets(self._data, self.n_polygons)["normal"].astype(np.float64)
 
     def replaced(self, vertices: Floats) -> Buffer:
-        require_shape(vertices, self.vertices)
+        mesh_file.require_shape(vertices, self.vertices)
         if np.array_equal(self.vertices, vertices):
             return self._data
         from msal_cli.kernels.parallel import over_ranges
@@ -312,13 +288,13 @@ class StlFile(_FacetFile):
         from msal_cli.kernels import stl_facets
         from msal_cli.kernels.parallel import over_ranges
 
-        require_shape(vertices, self.vertices)
-        require_finite_result(vertices)
+        mesh_file.require_shape(vertices, self.vertices)
+        mesh_file.require_finite_result(vertices)
         before, after = memoryview(self._data).cast("B"), memoryview(output).cast("B")
         if len(before) != len(after) or before[:_FIRST_FACET] != after[:_FIRST_FACET]:
-            raise InternalError("the STL header or the length of the file changed")
+            raise errors.InternalError("the STL header or the length of the file changed")
         if before[self._end :] != after[self._end :]:
-            raise InternalError("the bytes behind the last facet changed")
+            raise errors.InternalError("the bytes behind the last facet changed")
         old, new = _facets(self._data, self.n_polygons), _facets(output, self.n_polygons)
         words = [facets.view("<u2").reshape(-1, FACET.itemsize // 2) for facets in (old, new)]
         numbers = old["corners"], new["normal"], new["corners"]
@@ -338,7 +314,7 @@ class StlFile(_FacetFile):
         }
         for facet, status in sorted(results):
             if status != stl_facets.RIGHT:
-                raise InternalError(messages[status], where=f"facet {facet}")
+                raise errors.InternalError(messages[status], where=f"facet {facet}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,16 +382,16 @@ def _decide_numbers(data: Buffer, run_at: Longs, numbers: Floats) -> None:
         except ValueError:
             value = float("nan")
         if token >= 3 and not np.isfinite(value):
-            raise _not_finite(facet, (token - 3) // 3, line_of(data, word.start()))
+            raise _not_finite(facet, (token - 3) // 3, text_slots.line_of(data, word.start()))
         numbers[facet, token] = value
 
 
-def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> InputError:
+def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> errors.InputError:
     from msal_cli.kernels import stl_facets
 
     token = (bytes(buf[at : at + 60]).split(None, 1) or [b""])[0]
     text = token.decode("ascii", "backslashreplace")
-    where = f"facet {facet}, line {line_of(buf, at)}"
+    where = f"facet {facet}, line {text_slots.line_of(buf, at)}"
     wanted = stl_facets.WORDS[word]
     others = {stl_facets.FACET: ("endsolid",), stl_facets.NORMAL: ("outer",)}
     is_begun = status == stl_facets.BAD_NUMBER or (
@@ -423,20 +399,20 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> Inpu
         and any(w.encode().startswith(token.lower()) for w in (wanted, *others.get(word, ())))
     )
     if status == stl_facets.CUT or (at + len(token) == len(buf) and is_begun):
-        return TruncatedError(
+        return errors.TruncatedError(
             f"the text ends within a solid, after {facet} whole facets",
             where=where,
-            hint=CUT_SHORT,
+            hint=errors.CUT_SHORT,
         )
-    message, hint = f"expected '{wanted}', found {text!r}", EXPORT_AGAIN
+    message, hint = f"expected '{wanted}', found {text!r}", errors.EXPORT_AGAIN
     if status == stl_facets.OUTSIDE:
         message = f"expected 'solid', found {text!r}"
         hint = "ascii STL is a list of solids; is this another format?"
     elif status == stl_facets.BAD_NUMBER:
-        message, hint = f"{text!r} is not a number", number_hint(token)
+        message, hint = f"{text!r} is not a number", text_slots.number_hint(token)
     elif word == stl_facets.ENDLOOP and token.lower() == b"vertex":
         hint = "a facet of STL has three corners; triangulate the mesh first"
-    return FormatError(message, where=where, hint=hint)
+    return errors.FormatError(message, where=where, hint=hint)
 
 
 class StlTextFile(_FacetFile):
@@ -452,10 +428,10 @@ class StlTextFile(_FacetFile):
             "recomputed": n_bad,
             f"{n_trailing} bytes behind the last solid are kept as they are": n_trailing,
         }
-        layout = Layout(
+        layout = mesh_file.Layout(
             "ascii",
             "text",
-            (TextSlots(as_bytes(data), scan.run_at.reshape(-1), values=normals),),
+            (text_slots.TextSlots(as_bytes(data), scan.run_at.reshape(-1), values=normals),),
             properties=(
                 *(("facet normals",) * (scan.n_bare != len(faces))),
                 *((f"{scan.n_solids} solids",) * (scan.n_solids > 1)),
@@ -477,15 +453,15 @@ class StlTextFile(_FacetFile):
         from msal_cli.kernels.numbers import MAX_DECIMALS
 
         plain_normal, plain, exponent_normal, exponent = (int(d) for d in self._used_decimals)
-        needed = extent_decimals(self.vertices)
+        needed = text_slots.extent_decimals(self.vertices)
         needed = MAX_DECIMALS if needed is None else needed
-        normal = max(plain_normal, min(exponent_normal, 9), NORMAL_DECIMALS)
+        normal = max(plain_normal, min(exponent_normal, 9), text_slots.NORMAL_DECIMALS)
         corner = max(plain, min(exponent, needed + _FINER), needed, 0)
         return min(normal, MAX_DECIMALS), min(corner, MAX_DECIMALS)
 
     def _changes(self, vertices: Floats) -> list[Change]:
         """The new normal and corners of each facet, one behind the other."""
-        require_shape(vertices, self.vertices)
+        mesh_file.require_shape(vertices, self.vertices)
         is_moved = vertices != self.vertices
         if not is_moved.any():
             return []
@@ -498,15 +474,15 @@ class StlTextFile(_FacetFile):
         slots = self._layout.positions[0]
         return [Change(slots, values.reshape(-1, 3), is_changed.reshape(-1, 3))]
 
-    def _plan_patches(self, changes: Sequence[Change]) -> list[Patch]:
+    def _plan_patches(self, changes: Sequence[Change]) -> list[text_slots.Patch]:
         [(slots, values, is_changed)] = changes
         normal, corner = self._decimals()
         decimals = np.array([normal, corner, corner, corner], dtype=np.uint8)
-        return [Patch(slots.at, values, is_changed, np.tile(decimals, len(self.faces)))]
+        return [text_slots.Patch(slots.at, values, is_changed, np.tile(decimals, len(self.faces)))]
 
     def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
         for _, values, is_changed in changes:
-            require_unit_length(values[::4], is_changed[::4, 0])
+            mesh_file.require_unit_length(values[::4], is_changed[::4, 0])
         super()._compare(result, changes, vertices)
 
 

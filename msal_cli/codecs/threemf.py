@@ -15,25 +15,10 @@ from collections import deque
 
 import numpy as np
 
+from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
-from msal_cli.codecs.mesh_file import (
-    PLACEMENT,
-    Layout,
-    MeshFile,
-    is_placed,
-    is_usable,
-    transform,
-)
+from msal_cli.codecs import mesh_file, text_slots
 from msal_cli.codecs.slots import require_range
-from msal_cli.codecs.text_slots import (
-    SHORTEST,
-    SHORTEST_SINGLE,
-    SIGNIFICANT_DIGITS,
-    TextSlots,
-    extent_decimals,
-    replace_statements,
-    usual_decimals,
-)
 from msal_cli.codecs.threemf_model import (
     Model,
     Use,
@@ -41,14 +26,6 @@ from msal_cli.codecs.threemf_model import (
 )
 from msal_cli.codecs.xml_tree import parse_tree
 from msal_cli.codecs.zip_archive import Archive, numbers_of
-from msal_cli.errors import (
-    ContentError,
-    FormatError,
-    InternalError,
-    MsalError,
-    UnsupportedError,
-    damaged,
-)
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED
 from msal_cli.storage.regular import Buffer, memory_bytes
@@ -96,7 +73,7 @@ class Package:
             if len(mesh.faces)
         ]
         if not meshes:
-            raise ContentError(
+            raise errors.ContentError(
                 "the file has no triangles",
                 code="E_NO_FACES",
                 hint="msal denoises surfaces; this file has none",
@@ -106,12 +83,13 @@ class Package:
             f"{len(meshes)} parts" if len(meshes) > 1 else "",
             f"unit {unit}" if unit != "millimeter" else "",
             "instances" if has_instances else "",
-            PLACEMENT if len(meshes) == 1 and is_placed(meshes[0][1]) else "",
+            mesh_file.PLACEMENT if len(meshes) == 1 and mesh_file.is_placed(meshes[0][1]) else "",
             *(word for model in self.models.values() for word in model.words),
         )
         self.properties = tuple(dict.fromkeys(filter(None, properties)))
         is_framed = len(meshes) > 1 and all(
-            is_usable(frame) and np.isfinite(transform(mesh.vertices, frame)).all()
+            mesh_file.is_usable(frame)
+            and np.isfinite(mesh_file.transform(mesh.vertices, frame)).all()
             for mesh, frame in meshes
         )
         self.frames = tuple(frame for _, frame in meshes) if is_framed else ()
@@ -119,7 +97,7 @@ class Package:
     def _member(self, path: str, where: str) -> zipfile.ZipInfo:
         member = self.archive.find(path)
         if member is None:
-            raise damaged(f"there is no member {path[:200]!r} in the archive", where)
+            raise errors.damaged(f"there is no member {path[:200]!r} in the archive", where)
         return member
 
     def _root_target(self) -> str:
@@ -131,7 +109,7 @@ class Package:
                 continue
             kind = element.attributes.get("Type", "")
             if kind == _KEYSTORE_TYPE:
-                raise UnsupportedError(
+                raise errors.UnsupportedError(
                     "the file has encrypted content",
                     where=_ROOT,
                     hint="export it without encryption",
@@ -140,7 +118,7 @@ class Package:
             if kind == _MODEL_TYPE and element.attributes.get("TargetMode") != "External":
                 targets.append(element.attributes.get("Target", ""))
         if len(targets) != 1:
-            raise damaged(f"the package names {len(targets)} models, not one", _ROOT)
+            raise errors.damaged(f"the package names {len(targets)} models, not one", _ROOT)
         return targets[0]
 
     def _load(self, room: int) -> None:
@@ -163,14 +141,14 @@ class Package:
         root = next(iter(self.models.values()))
         for name, model in self.models.items():
             if model.unit != root.unit:
-                raise UnsupportedError(
+                raise errors.UnsupportedError(
                     f"{name} is in {model.unit}, and the root model in {root.unit}",
                     hint="export all parts in one unit",
                 )
 
-    def _missing(self, name: str, use: Use, what: str) -> FormatError:
+    def _missing(self, name: str, use: Use, what: str) -> errors.FormatError:
         where = place_of(self.texts[name], name, use.at)
-        return damaged(f"{what} is not in the package", where)
+        return errors.damaged(f"{what} is not in the package", where)
 
     def _find_frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
         """The frame of each object that is built, by the first way to it; if one has several.
@@ -204,7 +182,7 @@ _BETWEEN = b"\0"
 """Between the texts of model parts, which have no such byte."""
 
 
-class _Coordinates(TextSlots):
+class _Coordinates(text_slots.TextSlots):
     """The positions of a mesh.
 
     A new number has as many decimals as are usual in the mesh, as the old one has, or as 1e-7 of
@@ -214,17 +192,17 @@ class _Coordinates(TextSlots):
     def own_decimals(self, values: Floats) -> Bytes:
         from msal_cli.kernels.numbers import MAX_DECIMALS
 
-        needed = extent_decimals(self.values) or 0
+        needed = text_slots.extent_decimals(self.values) or 0
         largest = float(np.abs(values[values != self.values]).max(initial=0.0))
         whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
-        most = min(SIGNIFICANT_DIGITS - whole, MAX_DECIMALS)
+        most = min(text_slots.SIGNIFICANT_DIGITS - whole, MAX_DECIMALS)
         if needed > most or most < 0:
-            return np.full(values.size, SHORTEST, dtype=np.uint8)
-        least = min(max(usual_decimals(self.used), needed), most)
+            return np.full(values.size, text_slots.SHORTEST, dtype=np.uint8)
+        least = min(max(text_slots.usual_decimals(self.used), needed), most)
         return np.clip(self.used, least, most).astype(np.uint8)
 
 
-class ThreeMfFile(MeshFile):
+class ThreeMfFile(mesh_file.MeshFile):
     """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
 
     ``vertices`` are those of every mesh, one behind the other.  With several meshes they are in the
@@ -253,20 +231,20 @@ class ThreeMfFile(MeshFile):
         the same float32 or float64, unless ``precision`` is ``same``.
         """
         if encoding == "ascii":
-            raise UnsupportedError("3MF has no ascii encoding", hint="leave --encoding away")
+            raise errors.UnsupportedError("3MF has no ascii encoding", hint="leave --encoding away")
         if precision == "same":
             return self.replaced(vertices)
         self._require_free()
-        style = SHORTEST_SINGLE if precision == "float32" else SHORTEST
+        style = text_slots.SHORTEST_SINGLE if precision == "float32" else text_slots.SHORTEST
         patches = []
         for slots, values in zip(self._layout.positions, self._to_file(vertices), strict=True):
             is_all = np.ones(values.shape, dtype=bool)
-            if style == SHORTEST_SINGLE:
+            if style == text_slots.SHORTEST_SINGLE:
                 require_range(values, is_all, ("<f4",) * 3)
             styles = np.full(values.size, style, dtype=np.uint8)
-            assert isinstance(slots, TextSlots)
+            assert isinstance(slots, text_slots.TextSlots)
             patches.append(slots.make_patch(values, is_all, styles))
-        return self._pack(replace_statements(as_bytes(self._data), patches))
+        return self._pack(text_slots.replace_statements(as_bytes(self._data), patches))
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         old = self.package.archive
@@ -277,16 +255,18 @@ class ThreeMfFile(MeshFile):
                 before, after = old.find(name), new.find(name)
                 assert before is not None
                 if after is None:
-                    raise InternalError(f"{name} is missing in a 3MF file")
+                    raise errors.InternalError(f"{name} is missing in a 3MF file")
                 texts.append(new.content(after, after.file_size))
                 packed = new.packed(after)
                 if packed != old.packed(before):
                     changed[name] = packed, numbers_of(after)
             expected = old.assemble(changed)
-        except MsalError as failure:
-            raise InternalError(f"the 3MF file that was made cannot be read: {failure}") from None
+        except errors.MsalError as failure:
+            raise errors.InternalError(
+                f"the 3MF file that was made cannot be read: {failure}"
+            ) from None
         if expected != output:
-            raise InternalError("a 3MF file changed outside its models")
+            raise errors.InternalError("a 3MF file changed outside its models")
         super().check(_BETWEEN.join(texts), vertices)
 
     def _pack(self, content: Buffer) -> bytes:
@@ -305,7 +285,7 @@ class ThreeMfFile(MeshFile):
         if self.package.is_signed:
             stale.append("a digital signature")
         if stale:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"the file has {stale[0]}, which would no longer fit a surface that moved",
                 hint="export it as a plain mesh, or convert it with --to",
             )
@@ -315,7 +295,7 @@ class ThreeMfFile(MeshFile):
         result = super()._to_file(vertices)
         is_finite = np.concatenate([np.isfinite(values).all(axis=1) for values in result])
         if not is_finite.all():
-            raise ContentError(
+            raise errors.ContentError(
                 "a new position is too large for the frame of its mesh",
                 code="E_RANGE",
                 where=f"vertex {int(np.argmin(is_finite))}",
@@ -324,7 +304,7 @@ class ThreeMfFile(MeshFile):
         return result
 
 
-def _layout(package: Package, text: Buffer) -> Layout:
+def _layout(package: Package, text: Buffer) -> mesh_file.Layout:
     data = as_bytes(text)
     positions, faces = [], []
     begin = n_vertices = 0
@@ -337,7 +317,7 @@ def _layout(package: Package, text: Buffer) -> Layout:
                 faces.append(mesh.faces + n_vertices)
                 n_vertices += len(mesh.vertices)
         begin += model.size + len(_BETWEEN)
-    return Layout(
+    return mesh_file.Layout(
         "binary",
         "text",
         tuple(positions),

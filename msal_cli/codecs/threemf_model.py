@@ -15,16 +15,9 @@ from dataclasses import field
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli import errors
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.xml_tree import Element, parse_tree
-from msal_cli.errors import (
-    EXPORT_AGAIN,
-    ContentError,
-    FormatError,
-    TooLargeError,
-    UnsupportedError,
-    damaged,
-)
 from msal_cli.structs import dataclass
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
@@ -176,7 +169,7 @@ class Model:
                 self.words[word] = None
             n_uses += element.name in ("component", "item")
             if n_uses > MAX_USES:
-                raise TooLargeError(
+                raise errors.TooLargeError(
                     f"there are more than {MAX_USES:,} components and items",
                     where=self._where(element.start),
                     hint="export the mesh alone",
@@ -186,8 +179,8 @@ class Model:
     def _where(self, at: int) -> str:
         return place_of(self._text, self._name, at)
 
-    def _damaged(self, message: str, element: Element) -> FormatError:
-        return damaged(message, self._where(element.start))
+    def _damaged(self, message: str, element: Element) -> errors.FormatError:
+        return errors.damaged(message, self._where(element.start))
 
     def _open_model(self, root: Element, prefixes: dict[str, str]) -> None:
         self.unit = root.attributes.get("unit", "millimeter")
@@ -196,7 +189,7 @@ class Model:
         for prefix in root.attributes.get("requiredextensions", "").split():
             uri = prefixes.get(prefix, "")
             if uri not in _UNDERSTOOD:
-                raise UnsupportedError(
+                raise errors.UnsupportedError(
                     f"the file requires the extension {uri or prefix!r}, which is not understood",
                     where=self._where(root.start),
                     hint="export it as a plain mesh, without this extension",
@@ -229,17 +222,17 @@ class Model:
         wrong = faces.max(axis=1, initial=0) >= len(vertices)
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise ContentError(
+            raise errors.ContentError(
                 f"a triangle names vertex {int(faces[row].max())} of {len(vertices)}",
                 code="E_INDEX",
                 where=f"{self._where(meshes[0].stop)}, object {number}, triangle {row}",
-                hint=EXPORT_AGAIN,
+                hint=errors.EXPORT_AGAIN,
             )
         self.meshes[number] = ThreeMfMesh(vertices, starts, faces)
 
     def _read_vertices(self, element: Element, number: int) -> tuple[Floats, Longs]:
-        def not_finite(at: int, row: int) -> ContentError:
-            return ContentError(
+        def not_finite(at: int, row: int) -> errors.ContentError:
+            return errors.ContentError(
                 "a position is not finite",
                 code="E_NONFINITE",
                 where=f"{self._where(at)}, object {number}, vertex {row}",
@@ -294,7 +287,7 @@ class Model:
         if bad >= 0:
             at = int(starts.reshape(-1)[bad])
             word = self._text[at : int(stops.reshape(-1)[bad])][:40].decode("ascii", "replace")
-            raise damaged(f"{word!r} is not a number", self._where(at))
+            raise errors.damaged(f"{word!r} is not a number", self._where(at))
         return values.reshape(-1, 3)
 
     def _whole(self, element: Element, word: str) -> int:

@@ -13,19 +13,12 @@ from collections import Counter
 
 import numpy as np
 
+from msal_cli import errors
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots, Strided, number_within
 from msal_cli.codecs.text_slots import line_of
 from msal_cli.codecs.tokens import Words
-from msal_cli.errors import (
-    CUT_SHORT,
-    FormatError,
-    InputError,
-    TruncatedError,
-    UnsupportedError,
-    damaged,
-)
 from msal_cli.storage.regular import Buffer
 
 _CODES = {"signed_char": ">i1", "vtkidtype": ">i4", "float": ">f4", "double": ">f8"}
@@ -58,7 +51,7 @@ def parse(data: Buffer) -> Layout:
     """Read a VTK file; UnsupportedError for data without points of their own, and curved cells."""
     header = _HEADER.match(data)
     if not header:
-        raise damaged(
+        raise errors.damaged(
             "the file does not begin with '# vtk DataFile', a title and ASCII or BINARY", "line 1"
         )
     is_text = header[4].upper() == b"ASCII"
@@ -68,7 +61,7 @@ def parse(data: Buffer) -> Layout:
     if not kind:
         raise reader.damaged("no DATASET is named")
     if kind not in _POINTS:
-        raise UnsupportedError(
+        raise errors.UnsupportedError(
             f"the data set {kind} has no surface of points",
             hint="extract the surface in the program that wrote it",
         )
@@ -133,8 +126,8 @@ class _Reader:
             return f"byte {self._line_at}"
         return f"line {line_of(self._data, self._line_at)}"
 
-    def damaged(self, message: str) -> FormatError:
-        return damaged(message, self.where())
+    def damaged(self, message: str) -> errors.FormatError:
+        return errors.damaged(message, self.where())
 
     def line(self) -> list[str]:
         """The words of the next line that has any; empty at the end."""
@@ -247,7 +240,7 @@ class _Reader:
     def _code(self, kind: str) -> str:
         code = _CODES.get(kind.lower())
         if code is None:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"numbers of the type {kind[:40]!r} are not read", where=self.where()
             )
         return code
@@ -264,10 +257,10 @@ class _Reader:
     def _next_bytes(self, count: int) -> int:
         at = self._at
         if at + count > len(self._data):
-            raise TruncatedError(
+            raise errors.TruncatedError(
                 f"{at + count - len(self._data):,} bytes are missing",
                 where=f"byte {len(self._data)}",
-                hint=CUT_SHORT,
+                hint=errors.CUT_SHORT,
             )
         self._at += count
         return at
@@ -279,7 +272,7 @@ class _Reader:
             n_points, kind = self.count_of(words, 1, "points"), self.word_of(words, 2)
             code = self._code(kind)
             if code not in _PRECISIONS:
-                raise UnsupportedError(
+                raise errors.UnsupportedError(
                     f"the points are stored as {kind}, not as float or double",
                     where=self.where(),
                     hint="write the points as float or double",
@@ -301,7 +294,7 @@ class _Reader:
         elif keyword == "FIELD":
             self._read_field(words, "")
         elif keyword.endswith("_COORDINATES") or keyword in ("SPACING", "ORIGIN"):
-            raise UnsupportedError(f"{words[0]} in a data set of points", where=self.where())
+            raise errors.UnsupportedError(f"{words[0]} in a data set of points", where=self.where())
         else:
             raise self.damaged(f"{words[0][:40]!r} is no section of a VTK file")
 
@@ -322,7 +315,7 @@ class _Reader:
                 else:
                     self._read_attribute(words, owner, n_tuples)
                 words = self.line()
-        except InputError as failure:
+        except errors.InputError as failure:
             first = failure.where or "the first"
             self.warnings.append(
                 f"attributes from {first} on were not understood ({failure}); they are kept as "
@@ -350,7 +343,7 @@ class _Reader:
         elif keyword == "TEXTURE_COORDINATES":
             self._skip(n_tuples * self.count_of(words, 2, "numbers"), self.word_of(words, 3))
         else:
-            raise FormatError(f"{words[0][:40]!r} is no attribute", where=self.where())
+            raise errors.FormatError(f"{words[0][:40]!r} is no attribute", where=self.where())
         if keyword == "NORMALS" and owner == "cell":
             self.warnings.append("normals of cells are kept as they are")
         self.properties.append(f"{owner}.{name}")
@@ -420,7 +413,7 @@ class Cells:
         """
         wrong = sizes != _CORNERS.get(kind, sizes)
         if wrong.any():
-            raise damaged(f"a {kind} has {int(sizes[wrong][0])} corners")
+            raise errors.damaged(f"a {kind} has {int(sizes[wrong][0])} corners")
         self._counts[kind] += len(sizes)
         if kind == "strip":
             triangles = corners[_strip_triangles(sizes)]
@@ -438,9 +431,9 @@ class Cells:
     def add_types(self, types: Longs, sizes: Longs, corners: Longs) -> None:
         """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers."""
         if len(types) != len(sizes):
-            raise damaged("there are not as many types as cells")
+            raise errors.damaged("there are not as many types as cells")
         if n_curved := int(np.isin(types, _CURVED).sum()):
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"the file has second-order surface cells ({n_curved} cells)",
                 hint="write it with first-order triangles or quads",
             )
@@ -458,7 +451,7 @@ class Cells:
         for type in (5, 9):
             kind = _KINDS[type]
             if ((types == type) & (sizes != _CORNERS[kind])).any():
-                raise damaged(f"a {kind} has not {_CORNERS[kind]} corners")
+                raise errors.damaged(f"a {kind} has not {_CORNERS[kind]} corners")
         groups = [("polygon", np.isin(types, _POLYGONS))]
         groups += [(name, types == one) for one, name in names.items() if one not in _POLYGONS]
         for kind, chosen in groups:
@@ -467,7 +460,7 @@ class Cells:
     def add_layer(self, dimensions: list[int], n_points: int) -> None:
         """Add the quadrilaterals of a structured grid that is one layer thick."""
         if len(dimensions) != 3 or dimensions[0] * dimensions[1] * dimensions[2] != n_points:
-            raise damaged("DIMENSIONS and POINTS do not agree")
+            raise errors.damaged("DIMENSIONS and POINTS do not agree")
         rows = [size for size in dimensions if size > 1]
         if len(rows) != 2:
             self._counts["block of cells" if len(rows) == 3 else "row of points"] += 1

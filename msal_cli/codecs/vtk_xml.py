@@ -17,30 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msal_cli import errors
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
+from msal_cli.codecs import text_slots
 from msal_cli.codecs.mesh_file import Layout, MeshFile
 from msal_cli.codecs.slots import Change, Slots, to_type
-from msal_cli.codecs.text_slots import (
-    Patch,
-    TextSlots,
-    plan_patches,
-    replace_statements,
-    require_replaced,
-)
 from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.vtk import Cells
 from msal_cli.codecs.xml_tree import Element, parse_tree
-from msal_cli.errors import (
-    EXPORT_AGAIN,
-    ContentError,
-    FormatError,
-    InternalError,
-    MsalError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-    damaged,
-)
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
 from msal_cli.storage.regular import Buffer, memory_bytes
 from msal_cli.structs import dataclass
@@ -63,14 +47,14 @@ class Coding:
         self.data = data
         self.compressor = root.attributes.get("compressor", "")
         if self.compressor not in _COMPRESSORS:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"arrays compressed by {self.compressor[:40]} are not read",
                 hint="write the file with zlib compression, or with none",
             )
         order = {"LittleEndian": "<", "BigEndian": ">"}.get(root.attributes.get("byte_order", ""))
         header = {"UInt32": "u4", "UInt64": "u8"}.get(root.attributes.get("header_type", "UInt32"))
         if order is None or header is None:
-            raise damaged("byte_order or header_type is wrong", "line 1")
+            raise errors.damaged("byte_order or header_type is wrong", "line 1")
         self.order, self.header = order, order + header
         self.appended_at = appended.end() if appended else -1
         self._is_raw = appended is not None and appended[1] == b"raw"
@@ -89,7 +73,7 @@ class Coding:
         if size > max(ALWAYS_EXPANDED, MAX_RATIO * packed) or self._expanded_bytes > min(
             of_all, memory_bytes() // 2
         ):
-            raise TooLargeError(
+            raise errors.TooLargeError(
                 f"an array of {packed:,} bytes expands to {size:,}, and all to "
                 f"{self._expanded_bytes:,}",
                 where=f"byte {at}",
@@ -102,14 +86,16 @@ class Coding:
             return array.inside, array.text_stop, False
         offset = array.attributes.get("offset", "").strip()
         if self.appended_at < 0 or not re.fullmatch(r"[0-9]{1,18}", offset):
-            raise damaged("an array is said to be appended, but is not", f"byte {array.start}")
+            raise errors.damaged(
+                "an array is said to be appended, but is not", f"byte {array.start}"
+            )
         return self.appended_at + int(offset), len(self.data), self._is_raw
 
     def code_of(self, array: Element) -> str:
         """numpy's type of an array's numbers."""
         kind = array.attributes.get("type", "")
         if kind not in _CODES:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"numbers of the type {kind[:40]!r} are not read", where=f"byte {array.start}"
             )
         return self.order + _CODES[kind]
@@ -121,14 +107,14 @@ class Coding:
             return Words(self.data, array.inside, array.text_stop).integers(slice(None))
         content = self.decode(array)[0]
         if len(content) % np.dtype(code).itemsize:
-            raise damaged("an array is cut", f"byte {array.start}")
+            raise errors.damaged("an array is cut", f"byte {array.start}")
         return np.frombuffer(content, dtype=code).astype(np.int64)
 
     def numbers(self, array: Element, count: int, *, are_normals: bool = False) -> XmlSlots:
         """The rows (count, 3) of an array of floating-point numbers."""
         code = self.code_of(array)
         if code[1] != "f":
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"positions are stored as {array.attributes['type']}",
                 where=f"byte {array.start}",
                 hint="write them as Float32 or Float64",
@@ -181,16 +167,16 @@ class Coding:
 
 def _require_count(there: int, wanted: int, array: Element) -> None:
     if there != wanted:
-        kind = TruncatedError if there < wanted else FormatError
+        kind = errors.TruncatedError if there < wanted else errors.FormatError
         raise kind(
             f"an array holds {there:,} numbers or bytes where {wanted:,} are counted",
             where=f"byte {array.start}",
-            hint=EXPORT_AGAIN,
+            hint=errors.EXPORT_AGAIN,
         )
 
 
 @dataclass(eq=False)
-class TextNumbers(TextSlots):
+class TextNumbers(text_slots.TextSlots):
     """An array of words between the bytes ``start`` and ``stop``."""
 
     start: int
@@ -198,16 +184,16 @@ class TextNumbers(TextSlots):
 
     def encode(self, values: Floats, is_changed: Flags) -> bytes:
         """The bytes of the array with new values (n, 3)."""
-        return bytes(replace_statements(*self._plan(values, is_changed)))
+        return bytes(text_slots.replace_statements(*self._plan(values, is_changed)))
 
     def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
         """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
         assert isinstance(new, TextNumbers)
         data, patches = self._plan(values, is_changed)
-        require_replaced(data, new.data[new.start : new.stop], patches)
+        text_slots.require_replaced(data, new.data[new.start : new.stop], patches)
 
-    def _plan(self, values: Floats, is_changed: Flags) -> tuple[Bytes, list[Patch]]:
-        patches = plan_patches([Change(self, values, is_changed)])
+    def _plan(self, values: Floats, is_changed: Flags) -> tuple[Bytes, list[text_slots.Patch]]:
+        patches = text_slots.plan_patches([Change(self, values, is_changed)])
         own = [patch._replace(at=patch.at - self.start) for patch in patches]
         return self.data[self.start : self.stop], own
 
@@ -233,7 +219,9 @@ class EncodedNumbers(Slots):
         """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
         assert isinstance(new, EncodedNumbers)
         if new._rows.tobytes() != self._new_content(values):
-            raise InternalError("an array of the file that was made is not what it should be")
+            raise errors.InternalError(
+                "an array of the file that was made is not what it should be"
+            )
 
     def _new_content(self, values: Floats) -> bytes:
         # Rows that did not move keep their bits, the signs of zeros included.
@@ -273,9 +261,9 @@ def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
             limit = lzma.LZMADecompressor(memlimit=_MAX_LZMA_BYTES)
             content = limit.decompress(block, size + 1)
     except (zlib.error, lzma.LZMAError) as failure:
-        raise damaged(f"a compressed array is damaged: {failure}", f"byte {at}") from None
+        raise errors.damaged(f"a compressed array is damaged: {failure}", f"byte {at}") from None
     if len(content) != size:
-        raise damaged("a compressed block has another size than it says", f"byte {at}")
+        raise errors.damaged("a compressed block has another size than it says", f"byte {at}")
     return content
 
 
@@ -305,7 +293,7 @@ class _Source:
             try:
                 self._left += piece if self._is_raw else base64.b64decode(piece, validate=True)
             except binascii.Error:
-                raise damaged("an array is not base64", f"byte {self.at}") from None
+                raise errors.damaged("an array is not base64", f"byte {self.at}") from None
             self.at += n_bytes
             self.is_split |= not self._is_raw and piece.endswith(b"=")
         if len(self._left) < size:
@@ -318,8 +306,8 @@ class _Source:
         self._left = b""
 
 
-def _cut(message: str, at: int) -> TruncatedError:
-    return TruncatedError(message, where=f"byte {at}", hint=EXPORT_AGAIN)
+def _cut(message: str, at: int) -> errors.TruncatedError:
+    return errors.TruncatedError(message, where=f"byte {at}", hint=errors.EXPORT_AGAIN)
 
 
 Shift = Callable[[int], int]
@@ -378,12 +366,12 @@ class VtkXmlFile(MeshFile):
         output = result.tobytes()
         try:
             there = _parse(self.format, output)
-        except MsalError as failure:
-            raise InternalError(f"{what} cannot be read: {failure}") from failure
+        except errors.MsalError as failure:
+            raise errors.InternalError(f"{what} cannot be read: {failure}") from failure
         ours, theirs = self._layout.arrays, there.arrays
         shapes = [[(type(slots), slots.values.shape) for slots in own] for own in (ours, theirs)]
         if shapes[0] != shapes[1] or len(there.dependents) != len(self._layout.dependents):
-            raise InternalError(f"{what} has other arrays")
+            raise errors.InternalError(f"{what} has other arrays")
         edits, places = [], []
         for slots, values, is_changed in changes:
             new = theirs[next(i for i, own in enumerate(ours) if own is slots)]
@@ -394,9 +382,9 @@ class VtkXmlFile(MeshFile):
         places += [(dependent.start, dependent.stop) for dependent in there.dependents]
         for (_, _, text), (start, stop) in zip(edits, places, strict=True):
             if output[start:stop] != text:
-                raise InternalError(f"an attribute of {what} is not what it should be")
+                raise errors.InternalError(f"an attribute of {what} is not what it should be")
         if _rest(self._data, [edit[:2] for edit in edits]) != _rest(output, places):
-            raise InternalError(f"{what} differs in more than positions and normals")
+            raise errors.InternalError(f"{what} differs in more than positions and normals")
 
     def _dependent_texts(self, vertices: Floats, shift: Shift) -> list[tuple[int, int, bytes]]:
         """What depends on positions, and the bytes that it should have."""
@@ -434,18 +422,18 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
     root = parse_tree(data, appended.start() if appended else None)
     kind = root.attributes.get("type", "")
     if root.name != "VTKFile" or not kind:
-        raise damaged("the file is no VTKFile", "line 1")
+        raise errors.damaged("the file is no VTKFile", "line 1")
     if kind != _TYPES[format]:
         suffix = {one: name for name, one in _TYPES.items()}.get(kind)
         if suffix is None:
-            raise UnsupportedError(f"a VTKFile of the type {kind[:40]!r} is not read")
-        raise FormatError(f"a {kind} is a .{suffix} file", hint=f"rename it to .{suffix}")
+            raise errors.UnsupportedError(f"a VTKFile of the type {kind[:40]!r} is not read")
+        raise errors.FormatError(f"a {kind} is a .{suffix} file", hint=f"rename it to .{suffix}")
     coding = Coding(data, root, appended)
     grid = root.find(kind)
     pieces = list(grid.all("Piece")) if grid is not None else []
     parts = [part for part in (_Piece(piece, coding) for piece in pieces) if part.n_points]
     if not parts:
-        raise ContentError(
+        raise errors.ContentError(
             "the file has no points", code="E_NO_FACES", hint="check the program that writes it"
         )
     starts = np.cumsum([0, *(part.n_points for part in parts)])
@@ -490,7 +478,9 @@ class _Piece:
         holder = piece.find("Points")
         points = None if holder is None else holder.find("DataArray")
         if points is None or points.attributes.get("NumberOfComponents") != "3":
-            raise damaged("a piece has no points of three coordinates", f"byte {piece.start}")
+            raise errors.damaged(
+                "a piece has no points of three coordinates", f"byte {piece.start}"
+            )
         self.points_array = points
         self.points = coding.numbers(points, self.n_points)
         cells = piece.find("Cells")
@@ -522,7 +512,7 @@ def _named(group: Element, name: str) -> Element | None:
 def _count(piece: Element, name: str) -> int:
     word = piece.attributes.get(name, "0").strip()
     if not re.fullmatch(r"[0-9]{1,18}", word):
-        raise damaged(f"{name} is no number", f"byte {piece.start}")
+        raise errors.damaged(f"{name} is no number", f"byte {piece.start}")
     return int(word)
 
 
@@ -530,14 +520,14 @@ def _array(group: Element, name: str) -> Element:
     for array in group.all("DataArray"):
         if array.attributes.get("Name") == name:
             return array
-    raise damaged(f"there is no array {name}", f"byte {group.start}")
+    raise errors.damaged(f"there is no array {name}", f"byte {group.start}")
 
 
 def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
     sizes = np.diff(coding.integers(_array(group, "offsets")), prepend=0)
     corners = coding.integers(_array(group, "connectivity"))
     if (sizes < 0).any() or sizes.sum() > len(corners):
-        raise damaged("the offsets of cells are wrong", f"byte {group.start}")
+        raise errors.damaged("the offsets of cells are wrong", f"byte {group.start}")
     return sizes, corners[: sizes.sum()]
 
 

@@ -19,13 +19,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from zipfile import ZipInfo
 
-from msal_cli.errors import (
-    CUT_SHORT,
-    FormatError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedError,
-)
+from msal_cli import errors
 from msal_cli.storage.regular import Buffer
 
 _LOCAL, _END, _END_64, _DESCRIPTOR = b"PK\x03\x04", b"PK\x05\x06", b"PK\x06\x06", b"PK\x07\x08"
@@ -54,10 +48,12 @@ class Archive:
         self._data = memoryview(data).cast("B")
         file = io.BytesIO(data)
         if self._data[:4] not in (_LOCAL, _END):
-            raise FormatError("the file is not a zip archive", where="byte 0", hint=_DAMAGED)
+            raise errors.FormatError("the file is not a zip archive", where="byte 0", hint=_DAMAGED)
         if not zipfile.is_zipfile(file):
             where = f"byte {len(self._data)}"
-            raise TruncatedError("the archive has no end record", where=where, hint=CUT_SHORT)
+            raise errors.TruncatedError(
+                "the archive has no end record", where=where, hint=errors.CUT_SHORT
+            )
         with _errors("central directory"):
             self._zip = zipfile.ZipFile(file)
         self._central_at = self._zip.start_dir
@@ -70,7 +66,9 @@ class Archive:
         self._end_at = self._find_end(at)
         self._members = {_key(member.filename): member for member in self._zip.infolist()}
         if len(self._members) < len(self._zip.infolist()):
-            raise FormatError("two members have one name", where="central directory", hint=_DAMAGED)
+            raise errors.FormatError(
+                "two members have one name", where="central directory", hint=_DAMAGED
+            )
         # By what lies behind one another: each member ends where the next one begins.
         ordered = sorted(self._members.values(), key=lambda member: member.header_offset)
         self._stops: dict[str, int] = {}
@@ -78,7 +76,7 @@ class Archive:
         for member, stop in zip(ordered, [*behind, self._central_at], strict=False):
             self._stops[member.filename] = stop
             if self._data_at(member) + member.compress_size > stop:
-                raise FormatError(
+                raise errors.FormatError(
                     f"{member.filename} reaches into what follows it",
                     where=f"byte {member.header_offset}",
                     hint=_DAMAGED,
@@ -90,15 +88,17 @@ class Archive:
         if self._data[at : at + 4] == _END_64:
             at += 12 + self._value((at + 4, "<Q")) + _LOCATOR_SIZE
         if self._data[at : at + 4] != _END or at + _END_SIZE > len(self._data):
-            raise FormatError(
+            raise errors.FormatError(
                 "no end record follows the directory", where=f"byte {at}", hint=_DAMAGED
             )
         disk, first_disk, here, count = struct.unpack_from("<4H", self._data, at + 4)
         if at == self._behind_entries and (disk or first_disk or here != count):
-            raise UnsupportedError("the archive is split into several files", hint=_REPACK)
+            raise errors.UnsupportedError("the archive is split into several files", hint=_REPACK)
         if at + _END_SIZE + struct.unpack_from("<H", self._data, at + 20)[0] != len(self._data):
-            raise TruncatedError(
-                "the comment of the archive is cut", where=f"byte {len(self._data)}", hint=CUT_SHORT
+            raise errors.TruncatedError(
+                "the comment of the archive is cut",
+                where=f"byte {len(self._data)}",
+                hint=errors.CUT_SHORT,
             )
         return at
 
@@ -112,23 +112,23 @@ class Archive:
         Nothing beyond the size in the directory is ever expanded.
         """
         if member.flag_bits & _IS_ENCRYPTED:
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"{member.filename} is encrypted", hint="export it without a password"
             )
         if member.file_size > room:
-            raise TooLargeError(
+            raise errors.TooLargeError(
                 f"it expands to {member.file_size:,} bytes, and there is room for {room:,}",
                 where=member.filename,
                 hint="no mesh compresses so well; if you trust it, pack it without compression",
             )
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise UnsupportedError(
+            raise errors.UnsupportedError(
                 f"{member.filename} is compressed by method {member.compress_type}", hint=_REPACK
             )
         places, numbers = self._places(member.header_offset), numbers_of(member)
         is_in_header = not member.flag_bits & _HAS_DESCRIPTOR
         if is_in_header and any(self._value(places[word]) != numbers[word] for word in numbers):
-            raise FormatError(
+            raise errors.FormatError(
                 f"{member.filename} has other sizes in its local header",
                 where=f"byte {member.header_offset}",
                 hint=_DAMAGED,
@@ -137,7 +137,7 @@ class Archive:
         with _errors(member.filename), self._zip.open(member) as file:
             content = file.read(member.file_size + 1)
         if len(content) != member.file_size:
-            raise FormatError(
+            raise errors.FormatError(
                 "it has another size than it should", where=member.filename, hint=_DAMAGED
             )
         return content
@@ -178,7 +178,7 @@ class Archive:
             _write(tail, places, new, self._central_at)
         pieces.append(self._data[done : self._central_at])
         if self._central_at + shift > _SEE_EXTRA - (1 << 24):
-            raise TooLargeError(
+            raise errors.TooLargeError(
                 "the archive would have more than 4 GB", hint="cut the mesh into parts"
             )
         self._move_end(tail, shift)
@@ -187,7 +187,7 @@ class Archive:
     def _data_at(self, member: ZipInfo) -> int:
         at = member.header_offset
         if at + _LOCAL_SIZE > self._central_at or self._data[at : at + 4] != _LOCAL:
-            raise FormatError(
+            raise errors.FormatError(
                 f"{member.filename} has no local header", where=f"byte {at}", hint=_DAMAGED
             )
         return int(at + _LOCAL_SIZE + sum(struct.unpack_from("<2H", self._data, at + 26)))
@@ -232,7 +232,7 @@ class Archive:
                     break
             else:
                 where = f"byte {data_at + member.compress_size}"
-                raise FormatError(f"{member.filename} has no data descriptor", where=where)
+                raise errors.FormatError(f"{member.filename} has no data descriptor", where=where)
         return [head, packed, tail]
 
     def _move_end(self, tail: bytearray, shift: int) -> None:
@@ -256,10 +256,12 @@ def _errors(where: str) -> Iterator[None]:
     try:
         yield
     except NotImplementedError as failure:
-        raise UnsupportedError(f"the archive cannot be read: {failure}", hint=_REPACK) from None
+        raise errors.UnsupportedError(
+            f"the archive cannot be read: {failure}", hint=_REPACK
+        ) from None
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, struct.error):
         message = "the archive contradicts itself, or a checksum is wrong"
-        raise FormatError(message, where=where, hint=_DAMAGED) from None
+        raise errors.FormatError(message, where=where, hint=_DAMAGED) from None
 
 
 def _key(name: str) -> str:
@@ -271,7 +273,7 @@ def _write(target: bytearray, places: _Places, numbers: Numbers, begin: int) -> 
     for word, value in numbers.items():
         at, code = places[word]
         if code == "<L" and value >= _SEE_EXTRA and word != "crc":
-            raise TooLargeError(
+            raise errors.TooLargeError(
                 "a member would have more than 4 GB", hint="cut the mesh into parts"
             )
         struct.pack_into(code, target, at - begin, value)

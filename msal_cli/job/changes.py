@@ -5,16 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.job.records import (
-    Area,
-    Displacement,
-    NoiseEstimate,
-    NoiseReading,
-    NormalChange,
-    SelfIntersections,
-    SurfaceDistance,
-    Volume,
-)
+from msal_cli.job import records
 from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
@@ -71,13 +62,13 @@ def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
     }
 
 
-def noise_field(mesh: Mesh) -> NoiseEstimate:
+def noise_field(mesh: Mesh) -> records.NoiseEstimate:
     """The noise as records have it."""
     from msal_cli.analysis.noise_estimate import estimate_noise
 
     level = estimate_noise(mesh)
     character = level.character
-    return NoiseEstimate(
+    return records.NoiseEstimate(
         **{name: getattr(level, name) for name in _OF_LEVEL},
         **{name: getattr(character, name) for name in _OF_CHARACTER},
         low_edges=level.low,
@@ -89,22 +80,22 @@ def noise_field(mesh: Mesh) -> NoiseEstimate:
         step_edges=character.step,
         unsure=level.is_unsure,
         readings=tuple(
-            NoiseReading(reading.kind, reading.level, reading.probability)
+            records.NoiseReading(reading.kind, reading.level, reading.probability)
             for reading in level.readings
         ),
     )
 
 
-def displacement_field(statistics: DisplacementStatistics, edge: float) -> Displacement:
+def displacement_field(statistics: DisplacementStatistics, edge: float) -> records.Displacement:
     """How far vertices moved, ``edge`` being the mean edge length before."""
-    return Displacement(
+    return records.Displacement(
         **_length_fields(statistics, edge), moved_vertices=statistics.moved_vertices
     )
 
 
-def distance_field(statistics: DistanceStatistics, edge: float) -> SurfaceDistance:
+def distance_field(statistics: DistanceStatistics, edge: float) -> records.SurfaceDistance:
     """Distances to a surface, ``edge`` being the mean edge length before."""
-    return SurfaceDistance(**_length_fields(statistics, edge))
+    return records.SurfaceDistance(**_length_fields(statistics, edge))
 
 
 def _length_fields(statistics: DistanceStatistics, edge: float) -> dict[str, float]:
@@ -113,19 +104,19 @@ def _length_fields(statistics: DistanceStatistics, edge: float) -> dict[str, flo
     return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
 
-def volume_changed(before: float, after: float, area: float, objection: str) -> Volume:
+def volume_changed(before: float, after: float, area: float, objection: str) -> records.Volume:
     """The record of an enclosed volume; ``area`` is the area before, and ``objection`` says why the
     volume means nothing, empty if it does."""
     from msal_cli.analysis.measures import relative_volume_change
 
     share = relative_volume_change(before, after, area)
     percent = None if share is None else 100.0 * share
-    return Volume(before, after, after - before, percent, not objection, objection)
+    return records.Volume(before, after, after - before, percent, not objection, objection)
 
 
-def area_changed(before: float, after: float) -> Area:
+def area_changed(before: float, after: float) -> records.Area:
     """The record of an area."""
-    return Area(before, after, 100.0 * (after - before) / before if before else None)
+    return records.Area(before, after, 100.0 * (after - before) / before if before else None)
 
 
 def measure(
@@ -182,7 +173,7 @@ def measure(
         warnings.append((harm.code, f"this looks like damage: {harm.reason}; {_DAMAGE_ADVICE}"))
     fields = {
         "displacement": displacement_field(statistics, before.mean_edge_length),
-        "normal_change": NormalChange(
+        "normal_change": records.NormalChange(
             surface.mean_angular_error_deg, surface.max_angular_error_deg
         ),
         "flipped_faces": surface.flipped_faces,
@@ -196,19 +187,19 @@ def measure(
     return Measured(fields, tuple(warnings), harm)
 
 
-def count_self_intersections(before: Mesh, after: Mesh) -> SelfIntersections:
+def count_self_intersections(before: Mesh, after: Mesh) -> records.SelfIntersections:
     """How many pairs of faces intersect before and after, and how many of these are new; the
     meshes have the same faces."""
     from msal_cli.analysis.measures import self_intersection_change
 
-    return SelfIntersections(*self_intersection_change(before, after))
+    return records.SelfIntersections(*self_intersection_change(before, after))
 
 
 def method_warnings(
     method: Method,
     parameters: Mapping[str, Any],
-    noise: NoiseEstimate,
-    displacement: Displacement,
+    noise: records.NoiseEstimate,
+    displacement: records.Displacement,
     is_ruled: bool,
 ) -> tuple[str, ...]:
     """Where a method that the user named harms the mesh: each with what is better.

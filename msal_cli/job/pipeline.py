@@ -15,16 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli import machine
 from msal_cli.errors import InternalError
-from msal_cli.job import changes, output
+from msal_cli.job import changes, output, room
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
 from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
-from msal_cli.job.room import (
-    are_arrays_in_files,
-    open_mesh,
-    prepare_mesh,
-    room_for_task,
-    to_known_error,
-)
 from msal_cli.job.settings import (
     CHOOSING,
     NO_LIMITS,
@@ -154,7 +147,7 @@ class FileRun:
         self._count()
         seconds = Seconds(**self._seconds, total=self._counted - self._started)
         # Pages of files, which the system takes back when it likes, would count.
-        peak = None if are_arrays_in_files() else machine.peak_bytes()
+        peak = None if room.are_arrays_in_files() else machine.peak_bytes()
         self.know(seconds=seconds, peak_memory_bytes=peak, **values)
         return self._record
 
@@ -167,7 +160,7 @@ class FileRun:
 
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
-        failure = Failure.of(to_known_error(error, self._record.input))
+        failure = Failure.of(room.to_known_error(error, self._record.input))
         return self._close_record(status="failed", error=failure)
 
     # The way of a file
@@ -177,7 +170,7 @@ class FileRun:
         with self.stage("read"):
             # The mark is older than the bytes: an object that changes in between is done again.
             self.know(input_object=task.input_mark)
-            return room_for_task(task, self._settings, self._limits)
+            return room.room_for_task(task, self._settings, self._limits)
 
     def read(self, task: Task) -> Buffer:
         """The bytes of the input, unless its header shows that it is no mesh."""
@@ -202,7 +195,7 @@ class FileRun:
             digest = gzip_streams.sha256_meanwhile(data)
             try:
                 name, format = self._record.input, self._settings.format
-                mesh_file, is_compressed = open_mesh(data, name, format)
+                mesh_file, is_compressed = room.open_mesh(data, name, format)
             finally:
                 # A file that cannot be read is known by its hash, too.
                 self.know(input_sha256=digest())
@@ -271,7 +264,7 @@ class FileRun:
 
     def prepare_mesh(self, mesh_file: Surface) -> PreparedMesh:
         """The mesh of a file, fit for computing, and its defects in the record."""
-        ready = prepare_mesh(mesh_file)
+        ready = room.prepare_mesh(mesh_file)
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
         if n_edges := ready.defects.inconsistent_edges:
             self.warn(

@@ -10,14 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, TruncatedError
-from msal_cli.storage.regular import (
-    LARGE_BYTES,
-    Buffer,
-    NotRegularError,
-    largest_bytes,
-    open_regular,
-    too_large,
-)
+from msal_cli.storage import regular
 from msal_cli.storage.urls import is_url
 
 GZIP_SUFFIX = ".gz"
@@ -39,7 +32,7 @@ def read_whole(
     size: int | None = None,
     *,
     check: Callable[[BinaryIO, int], None] | None = None,
-) -> Buffer:
+) -> regular.Buffer:
     """The bytes of a regular file, or of an object behind a URL.
 
     A large file comes as an array of numpy's, to be read only.  It is in large pages where the
@@ -62,7 +55,7 @@ def read_whole(
 
         return remote.read_whole(path, size)
     try:
-        with open_regular(path, buffering=0) as file:
+        with regular.open_regular(path, buffering=0) as file:
             expected = os.fstat(file.fileno()).st_size
             if check is not None:
                 check(file, expected)
@@ -77,19 +70,19 @@ def read_whole(
             path=os.fspath(path),
             code="E_READ",
             hint="write what comes through it to a file first"
-            if isinstance(failure, NotRegularError)
+            if isinstance(failure, regular.NotRegularError)
             else "check that it exists and that you may read it",
         ) from failure
 
 
-def _read_to_end(file: BinaryIO, expected: int) -> Buffer:
+def _read_to_end(file: BinaryIO, expected: int) -> regular.Buffer:
     """All bytes of an open file, which may have more than the ``expected``, but not without end."""
-    if expected > largest_bytes():
-        raise too_large(expected)
+    if expected > regular.largest_bytes():
+        raise regular.too_large(expected)
     # One byte more than there should be, so that the next piece is the empty one at the end.
-    pieces: list[Buffer] = []
+    pieces: list[regular.Buffer] = []
     size, room = 0, expected + 1
-    if expected >= LARGE_BYTES:
+    if expected >= regular.LARGE_BYTES:
         import numpy as np
 
         array = np.empty(room, dtype=np.uint8).data
@@ -102,8 +95,8 @@ def _read_to_end(file: BinaryIO, expected: int) -> Buffer:
     while piece := file.read(room):
         pieces.append(piece)
         size += len(piece)
-        if size > largest_bytes():
-            raise too_large(size)
+        if size > regular.largest_bytes():
+            raise regular.too_large(size)
         room = max(expected + 1 - size, _MAX_PIECE)
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
@@ -113,7 +106,7 @@ def is_gzip_name(name: str) -> bool:
     return name.lower().endswith(GZIP_SUFFIX)
 
 
-def expand(data: Buffer, name: str) -> tuple[Buffer, bool]:
+def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
     """The content of a file that may be compressed with gzip, and whether it was.
 
     A file counts as compressed if its ``name`` ends in ``.gz`` or its bytes begin like gzip's; all
@@ -149,7 +142,7 @@ def _gather(pieces: Iterable[bytes]) -> memoryview:
     """All pieces in one array, to be read only: large arrays may live in files."""
     import numpy as np
 
-    room, size = np.empty(LARGE_BYTES, dtype=np.uint8), 0
+    room, size = np.empty(regular.LARGE_BYTES, dtype=np.uint8), 0
     for piece in pieces:
         if size + len(piece) > len(room):
             room.resize(size + len(piece) + size // 2, refcheck=False)
@@ -187,7 +180,7 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
                 )
             # A bomb is known by its first pieces.
             allowed = max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part)))
-            allowed = min(largest_bytes(), allowed)
+            allowed = min(regular.largest_bytes(), allowed)
             try:
                 text = member.decompress(part, max(allowed - expanded, 0) + 1)
             except zlib.error as failure:
@@ -216,11 +209,11 @@ def _has_content(data: memoryview, at: int) -> bool:
     return any(bytes(data[first : first + _MAX_PIECE]).strip(b"\0") for first in firsts)
 
 
-def compress(data: Buffer) -> Buffer:
+def compress(data: regular.Buffer) -> regular.Buffer:
     """``data`` as gzip; the same bytes on every run: no time, no name, no operating system."""
     view = memoryview(data).cast("B")
     pieces = _compress_pieces(view)
-    return b"".join(pieces) if len(view) < LARGE_BYTES else _gather(pieces)
+    return b"".join(pieces) if len(view) < regular.LARGE_BYTES else _gather(pieces)
 
 
 def _compress_pieces(view: memoryview) -> Iterator[bytes]:
@@ -237,7 +230,7 @@ THREAD_BYTES = 1 << 20
 """Bytes from which on a thread is worth its start."""
 
 
-def sha256_meanwhile(data: Buffer) -> Callable[[], str]:
+def sha256_meanwhile(data: regular.Buffer) -> Callable[[], str]:
     """Begin to hash ``data``, which must not change; call what is returned for the hex digits.
 
     Other threads run on: a second core hashes while the first one parses, and even a single core
