@@ -48,6 +48,21 @@ def dataclass(
     return make
 
 
+def about(description: str) -> dict[str, str]:
+    """The metadata of a field: what the JSON Schema says of it."""
+    return {"description": description}
+
+
+def required(description: str) -> Any:
+    """A field that has to be given, with its description."""
+    return dataclasses.field(metadata=about(description))
+
+
+def known(description: str, default: Any = None) -> Any:
+    """A field with its description; None, or ``default``, if not known."""
+    return dataclasses.field(default=default, metadata=about(description))
+
+
 @functools.cache
 def _parameters(cls: Hashable) -> tuple[list[str], int, dict[str, Any], dict[str, Any]]:
     """The names of the fields, how many of them may be given without a name, the defaults, and what

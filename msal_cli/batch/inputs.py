@@ -17,11 +17,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
-from msal_cli.job.records import ObjectMark
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
-from msal_cli.storage.urls import is_url
+from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.structs import dataclass
 
 T = TypeVar("T")
@@ -250,7 +249,7 @@ def _list_store(
         return not is_hidden and selection.takes(name)
 
     return [
-        DiscoveredInput(urls.join_url(url, name), prefix + name, url, ObjectMark(*marks[name]))
+        DiscoveredInput(urls.join_url(url, name), prefix + name, url, marks[name])
         for name in sorted(filter(is_taken, marks), key=lambda name: name.split("/"))
     ]
 
@@ -258,8 +257,7 @@ def _list_store(
 def _object_mark(url: str) -> ObjectMark | None:
     from msal_cli.storage import objects
 
-    mark = _ask_store(lambda: objects.mark(url))
-    return None if mark is None else ObjectMark(*mark)
+    return _ask_store(lambda: objects.mark(url))
 
 
 def _ask_store(request: Callable[[], T]) -> T:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NoReturn
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
 from msal_cli.errors import InputError, OutputError, UsageError
-from msal_cli.job.records import ObjectMark
 from msal_cli.job.settings import (
     DEFAULT_BACKUP,
     Task,
@@ -21,7 +20,7 @@ from msal_cli.job.settings import (
 )
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
-from msal_cli.storage.urls import is_url
+from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
@@ -266,7 +265,7 @@ def _list_outputs(url: str, tasks: Iterable[Task]) -> dict[str, ObjectMark]:
         raise OutputError(error.message, hint=error.hint, path=url) from None
     start = urls.folder(url)
     found = ((task.output, marks.get(task.output.removeprefix(start))) for task in tasks)
-    return {url: ObjectMark(*mark) for url, mark in found if mark is not None}
+    return {url: mark for url, mark in found if mark is not None}
 
 
 # Refusals before anything is touched

@@ -26,11 +26,11 @@ from msal_cli.batch.manifest import (
 )
 from msal_cli.batch.plan import Plan, manifest_key
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
-from msal_cli.storage.urls import is_url
+from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 

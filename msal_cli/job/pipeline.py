@@ -17,7 +17,7 @@ from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output, room
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
-from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, ObjectMark, Seconds
+from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, Seconds
 from msal_cli.job.settings import (
     CHOOSING,
     NO_LIMITS,
@@ -258,8 +258,7 @@ class FileRun:
                 from msal_cli.codecs.companions import write_companions
 
                 notes += write_companions(made.companions, task.output, sources)
-            mark = atomic.write_whole(task.output, [made.data], sources=sources)
-            self.know(output_object=None if mark is None else ObjectMark(*mark))
+            self.know(output_object=atomic.write_whole(task.output, [made.data], sources=sources))
         return self.finish(task.output, sidecars=notes)
 
     def prepare_mesh(self, mesh_file: Surface) -> PreparedMesh:

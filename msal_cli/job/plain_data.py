@@ -20,21 +20,6 @@ _PLAIN = frozenset({str, int, float, bool, type(None)})
 Reader = Callable[[Any], Any]
 
 
-def about(description: str) -> dict[str, str]:
-    """The metadata of a field: what the JSON Schema says of it."""
-    return {"description": description}
-
-
-def required(description: str) -> Any:
-    """A field that every record has, with its description."""
-    return dataclasses.field(metadata=about(description))
-
-
-def known(description: str, default: Any = None) -> Any:
-    """A field with its description; None, or ``default``, if not known."""
-    return dataclasses.field(default=default, metadata=about(description))
-
-
 _SCREEN_LINES, _SCREEN_WIDTH = 20, 100
 
 

@@ -12,8 +12,9 @@ from dataclasses import field
 from typing import Any, Literal
 
 from msal_cli.errors import MsalError
-from msal_cli.job.plain_data import ScreenRepr, about, known, required
-from msal_cli.structs import dataclass
+from msal_cli.job.plain_data import ScreenRepr
+from msal_cli.storage.urls import ObjectMark
+from msal_cli.structs import about, dataclass, known, required
 
 SCHEMA = "msal.report/1"
 
@@ -253,14 +254,6 @@ class GateResult:
         "values of the names in the expression, in the units of their fields"
     )
     reason: str = required("those values in words, or why the gate could not be decided")
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectMark:
-    """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
-
-    size: int = required("bytes")
-    tag: str = required("entity tag, or what the store gives in its place; empty if it gives none")
 
 
 @dataclass(frozen=True, slots=True)

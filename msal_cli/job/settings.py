@@ -14,8 +14,8 @@ from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.codecs.header import Forecast
-    from msal_cli.job.records import ObjectMark
     from msal_cli.methods import Method
+    from msal_cli.storage.urls import ObjectMark
 
 Preference = Literal["balanced", "positions", "normals", "volume"]
 Keep = Literal["texture", "edges", "shape"]

@@ -23,7 +23,7 @@ from pathlib import Path
 from msal_cli.errors import OutputError
 from msal_cli.machine import is_alive, start_time
 from msal_cli.storage.regular import Buffer
-from msal_cli.storage.urls import is_url
+from msal_cli.storage.urls import ObjectMark, is_url
 
 MAX_NAME_BYTES = 140
 """Bytes in the name of a temporary file; some encrypting file systems allow only 143."""
@@ -64,7 +64,7 @@ def write_whole(
     buffers: Buffer | Iterable[Buffer],
     *,
     sources: Sources = (),
-) -> tuple[int, str] | None:
+) -> ObjectMark | None:
     """Write a file so that it is seen whole or not at all, even after a crash.
 
     The bytes go to a temporary file in the same folder, are flushed to the disk and counted, and
@@ -83,7 +83,7 @@ def write_whole(
 
     Returns
     -------
-    Size and entity tag of an object; nothing for a file.
+    The mark of an object; nothing for a file.
 
     Raises
     ------

@@ -16,11 +16,12 @@ import re
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any
 
 from msal_cli.errors import InputError, MsalError, OutputError, UsageError, install_hint
 from msal_cli.storage import urls
 from msal_cli.storage.regular import Buffer, largest_bytes, too_large
+from msal_cli.storage.urls import ObjectMark
 
 _EXTRA = "cloud"
 
@@ -40,16 +41,6 @@ _TIMES = ("LastModified", "last_modified", "mtime", "modified", "updated", "crea
 
 _lock = threading.Lock()
 _file_systems: dict[tuple[str, str], Any] = {}
-
-
-class Mark(NamedTuple):
-    """Size in bytes and entity tag of an object.
-
-    Where a store has no entity tags, the time of change is used; empty where there is neither.
-    """
-
-    size: int
-    tag: str
 
 
 def is_in_process(url: str) -> bool:
@@ -134,7 +125,7 @@ def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     return data, max(there.size, len(data))
 
 
-def read_many(marks: Mapping[str, Mark]) -> list[bytes]:
+def read_many(marks: Mapping[str, ObjectMark]) -> list[bytes]:
     """The bytes of several objects, with the marks of a listing, some at the same time.
 
     The errors are those of ``read_whole``; all together may have half of the machine's memory.
@@ -151,7 +142,7 @@ def read_many(marks: Mapping[str, Mark]) -> list[bytes]:
         return list(pool.map(read_whole, marks, sizes))
 
 
-def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> Mark:
+def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
     """Write an object so that it is seen whole or not at all; its mark, as the store gives it.
 
     Raises OutputError if the store does not take it; UsageError if a package is missing.
@@ -193,7 +184,7 @@ def _write_and_move(system: Any, path: str, data: bytes) -> None:
         raise
 
 
-def mark(url: str) -> Mark | None:
+def mark(url: str) -> ObjectMark | None:
     """Size and tag of an object; None if there is none (a folder is none).
 
     Raises InputError (``E_READ``) if the store does not answer; UsageError if a package is missing.
@@ -202,7 +193,7 @@ def mark(url: str) -> Mark | None:
         return _mark(*_open(url))
 
 
-def list_objects(url: str, depth: int | None = None) -> dict[str, Mark]:
+def list_objects(url: str, depth: int | None = None) -> dict[str, ObjectMark]:
     """Every object below a folder by its name there, written with ``/``, or only names of at most
     ``depth`` parts.
 
@@ -300,7 +291,7 @@ def _kind(protocol: str) -> Any:
         ) from None
 
 
-def _mark(system: Any, path: str) -> Mark | None:
+def _mark(system: Any, path: str) -> ObjectMark | None:
     system.invalidate_cache()
     try:
         info: dict[str, Any] = system.info(path)
@@ -309,9 +300,9 @@ def _mark(system: Any, path: str) -> Mark | None:
     return None if info.get("type") == "directory" else _mark_of(info)
 
 
-def _mark_of(info: dict[str, Any]) -> Mark:
+def _mark_of(info: dict[str, Any]) -> ObjectMark:
     size = info.get("size")
-    return Mark(-1 if size is None else int(size), _tag(info))
+    return ObjectMark(-1 if size is None else int(size), _tag(info))
 
 
 def _tag(info: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ import os
 import re
 
 from msal_cli.errors import UsageError
+from msal_cli.structs import dataclass, required
 
 SECRETS = "MSAL_URL_SECRETS"
 """Environment variable that hands secrets down to worker processes: JSON, by URL without them."""
@@ -26,6 +27,14 @@ _ODD = {"": "%2F", ".": "%2E", "..": "%2E%2E"}
 
 # Windows takes these for devices, whatever suffix follows.
 _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])( *\.| *$)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectMark:
+    """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
+
+    size: int = required("bytes")
+    tag: str = required("entity tag, or what the store gives in its place; empty if it gives none")
 
 
 def is_url(text: str) -> bool:

@@ -13,8 +13,9 @@ import pytest
 from msal_cli.batch import resume
 from msal_cli.batch.manifest import FileStat, done_line, encode_line, intent_line, parse_line
 from msal_cli.batch.plan import Plan, manifest_key
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed, ObjectMark
+from msal_cli.job.records import Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import Task
+from msal_cli.storage.urls import ObjectMark
 
 
 def sha256(data):

@@ -16,7 +16,8 @@ from msal_cli.codecs.header import forecast
 from msal_cli.errors import InputError, OutputError, TooLargeError, UsageError
 from msal_cli.storage import objects as remote
 from msal_cli.storage import regular
-from msal_cli.storage.objects import Mark, list_objects, mark, read_whole, write_whole
+from msal_cli.storage.objects import list_objects, mark, read_whole, write_whole
+from msal_cli.storage.urls import ObjectMark
 
 pytest.importorskip("fsspec", reason="needs the extra: pip install '.[cloud]'")
 pytestmark = pytest.mark.usefixtures("empty_store")
@@ -157,11 +158,11 @@ def test_a_password_in_the_url_of_a_store_is_refused_without_telling_it(monkeypa
 @pytest.mark.parametrize(
     ("info", "tag"),
     [
-        ({"size": 1, "ETag": '"abc"', "LastModified": 5}, Mark(1, "abc")),
-        ({"size": 1, "etag": 'W/"abc"'}, Mark(1, 'W/"abc"')),
-        ({"size": 1, "mtime": 5}, Mark(1, "mtime 5.000000")),
-        ({"size": 1, "updated": "2026-01-01"}, Mark(1, "updated 2026-01-01")),
-        ({"size": None}, Mark(-1, "")),
+        ({"size": 1, "ETag": '"abc"', "LastModified": 5}, ObjectMark(1, "abc")),
+        ({"size": 1, "etag": 'W/"abc"'}, ObjectMark(1, 'W/"abc"')),
+        ({"size": 1, "mtime": 5}, ObjectMark(1, "mtime 5.000000")),
+        ({"size": 1, "updated": "2026-01-01"}, ObjectMark(1, "updated 2026-01-01")),
+        ({"size": None}, ObjectMark(-1, "")),
     ],
 )
 def test_marks_are_made_of_what_the_store_tells(info, tag):
