@@ -42,24 +42,14 @@ class SceneFile(mesh_file.MeshFile):
     """
 
     format = ""
-    _pack: Callable[[memoryview], Buffer]
     _unpack: Callable[[Buffer, Floats], tuple[bytes, Buffer]]
 
     def __init__(self, data: Buffer, text: bytes, scene: gltf_scene.Scene) -> None:
-        self.data = data
         self.scene = scene
         self.text = text.decode("latin-1")
         scene.read_parts()
         super().__init__(scene.data.data, self.format, _layout(scene))
-
-    def replaced(self, vertices: Floats) -> Buffer:
-        if np.array_equal(vertices, self.vertices):
-            return self.data
-        return self._pack(self.replace_data(vertices))
-
-    def replace_data(self, vertices: Floats) -> memoryview:
-        """The data of the scene with other positions (n, 3)."""
-        return memoryview(super().replaced(vertices))
+        self.data = data
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         try:
@@ -225,7 +215,7 @@ class GlbFile(SceneFile):
         places = {0: (8 * (size > 0), size)} if is_inside else {}
         super().__init__(data, text, gltf_scene.Scene(content, as_bytes(rest), places))
 
-    def _pack(self, data: memoryview) -> bytes:
+    def _pack(self, data: Buffer) -> bytes:
         """The file with other data behind the description, whose padding is made to fit."""
         head = bytes(memoryview(self.data).cast("B")[: _HEAD + len(self.text)])
         text = self.text_of(data)
@@ -426,7 +416,7 @@ class GltfFile(SceneFile):
         spans = self.spans.items()
         return {number for number, (at, n) in spans if new[at : at + n] != old[at : at + n]}
 
-    def _pack(self, data: memoryview) -> Buffer:
+    def _pack(self, data: Buffer) -> Buffer:
         """The text with other data, as far as they are in it; the files that hold the others come
         from ``beside``."""
         uris = {}
@@ -441,7 +431,7 @@ class GltfFile(SceneFile):
     def _unpack(self, output: Buffer, vertices: Floats) -> tuple[bytes, Buffer]:
         """The text with the buffers inside it as they were, and the data; those beside it are not
         written yet."""
-        data = self.replace_data(vertices)
+        data = self.replaced_data(vertices)
         text = bytes(output).decode("latin-1")
         content = gltf_scene.parse_json(bytes(output), "description")
         restored = []
@@ -493,7 +483,7 @@ class GltfFile(SceneFile):
                 "a .gltf and the file of its mesh cannot be replaced at once",
                 hint="write to another folder, or convert it to .glb first",
             )
-        data = self.replace_data(vertices) if is_moved else self.scene.data.data
+        data = self.replaced_data(vertices) if is_moved else self.scene.data.data
         changed = self._changed(data)
         companions: dict[str, mesh_file.Companion] = {}
         uris = {}
@@ -563,7 +553,7 @@ def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:
     are described a second time in an extension.
     """
     is_moved = bool((vertices != file.vertices).any())
-    data = file.replace_data(vertices)
+    data = memoryview(file.replaced_data(vertices))
     text = file.text_of(data) if is_moved else file.text.encode("latin-1")
     content = json.loads(text.decode().removeprefix("\ufeff"))
     try:

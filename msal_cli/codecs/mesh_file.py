@@ -241,7 +241,8 @@ class MeshFile(Surface):
 
     def __init__(self, data: Buffer, format: str, layout: Layout) -> None:
         self.format = format
-        self._data = data
+        # What the layout is about; a format may pack it into the file, which is then ``data``.
+        self.data = self._data = data
         self._layout = layout
         self.encoding, self.precision = layout.encoding, layout.precision
         self._vertices, layout.vertices = layout.vertices, None
@@ -319,12 +320,22 @@ class MeshFile(Surface):
         as 1e-7 of its extent asks for, whichever is more.  Raises ContentError (``E_RANGE``) for a
         position that does not fit the file's number type.
         """
+        if np.array_equal(vertices, self.vertices):
+            return self.data
+        return self._pack(self.replaced_data(vertices))
+
+    def replaced_data(self, vertices: Floats) -> Buffer:
+        """What the layout is about with other positions (n, 3)."""
         changes = self._changes(vertices)
         if not changes:
             return self._data
         self._require_ranges(changes)
         require_finite_result(vertices)
         return self._write(changes, vertices)
+
+    def _pack(self, data: Buffer) -> Buffer:
+        """The file of other ``data``."""
+        return data
 
     def _write(self, changes: Sequence[Change], vertices: Floats) -> Buffer:
         data = as_bytes(self._data)

@@ -220,12 +220,6 @@ class ThreeMfFile(mesh_file.MeshFile):
         self.data = data
         self.package = package
 
-    def replaced(self, vertices: Floats) -> Buffer:
-        if np.array_equal(vertices, self.vertices):
-            return self.data
-        self._require_free()
-        return self._pack(super().replaced(vertices))
-
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3), all of them as the shortest text that is read back as
         the same float32 or float64, unless ``precision`` is ``same``.
@@ -234,7 +228,6 @@ class ThreeMfFile(mesh_file.MeshFile):
             raise errors.UnsupportedError("3MF has no ascii encoding", hint="leave --encoding away")
         if precision == "same":
             return self.replaced(vertices)
-        self._require_free()
         style = text_slots.SHORTEST_SINGLE if precision == "float32" else text_slots.SHORTEST
         patches = []
         for slots, values in zip(self._layout.positions, self._to_file(vertices), strict=True):
@@ -270,6 +263,14 @@ class ThreeMfFile(mesh_file.MeshFile):
         super().check(_BETWEEN.join(texts), vertices)
 
     def _pack(self, content: Buffer) -> bytes:
+        stale = [word for model in self.package.models.values() for word in model.stale]
+        if self.package.is_signed:
+            stale.append("a digital signature")
+        if stale:
+            raise errors.UnsupportedError(
+                f"the file has {stale[0]}, which would no longer fit a surface that moved",
+                hint="export it as a plain mesh, or convert it with --to",
+            )
         if content is self._data:
             return bytes(self.data)
         names = list(self.package.models)
@@ -279,16 +280,6 @@ class ThreeMfFile(mesh_file.MeshFile):
         return self.package.archive.replace(
             {name: new for name, (old, new) in zip(names, pairs, strict=True) if new != old}
         )
-
-    def _require_free(self) -> None:
-        stale = [word for model in self.package.models.values() for word in model.stale]
-        if self.package.is_signed:
-            stale.append("a digital signature")
-        if stale:
-            raise errors.UnsupportedError(
-                f"the file has {stale[0]}, which would no longer fit a surface that moved",
-                hint="export it as a plain mesh, or convert it with --to",
-            )
 
     def _to_file(self, vertices: Floats) -> list[Floats]:
         """New positions of each mesh in its own frame; unmoved ones exactly as they are stored."""
