@@ -32,7 +32,6 @@ from msal_cli.auto.choices import build_recipe, describe_noise, describe_rest
 from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
 from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
 from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
-from msal_cli.auto.search import forecast_seconds
 from msal_cli.auto.wishes import FAMILY, NONE, Choice, OnStep
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
@@ -221,6 +220,8 @@ def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
         return None
     if choice.surface != MACHINED and choice.noise.mean_edges < STRONG:
         return None
+    from msal_cli.auto.search import forecast_seconds
+
     return forecast_seconds(n_vertices)
 
 

@@ -22,7 +22,6 @@ from msal_cli.analysis.noise_estimate import NoiseLevel
 from msal_cli.arrays import Floats
 from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
 from msal_cli.auto.wishes import NONE, Choice, Wishes
-from msal_cli.methods.blend import format_levels, format_members
 from msal_cli.structs import dataclass
 
 PLAIN = ("none", "white", "impulsive", "unknown")
@@ -106,6 +105,8 @@ def build_recipe(
     first = members[used[0]]
     if (rows[:, used[0]] == 1.0).all() and not relax and share == 1.0:
         return Recipe(first.method, methods.find(first.method).validate(settings[0]), first.label)
+    from msal_cli.methods.blend import format_levels, format_members
+
     if len(rows) > 1 and (rows == rows[0]).all():
         rows, levels = rows[:1], ()
     listed = [

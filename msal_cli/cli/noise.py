@@ -156,7 +156,6 @@ def _make_noisy_file(
 
     from msal_cli.cli.streams import read_stream
     from msal_cli.codecs import header
-    from msal_cli.codecs.companions import list_sources
     from msal_cli.job.output import add_noise_to_file, write_output
     from msal_cli.job.room import room_for_files
 
@@ -169,7 +168,7 @@ def _make_noisy_file(
             if path == STREAM:
                 console.put_bytes(made.data)
             else:
-                sources = (0,) if is_stream else list_sources(source, data)
+                sources = (0,) if is_stream else (source, *made.sources)
                 write_output(path, made.data, made.companions, sources)
     except MemoryError:
         raise ResourceError("not enough memory", code="E_MEMORY") from None

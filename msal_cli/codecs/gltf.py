@@ -8,12 +8,13 @@ nothing outside the folder of the .gltf is opened, and nothing but regular files
 from __future__ import annotations
 
 import base64
+import contextlib
 import errno
 import json
 import os
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PureWindowsPath
 from typing import Any
 from urllib.parse import quote, unquote
@@ -25,7 +26,8 @@ from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.codecs import gltf_scene, mesh_file
 from msal_cli.codecs.slots import Change
 from msal_cli.kernels.text import as_bytes
-from msal_cli.storage.gzip_streams import is_gzip_name
+from msal_cli.storage.atomic import Sources, write_whole
+from msal_cli.storage.gzip_streams import expand, is_gzip_name, read_whole
 from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open_regular
 from msal_cli.storage.urls import is_url
 
@@ -379,6 +381,7 @@ class GltfFile(SceneFile):
                 f"glTF version {version[:20]!r} is not read", hint="convert it to version 2"
             )
         super().__init__(data, text, gltf_scene.Scene(content, as_bytes(b"".join(pieces)), places))
+        self.sources = tuple(os.fspath(Path(path).parent / name) for name in sorted(files))
 
     def _read_buffer(
         self, number: int, entry: dict[str, Any], start: int, files: dict[str, tuple[int, int]]
@@ -544,6 +547,60 @@ def names_of_buffers(data: Buffer) -> set[str]:
         return {_file_name(uri, "") for uri in paths if not uri.startswith("data:")}
     except errors.MsalError:
         return set()
+
+
+def write_companions(
+    companions: Sequence[mesh_file.Companion], output_path: str, sources: Sources = ()
+) -> tuple[str, ...]:
+    """Write the files that belong to an output, before the output itself.
+
+    A file that is there is replaced only if an output of an earlier run, at ``output_path``, names
+    it as its own.  ``sources`` limit the permission bits, see ``storage.atomic.write_whole``.
+    Returns what was done, one line for each file.
+
+    Raises
+    ------
+    errors.OutputError
+        with code ``E_SIDECAR`` if another file has the place; ``E_WRITE`` if writing fails.
+    """
+    folder = Path(output_path).parent
+    earlier: set[str] = set()
+    if os.path.isfile(output_path):
+        with contextlib.suppress(errors.MsalError):
+            earlier = names_of_buffers(expand(read_whole(output_path), output_path)[0])
+    return tuple(_write_companion(companion, folder, earlier, sources) for companion in companions)
+
+
+def _write_companion(
+    companion: mesh_file.Companion, folder: Path, earlier: Collection[str], sources: Sources
+) -> str:
+    target = folder / companion.name
+    try:
+        is_within = Path(os.path.realpath(target)).is_relative_to(os.path.realpath(folder))
+        if target.is_file() and is_within and read_whole(target) == companion.data:
+            return f"{companion.name} is in place already"
+        if os.path.lexists(target) and companion.name not in earlier:
+            raise errors.OutputError(
+                f"there is another {companion.name} beside the output",
+                code="E_SIDECAR",
+                path=os.fspath(target),
+                hint="move it away, or choose another output folder",
+            )
+        if not is_within:
+            raise errors.OutputError(
+                f"{companion.name} would be written outside the output folder",
+                path=os.fspath(target),
+                hint="choose another output folder",
+            )
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as failure:
+        raise errors.OutputError(
+            f"{companion.name} cannot be written beside the output: {failure.strerror}",
+            path=os.fspath(target),
+            hint="check the permissions of the output folder",
+        ) from failure
+    write_whole(target, [companion.data], sources=sources)
+    return f"wrote {companion.name}"
 
 
 def repack(file: SceneFile, vertices: Floats, to: str) -> bytes | None:

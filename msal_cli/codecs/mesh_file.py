@@ -27,7 +27,6 @@ from msal_cli.codecs.slots import (
     overwrite,
     require_range,
 )
-from msal_cli.codecs.tokens import require_indices
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
@@ -234,10 +233,13 @@ class MeshFile(Surface):
         ``"element camera"``, ``"texture coordinates"``, ``"materials"``, ``"groups"`` ...
     references : other files that this one names (materials, textures), as written in the file.
     warnings : what a user should know about this file although it could be read.
+    sources : other files that its mesh was read from.
 
     Raises ContentError (``E_NO_FACES``, ``E_NONFINITE``, ``E_INDEX``) for a layout that is no
     mesh.
     """
+
+    sources: tuple[str, ...] = ()
 
     def __init__(self, data: Buffer, format: str, layout: Layout) -> None:
         self.format = format
@@ -276,7 +278,7 @@ class MeshFile(Surface):
             )
         require_finite(self.vertices)
         corners = layout.corners.astype(np.int64, copy=False)
-        require_indices(corners, len(self.vertices))
+        text_slots.require_indices(corners, len(self.vertices))
         return cut_polygons(corners.astype(np.int32), layout.sizes)
 
     def forget_vertices(self) -> None:

@@ -19,8 +19,7 @@ import numpy as np
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import number_within
-from msal_cli.codecs.text_slots import TextSlots
-from msal_cli.codecs.tokens import Words, require_indices
+from msal_cli.codecs.text_slots import TextSlots, Words, require_indices
 from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
 from msal_cli.storage.regular import Buffer
 

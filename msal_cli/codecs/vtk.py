@@ -17,8 +17,7 @@ from msal_cli import errors
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots, Strided, number_within
-from msal_cli.codecs.text_slots import line_of
-from msal_cli.codecs.tokens import Words
+from msal_cli.codecs.text_slots import Words, line_of
 from msal_cli.storage.regular import Buffer
 
 _CODES = {"signed_char": ">i1", "vtkidtype": ">i4", "float": ">f4", "double": ">f8"}

@@ -22,7 +22,6 @@ from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs import text_slots
 from msal_cli.codecs.mesh_file import Layout, MeshFile
 from msal_cli.codecs.slots import Change, Slots, to_type
-from msal_cli.codecs.tokens import Words
 from msal_cli.codecs.vtk import Cells
 from msal_cli.codecs.xml_tree import Element, parse_tree
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
@@ -104,7 +103,7 @@ class Coding:
         """All whole numbers of an array (k,)."""
         code = self.code_of(array)
         if array.attributes.get("format", "ascii") == "ascii":
-            return Words(self.data, array.inside, array.text_stop).integers(slice(None))
+            return text_slots.Words(self.data, array.inside, array.text_stop).integers(slice(None))
         content = self.decode(array)[0]
         if len(content) % np.dtype(code).itemsize:
             raise errors.damaged("an array is cut", f"byte {array.start}")
@@ -120,7 +119,7 @@ class Coding:
                 hint="write them as Float32 or Float64",
             )
         if array.attributes.get("format", "ascii") == "ascii":
-            words = Words(self.data, array.inside, array.text_stop)
+            words = text_slots.Words(self.data, array.inside, array.text_stop)
             _require_count(len(words), 3 * count, array)
             rows = words.float_rows(np.arange(0, 3 * count, 3), unit_length=are_normals)
             return TextNumbers(

@@ -37,12 +37,14 @@ class Output:
     references : files that it names, as the input does; a conversion drops them.
     companions : files that it names and that hold a part of it.
     losses : what its format cannot hold, and normals that cannot fit, as warnings.
+    sources : files beside the input that its mesh was read from.
     """
 
     data: Buffer
     references: tuple[str, ...] = ()
     companions: tuple[Companion, ...] = ()
     losses: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
 
 
 def build_output(
@@ -74,7 +76,7 @@ def build_output(
         # A scene that only changes its container still names its images.
         references = mesh_file.references if {target, mesh_file.format} == detection.SCENES else ()
         output = gzip_streams.compress(output) if compress else output
-        return Output(output, references, losses=lost)
+        return Output(output, references, losses=lost, sources=mesh_file.sources)
     if how != ("same", "same"):
         output = mesh_file.encoded(vertices, *how)
         _check_reopened(output, target, mesh_file, vertices)
@@ -83,13 +85,13 @@ def build_output(
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
         output, companions = mesh_file.beside(source.data, vertices, path)
-        return Output(output, mesh_file.references, companions)
+        return Output(output, mesh_file.references, companions, (), mesh_file.sources)
     else:
         output = gzip_streams.expand(source.data, source.name)[0]
     notes = mesh_file.normal_warnings(vertices)
     output, companions = mesh_file.beside(output, vertices, path)
     output = gzip_streams.compress(output) if compress else output
-    return Output(output, mesh_file.references, companions, notes)
+    return Output(output, mesh_file.references, companions, notes, mesh_file.sources)
 
 
 def _target(mesh_file: MeshFile, output_path: str | None, settings: Settings) -> str:
@@ -178,11 +180,12 @@ def write_output(
 
     ``sources`` limit the permission bits, see ``atomic.write_whole``.
     """
-    from msal_cli.codecs.companions import write_companions
     from msal_cli.storage import atomic
 
     make_folder_of(path)
     if companions:
+        from msal_cli.codecs.gltf import write_companions
+
         write_companions(companions, path, sources)
     atomic.write_whole(path, [data], sources=sources)
 

@@ -233,14 +233,13 @@ class FileRun:
 
     def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:
         """Write the output and what belongs to it; ``data`` are the bytes of the input."""
-        from msal_cli.codecs.companions import list_sources
         from msal_cli.storage import atomic
 
         with self.stage("write"):
             if task.in_place and task.backup:
                 output.keep_backup(task, data)
             output.make_folder_of(task.output)
-            sources = list_sources(task.input, data)
+            sources = [task.input, *made.sources]
             # Before the output: as soon as that exists, all that belongs to it does.
             if self._fields_file is not None:
                 from msal_cli.job import fields
@@ -255,7 +254,7 @@ class FileRun:
                 marked = (note for note in notes if note.startswith("warning: "))
                 self.warn(*(note.removeprefix("warning: ") for note in marked))
             if made.companions:
-                from msal_cli.codecs.companions import write_companions
+                from msal_cli.codecs.gltf import write_companions
 
                 notes += write_companions(made.companions, task.output, sources)
             self.know(output_object=atomic.write_whole(task.output, [made.data], sources=sources))

@@ -12,7 +12,7 @@ from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, NoiseCharacter, Reading, estimate_noise
-from msal_cli.auto import FAMILY, NONE, adaptive
+from msal_cli.auto import FAMILY, NONE, adaptive, search
 from msal_cli.auto.candidates import LINEAR
 from msal_cli.mesh import prepare_mesh
 from tests.auto.test_search import angle
@@ -135,7 +135,7 @@ def test_it_knows_where_a_search_comes_nearer(name, level, surface, is_better):
     assert surface in (None, choice.surface)
     seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
     assert (seconds is not None) == is_better
-    assert adaptive.forecast_seconds(10_000) < adaptive.forecast_seconds(1_000_000)
+    assert search.forecast_seconds(10_000) < search.forecast_seconds(1_000_000)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ import pytest
 
 from msal_cli import codecs
 from msal_cli.codecs import gltf, open_mesh
-from msal_cli.codecs.companions import write_companions
 from msal_cli.codecs.conversion import convert
+from msal_cli.codecs.gltf import write_companions
 from msal_cli.codecs.mesh_file import PLACEMENT, Companion
 from msal_cli.errors import ContentError, MsalError, UnsupportedError
 from msal_cli.job import pipeline

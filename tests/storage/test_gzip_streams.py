@@ -113,7 +113,7 @@ def test_reading_a_file_and_its_failures(tmp_path):
 
 @pytest.mark.parametrize("large_bytes", [1, 100])
 def test_a_file_that_grows_while_it_is_read_is_read_whole(tmp_path, monkeypatch, large_bytes):
-    monkeypatch.setattr(streams, "LARGE_BYTES", large_bytes)
+    monkeypatch.setattr("msal_cli.storage.regular.LARGE_BYTES", large_bytes)
     path = tmp_path / "a.ply"
     path.write_bytes(b"x" * 1000)
     real_fstat = os.fstat
