@@ -241,12 +241,8 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     faces : (m, 3) integers, zero-based.
     are_distinct : no two vertices are at one position, and need not be looked for.
 
-    Raises
-    ------
-    ContentError
-        with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``.
-    TooLargeError
-        for more than ``MAX_FACES`` triangles.
+    Raises ContentError with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``;
+    TooLargeError for more than ``MAX_FACES`` triangles.
     """
     from msal_cli.kernels import array_files, spatial_order
     from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip

@@ -16,13 +16,9 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> MeshFile:
     name : the file's name; its suffix says the format, in any case and before ``.gz``.
     format : the format's name, over the suffix; needed for a stream whose content does not tell.
 
-    Raises
-    ------
-    UnsupportedError
-        for a format, or a feature of one, that is not read.
-    FormatError, TruncatedError, ContentError, TooLargeError
-        for a file that is not what it should be; a content of another format than the name says
-        is a FormatError.
+    Raises UnsupportedError for a format, or a feature of one, that is not read; FormatError,
+    TruncatedError, ContentError, TooLargeError for a file that is not what it should be; a content
+    of another format than the name says is a FormatError.
     """
     wanted = resolve_format(data, name, format)
     # Codecs are imported where they are used, so that one bad format costs only its own time.

@@ -84,14 +84,8 @@ def convert(
     precision : ``same`` for float32 where the source has float32 and float64 otherwise;
         ``float32``, ``float64``.  Text has the shortest digits that give the number back.
 
-    Returns
-    -------
-    The file, and what of the source it does not carry, one entry for each thing.
-
-    Raises
-    ------
-    UnsupportedError
-        for a format, encoding or precision that cannot be written.
+    Returns the file, and what of the source it does not carry, one entry for each thing.
+    Raises UnsupportedError for a format, encoding or precision that cannot be written.
     """
     to = to.lower().removeprefix(".")
     if to == mesh_file.format:

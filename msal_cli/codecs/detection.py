@@ -116,12 +116,8 @@ def _looks_like_obj(head: bytes, *, is_cut: bool) -> bool:
 def resolve_format(data: Buffer, name: str, format: str | None) -> str:
     """The format to read a file in, which its content agrees with; parameters as of ``open_mesh``.
 
-    Raises
-    ------
-    UnsupportedError
-        for a format that is not known.
-    FormatError, TruncatedError
-        for a content of another format than the name says, for UTF-16, and for an empty file.
+    Raises UnsupportedError for a format that is not known; FormatError, TruncatedError for a
+    content of another format than the name says, for UTF-16, and for an empty file.
     """
     refuse_utf16(data)
     wanted = _wanted(data, name, format)

@@ -465,12 +465,8 @@ class GltfFile(SceneFile):
         Where a vertex moved, a buffer that is named as the input is gets the name of the output at
         ``path``, so that two outputs in one folder, or the input, never share one.
 
-        Raises
-        ------
-        UnsupportedError
-            if the output goes to a stream or to an object store, or is the input.
-        OutputError
-            with code ``E_SIDECAR`` if a buffer of the input would be overwritten.
+        Raises UnsupportedError if the output goes to a stream or to an object store, or is the
+        input; OutputError with code ``E_SIDECAR`` if a buffer of the input would be overwritten.
         """
         is_moved = bool((vertices != self.vertices).any())
         if not self.names or (path is None and not is_moved):
@@ -558,10 +554,8 @@ def write_companions(
     it as its own.  ``sources`` limit the permission bits, see ``storage.atomic.write_whole``.
     Returns what was done, one line for each file.
 
-    Raises
-    ------
-    errors.OutputError
-        with code ``E_SIDECAR`` if another file has the place; ``E_WRITE`` if writing fails.
+    Raises OutputError with code ``E_SIDECAR`` if another file has the place; ``E_WRITE`` if writing
+    fails.
     """
     folder = Path(output_path).parent
     earlier: set[str] = set()

@@ -223,12 +223,9 @@ def read_input(
     ``format`` is the format's name, over the suffix; ``size`` is that of an object behind a URL
     as far as it is known.
 
-    Raises
-    ------
-    InputError
-        with code ``E_READ`` if the system cannot read it.
-    FormatError, TruncatedError, TooLargeError, UnsupportedError
-        as ``open_mesh``, and TooLargeError for a file that can never fit into memory.
+    Raises InputError with code ``E_READ`` if the system cannot read it; FormatError,
+    TruncatedError, TooLargeError, UnsupportedError as ``open_mesh``, and TooLargeError for a file
+    that can never fit into memory.
     """
     name = os.fspath(path)
     return read_whole(

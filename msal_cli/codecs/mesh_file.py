@@ -356,10 +356,7 @@ class MeshFile(Surface):
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3); its encoding and its precision cannot be changed.
 
-        Raises
-        ------
-        UnsupportedError
-            for another encoding or precision than the file has.
+        Raises UnsupportedError for another encoding or precision than the file has.
         """
         own = "ascii" if self.encoding == "ascii" else "binary"
         if precision not in ("same", self.precision):

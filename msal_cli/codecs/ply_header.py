@@ -373,13 +373,8 @@ def retype_header(
     precision : ``same``, ``float32`` or ``float64``, of the scalars ``retypable`` of each element.
 
     Everything else, spacing included, is kept, and a type keeps its family of spelling
-    (``double`` for ``float``, ``float64`` for ``float32``).  Raises UsageError for another word.
+    (``double`` for ``float``, ``float64`` for ``float32``).
     """
-    if encoding not in ("same", *_ENCODING_OF) or precision not in ("same", *_CODE_OF):
-        raise errors.UsageError(
-            f"a PLY file cannot be written with encoding '{encoding}' and precision '{precision}'",
-            hint="encodings are same, ascii, binary; precisions same, float32, float64",
-        )
     second_words = {header.format_line: _ENCODING_OF.get(encoding, header.encoding)}
     for element in header.elements:
         for prop in element.properties:

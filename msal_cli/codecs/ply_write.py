@@ -18,7 +18,7 @@ from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_body import Lines, Part, Section, section_at
 from msal_cli.codecs.ply_header import TYPES, Header, Property
 from msal_cli.codecs.slots import to_type
-from msal_cli.errors import ContentError, InternalError
+from msal_cli.errors import ContentError
 from msal_cli.storage.regular import Buffer
 
 _COMMENT = re.compile(rb"[ \t]*(?:comment|obj_info)(?:\s|\Z)")
@@ -294,8 +294,6 @@ def corners_of(polygons: list[Any] | Ints) -> tuple[Longs, Longs]:
     return np.concatenate(polygons).astype(np.int64), sizes
 
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
-_TAKEN = frozenset({"x", "y", "z", "red", "green", "blue"})
 _MAX_COMMENT = 1000
 
 
@@ -325,8 +323,6 @@ def with_fields(
     if colours is not None:
         columns += [(name, "u1", colours[:, k]) for k, name in enumerate(("red", "green", "blue"))]
     for name, values in fields.items():
-        if not _NAME.fullmatch(name) or name in _TAKEN or len(values) != len(vertices):
-            raise InternalError(f"{name!r} cannot be a field of {len(vertices)} vertices")
         # What is too large for the type becomes infinite, which readers know.
         with np.errstate(over="ignore"):
             columns.append((name, "<f4", values.astype(np.float32)))

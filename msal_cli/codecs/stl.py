@@ -57,14 +57,9 @@ def read(data: Buffer) -> StlFile | StlTextFile:
     begins with, that kilobyte holds the count and the first numbers, and with them control
     characters: the count alone has some unless it is beyond 500 million.
 
-    Raises
-    ------
-    TruncatedError
-        if the file is shorter than its count asks for, or an ascii solid does not end.
-    FormatError
-        if it is not STL, or an ascii file has a wrong word, with its line.
-    ContentError
-        ``E_NO_FACES`` or ``E_NONFINITE``.
+    Raises TruncatedError if the file is shorter than its count asks for, or an ascii solid does not
+    end; FormatError if it is not STL, or an ascii file has a wrong word, with its line;
+    ContentError ``E_NO_FACES`` or ``E_NONFINITE``.
     """
     from msal_cli.kernels.welding import weld_corners
 
@@ -169,10 +164,7 @@ class _FacetFile(mesh_file.MeshFile):
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         """The file with ``vertices`` (n, 3) as ``encoding`` (same, ascii, binary).
 
-        Raises
-        ------
-        UnsupportedError
-            for a binary file of float64, which STL does not have.
+        Raises UnsupportedError for a binary file of float64, which STL does not have.
         """
         was_text = self.encoding == "ascii"
         to_text = was_text if encoding == "same" else encoding == "ascii"

@@ -99,17 +99,10 @@ def parse_tree(
     left_out : parts of the file, in order, that hold plain elements which are not looked into.
     prefixes : receives the namespaces by their prefixes.
 
-    Raises
-    ------
-    FormatError
-        if it is not well-formed XML.
-    TruncatedError
-        if the XML ends within an element or a tag.
-    UnsupportedError
-        for a document type, which may declare entities, or letters of more than one byte as in
-        UTF-16.
-    TooLargeError
-        for more than ``MAX_ELEMENTS`` elements, or very deep ones.
+    Raises FormatError if it is not well-formed XML; TruncatedError if the XML ends within an
+    element or a tag; UnsupportedError for a document type, which may declare entities, or letters
+    of more than one byte as in UTF-16; TooLargeError for more than ``MAX_ELEMENTS`` elements, or
+    very deep ones.
     """
     root: Element | None = None
     opened: list[Element] = []

@@ -109,10 +109,7 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
     import numpy as np
 
     from msal_cli import codecs
-    from msal_cli.codecs import detection
 
-    if f".{target}" not in detection.readable_suffixes():
-        return
     try:
         again = codecs.open_mesh(bytes(output), f"output.{target}", target)
     except MsalError as error:

@@ -81,14 +81,8 @@ def write_whole(
     buffers : the content, in one piece or in several.
     sources : files, paths or open, whose content is in it; URLs and pipes count for nothing.
 
-    Returns
-    -------
-    The mark of an object; nothing for a file.
-
-    Raises
-    ------
-    OutputError
-        if the system refuses, with the reason.
+    Returns the mark of an object; nothing for a file.  Raises OutputError if the system refuses,
+    with the reason.
     """
     if isinstance(path, str) and is_url(path):
         from msal_cli.storage import objects as remote
@@ -108,10 +102,7 @@ def write_new(
 
     Of several processes that write the same new file one succeeds, and the others find it whole.
 
-    Raises
-    ------
-    OutputError
-        if the system refuses, with the reason.
+    Raises OutputError if the system refuses, with the reason.
     """
     return _write(path, buffers, sources, _place)
 

@@ -43,12 +43,9 @@ def read_whole(
     size : bytes of an object, as far as that is known.
     check : called with the open file and its size before anything is read; what it raises passes.
 
-    Raises
-    ------
-    InputError
-        with code ``E_READ`` if the system cannot read it, or it is a pipe, a socket or a device.
-    TooLargeError
-        if it has more than half of the machine's memory, or grows to that while it is read.
+    Raises InputError with code ``E_READ`` if the system cannot read it, or it is a pipe, a socket
+    or a device; TooLargeError if it has more than half of the machine's memory, or grows to that
+    while it is read.
     """
     if isinstance(path, str) and is_url(path):
         from msal_cli.storage import objects as remote
@@ -112,15 +109,9 @@ def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
     A file counts as compressed if its ``name`` ends in ``.gz`` or its bytes begin like gzip's; all
     members of a file with several are joined.  Others are returned as they are.
 
-    Raises
-    ------
-    FormatError
-        if a ``.gz`` file is not gzip, or is damaged.
-    TruncatedError
-        if it ends early.
-    TooLargeError
-        if it would expand to more than ``ALWAYS_EXPANDED`` or ``MAX_RATIO`` times the compressed
-        bytes read so far, whichever is more, or half of the machine's memory.
+    Raises FormatError if a ``.gz`` file is not gzip, or is damaged; TruncatedError if it ends
+    early; TooLargeError if it would expand to more than ``ALWAYS_EXPANDED`` or ``MAX_RATIO`` times
+    the compressed bytes read so far, whichever is more, or half of the machine's memory.
     """
     view = memoryview(data).cast("B")
     if bytes(view[:2]) != GZIP_MAGIC:

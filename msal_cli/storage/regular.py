@@ -38,12 +38,8 @@ class NotRegularError(OSError):
 def open_regular(path: str | os.PathLike[str], buffering: int = -1) -> BinaryIO:
     """Open a regular file for reading; ``buffering`` as of ``open``.
 
-    Raises
-    ------
-    NotRegularError
-        for a pipe, a socket or a device, which is not opened.
-    OSError
-        if the system cannot open it, or it is a folder.
+    Raises NotRegularError for a pipe, a socket or a device, which is not opened; OSError if the
+    system cannot open it, or it is a folder.
     """
     # Asked before, because opening alone sets some devices in motion, and after, because the name
     # may have got another file in between.

@@ -58,14 +58,9 @@ def carry(
     references : the names, as written in the input.
     input_path, output_path : the mesh files; the output's folder is made where it is missing.
 
-    Returns
-    -------
-    What was done, one line for each file; lines that need attention begin with ``warning:``.
-
-    Raises
-    ------
-    OutputError
-        with code ``E_SIDECAR`` if another file has the place; with ``E_WRITE`` if copying fails.
+    Returns what was done, one line for each file; lines that need attention begin with
+    ``warning:``.  Raises OutputError with code ``E_SIDECAR`` if another file has the place; with
+    ``E_WRITE`` if copying fails.
     """
     if any(isinstance(path, str) and is_url(path) for path in (input_path, output_path)):
         # A second run could not see which run owns a name.
