@@ -3,7 +3,6 @@ and why, and the totals; of files what is in them."""
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -306,6 +305,9 @@ def _section(
 def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
     """Over all files that have a reference, how far they are from it, and which could not be
     compared with it."""
+    # It takes ten milliseconds to import, and few runs have references.
+    import statistics
+
     for word, path, unit in (
         ("angle between normals", "reference.mean_angular_error_deg", "degrees"),
         ("vertex error", "reference.vertex_error_percent", "% of the mean edge length"),
