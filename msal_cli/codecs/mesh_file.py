@@ -60,15 +60,15 @@ class Surface:
         are cut into triangles and strips are unrolled, for the mathematics only.
     merged_vertices : vertices of the file that ``vertices`` leaves out because an earlier one is at
         the same position, as corners of STL's facets are; then no two of ``vertices`` are alike.
-    grid : the samples (rows, columns) of a range grid that the faces join.
     colours : those of its vertices where they were read, for pictures.
+    grid : the samples (rows, columns) of a range grid that the faces join.
     """
 
     vertices: Floats
     faces: Ints
     merged_vertices: int = 0
-    grid: Ints | None = None
     colours: SurfaceColours | None = None
+    grid: Ints | None = None
 
     @property
     def n_corners(self) -> int | None:

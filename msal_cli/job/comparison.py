@@ -49,7 +49,7 @@ def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
 def surface_of(mesh_file: MeshFile) -> Surface:
     """The surface in an open file."""
     own = mesh_file
-    return Surface(own.vertices, own.faces, own.merged_vertices, own.grid)
+    return Surface(own.vertices, own.faces, own.merged_vertices, grid=own.grid)
 
 
 def open_surface(path: str, format: str | None = None) -> Surface:
