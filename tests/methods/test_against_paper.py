@@ -220,7 +220,7 @@ static_dynamic strength=0.5 closeness=1 iterations=3 | - - - 8.52 | 0.4 | - - - 
 """
 
 SLOW = {"anisotropic_diffusion", "bilateral_normal", "guided_normal", "l0", "static_dynamic"}
-SLOW |= {"normal_diffusion"}
+SLOW |= {"normal_diffusion", "normal_threshold", "bilateral_non_iterative"}
 
 
 def read_figures():
