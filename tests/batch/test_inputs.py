@@ -35,14 +35,6 @@ def test_a_folder_is_searched_in_the_order_of_names(tmp_path):
     assert {one.root for one in some} == {str(tmp_path)}
 
 
-def test_hidden_files_and_our_own_are_passed_over(tmp_path):
-    make_files(
-        tmp_path, "a.ply", ".b.ply", ".git/c.ply", ".msal-manifest.jsonl", temporary_name("d.ply")
-    )
-    assert relatives(tmp_path) == ["a.ply"]
-    assert relatives(f"{tmp_path}/.*") == [".b.ply", ".git/c.ply"]
-
-
 def test_a_folder_named_by_dots_is_known_by_its_real_name(tmp_path, monkeypatch):
     make_files(tmp_path, "one/a.ply", "two/a.ply")
     monkeypatch.chdir(tmp_path / "one")
@@ -78,33 +70,6 @@ def test_an_input_without_files_is_a_warning_only_beside_others(tmp_path, caplog
     with pytest.raises(NothingMatched):
         relatives(tmp_path / "empty")
     assert not caplog.records
-
-
-def test_include_and_exclude_look_at_path_and_name(tmp_path):
-    make_files(tmp_path, "a.ply", "left/b.ply", "left/old/c.ply", "right/d.obj")
-    assert relatives(tmp_path, include=["left/**"]) == ["left/b.ply", "left/old/c.ply"]
-    assert relatives(tmp_path, include=["*.obj", "a.*"]) == ["a.ply", "right/d.obj"]
-    assert relatives(tmp_path, exclude=["old"]) == ["a.ply", "left/b.ply", "right/d.obj"]
-    assert relatives(tmp_path, include=["left"], exclude=["**/old/*"]) == ["left/b.ply"]
-
-
-class TestGlobs:
-    def test_a_pattern_is_relative_to_its_fixed_part(self, tmp_path):
-        make_files(tmp_path, "s/one/a.ply", "s/two/b.ply", "s/c.ply", "s/one/d.txt")
-        assert relatives(f"{tmp_path}/s/*.ply") == ["c.ply"]
-        assert relatives(f"{tmp_path}/s/*/*.ply") == ["one/a.ply", "two/b.ply"]
-        assert relatives(f"{tmp_path}/s/**/*.ply") == ["c.ply", "one/a.ply", "two/b.ply"]
-        assert relatives(f"{tmp_path}/*/one/a.ply") == ["s/one/a.ply"]
-
-    def test_a_folder_that_matches_is_searched(self, tmp_path):
-        make_files(tmp_path, "s/one/deep/a.ply", "s/two/b.ply", "s/two/b.txt")
-        assert relatives(f"{tmp_path}/s/*") == ["one/deep/a.ply", "two/b.ply"]
-
-    def test_a_literal_name_is_that_file(self, tmp_path):
-        make_files(tmp_path, "a[1].ply", "a1.ply")
-        assert relatives(f"{tmp_path}/a[1].ply") == ["a[1].ply"]
-        (tmp_path / "a[1].ply").unlink()
-        assert relatives(f"{tmp_path}/a[1].ply") == ["a1.ply"]
 
 
 @posix
@@ -172,14 +137,42 @@ class TestOddTrees:
         assert relatives(tmp_path, exclude=["locked"]) == ["a.ply"]
 
 
-def test_an_output_folder_in_the_input_is_not_searched(tmp_path):
-    make_files(tmp_path, "a.ply", "out/a.ply", "out/sub/b.ply", "outer/c.ply")
-    expected = ["a.ply", "outer/c.ply"]
-    assert relatives(tmp_path, output=str(tmp_path / "out")) == expected
-    assert relatives(f"{tmp_path}/**/*.ply", output=f"{tmp_path}/./out/") == expected
-    if os.name == "posix":
-        (tmp_path / "alias").symlink_to("out")
-        assert relatives(tmp_path, output=str(tmp_path / "alias")) == expected
+GLOBS = "s/one/a.ply s/two/b.ply s/c.ply s/one/d.txt"
+TREE = "a.ply left/b.ply left/old/c.ply right/d.obj"
+OWN = f".b.ply .git/c.ply .msal-manifest.jsonl {temporary_name('d.ply')}"
+IN_OUT = "a.ply out/a.ply out/sub/b.ply outer/c.ply"
+
+
+@pytest.mark.parametrize(
+    ("files", "pattern", "options", "expected"),
+    [
+        (f"a.ply {OWN}", "", {}, "a.ply"),
+        (f"a.ply {OWN}", ".*", {}, ".b.ply .git/c.ply"),
+        (TREE, "", {"include": ["left/**"]}, "left/b.ply left/old/c.ply"),
+        (TREE, "", {"include": ["*.obj", "a.*"]}, "a.ply right/d.obj"),
+        (TREE, "", {"exclude": ["old"]}, "a.ply left/b.ply right/d.obj"),
+        (TREE, "", {"include": ["left"], "exclude": ["**/old/*"]}, "left/b.ply"),
+        # A pattern is relative to its fixed part, and a folder that matches is searched.
+        (GLOBS, "s/*.ply", {}, "c.ply"),
+        (GLOBS, "s/*/*.ply", {}, "one/a.ply two/b.ply"),
+        (GLOBS, "s/**/*.ply", {}, "c.ply one/a.ply two/b.ply"),
+        (GLOBS, "*/one/a.ply", {}, "s/one/a.ply"),
+        ("s/one/deep/a.ply s/two/b.ply s/two/b.txt", "s/*", {}, "one/deep/a.ply two/b.ply"),
+        ("a[1].ply a1.ply", "a[1].ply", {}, "a[1].ply"),
+        ("a1.ply", "a[1].ply", {}, "a1.ply"),
+        # An output folder in the input is not searched.
+        (IN_OUT, "", {"output": "out"}, "a.ply outer/c.ply"),
+        (IN_OUT, "**/*.ply", {"output": "./out/"}, "a.ply outer/c.ply"),
+        pytest.param(IN_OUT, "", {"output": "alias"}, "a.ply outer/c.ply", marks=posix),
+    ],
+)
+def test_what_is_found(tmp_path, files, pattern, options, expected):
+    make_files(tmp_path, *files.split())
+    if output := options.get("output"):
+        options = {"output": f"{tmp_path}/{output}"}
+        if output == "alias":
+            (tmp_path / "alias").symlink_to("out")
+    assert relatives(f"{tmp_path}/{pattern}".rstrip("/"), **options) == expected.split()
 
 
 # Patterns
