@@ -139,7 +139,7 @@ class TestOddTrees:
 
 GLOBS = "s/one/a.ply s/two/b.ply s/c.ply s/one/d.txt"
 TREE = "a.ply left/b.ply left/old/c.ply right/d.obj"
-OWN = f".b.ply .git/c.ply .msal-manifest.jsonl {temporary_name('d.ply')}"
+OWN = ".b.ply .git/c.ply .msal-manifest.jsonl"
 IN_OUT = "a.ply out/a.ply out/sub/b.ply outer/c.ply"
 
 
@@ -167,7 +167,7 @@ IN_OUT = "a.ply out/a.ply out/sub/b.ply outer/c.ply"
     ],
 )
 def test_what_is_found(tmp_path, files, pattern, options, expected):
-    make_files(tmp_path, *files.split())
+    make_files(tmp_path, *files.split(), temporary_name("d.ply"))
     if output := options.get("output"):
         options = {"output": f"{tmp_path}/{output}"}
         if output == "alias":
