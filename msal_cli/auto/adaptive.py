@@ -58,7 +58,7 @@ On statues with 0.05 to 0.1 of noise they moved thin parts by 0.1 to 0.3."""
 
 MARGIN = 0.15
 """By how much less the logarithms of both errors of another candidate have to be than those of the
-usual one: one probe scatters by 0.1, and what the learned filter makes is not the truth."""
+usual one where noise is drawn: one probe scatters by 0.1."""
 
 
 TILTS = 0.8
@@ -177,6 +177,7 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
             moved = shares**2 * np.diag(risk.positions.gram)
             if_noise = 1.0 - 2.0 * shares * risk.positions.gain + moved
             scores = np.log(np.maximum(np.maximum(if_noise, moved), FLOOR))
+        scores[0] -= MARGIN
     else:
         pilots = [ROBUST_LEARNED, LINEAR[0]] if is_rough else [ROBUST_LEARNED]
         true = runs.positions(pilots, np.full(len(pilots), 1.0 / len(pilots)))
@@ -184,7 +185,6 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
         # What is farther from the truth than the input, in either measure, would be harm.
         both = 2.0 * ((1.0 - TILTS) * places + TILTS * tilts)
         scores = np.where(np.maximum(places, tilts) > 0.0, np.inf, both)
-    scores[0] -= MARGIN
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
         return _keep_input(noise, f"{what}; every setting would add more error than it takes away")

@@ -428,11 +428,10 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         is_turned = True
         lengths = np.sqrt((differences * differences).sum(axis=1))
         directions = differences[lengths > SAME] / lengths[lengths > SAME, None]
-        for frame in _find_frames(directions):
-            steps = _axis_steps(differences @ frame.T)
-            if all(steps):
-                break
-        else:
+        # Along the diagonals of voxels steps are shorter than along their edges.
+        tried = [(_axis_steps(differences @ turn.T), turn) for turn in _find_frames(directions)]
+        steps, frame = max(tried, key=lambda one: min(one[0]), default=(steps, frame))
+        if not all(steps):
             axis = _find_step_axis(differences, directions)
             if axis is None:
                 return NO_STEPS
