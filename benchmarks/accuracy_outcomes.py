@@ -17,8 +17,7 @@ from typing import Any
 from benchmarks.accuracy_grid import Setting
 from benchmarks.ground_truth import Case
 from msal_cli import methods
-from msal_cli.analysis.measures import area_and_volume, measure_surface_change
-from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
+from msal_cli.analysis.measures import area_and_volume, measure_surface_change, vertex_error_percent
 from msal_cli.auto import NONE, Wishes, choose_method
 from msal_cli.mesh import Mesh
 
@@ -129,7 +128,7 @@ def outcome_of(noisy: Mesh, true: Mesh, result: Mesh, reason: str = "") -> Outco
     before, after = area_and_volume(noisy)[1], area_and_volume(result)[1]
     return Outcome(
         measure_surface_change(true, result).mean_angular_error_deg,
-        vertex_error_percent(true, displacement_of_moved(true, result)),
+        vertex_error_percent(true, result),
         100.0 * (after / before - 1.0) if before else 0.0,
         reason,
     )

@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.measures import measure_surface_change
+from msal_cli.analysis.measures import measure_surface_change, vertex_error_percent
 from msal_cli.analysis.outliers import find_outliers
 from msal_cli.analysis.surface_distance import (
-    displacement_of_moved,
     surface_distances,
-    vertex_error_percent,
 )
 from msal_cli.auto import Wishes
 from msal_cli.job import choice as automatic
@@ -78,7 +76,7 @@ def errors(mesh: Mesh, true: Mesh, wishes: dict[str, Any] | None) -> str:
     result = true.with_vertices(vertices)
     angle = measure_surface_change(true, result).mean_angular_error_deg
     distance = 100.0 * surface_distances(true, result)[0].mean / true.mean_edge_length
-    vertices_off = vertex_error_percent(true, displacement_of_moved(true, result))
+    vertices_off = vertex_error_percent(true, result)
     return f"{angle:.2f} / {vertices_off:.1f} / {distance:.1f}"
 
 

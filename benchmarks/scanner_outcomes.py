@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
 from msal_cli import codecs, methods
-from msal_cli.analysis.measures import measure_surface_change
+from msal_cli.analysis.measures import measure_surface_change, vertex_error_percent
 from msal_cli.analysis.surface_distance import (
-    displacement_of_moved,
     distances_to_surface,
     used_vertices,
-    vertex_error_percent,
 )
 from msal_cli.auto import Wishes
 from msal_cli.job.pipeline import denoise_bytes
@@ -86,7 +84,7 @@ def measure_errors(pair: Pair, result: Mesh) -> Errors:
     if pair.has_same_faces:
         edge = true.mean_edge_length
         angle = measure_surface_change(true, result).mean_angular_error_deg
-        vertex = vertex_error_percent(true, displacement_of_moved(true, result))
+        vertex = vertex_error_percent(true, result)
     else:
         edge = pair.noisy.mean_edge_length
         angle = float(np.degrees(pair.true_surface.angles_of(result)).mean())

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
-from msal_cli.analysis.measures import measure_surface_change
-from msal_cli.analysis.surface_distance import displacement_of_moved, vertex_error_percent
+from msal_cli.analysis.measures import measure_surface_change, vertex_error_percent
 from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
@@ -80,7 +79,7 @@ def roughness(mesh: Mesh) -> Floats:
 
 def offset(clean: Mesh, mesh: Mesh) -> float:
     """Mean distance between corresponding vertices in % of the mean edge length."""
-    return vertex_error_percent(clean, displacement_of_moved(clean, mesh))
+    return vertex_error_percent(clean, mesh)
 
 
 def errors(clean: Mesh, mesh: Mesh) -> str:

@@ -8,12 +8,12 @@ its normals point to, and changes so large that they are damage rather than deno
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Longs
+from msal_cli.arrays import Floats, Longs
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 from msal_cli.structs import dataclass
 
@@ -23,47 +23,43 @@ FLAT = 1e-9
 
 @dataclass(frozen=True)
 class DistanceStatistics:
-    """Mean, root mean square, 95th percentile and maximum of distances, file units."""
+    """Mean, root mean square, 95th percentile and maximum of distances, file units, and how many
+    are not 0."""
 
     mean: float
     rms: float
     p95: float
     max: float
-
-
-@dataclass(frozen=True)
-class DisplacementStatistics(DistanceStatistics):
-    """Statistics of how far vertices moved, and how many moved at all."""
-
-    moved_vertices: int
+    n_moved: int
 
 
 def distance_statistics(lengths: Floats) -> DistanceStatistics:
-    """Statistics of distances (n,), n >= 1."""
+    """Statistics of distances (n,), zeros for none."""
     from msal_cli.kernels.quantiles import select_ranks
 
+    if not len(lengths):
+        return DistanceStatistics(0.0, 0.0, 0.0, 0.0, 0)
     rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
     return DistanceStatistics(
         mean=float(lengths.mean()),
         rms=float(np.sqrt((lengths * lengths).mean())),
         p95=select_ranks(lengths, rank)[0],
         max=float(lengths.max()),
+        n_moved=int(np.count_nonzero(lengths)),
     )
 
 
-def displacement_statistics(
-    before: Floats, after: Floats, counted: Flags | None = None
-) -> DisplacementStatistics:
-    """Statistics of the distances between (n, 3) positions over the ``counted`` (n,) vertices."""
+def displacement(before: Mesh, after: Mesh) -> DistanceStatistics:
+    """How far the vertices that faces use are apart in two meshes with the same faces."""
     from msal_cli.kernels.geometry import distances
 
-    lengths = distances(before, after)
-    if counted is not None and not counted.all():
-        lengths = lengths[counted]
-    if not len(lengths):
-        return DisplacementStatistics(0.0, 0.0, 0.0, 0.0, 0)
-    moved = int(np.count_nonzero(lengths))
-    return DisplacementStatistics(**asdict(distance_statistics(lengths)), moved_vertices=moved)
+    lengths, is_used = distances(before.vertices, after.vertices), before.topology.has_ring
+    return distance_statistics(lengths if is_used.all() else lengths[is_used])
+
+
+def vertex_error_percent(reference: Mesh, other: Mesh) -> float:
+    """Mean distance between corresponding vertices in % of the reference's mean edge length."""
+    return 100.0 * displacement(reference, other).mean / reference.mean_edge_length
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msal_cli.analysis.measures import (
-    DisplacementStatistics,
-    DistanceStatistics,
-    displacement_statistics,
-    distance_statistics,
-)
+from msal_cli.analysis.measures import DistanceStatistics, distance_statistics
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 from msal_cli.mesh import Mesh, PreparedMesh
@@ -59,16 +54,6 @@ def at_other_positions(ready: PreparedMesh, vertices: Floats) -> Mesh:
     there = np.flatnonzero(ready.vertex_map >= 0)[::-1]
     positions[ready.vertex_map[there]] = vertices[there] - ready.origin
     return ready.mesh.with_vertices(positions)
-
-
-def vertex_error_percent(reference: Mesh, statistics: DisplacementStatistics) -> float:
-    """Mean distance between corresponding vertices in % of the reference's mean edge length."""
-    return 100.0 * statistics.mean / reference.mean_edge_length
-
-
-def displacement_of_moved(before: Mesh, after: Mesh) -> DisplacementStatistics:
-    """How far the vertices that faces use are apart in two meshes with the same faces."""
-    return displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)
 
 
 def used_vertices(mesh: Mesh) -> Floats:

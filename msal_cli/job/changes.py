@@ -9,7 +9,7 @@ from msal_cli.job import records
 from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
-    from msal_cli.analysis.measures import DisplacementStatistics, DistanceStatistics, Harm
+    from msal_cli.analysis.measures import DistanceStatistics, Harm
     from msal_cli.arrays import Floats
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
@@ -86,11 +86,10 @@ def noise_field(mesh: Mesh) -> records.NoiseEstimate:
     )
 
 
-def displacement_field(statistics: DisplacementStatistics, edge: float) -> records.Displacement:
+def displacement_field(statistics: DistanceStatistics, edge: float) -> records.Displacement:
     """How far vertices moved, ``edge`` being the mean edge length before."""
-    return records.Displacement(
-        **_length_fields(statistics, edge), moved_vertices=statistics.moved_vertices
-    )
+    lengths = _length_fields(statistics, edge)
+    return records.Displacement(**lengths, moved_vertices=statistics.n_moved)
 
 
 def distance_field(statistics: DistanceStatistics, edge: float) -> records.SurfaceDistance:
@@ -134,7 +133,7 @@ def measure(
     """
     from msal_cli.analysis.measures import (
         NAMED_LEEWAY,
-        displacement_statistics,
+        displacement,
         enclosure_of,
         excessive_change,
         harmful_change,
@@ -142,7 +141,7 @@ def measure(
     )
 
     before, after = ready.mesh, ready.mesh.with_vertices(moved)
-    statistics = displacement_statistics(before.vertices, after.vertices, before.topology.has_ring)
+    statistics = displacement(before, after)
     surface = measure_surface_change(before, after)
     objection = ready.defects.volume_objection
     enclosed = enclosure_of(before, ready.defects, surface.area_before, surface.volume_before)
@@ -157,8 +156,7 @@ def measure(
             level = known.mean_edges
         ways, change = statistics, surface
         if given.vertices is not before.vertices:
-            used = before.topology.has_ring
-            ways = displacement_statistics(given.vertices, after.vertices, used)
+            ways = displacement(given, after)
             change = enclosed.change(given, after, measure_surface_change(given, after))
         edge = before.mean_edge_length
         harm = excessive_change(

@@ -177,32 +177,31 @@ def _add_changes(
 ) -> list[str]:
     """Add what changed to the ``figures`` of a record, and return warnings; ``other`` is a mesh
     with the faces of ``first``, or a prepared one with its own."""
-    from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.measures import area_and_volume, enclosure_of, measure_surface_change
+    from msal_cli.analysis import measures
 
     before, defects = first.mesh, first.defects
     objection = defects.volume_objection
     if isinstance(other, PreparedMesh):
         after, defects_after = other.mesh, other.defects
-        area_before, volume_before = area_and_volume(before)
-        area_after, volume_after = area_and_volume(after)
+        area_before, volume_before = measures.area_and_volume(before)
+        area_after, volume_after = measures.area_and_volume(after)
         reasons = {"before": objection, "after": defects_after.volume_objection}
         objection = "; ".join(f"{word}: {reason}" for word, reason in reasons.items() if reason)
     else:
         after, defects_after = other, defects
-        change = measure_surface_change(before, after)
+        change = measures.measure_surface_change(before, after)
         area_before, volume_before = change.area_before, change.volume_before
         area_after, volume_after = change.area_after, change.volume_after
-        distances = surface_distance.displacement_of_moved(before, after)
+        distances = measures.displacement(before, after)
         figures |= {
             "mean_angular_error_deg": change.mean_angular_error_deg,
             "max_angular_error_deg": change.max_angular_error_deg,
             "flipped_faces": change.flipped_faces,
-            "vertex_error_percent": surface_distance.vertex_error_percent(before, distances),
+            "vertex_error_percent": 100.0 * distances.mean / before.mean_edge_length,
             "displacement": changes.displacement_field(distances, before.mean_edge_length),
         }
-    enclosed = enclosure_of(before, defects, area_before, volume_before)
-    enclosed_after = enclosure_of(after, defects_after, area_after, volume_after)
+    enclosed = measures.enclosure_of(before, defects, area_before, volume_before)
+    enclosed_after = measures.enclosure_of(after, defects_after, area_after, volume_after)
     # Meshes with other faces may have another side outside.
     of_after = enclosed_after if isinstance(other, PreparedMesh) else enclosed
     volume = changes.volume_changed(

@@ -16,7 +16,12 @@ from typing import Any
 import numpy as np
 
 from msal_cli.analysis import surface_distance
-from msal_cli.analysis.measures import Enclosure, measure_enclosure, measure_surface_change
+from msal_cli.analysis.measures import (
+    Enclosure,
+    displacement,
+    measure_enclosure,
+    measure_surface_change,
+)
 from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import ContentError, UsageError
@@ -187,7 +192,7 @@ def choice_cell(on: Subject, choice: str, vertices: Floats) -> tuple[Cell, Mesh]
 def _measure(on: Subject, moved: Mesh, parameters: dict[str, Any], command: str) -> Cell:
     mesh = on.ready.mesh
     change = on.enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
-    mean = surface_distance.displacement_of_moved(mesh, moved).mean
+    mean = displacement(mesh, moved).mean
     volume = volume_changed(
         change.volume_before,
         change.volume_after,
