@@ -6,13 +6,13 @@ are one point already, as they are when the mesh is denoised by itself.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msal_cli.kernels.connectivity import boundary_curves
+from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 from msal_cli.kernels.welding import first_alike
 from msal_cli.structs import dataclass
 
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 NEAR_EDGES = 0.25
 """Distance in mean edge lengths below which a border point lies at the border of another file."""
-
-MAX_STEPS = 64
-"""Places along an edge at most by which points near it are found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,52 +186,27 @@ def _join_rounded(
 def count_unmatched(borders: Sequence[Border], shared: SharedBorders, edge: float) -> list[int]:
     """For each file its border points that lie at the border of another file, within
     ``NEAR_EDGES`` times ``edge``, the mean edge length, but are no points of it."""
-    alone = np.flatnonzero(~shared.is_shared)
-    if not len(alone) or len(borders) < 2:
-        return [0] * len(borders)
     radius = NEAR_EDGES * edge
-    ends = np.concatenate(
-        [border.edges + start for border, start in zip(borders, shared.starts, strict=False)]
-    )
-    a, b = shared.positions[ends[:, 0]], shared.positions[ends[:, 1]]
-    lengths = np.sqrt(((b - a) ** 2).sum(axis=1))
-    # Places along each edge that are at most a radius apart stand for it.
-    n_steps = np.clip(np.ceil(lengths / radius), 1, MAX_STEPS).astype(np.int64)
-    edge_of = np.repeat(np.arange(len(ends)), n_steps)
-    step = np.arange(len(edge_of)) - np.repeat(np.cumsum(n_steps) - n_steps, n_steps)
-    share = ((step + 0.5) / n_steps[edge_of])[:, None]
-    places = a[edge_of] + share * (b[edge_of] - a[edge_of])
-    point, along = near_pairs(shared.positions[alone], places, radius)
-    of_point, of_edge = shared.file_of[alone[point]], shared.file_of[ends[edge_of[along], 0]]
-    found = np.unique(alone[point[of_point != of_edge]])
-    return [int(n) for n in np.bincount(shared.file_of[found], minlength=len(borders))]
-
-
-def near_pairs(points: Floats, others: Floats, radius: float) -> tuple[Longs, Longs]:
-    """All pairs of ``points`` (n, 3) and ``others`` (m, 3) within ``radius``: their indices."""
-    low = np.minimum(points.min(axis=0), others.min(axis=0)) if len(points) * len(others) else 0.0
-    cells = np.floor((points - low) / radius).astype(np.int64)
-    keys = _keys(np.floor((others - low) / radius).astype(np.int64))
-    order = np.argsort(keys, kind="stable")
-    keys = keys[order]
-    pairs = []
-    for way in itertools.product((-1, 0, 1), repeat=3):
-        wanted = _keys(cells + np.array(way))
-        first, last = np.searchsorted(keys, wanted), np.searchsorted(keys, wanted, "right")
-        counts = last - first
-        point = np.repeat(np.arange(len(points)), counts)
-        step = np.arange(len(point)) - np.repeat(np.cumsum(counts) - counts, counts)
-        other = order[np.repeat(first, counts) + step]
-        gap = points[point] - others[other]
-        near = (gap * gap).sum(axis=1) <= radius * radius
-        pairs.append(np.stack([point[near], other[near]], axis=1))
-    # Cells whose keys agree by chance are looked at more than once.
-    first, second = np.unique(np.concatenate(pairs), axis=0).T
-    return first, second
-
-
-def _keys(cells: Longs) -> Longs:
-    """A number for each cell; different ones may have the same."""
-    x, y, z = cells.T
-    key: Longs = (x * 73_856_093) ^ (y * 19_349_669_329) ^ (z * 83_492_791_007_113)
-    return key
+    is_alone = ~shared.is_shared
+    low, high = np.full((len(borders), 3), np.inf), np.full((len(borders), 3), -np.inf)
+    np.minimum.at(low, shared.file_of, shared.positions)
+    np.maximum.at(high, shared.file_of, shared.positions)
+    counts = []
+    for index in range(len(borders)):
+        own = shared.of_file(index)
+        points = shared.positions[own][is_alone[own]]
+        is_near = ((low - radius <= high[index]) & (high + radius >= low[index])).all(axis=1)
+        is_near[index] = False
+        ends = [
+            borders[other].edges + shared.starts[other]
+            for other in np.flatnonzero(is_near).tolist()
+        ]
+        edges = np.concatenate([np.empty((0, 2), dtype=np.int64), *ends])
+        if not len(points) or not len(edges):
+            counts.append(0)
+            continue
+        # A triangle without area is an edge.
+        triangles = np.ascontiguousarray(edges[:, [0, 1, 1]], dtype=np.int32)
+        _, distances = find_nearest_triangles(points, shared.positions, triangles)
+        counts.append(int(np.count_nonzero(distances <= radius)))
+    return counts

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from msal_cli.analysis import surface_distance
 from msal_cli.analysis.shared_borders import (
     Border,
     count_unmatched,
     find_border,
-    near_pairs,
     share_borders,
 )
 from msal_cli.analysis.surface_distance import (
@@ -213,15 +210,6 @@ def test_points_are_one_in_single_precision_where_a_file_has_only_that():
     # Of two points of a file that round to a third, the nearer one is that.
     assert share(rough, near, single=[True, False]).group.tolist() == [0, 1, 0]
     assert share(near, rough, near, single=[False, True, False]).group.tolist() == [0, 1, 1, 0, 1]
-
-
-@given(st.integers(0, 1000), st.floats(0.05, 3.0))
-def test_near_pairs_are_all_pairs_within_reach(seed, reach):
-    random = np.random.default_rng(seed)
-    a, b = random.normal(size=(12, 3)), random.normal(size=(9, 3))
-    distances = np.linalg.norm(a[:, None] - b[None], axis=2)
-    wanted = {(int(i), int(j)) for i, j in zip(*np.nonzero(distances <= reach), strict=True)}
-    assert set(zip(*(x.tolist() for x in near_pairs(a, b, reach)), strict=True)) == wanted
 
 
 def test_points_amid_the_edges_of_another_file_are_unmatched():
