@@ -54,17 +54,13 @@ def as_float32(positions: Floats) -> NDArray[np.float32]:
         rounded = positions.astype(np.float32)
     if not np.isfinite(rounded).all():
         bad = int(np.argmin(np.isfinite(rounded).reshape(len(rounded), -1).all(axis=1)))
-        raise too_large_for_float32(f"row {bad}")
+        raise ContentError(
+            "a position is too large for float32",
+            code="E_RANGE",
+            where=f"row {bad}",
+            hint="scale the mesh, or write it to a format with float64",
+        )
     return rounded
-
-
-def too_large_for_float32(where: str) -> ContentError:
-    return ContentError(
-        "a position is too large for float32",
-        code="E_RANGE",
-        where=where,
-        hint="scale the mesh, or write it to a format with float64",
-    )
 
 
 def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0) -> None:

@@ -139,14 +139,13 @@ def _are_equal(vertices: Floats, others: Floats) -> bool:
 
 def make_folder_of(path: str) -> None:
     """Make the folder that a file is to be written to, if it is not there; stores have none."""
-    from msal_cli.storage.atomic import make_folders
     from msal_cli.storage.urls import is_url
 
     if is_url(path):
         return
     folder = os.path.dirname(path) or os.curdir
     try:
-        make_folders(folder)
+        os.makedirs(folder, exist_ok=True)
     except OSError as error:
         raise OutputError(
             f"the folder {folder!r} cannot be made: {error.strerror}",

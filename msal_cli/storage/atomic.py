@@ -107,22 +107,6 @@ def write_new(
     return _write(path, buffers, sources, _place)
 
 
-def make_folders(folder: str | os.PathLike[str]) -> None:
-    """Make a folder and all above it that are missing, however deep; OSError if that fails.
-
-    ``os.makedirs`` calls itself for every folder above, and ends at a depth of a thousand.
-    """
-    path = Path(folder)
-    missing: list[Path] = []
-    while not path.is_dir():
-        missing.append(path)
-        if path == path.parent:
-            break
-        path = path.parent
-    for parent in reversed(missing):
-        parent.mkdir(exist_ok=True)
-
-
 def _write(
     path: str | os.PathLike[str],
     buffers: Buffer | Iterable[Buffer],

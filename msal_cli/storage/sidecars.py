@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from msal_cli.errors import OutputError
-from msal_cli.storage.atomic import make_folders, write_new
+from msal_cli.storage.atomic import write_new
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import is_url
 
@@ -176,7 +176,7 @@ def _is_within(path: Path, folder: Path) -> bool:
 def _copy(source: Path, target: Path) -> None:
     """Copy a file to a place that is free; a second run finds it taken and compares."""
     try:
-        make_folders(target.parent)
+        target.parent.mkdir(parents=True, exist_ok=True)
         if not write_new(target, _pieces(source), sources=[source]) and not _is_same(
             source, target
         ):

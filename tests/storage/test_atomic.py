@@ -12,7 +12,7 @@ import pytest
 
 from msal_cli.errors import OutputError
 from msal_cli.storage import atomic as writing
-from msal_cli.storage.atomic import make_folders, write_new, write_whole
+from msal_cli.storage.atomic import write_new, write_whole
 from tests.report.made import HOSTILE_NAMES
 
 
@@ -208,16 +208,3 @@ def test_write_new_never_replaces(tmp_path, monkeypatch, has_links):
     assert not write_new(path, b"second")
     assert path.read_bytes() == b"first"
     assert names(tmp_path) == ["tex.png"]
-
-
-def test_folders_of_any_depth_are_made(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    folder = "a" + "/d" * (sys.getrecursionlimit() + 100)
-    for _ in range(2):
-        make_folders(folder)
-        assert os.path.isdir(folder)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OSError, match="file"):
-        make_folders(tmp_path / "file" / "below")
-    # What removes temporary folders goes no deeper than a thousand.
-    os.removedirs(folder)
