@@ -341,13 +341,6 @@ def test_a_comment_cannot_end_the_header():
     assert np.array_equal(ply.read(bytes(data)).vertices, source.vertices)
 
 
-@pytest.mark.parametrize("name", ["x", "red", "two words", "a\nb", ""])
-def test_a_field_that_cannot_be(name):
-    source = ply.read(ply_text(*cube()))
-    with pytest.raises(InternalError):
-        with_fields(source, source.vertices, {name: np.zeros(8)})
-
-
 def test_a_list_longer_than_its_count_type_does_not_become_binary():
     file = mesh_file("ascii", *grid(3, 3))
     file.elements[1].properties = [("vertex_indices", "int", "char")]
