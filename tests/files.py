@@ -1,9 +1,18 @@
-"""Files in folders: made with any content, and read back."""
+"""Files in folders, scripts as modules, and a limit of time for what reads files."""
 
 from __future__ import annotations
 
+import importlib.util
 import io
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
+
+ROOT = Path(__file__).resolve().parents[1]
+"""The checkout."""
 
 
 def make_files(folder: Path, *names: str) -> None:
@@ -28,3 +37,29 @@ class Terminal(io.StringIO):
 
     def isatty(self) -> bool:
         return True
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Fail with AssertionError if the block takes longer; for POSIX, in the main thread."""
+
+    def fail(signum: int, frame: object) -> None:
+        raise AssertionError(f"it waits: {seconds} s have passed")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def load_script(path: str) -> ModuleType:
+    """The module of a script that is in no package, by its path in the checkout."""
+    spec = importlib.util.spec_from_file_location(Path(path).stem, ROOT / path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

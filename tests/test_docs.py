@@ -20,7 +20,7 @@ from msal_cli.job import records
 from msal_cli.job.records import InfoRecord
 from msal_cli.report.data import Run, Totals
 from tests.cli.scans import msal
-from tests.scripts import load_script
+from tests.files import load_script
 
 refresh = load_script("docs/refresh.py")
 ROOT = Path(__file__).resolve().parents[1]

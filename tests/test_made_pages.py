@@ -9,7 +9,7 @@ import subprocess
 import pytest
 
 from benchmarks import scanner_cases
-from tests.scripts import ROOT, load_script
+from tests.files import ROOT, load_script
 
 DOCS = ROOT / "docs"
 API, COMMAND, MAN, METHOD, SCHEMA = (

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.scans import closed_scan, folder_of, open_scan
-from tests.scripts import ROOT, load_script
+from tests.files import ROOT, load_script
 
 yaml = pytest.importorskip("yaml")
 refresh = load_script("docs/refresh.py")

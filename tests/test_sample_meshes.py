@@ -22,9 +22,9 @@ from msal_cli.job.settings import is_mesh_name
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
+from tests.files import load_script
 from tests.job.test_pipeline import settings
 from tests.malformed import malformed
-from tests.scripts import load_script
 
 FOLDER = Path(__file__).resolve().parents[1] / "sample_meshes"
 NAMES = ("bracket", "dragon_egg", "coin", "bear", "vase", "knot", "toadstool", "rock")

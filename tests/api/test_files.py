@@ -17,6 +17,7 @@ import pytest
 import msal_cli as msal
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, open_scan
 from tests.cli.scans import msal as run_command
+from tests.files import tree
 from tests.ply_files import to_ply
 from tests.shapes import torus
 
@@ -30,14 +31,6 @@ def scans(tmp_path):
     scans = folder_of(tmp_path / "scans", a=closed_scan(), b=closed_scan(1), c=open_scan())
     folder_of(scans / "below", d=open_scan())
     return scans
-
-
-def outputs(folder):
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and not path.name.startswith(".msal-")
-    }
 
 
 # One file
@@ -85,10 +78,10 @@ def test_a_file_that_fails_raises_and_writes_nothing(scans, tmp_path):
 )
 def test_calls_that_mean_nothing_are_refused(scans, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
-    before = outputs(tmp_path)
+    before = tree(tmp_path)
     with pytest.raises(msal.UsageError):
         msal.denoise_file(**{"input": "scans/a.ply", "output": "out.ply"} | arguments)
-    assert outputs(tmp_path) == before
+    assert tree(tmp_path) == before
 
 
 # Folders
@@ -99,7 +92,7 @@ def test_a_folder_has_the_files_and_the_manifest_of_the_command(scans, tmp_path)
     records = list(msal.denoise_folder(scans, tmp_path / "api", jobs=2, **OPTIONS))
     done = run_command("denoise", scans, "-o", tmp_path / "cli", "-j", "2", *WORDS)
     assert done.exit_code == 3
-    assert outputs(tmp_path / "api") == outputs(tmp_path / "cli")
+    assert tree(tmp_path / "api") == tree(tmp_path / "cli")
     status = {Path(record.input).name: record.status for record in records}
     assert status == dict.fromkeys(["a.ply", "b.ply", "c.ply", "d.ply"], "written") | {
         "bad.ply": "failed"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -141,3 +142,32 @@ def test_every_block_runs(at, names, folder, monkeypatch, capsys):
         assert "E_INDEX face 0" in capsys.readouterr().out
     if "gate.broken" in BLOCKS[at]:
         assert "E_" in capsys.readouterr().out
+
+
+# Type checkers see the API: a user's script passes, mistakes are found
+
+
+@pytest.mark.ci
+def test_a_strict_script_passes_and_mistakes_are_found():
+    """To scripts of this folder the package is one of others; the cache is that of the checkout."""
+    pytest.importorskip("mypy", reason="mypy is not installed: the types are not checked")
+    folder, root = Path(__file__).parent, PACKAGE.parent
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports", "silent"]
+    command += ["--config-file", os.devnull, "--cache-dir", str(root / ".mypy_cache/api")]
+    environment = {**os.environ, "MYPYPATH": str(root)}
+    done = subprocess.run(
+        [*command, "user_script.py", "user_mistakes.py"],
+        capture_output=True, text=True, env=environment, cwd=folder,
+    )  # fmt: skip
+    lines = (folder / "user_mistakes.py").read_text("utf-8").splitlines()
+    expected = {
+        at: line.partition("# error: ")[2] for at, line in enumerate(lines, 1) if "# error" in line
+    }
+    found = dict(re.findall(r"user_mistakes\.py:(\d+): error: (.*)", done.stdout))
+    assert {int(at) for at in found} == set(expected), done.stdout + done.stderr
+    for at, words in expected.items():
+        assert words in found[str(at)]
+    others = [
+        line for line in done.stdout.splitlines() if ": error:" in line and "mistakes" not in line
+    ]
+    assert others == []

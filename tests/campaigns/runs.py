@@ -21,6 +21,7 @@ from msal_cli.batch.manifest import NAME as MANIFEST
 from msal_cli.storage.atomic import is_own
 from tests.batch.fakes import living_processes
 from tests.cli.scans import BAD_SCAN, MSAL, ply_text
+from tests.files import tree
 from tests.shapes import noisy, torus
 
 STATUS = 3
@@ -84,11 +85,9 @@ def orphans_of(pid, within_s=2.0):
 
 def contents(folder):
     """The files of an output folder by relative name, the manifest and the lock aside."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and path.name not in (MANIFEST, LOCK)
-    }
+    own = (MANIFEST, LOCK)
+    every = tree(folder, has_own=True)
+    return {name: data for name, data in every.items() if name.rpartition("/")[2] not in own}
 
 
 def noted(folder):

@@ -9,8 +9,7 @@ import shlex
 import pytest
 
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal_on, open_scan, ply_text
-from tests.files import tree
-from tests.time_limit import time_limit
+from tests.files import time_limit, tree
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
 

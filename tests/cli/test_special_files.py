@@ -8,8 +8,7 @@ import pytest
 
 from msal_cli.cli import report_files
 from tests.cli.scans import closed_scan, folder_of, msal, open_scan
-from tests.files import tree
-from tests.time_limit import time_limit
+from tests.files import time_limit, tree
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
 

@@ -13,7 +13,7 @@ import zipfile
 import pytest
 
 import msal_cli
-from tests.scripts import ROOT, load_script
+from tests.files import ROOT, load_script
 
 BUILD = ROOT / "packaging/debian/build.sh"
 

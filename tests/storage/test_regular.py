@@ -12,7 +12,7 @@ from msal_cli.errors import InputError, TooLargeError
 from msal_cli.storage import gzip_streams as streams
 from msal_cli.storage import regular
 from msal_cli.storage.regular import NotRegularError, open_own, open_regular
-from tests.time_limit import time_limit
+from tests.files import time_limit
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes, sockets and links of POSIX")
 
