@@ -209,15 +209,16 @@ def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
         count = at = np.uint64(0)
         while True:
             for entry in range(np.uint64(ring_start[g]), np.uint64(ring_start[g + ONE])):
-                # Whether a face is new and near cannot be predicted: without a branch each is
-                # written down, and kept by being counted.
                 k = np.uint64(ring[entry])
+                if seen[k] == name:
+                    continue
+                seen[k] = name
                 p = THREE * k
                 dx, dy, dz = c[p] - x, c[p + ONE] - y, c[p + TWO] - z
-                is_near = dx * dx + dy * dy + dz * dz <= square_radius
+                # Whether a face is near cannot be predicted: without a branch each is written down,
+                # and kept by being counted.
                 found[count] = ring[entry]
-                count += np.uint64(is_near & (seen[k] != name))
-                seen[k] = name
+                count += np.uint64(dx * dx + dy * dy + dz * dz <= square_radius)
             if at >= count or count >= most:
                 break
             g = np.uint64(found[at])

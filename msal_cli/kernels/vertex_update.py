@@ -28,55 +28,48 @@ from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO
 
-FOUR = np.uint64(4)
-
-
 THIRD = 1.0 / 3.0
 
 
 @compiled
-def _shares(start, stop, planes, face_start, incident, free, share):
+def _shares(start, stop, n, face_start, incident, free, share):
     """One over the number of faces that have a normal; zero for vertices that stay."""
     for i in range(np.uint64(start), np.uint64(stop)):
         count = 0
         for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
-            f = FOUR * incident[at]
-            count += (planes[f] != 0.0) | (planes[f + ONE] != 0.0) | (planes[f + TWO] != 0.0)
+            f = THREE * incident[at]
+            count += (n[f] != 0.0) | (n[f + ONE] != 0.0) | (n[f + TWO] != 0.0)
         share[i] = 1.0 / max(count, 1) if free[i] and count else 0.0
 
 
 @compiled
-def _offsets(start, stop, x, faces, planes):
-    """The fourth number of every plane: n' . c.  All arrays are flat; x positions.
+def _offsets(start, stop, x, faces, n, offsets):
+    """n' . c of every face.  All arrays are flat; x positions, n wanted normals.
 
     Indices are unsigned, so that none is looked at for its sign.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
-        a = THREE * faces[THREE * f]
-        b = THREE * faces[THREE * f + ONE]
-        c = THREE * faces[THREE * f + TWO]
+        at = THREE * f
+        a, b, c = THREE * faces[at], THREE * faces[at + ONE], THREE * faces[at + TWO]
         ax, ay, az = x[a], x[a + ONE], x[a + TWO]
         # In this way the centroid of equal coordinates is just these.
         cx = ax + ((x[b] - ax) + (x[c] - ax)) * THIRD
         cy = ay + ((x[b + ONE] - ay) + (x[c + ONE] - ay)) * THIRD
         cz = az + ((x[b + TWO] - az) + (x[c + TWO] - az)) * THIRD
-        plane = FOUR * f
-        planes[plane + THREE] = (
-            planes[plane] * cx + planes[plane + ONE] * cy + planes[plane + TWO] * cz
-        )
+        offsets[f] = n[at] * cx + n[at + ONE] * cy + n[at + TWO] * cz
 
 
 @compiled
-def _move(start, stop, planes, face_start, incident, share, x):
-    """x positions, flat as the planes; the sum of the ways to the planes counts by ``share``."""
+def _move(start, stop, n, face_start, incident, offsets, share, x):
+    """x positions, flat as the normals; the sum of the ways to the planes counts by ``share``."""
     for i in range(np.uint64(start), np.uint64(stop)):
         own = THREE * i
         xi, yi, zi = x[own], x[own + ONE], x[own + TWO]
         sx = sy = sz = 0.0
         for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
-            f = FOUR * incident[at]
-            nx, ny, nz = planes[f], planes[f + ONE], planes[f + TWO]
-            height = planes[f + THREE] - (nx * xi + ny * yi + nz * zi)
+            f = np.uint64(incident[at])
+            nx, ny, nz = n[THREE * f], n[THREE * f + ONE], n[THREE * f + TWO]
+            height = offsets[f] - (nx * xi + ny * yi + nz * zi)
             sx += height * nx
             sy += height * ny
             sz += height * nz
@@ -106,16 +99,14 @@ def update_vertices(
     on_pass : called after every pass; what it raises ends the run.
     """
     n, m = len(vertices), len(faces)
-    planes = np.empty(4 * m)
-    planes.reshape(-1, 4)[:, :3] = normals
-    around = planes, *[rows.view(np.uint32) for rows in links.incidence]
-    share = np.empty(n)
+    offsets, share = np.empty(m), np.empty(n)
+    around = normals.reshape(-1), *[rows.view(np.uint32) for rows in links.incidence]
     over_ranges(_shares, n, *around, free, share)
     corners = faces.reshape(-1).view(np.uint32)
     x = vertices.copy()
     for _ in range(passes):
-        over_ranges(_offsets, m, x.reshape(-1), corners, planes)
-        over_ranges(_move, n, *around, share, x.reshape(-1))
+        over_ranges(_offsets, m, x.reshape(-1), corners, around[0], offsets)
+        over_ranges(_move, n, *around, offsets, share, x.reshape(-1))
         if on_pass is not None:
             on_pass()
     return x
