@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.arrays import Flags, Floats, Floats32, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import arctangents
@@ -69,6 +69,18 @@ def usable_areas(normals: Floats, areas: Floats) -> Floats:
 def face_normals(vertices: Floats, faces: Ints) -> Floats:
     """Unit face normals (m, 3), zeros for degenerate faces."""
     return face_normals_and_areas(vertices, faces)[0]
+
+
+@compiled
+def _lay_face_normals(start, stop, vertices, faces, rows, column):
+    for f in range(start, stop):
+        nx, ny, nz, _ = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+        rows[f, column], rows[f, column + 1], rows[f, column + 2] = nx, ny, nz
+
+
+def lay_face_normals(vertices: Floats, faces: Ints, rows: Floats32, column: int) -> None:
+    """Write unit face normals, zeros for degenerate faces, to ``rows`` (m, k) from a column on."""
+    over_ranges(_lay_face_normals, len(faces), vertices, faces, rows, column)
 
 
 @compiled

@@ -12,7 +12,7 @@ from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import centroid_points, face_centroids, faces_within
-from msal_cli.kernels.geometry import apply_umbrella, face_normals, face_normals_and_areas
+from msal_cli.kernels.geometry import apply_umbrella, face_normals_and_areas, lay_face_normals
 from msal_cli.kernels.near_blocks import RECORD, WIDE
 from msal_cli.kernels.normal_descriptors import (
     AXES,
@@ -228,10 +228,10 @@ class Descriptors:
         shared = np.broadcast_to(self.globals, (m, GLOBALS))
         return np.concatenate([own, shared], axis=1), vectors.reshape(m, k, 3)
 
-    def predict(self, network: Network) -> Floats:
-        """The unit normals (m, 3) that the network gives."""
+    def predict(self, network: Network, normals: Floats | None = None) -> Floats:
+        """The unit normals (m, 3) that the network gives, in the memory of ``normals``."""
         m = len(self.arrays[1])
-        normals = np.empty((m, 3))
+        normals = np.empty((m, 3)) if normals is None else normals
         sizes = self.n_vectors, network.n_in, network.n_hidden, network.n_out
         weights = network.bound(self.globals)
         of = *self.arrays, self.is_later, *sizes, weights
@@ -307,7 +307,7 @@ class NormalDescriber:
         self._marks = np.empty(4 * m, dtype=np.float32)
         self._known = np.empty((m, int(KNOWN)), dtype=np.float32)
         self._records = np.empty((m, int(RECORD)), dtype=np.float32)
-        self._records[:, 16:19] = face_normals(vertices, faces)
+        lay_face_normals(vertices, faces, self._records, 16)
 
     def describe(
         self, positions: Floats, ripples: Floats, earlier: Floats | None = None

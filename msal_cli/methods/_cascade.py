@@ -26,7 +26,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Floats32
 from msal_cli.errors import InternalError
 from msal_cli.kernels.faces import corner_means, face_rings
-from msal_cli.kernels.geometry import average_around, face_normals, ring_means
+from msal_cli.kernels.geometry import average_around, face_normals, lay_face_normals, ring_means
 from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
@@ -262,7 +262,7 @@ def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool, ripples: Fl
     outcomes += smooth_by_windowed_sinc(mesh.vertices, *rings, terms)
     normals = np.empty((len(mesh.faces), 3 * len(outcomes)), dtype=np.float32)
     for place, outcome in enumerate(outcomes):
-        normals[:, 3 * place : 3 * place + 3] = face_normals(outcome, mesh.faces)
+        lay_face_normals(outcome, mesh.faces, normals, 3 * place)
     return Evidence(noise, is_white, normals, _measure_surroundings(mesh, ripples, restored, unit))
 
 

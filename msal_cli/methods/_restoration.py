@@ -9,7 +9,7 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
-from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
 from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.kernels.restoration import restoration
@@ -130,13 +130,14 @@ def fit_to_normals(
     """
     faces = mesh.faces
     like, areas = face_normals_and_areas(guide, faces)
-    scanned, _ = face_normals_and_areas(mesh.vertices, faces)
     centroids = face_centroids(guide, faces)
     across_edges = face_rings(faces, mesh.topology, "edge")
     unit = mean_centroid_distance(centroids, *across_edges)
     ring_start, ring = face_rings(faces, mesh.topology, "vertex")
-    scan_share = parameters.scan_share
-    normals = scan_share * scanned + (1.0 - scan_share) * like
+    rows = ring_start.astype(np.int64), ring
+    normals = face_normals(mesh.vertices, faces)
+    normals *= parameters.scan_share
+    normals += (1.0 - parameters.scan_share) * like
     lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
     normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     for _ in range(parameters.normal_iterations):
@@ -145,8 +146,7 @@ def fit_to_normals(
             like,
             centroids,
             areas,
-            ring_start.astype(np.int64),
-            ring,
+            *rows,
             sigma_s=parameters.closeness * (unit or mesh.mean_edge_length),
             sigma_r=parameters.similarity * noise / mesh.mean_edge_length,
         )

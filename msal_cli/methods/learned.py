@@ -110,8 +110,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         network = networks[min(done, len(networks)) - 1]
         descriptors = cascade.describe(positions, normals)
         # They have all of the normals before that counts.
-        normals = None
-        normals = descriptors.predict(network)
+        normals = descriptors.predict(network, normals)
         del descriptors
         if done < stages:
             positions = cascade.fit(positions, normals, STAGE_PASSES)
