@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Hashable
-from typing import Any, TypeVar, cast, dataclass_transform
+from collections.abc import Callable
+from typing import Any, TypeVar, dataclass_transform
 
 Class = TypeVar("Class", bound=type)
 
@@ -64,10 +64,10 @@ def known(description: str, default: Any = None) -> Any:
 
 
 @functools.cache
-def _parameters(cls: Hashable) -> tuple[list[str], int, dict[str, Any], dict[str, Any]]:
+def _parameters(cls: Any) -> tuple[list[str], int, dict[str, Any], dict[str, Any]]:
     """The names of the fields, how many of them may be given without a name, the defaults, and what
     makes others."""
-    fields = dataclasses.fields(cast(Any, cls))
+    fields = dataclasses.fields(cls)
     names = [field.name for field in sorted(fields, key=lambda field: bool(field.kw_only))]
     given = {field.name: (field.default, field.default_factory) for field in fields}
     missing = dataclasses.MISSING
@@ -80,20 +80,30 @@ def _parameters(cls: Hashable) -> tuple[list[str], int, dict[str, Any], dict[str
 
 
 def _init(self: Any, *values: Any, **named: Any) -> None:
-    names, n_positional, defaults, factories = _parameters(cast(Hashable, type(self)))
-    given = defaults | dict(zip(names, values, strict=False)) | named
-    for name in factories.keys() - given.keys():
-        given[name] = factories[name]()
-    is_twice = not named.keys().isdisjoint(names[: len(values)])
-    if is_twice or len(values) > n_positional or given.keys() != set(names):
+    names, n_positional, defaults, factories = _parameters(type(self))  # type: ignore[arg-type]
+    given, n_given = named, len(values) + len(named)
+    if values:
+        given = dict(zip(names, values, strict=False)) | named
+    is_wrong = len(values) > n_positional or len(given) < n_given
+    if len(given) < len(names):
+        given = defaults | given
+        for name in factories.keys() - given.keys():
+            given[name] = factories[name]()
+    try:
+        for name in names:
+            _set(self, name, given[name])
+    except KeyError:
+        is_wrong = True
+    if is_wrong or len(given) > len(names):
         raise TypeError(
             f"{type(self).__name__}({', '.join(names)}) got {len(values)} values and "
             f"{', '.join(named) or 'no keywords'}"
         )
-    for name in names:
-        object.__setattr__(self, name, given[name])
     if hasattr(self, "__post_init__"):
         self.__post_init__()
+
+
+_set = object.__setattr__
 
 
 def _repr(self: Any) -> str:
@@ -111,7 +121,13 @@ def _hash(self: Any) -> int:
 
 
 def _compared(self: Any) -> tuple[Any, ...]:
-    return tuple(getattr(self, field.name) for field in dataclasses.fields(self) if field.compare)
+    names = _compared_names(type(self))  # type: ignore[arg-type]
+    return tuple([getattr(self, name) for name in names])
+
+
+@functools.cache
+def _compared_names(cls: Any) -> list[str]:
+    return [field.name for field in dataclasses.fields(cls) if field.compare]
 
 
 def _refuse(self: Any, name: str, value: object = None) -> None:
