@@ -18,7 +18,8 @@ from benchmarks.accuracy_grid import Setting
 from benchmarks.ground_truth import Case
 from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume, measure_surface_change, vertex_error_percent
-from msal_cli.auto import NONE, Wishes, choose_method
+from msal_cli.auto import NONE, Wishes
+from msal_cli.auto.search import choose_method
 from msal_cli.mesh import Mesh
 
 NOISY = "noisy"

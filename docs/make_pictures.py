@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli import auto as selection
 from msal_cli import codecs, methods
-from msal_cli.auto import adaptive
+from msal_cli.auto import Wishes, adaptive, search
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
@@ -70,7 +69,7 @@ def plain(path: Path) -> tuple[Array, Array]:
 def automatic(path: Path) -> tuple[Array, Array]:
     """The same as ``msal denoise --auto`` makes them."""
     vertices, faces = opened(path)
-    choice = selection.choose_method(prepare_mesh(vertices, faces).mesh, selection.Wishes())
+    choice = search.choose_method(prepare_mesh(vertices, faces).mesh, Wishes())
     return denoised(path, choice.method, **choice.parameters)
 
 

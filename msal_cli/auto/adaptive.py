@@ -24,18 +24,15 @@ import dataclasses
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.arrays import Floats
-from msal_cli.auto.blend_weights import FLOOR, MIN_JUDGED, hedge, level_masks, spread_levels
+from msal_cli.auto import FAMILY, NONE, Choice, OnStep, blends
+from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
-from msal_cli.auto.choices import build_recipe, describe_noise, describe_rest
-from msal_cli.auto.noise_model import NoiseModel, build_model, is_like_draws
-from msal_cli.auto.risk import CandidateRuns, SteinRisk, count_relaxing
+from msal_cli.auto.noise_model import NoiseModel, is_like_draws
+from msal_cli.auto.risk import CandidateRuns, SteinRisk
 from msal_cli.auto.sample_patch import MACHINED, TEXTURED, Part, select_patch, surface_kind
-from msal_cli.auto.wishes import FAMILY, NONE, Choice, OnStep
 from msal_cli.mesh import Mesh
-from msal_cli.methods._sliding import even_out
-from msal_cli.structs import dataclass
 
 PART = 4_000
 """Vertices that candidates run on."""
@@ -83,60 +80,27 @@ def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, assume: str | Non
     estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
     noise = estimate.assume(assume, edge)
     if noise.is_negligible or not noise.mean_edges:
-        why = describe_rest(estimate, noise)
+        why = blends.describe_rest(estimate, noise)
         choice = _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
     else:
         assumed = noise.assume(NOISE, edge)
-        choice = _choose_by_risk(_build_case(mesh, assumed), assumed, step, noise.is_unsure)
+        choice = _choose_by_risk(mesh, assumed, step, noise.is_unsure)
     step(1, 1)
     return dataclasses.replace(choice, estimate=estimate)
 
 
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """A mesh as the method gets it, and the noise on it as the family knows it.
-
-    Attributes
-    ----------
-    mesh : with its triangles evened out by ``relax`` passes, for noise in all directions.
-    model : the noise; that along the normals counts.
-    edges : its level along the normals, mean edge lengths of ``mesh``; of the loudest places.
-    local, levels : local noise (n,), and levels of it that get weights of their own; empty where
-        the noise is the same everywhere.
-    """
-
-    mesh: Mesh
-    model: NoiseModel
-    edges: float
-    local: Floats
-    levels: tuple[float, ...]
-    relax: int
-
-
-def _build_case(mesh: Mesh, noise: NoiseLevel) -> _Case:
-    model = build_model(mesh, noise)
-    relax, local = 0, np.empty(0)
-    levels: tuple[float, ...] = ()
-    # Trust scales the pull of one method, not a blend.
-    if mesh.trust is None:
-        relax = count_relaxing(mesh, model)
-        if model.shares is not None:
-            local = local_levels(mesh)
-            levels = spread_levels(local[mesh.topology.has_ring])
-    model = model.along_normals()
-    loudest = levels[-1] * mesh.mean_edge_length if levels else 0.0
-    base = even_out(mesh, relax)
-    normals = None if model.axis is None else mesh.vertex_normals("uniform", 1)
-    height = model.height(mesh.topology.has_ring, normals)
-    edges = max(height, loudest) / base.mean_edge_length
-    return _Case(base, model, edges, local, levels, relax)
-
-
-def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: bool) -> Choice:
+def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: bool) -> Choice:
     """The setting with the least estimated error, or the share of one that has it in the worse case
     where it ``is_unsure`` that there is noise."""
-    mesh = case.mesh
-    what = describe_noise(noise, is_unsure)
+    case = build_case(mesh, noise)
+    edge, normals = case.mesh.mean_edge_length, None
+    if case.model.axis is not None:
+        normals = mesh.vertex_normals("uniform", 1)
+    height = case.model.height(mesh.topology.has_ring, normals)
+    # Along the normals, at the loudest places, in edges of the mesh that the method gets.
+    loudest = case.levels[-1] * mesh.mean_edge_length if case.levels else 0.0
+    level, mesh = max(height, loudest) / edge, case.mesh
+    what = blends.describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
     method = methods.find(FLATTENER.method)
     flat = method.denoise(part.mesh, method.validate(FLATTENER.given))
@@ -149,11 +113,10 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
         done += 1
         on_step(done, total)
 
-    edges = case.edges * mesh.mean_edge_length / part.mesh.mean_edge_length
-    runs = CandidateRuns(part, model, count, edges)
+    runs = CandidateRuns(part, model, count, level * edge / part.mesh.mean_edge_length)
     is_drawn = is_unsure or bool(case.levels) or is_like_draws(noise)
     is_rough = not is_drawn and surface_kind(runs.result(ROBUST_LEARNED)) == TEXTURED
-    candidates = _candidates(case, noise, is_unsure, is_drawn)
+    candidates = _candidates(case, level, noise, is_unsure, is_drawn)
     total = len(candidates) * (2 if is_drawn else 1) + 1
     shares, weights = np.ones(len(candidates)), np.ones((1, len(candidates)))
     if is_drawn:
@@ -188,21 +151,21 @@ def _choose_by_risk(case: _Case, noise: NoiseLevel, on_step: OnStep, is_unsure: 
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
         return _keep_input(noise, f"{what}; every setting would add more error than it takes away")
-    errors = errors / mesh.mean_edge_length
+    errors = errors / edge
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
     best = order[0]
-    made = build_recipe(
+    used, parameters, label = blends.build_recipe(
         [candidates[best]],
         weights[:, [best]],
-        round(case.edges, 4),
+        round(level, 4),
         case.levels,
         case.relax,
         float(shares[best]),
     )
     return Choice(
-        made.method,
-        made.parameters,
-        f"{what}; {made.label}",
+        used,
+        parameters,
+        f"{what}; {label}",
         surface,
         noise,
         risk=float(errors[best]),
@@ -226,17 +189,17 @@ def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
 
 
 def _rate_by_level(
-    case: _Case, part: Part, judge: SteinRisk, model: NoiseModel
+    case: Case, part: Part, judge: SteinRisk, model: NoiseModel
 ) -> tuple[Floats, Floats, Floats]:
     """Logarithms of the squared errors of positions and slopes of every setting (k,), with as much
     of it as is best at each level of local noise, and all of it where there is most; and these
     weights (levels, k)."""
     squares, rows, total = [], [], 0.0
-    for level, judged in enumerate(level_masks(part, case.local, case.levels), start=1):
+    for level, judged in enumerate(blends.level_masks(part, case.local, case.levels), start=1):
         risk = judge.risk(judged)
         moved = np.maximum(np.diag(risk.positions.gram), FLOOR)
         row = np.clip(risk.positions.gain / moved, 0.0, 1.0).round(2)
-        if level == len(case.levels) or judged.sum() < MIN_JUDGED:
+        if level == len(case.levels) or judged.sum() < blends.MIN_JUDGED:
             row = np.ones_like(row)
         energy = float(judged.sum()) * model.variance(judged)
         total += energy
@@ -251,16 +214,18 @@ def _rate_by_level(
     return places, tilts, np.array(rows)
 
 
-def _candidates(case: _Case, noise: NoiseLevel, is_unsure: bool, is_drawn: bool) -> list[Candidate]:
-    """What is tried, the usual one first; with trust, and where weak noise may be relief, only what
-    has a data term."""
+def _candidates(
+    case: Case, level: float, noise: NoiseLevel, is_unsure: bool, is_drawn: bool
+) -> list[Candidate]:
+    """What is tried for noise of ``level`` mean edge lengths, the usual one first; with trust, and
+    where weak noise may be relief, only what has a data term."""
     mesh = case.mesh
-    found = [wiener_al(case.edges, case.model.rings), ROBUST_MSAL]
+    found = [wiener_al(level, case.model.rings), ROBUST_MSAL]
     is_like_relief = noise.character.kind == "unknown" or noise.character.rings == 1
-    if mesh.trust is not None or (not is_drawn and is_like_relief and case.edges < WEAK):
+    if mesh.trust is not None or (not is_drawn and is_like_relief and level < WEAK):
         return found
     found.append(SINGLE_SWEEP)
-    if is_unsure or (is_drawn and case.edges < WEAK):
+    if is_unsure or (is_drawn and level < WEAK):
         return found
     is_small = len(mesh.vertices) <= SMALL
     linear = LINEAR[:MILD] if is_drawn else LINEAR

@@ -23,17 +23,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from msal_cli import methods
-from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise, local_levels
+from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.arrays import Flags, Floats
-from msal_cli.auto.blend_weights import (
-    FLOOR,
-    MIN_JUDGED,
-    best_weights,
-    hedge,
-    level_masks,
-    round_weights,
-    spread_levels,
-)
+from msal_cli.auto import NONE, Choice, OnStep, Wishes, blends
 from msal_cli.auto.candidates import (
     BLIND,
     CANDIDATES,
@@ -44,17 +36,7 @@ from msal_cli.auto.candidates import (
     ROBUST_LEARNED,
     Candidate,
 )
-from msal_cli.auto.choices import (
-    SHAPE,
-    build_recipe,
-    choose_least,
-    describe_noise,
-    describe_rest,
-    strengthen,
-    stronger_candidates,
-    wished_share,
-)
-from msal_cli.auto.noise_model import build_model, is_like_draws
+from msal_cli.auto.noise_model import is_like_draws
 from msal_cli.auto.risk import (
     MIRRORED,
     PROBES,
@@ -62,7 +44,6 @@ from msal_cli.auto.risk import (
     Risk,
     SimulatedRisk,
     SteinRisk,
-    count_relaxing,
 )
 from msal_cli.auto.sample_patch import (
     CLEAN,
@@ -74,9 +55,7 @@ from msal_cli.auto.sample_patch import (
     select_patch,
     surface_kind,
 )
-from msal_cli.auto.wishes import NONE, Choice, OnStep, Wishes
 from msal_cli.mesh import Mesh
-from msal_cli.methods._sliding import even_out
 
 SECONDS = 1.3e-7
 """Of the filter for one vertex, on one core."""
@@ -131,7 +110,7 @@ HARM = "every filter would add more error than it takes away"
 _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
 _DRIFT = {"volume": 1000.0}
 # What is to be kept: factor of the noise, share of the slopes.
-_KEEP = {"edges": (1.0, 0.7), "shape": (SHAPE, 0.4)}
+_KEEP = {"edges": (1.0, 0.7), "shape": (blends.SHAPE, 0.4)}
 
 
 def forecast_seconds(n_vertices: int) -> float:
@@ -141,8 +120,12 @@ def forecast_seconds(n_vertices: int) -> float:
     return SECONDS * (filters + n_vertices * LEARNED.cost)
 
 
-def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
-    """The best method or blend for ``mesh``; see ``auto.choose_method``."""
+def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
+    """The best method or blend for ``mesh``.
+
+    Vertices that the mesh holds stay where they are.  Where it has trust (``Mesh.trust``) the
+    method is one that has a data term, which the trust scales.
+    """
     step = on_step or (lambda done, total: None)
     edge = mesh.mean_edge_length
     estimate = estimate_noise(mesh)
@@ -150,7 +133,7 @@ def search(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:
     is_unsure = noise.is_unsure
     if noise.is_negligible or not mesh.topology.has_ring.any():
         step(1, 1)
-        choice = choose_least(noise, wishes, describe_rest(estimate, noise), CLEAN)
+        choice = blends.choose_least(noise, wishes, blends.describe_rest(estimate, noise), CLEAN)
     else:
         noise = noise.assume(NOISE, edge)
         choice = _Search(mesh, wishes, noise, step, is_unsure).choose()
@@ -181,18 +164,12 @@ class _Search:
         self.level = self.unit = edges * factor * mesh.mean_edge_length
         self.most_cost = MOST_COST if len(mesh.vertices) >= LARGE else np.inf
         self._done = self._total = 0
-        model = build_model(mesh, noise)
-        # Jagged triangles first, and what is left of the noise is along the normals.
-        self.relax = count_relaxing(mesh, model) if mesh.trust is None else 0
-        self.mesh = even_out(mesh, self.relax)
+        case = blends.build_case(mesh, noise)
+        self.mesh, self.relax = case.mesh, case.relax
         self.evened = self.mesh.vertices - mesh.vertices
-        self.model = model.at_level(self.level).along_normals()
+        self.model = case.model.at_level(self.level)
         # Of the mesh as the blend gets it, and without the wishes.
-        self.local = np.empty(0)
-        self.levels: tuple[float, ...] = ()
-        if self.model.shares is not None and mesh.trust is None:
-            self.local = local_levels(mesh)
-            self.levels = spread_levels(self.local[mesh.topology.has_ring])
+        self.local, self.levels = case.local, case.levels
 
     def choose(self) -> Choice:
         """The best blend, or single method."""
@@ -258,14 +235,16 @@ class _Search:
         kept = np.flatnonzero(weights)
         if not self.levels or not len(kept):
             return rows
-        for row, judged in zip(rows, level_masks(part, self.local, self.levels), strict=True):
-            if judged.sum() >= MIN_JUDGED:
+        for row, judged in zip(
+            rows, blends.level_masks(part, self.local, self.levels), strict=True
+        ):
+            if judged.sum() >= blends.MIN_JUDGED:
                 some = self._best([risk.of(kept.tolist()) for risk in _risks(judges, judged)])
                 row[kept] = np.where(some >= MIN_WEIGHT, some, 0.0)
         # Where there is most noise what the filters do is right as a whole, whatever the judges
         # make of the few vertices there.
         loudest = rows[-1] if rows[-1].any() else weights
-        rows[-1] = round_weights(loudest / loudest.sum())
+        rows[-1] = blends.round_weights(loudest / loudest.sum())
         return rows
 
     def _strengthen(
@@ -277,7 +256,7 @@ class _Search:
         spare = self.most_cost - sum(members[k].cost for k in used)
         stronger = [
             candidate
-            for candidate in stronger_candidates(self._noise_edges())
+            for candidate in blends.stronger_candidates(self._noise_edges())
             if candidate.cost <= spare and self._is_usable(candidate)
         ]
         if not stronger:
@@ -291,9 +270,9 @@ class _Search:
                 weight = np.interp(self.local[numbers], self.levels, rows[:, k])[:, None]
             base += weight * study.moves(members[k])
         moves = [study.moves(candidate)[part.judged] + evened for candidate in stronger]
-        k, share = strengthen(base[part.judged] + evened, moves, strength)
+        k, share = blends.strengthen(base[part.judged] + evened, moves, strength)
         mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
-        weights = np.stack([round_weights(row, THOUSANDTHS) for row in mixed])
+        weights = np.stack([blends.round_weights(row, THOUSANDTHS) for row in mixed])
         return [*members, stronger[k]], weights
 
     def _trials(self) -> CandidateRuns:
@@ -345,13 +324,13 @@ class _Search:
             weights[int(np.argmin(self._scores(risks)))] = 1.0
             return weights
         # Rounded at once: what the last digits of a solver are must not show in what follows.
-        return round_weights(best_weights(risks, self.slopes, self.drift))
+        return blends.round_weights(blends.best_weights(risks, self.slopes, self.drift))
 
     def _scores(self, risks: Sequence[Risk]) -> Floats:
         """How the candidates do by themselves; less is better."""
         score = np.zeros(len(risks[0].drift))
         for risk in risks:
-            places, tilts = risk.log_errors(FLOOR)
+            places, tilts = risk.log_errors(blends.FLOOR)
             score += risk.importance * ((1.0 - self.slopes) * places + self.slopes * tilts)
         return score
 
@@ -382,11 +361,11 @@ class _Search:
             return np.ones(1)
         total = float(weights.sum())
         if surface == MACHINED and self.wishes.prefer == "balanced" and total >= MOST:
-            return round_weights(weights / total)
+            return blends.round_weights(weights / total)
         if members[0] is ROBUST_LEARNED and self.noise.character.rings:
             is_learned = np.array([member.method == LEARNED.method for member in members])
             if weights[is_learned].sum() < MIN_LEARNED:
-                return round_weights(0.5 * (weights + np.eye(len(members))[0]))
+                return blends.round_weights(0.5 * (weights + np.eye(len(members))[0]))
         return weights
 
     def _choice(
@@ -400,7 +379,9 @@ class _Search:
         risks = _risks(judges)
         weights = self._settle(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
-        share = wished_share(self.wishes) * (_hedge(risks, weights) if self.is_unsure else 1.0)
+        share = blends.wished_share(self.wishes) * (
+            _hedge(risks, weights) if self.is_unsure else 1.0
+        )
         # Only the smooth shape is wanted: farther, whatever the filters make of more noise.
         strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
         is_strengthened = strength > 0.0 and bool(rows.any())
@@ -421,16 +402,18 @@ class _Search:
         order = np.argsort(self._scores(risks), kind="stable").tolist()
         beside = [k for k in order if rows[:, k].min() < 1.0][:3]
         noise = self._noise_edges()
-        made = build_recipe(blended, rows, noise, self.levels, self.relax, share)
+        method, parameters, label = blends.build_recipe(
+            blended, rows, noise, self.levels, self.relax, share
+        )
         choice = Choice(
-            made.method,
-            made.parameters,
-            f"{describe_noise(self.noise, self.is_unsure)}; {surface}; {made.label}",
+            method,
+            parameters,
+            f"{blends.describe_noise(self.noise, self.is_unsure)}; {surface}; {label}",
             surface,
             self.noise,
         )
-        if made.method == NONE:
-            choice = choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface)
+        if method == NONE:
+            choice = blends.choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface)
         return dataclasses.replace(
             choice,
             risk=together,
@@ -450,7 +433,7 @@ def _hedge(risks: Sequence[Risk], weights: Floats) -> float:
         counted = [getattr(risk, measure) for risk in risks if risk.importance > 0.0]
         gain = float(np.mean([weights @ quadratic.gain for quadratic in counted]))
         moved = float(np.mean([weights @ quadratic.gram @ weights for quadratic in counted]))
-        shares.append(hedge(gain, moved))
+        shares.append(blends.hedge(gain, moved))
     return min(shares)
 
 

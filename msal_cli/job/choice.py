@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli.auto import NONE, Wishes, choose_method
+from msal_cli.auto import NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
 from msal_cli.structs import dataclass
@@ -109,7 +109,7 @@ def choose(
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
     the family of equation (2) where they are None, with what to ``assume``."""
     from msal_cli import methods
-    from msal_cli.auto import adaptive
+    from msal_cli.auto import adaptive, search
 
     auto_seconds = None
     if wishes is None:
@@ -117,7 +117,7 @@ def choose(
         auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
         wishes = {} if assume is None else {"assume": assume}
     else:
-        choice = choose_method(mesh, Wishes(**wishes), on_step)
+        choice = search.choose_method(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
     parameters = {} if method is None else method.validate(choice.parameters)

@@ -192,5 +192,5 @@ def test_impulsive_noise_is_filtered_for_its_root_mean_square():
     noise = estimate_noise(mesh)
     assert noise.is_impulsive
     assert adaptive.choose_adaptive(mesh).reason.startswith("impulsive noise")
-    case = adaptive._build_case(mesh, noise)
-    assert case.edges == pytest.approx(noise.rms_edges)
+    level = adaptive.build_case(mesh, noise).model.level
+    assert level / mesh.mean_edge_length == pytest.approx(noise.rms_edges)

@@ -8,11 +8,10 @@ import functools
 import numpy as np
 import pytest
 
-from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate import NoiseCharacter, estimate_noise, local_levels
-from msal_cli.auto import FAMILY, Wishes, adaptive
+from msal_cli.auto import FAMILY, Wishes, adaptive, search
 from msal_cli.auto.noise_model import NoiseModel, build_model
 from msal_cli.auto.risk import count_relaxing
 from msal_cli.auto.search import _Search
@@ -43,7 +42,7 @@ def pair(kind):
 @functools.lru_cache
 def choose_auto(mesh):
     # It counts where the estimate is unsure only.
-    return selection.choose_method(mesh, Wishes(assume="noise"))
+    return search.choose_method(mesh, Wishes(assume="noise"))
 
 
 def angle_to_true(kind, made):

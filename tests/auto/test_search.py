@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth
-from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.measures import area_and_volume, measure_surface_change
@@ -56,7 +55,7 @@ def spiky():
 
 
 def chosen(mesh, **wishes):
-    return selection.choose_method(mesh, Wishes(**wishes))
+    return search.choose_method(mesh, Wishes(**wishes))
 
 
 def made_by(choice, mesh):
@@ -126,7 +125,7 @@ def test_on_large_meshes_the_learned_filter_runs_once(box_scan, monkeypatch, lar
         return weights
 
     with_kind(box_scan, monkeypatch, kind="correlated", rings=1)
-    monkeypatch.setattr(search, "best_weights", of_the_first_two)
+    monkeypatch.setattr(search.blends, "best_weights", of_the_first_two)
     monkeypatch.setattr(search, "LARGE", large)
     assert chosen(box_scan).reason.count("learned") == count
 
@@ -287,14 +286,14 @@ def test_wishes_move_less_and_more_than_the_choice(mesh):
 def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
     for scan in (mesh, spiky):
         steps = []
-        selection.choose_method(scan, Wishes(), lambda *step, steps=steps: steps.append(step))
+        search.choose_method(scan, Wishes(), lambda *step, steps=steps: steps.append(step))
         (total,) = {total for _, total in steps}
         done = [step for step, _ in steps]
         assert done == sorted(done)
         assert done[-1] == total
         assert done.count(total) == 1
     steps = []
-    selection.choose_method(prepare_mesh(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
+    search.choose_method(prepare_mesh(*grid()).mesh, Wishes(), lambda *step: steps.append(step))
     assert steps == [(1, 1)]
 
 
@@ -355,7 +354,7 @@ def test_the_larger_part_of_the_way_becomes_all_of_it_on_a_machined_part(
         weights[0] = share
         return weights
 
-    monkeypatch.setattr(search, "best_weights", of_the_first)
+    monkeypatch.setattr(search.blends, "best_weights", of_the_first)
     assert end in chosen(box_scan, **wishes).reason
 
 
@@ -385,14 +384,14 @@ def test_terraces_get_the_learned_filter_without_a_level(box_scan, monkeypatch):
 def test_where_neighbours_share_the_noise_half_is_learned(box_scan, monkeypatch, kind, rings, end):
     with_kind(box_scan, monkeypatch, kind=kind, rings=rings)
     monkeypatch.setattr(
-        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+        search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
     )
     assert f"; {end}" in chosen(box_scan).reason
 
 
 def test_a_wish_is_done_where_every_filter_would_add_error(mesh, monkeypatch):
     monkeypatch.setattr(
-        search, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
+        search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
     )
     left = chosen(mesh)
     assert left.method == NONE and "add more error" in left.reason

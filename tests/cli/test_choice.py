@@ -60,7 +60,7 @@ def collapse(monkeypatch):
         return selection.Choice("umbrella", values, "collapse", None, estimate_noise(mesh))
 
     monkeypatch.setattr(adaptive, "choose_adaptive", choose_umbrella)
-    monkeypatch.setattr("msal_cli.job.choice.choose_method", choose_umbrella)
+    monkeypatch.setattr("msal_cli.auto.search.choose_method", choose_umbrella)
 
 
 # The plain command

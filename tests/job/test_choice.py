@@ -11,6 +11,7 @@ from msal_cli import auto as selection
 from msal_cli import methods
 from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import estimate_noise
+from msal_cli.auto import search
 from msal_cli.cli.options import parse_assignment
 from msal_cli.errors import UsageError
 from msal_cli.job import choice as automatic
@@ -31,7 +32,7 @@ def mesh():
 
 def choose_as(monkeypatch, mesh, name, given):
     choice = selection.Choice(name, given, "because", "organic", estimate_noise(mesh))
-    monkeypatch.setattr("msal_cli.job.choice.choose_method", lambda *ignored: choice)
+    monkeypatch.setattr("msal_cli.auto.search.choose_method", lambda *ignored: choice)
     return automatic.choose(mesh, {}, lambda done, total: None)
 
 
@@ -71,7 +72,7 @@ def test_memory_is_set_aside_for_choosing(tmp_path):
 
 def test_what_is_chosen_is_one_of_the_methods_that_memory_is_set_aside_for(mesh):
     before = mesh.vertices.copy()
-    choice = selection.choose_method(mesh, selection.Wishes(strength=2.0))
+    choice = search.choose_method(mesh, selection.Wishes(strength=2.0))
     assert (mesh.vertices == before).all()
     assert choice.method in selection.METHODS and set(selection.METHODS) <= set(methods.names())
     assert methods.find(choice.method).validate(choice.parameters) == choice.parameters

@@ -7,8 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.auto.blend_weights import best_weights, hedge, least_over_simplex, round_weights
-from msal_cli.auto.choices import MORE, strengthen
+from msal_cli.auto.blends import (
+    MORE,
+    best_weights,
+    hedge,
+    least_over_simplex,
+    round_weights,
+    strengthen,
+)
 from msal_cli.auto.risk import Quadratic, Risk
 
 

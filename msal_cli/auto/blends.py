@@ -1,0 +1,408 @@
+"""Blends: the weights whose estimated error is least, the levels of noise that they follow, blends
+as methods with parameters and sentences, milder and stronger ones; what they are chosen for.
+
+A mesh with hardly any noise is left as it is.  An explicit wish counts all the same: more smoothing
+than the automatic choice means some smoothing, by the mildest setting for the upper end of the
+noise's interval.  A wish that does not mean smoothing gets a reason, and the option that smooths
+in spite of it.
+
+Less than a choice is a share of what it moves, which moves less and keeps more by construction.
+More is a stronger filter, mixed in until vertices move farther.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from msal_cli import methods
+from msal_cli.analysis.noise_estimate import NoiseLevel, local_levels
+from msal_cli.arrays import Flags, Floats
+from msal_cli.auto import NONE, Choice, Wishes
+from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
+from msal_cli.auto.noise_model import NoiseModel, build_model
+from msal_cli.auto.risk import Risk, count_relaxing
+from msal_cli.auto.sample_patch import Part
+from msal_cli.mesh import Mesh
+from msal_cli.methods._sliding import even_out
+from msal_cli.structs import dataclass
+
+FLOOR = 0.02
+"""Estimated errors below this share of the input's count as equal: they are mostly scatter."""
+
+ROUNDS = 8
+"""Rounds in which the shares of places and slopes follow the errors that are reached."""
+
+RIDGE = 1e-4
+"""Added to squared weights: filters that do nearly the same share a weight."""
+
+TOLERANCE = 1e-9
+"""Of gradients, by which a weight is let in."""
+
+
+def best_weights(risks: Sequence[Risk], slopes: float, drift: float = 0.0) -> Floats:
+    """Weights (k,) >= 0 of sum <= 1 for the k filters; what is left belongs to the input.
+
+    What is least is the sum over ``risks``, each times its importance, of
+
+        (1 - slopes) log(error of positions) + slopes log(error of slopes)
+
+    so that a tenth off either counts alike however large they are.  It is found as a chain of
+    quadratic problems, each with the shares 1 / error of the one before.
+
+    Parameters
+    ----------
+    slopes : 0 to 1, how much slopes count beside positions.
+    drift : how much the squared mean move of the surface counts, in parts of the positions' error.
+    """
+    count = len(risks[0].drift)
+    shares = [(risk.importance * (1.0 - slopes), risk.importance * slopes) for risk in risks]
+    weights = np.zeros(count)
+    for _ in range(ROUNDS):
+        gram = RIDGE * np.eye(count)
+        gain = np.zeros(count)
+        for risk, (of_positions, of_slopes) in zip(risks, shares, strict=True):
+            gram += of_positions * risk.positions.gram + of_slopes * risk.slopes.gram
+            gram += of_positions * drift * np.outer(risk.drift, risk.drift)
+            gain += of_positions * risk.positions.gain + of_slopes * risk.slopes.gain
+        weights = least_over_simplex(gram, gain)
+        shares = [
+            (
+                risk.importance * (1.0 - slopes) / max(risk.positions.at(weights), FLOOR),
+                risk.importance * slopes / max(risk.slopes.at(weights), FLOOR),
+            )
+            for risk in risks
+        ]
+        total = sum(sum(pair) for pair in shares)
+        shares = [(places / total, tilts / total) for places, tilts in shares]
+    return weights
+
+
+def hedge(gain: float, moved: float) -> float:
+    """The share of a result that is not much worse whether it removes noise or texture, 0 to 1.
+
+    In parts of the squared noise, a share s of a blend with ``gain`` w'b and ``moved`` w'Mw has the
+    squared error s^2 w'Mw if all that it removes is texture, and 1 - 2 s w'b + s^2 w'Mw if it is
+    noise.  The larger of both is least; of a filter that removes noise and nothing else a half.
+    """
+    if gain <= 0.0 or moved <= 0.0:
+        return 0.0
+    return round(min(0.5 / gain, gain / moved, 1.0), 2)
+
+
+def least_over_simplex(gram: Floats, gain: Floats) -> Floats:
+    """The w (k,) with w >= 0 and sum(w) <= 1 for which w'Mw - 2 w'b is least; M positive definite.
+
+    An active set: weights enter one by one where that helps most, and leave where they would
+    become negative.
+    """
+    count = len(gain)
+    # The input is one more filter, which does nothing: then the sum is 1.
+    matrix = np.zeros((count + 1, count + 1))
+    matrix[:count, :count] = gram
+    vector = np.append(gain, 0.0)
+    weights = np.zeros(count + 1)
+    weights[count] = 1.0
+    inside = [count]
+    for _ in range(8 * (count + 1)):
+        gradient = matrix @ weights - vector
+        level = float(weights @ gradient)
+        entering = int(np.argmin(gradient))
+        if gradient[entering] >= level - TOLERANCE or entering in inside:
+            break
+        inside.append(entering)
+        while True:
+            wanted = _least_on(matrix, vector, inside)
+            if (wanted >= 0.0).all():
+                weights[:] = 0.0
+                weights[inside] = wanted
+                break
+            now = weights[inside]
+            falling = wanted < 0.0
+            steps = now[falling] / (now[falling] - wanted[falling])
+            step = float(steps.min())
+            weights[inside] = now + step * (wanted - now)
+            leaving = np.flatnonzero(falling)[int(np.argmin(steps))]
+            weights[inside[leaving]] = 0.0
+            del inside[leaving]
+    return np.maximum(weights[:count], 0.0)
+
+
+def _least_on(matrix: Floats, vector: Floats, inside: Sequence[int]) -> Floats:
+    """The least where only ``inside`` may differ from zero, and adds up to 1, signs aside."""
+    rows = np.array(inside)
+    n = len(rows)
+    system = np.zeros((n + 1, n + 1))
+    system[:n, :n] = matrix[np.ix_(rows, rows)]
+    # The input's row is empty; this keeps the system regular.
+    system[np.arange(n), np.arange(n)] += 1e-12
+    system[:n, n] = 1.0
+    system[n, :n] = 1.0
+    solved: Floats = np.linalg.solve(system, np.append(vector[rows], 1.0))[:n]
+    return solved
+
+
+def round_weights(weights: Floats, steps: int = 100) -> Floats:
+    """The same in whole hundredths, with the sum that the sum itself rounds to.
+
+    What is written down is short, and last digits of the arithmetic do not show in it: parts of a
+    step are compared in millionths.
+    """
+    exact = np.round(weights * steps, 6)
+    parts = np.floor(exact)
+    missing = round(round(float(weights.sum()) * steps, 6)) - int(parts.sum())
+    # The largest remainders first; equal ones in order.
+    order = np.argsort(np.round(parts - exact, 6), kind="stable")
+    parts[order[: max(missing, 0)]] += 1
+    hundredths: Floats = parts / steps
+    return hundredths
+
+
+# Levels of local noise for which a blend has weights of their own
+
+
+QUANTILES = (0.1, 0.5, 0.9)
+"""Of local levels, for which weights are chosen."""
+
+MIN_RATIO, MIN_GAP = 1.25, 0.01
+"""By how much they have to differ, as a ratio and in mean edge lengths."""
+
+MIN_JUDGED = 200
+"""Vertices that a level of local noise needs for weights of its own."""
+
+
+def spread_levels(local: Floats) -> tuple[float, ...]:
+    """Levels of local noise (n,) for quiet, usual and loud places; none if they differ little."""
+    found: list[float] = []
+    for level in np.quantile(local, QUANTILES).tolist():
+        if not found or level > MIN_RATIO * found[-1] + MIN_GAP:
+            found.append(float(round(level, 3)))
+    return tuple(found) if len(found) > 1 else ()
+
+
+def level_masks(part: Part, local: Floats, levels: Sequence[float]) -> list[Flags]:
+    """Which vertices (m,) of a part are judged for each of the levels: those whose local noise,
+    ``local`` (n,) over the whole mesh, is nearest to it."""
+    own = local if part.numbers is None else local[part.numbers]
+    nearest = np.abs(own[:, None] - np.array(levels)).argmin(axis=1)
+    return [part.judged & (nearest == level) for level in range(len(levels))]
+
+
+# What is known of a mesh before candidates run on it
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A mesh as methods get it, and the noise on it.
+
+    Attributes
+    ----------
+    mesh : with its triangles evened out by ``relax`` passes, for noise in all directions.
+    model : the noise; that along the normals counts.
+    local, levels : local noise (n,), and levels of it that get weights of their own; empty where
+        the noise is the same everywhere.
+    """
+
+    mesh: Mesh
+    model: NoiseModel
+    local: Floats
+    levels: tuple[float, ...]
+    relax: int
+
+
+def build_case(mesh: Mesh, noise: NoiseLevel) -> Case:
+    """What is known of a mesh before candidates run on it."""
+    model = build_model(mesh, noise)
+    relax, local = 0, np.empty(0)
+    levels: tuple[float, ...] = ()
+    # Trust scales the pull of one method, not a blend.
+    if mesh.trust is None:
+        # Jagged triangles first, and what is left of the noise is along the normals.
+        relax = count_relaxing(mesh, model)
+        if model.shares is not None:
+            local = local_levels(mesh)
+            levels = spread_levels(local[mesh.topology.has_ring])
+    return Case(even_out(mesh, relax), model.along_normals(), local, levels, relax)
+
+
+# Blends as methods, and in words
+
+
+PLAIN = ("none", "white", "impulsive", "unknown")
+"""Kinds of noise that need no words beside the level."""
+
+MIN_NOISE = 0.05
+"""Mean edge lengths: noise that a mesh is smoothed for at least, where smoothing is asked for."""
+
+STRENGTH = 1.2
+"""Factor of the assumed noise for each step of ``Wishes.strength``."""
+
+LESS, KEEP_TEXTURE = 0.2, 0.9
+"""By how much less each step of ``Wishes.strength`` below 0 moves vertices, in parts of the choice;
+and the share of it that keeps texture."""
+
+SHAPE = 1.25
+"""The same where the smooth shape is to be kept."""
+
+
+def wished_share(wishes: Wishes) -> float:
+    """How much of a choice without them ``wishes`` ask for, above 0 to 1."""
+    share = 1.0 + LESS * min(wishes.strength, 0.0)
+    return share * (KEEP_TEXTURE if wishes.keep == "texture" else 1.0)
+
+
+def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
+    """Such as ``noise 0.21 e, shared over two rings``; where it ``is_unsure`` whether there is any,
+    ``noise of 0.08 e or texture``."""
+    if is_unsure:
+        return f"noise of {noise.mean_edges:.2g} e or texture"
+    if noise.is_impulsive:
+        text = f"impulsive noise {noise.rms_edges:.2g} e"
+    else:
+        text = f"noise {noise.mean_edges:.2g} e"
+    character = noise.character
+    return text if character.kind in PLAIN else f"{text}, {character.words}"
+
+
+def describe_rest(estimate: NoiseLevel, noise: NoiseLevel) -> str:
+    """Why there is nothing to remove: ``noise``, the ``estimate`` or what was assumed instead, is
+    negligible."""
+    if noise is not estimate:
+        return "assumed to be texture"
+    if not estimate.is_unsure:
+        return "clean"
+    most = max(reading.level for reading in estimate.readings)
+    return f"noise of {most:.2g} e or texture"
+
+
+def build_recipe(
+    members: Sequence[Candidate],
+    weights: Floats,
+    noise_edges: float,
+    levels: Sequence[float] = (),
+    relax: int = 0,
+    share: float = 1.0,
+) -> tuple[str, dict[str, Any], str]:
+    """The blend of ``members`` by weights (k,), in hundredths, the largest first: a method, or
+    ``NONE``, all of its parameters, and its label.
+
+    ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
+    ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is how many
+    passes even out the triangles before, and ``share`` how much of the way to the result is gone;
+    see the method ``blend``.  One member of weight 1 is its method by itself, and no
+    weight at all is ``NONE``.
+    """
+    rows = np.atleast_2d(weights)
+    largest = rows.max(axis=0)
+    used = sorted(np.flatnonzero(largest).tolist(), key=lambda k: (-largest[k], k))
+    if not used or not share:
+        return NONE, {}, "left as it is"
+    settings = [members[k].settings(noise_edges) for k in used]
+    first = members[used[0]]
+    if (rows[:, used[0]] == 1.0).all() and not relax and share == 1.0:
+        return first.method, methods.find(first.method).validate(settings[0]), first.label
+    from msal_cli.methods.blend import format_levels, format_members
+
+    if len(rows) > 1 and (rows == rows[0]).all():
+        rows, levels = rows[:1], ()
+    listed = [
+        (rows[:, k].tolist(), members[k].method, given)
+        for k, given in zip(used, settings, strict=True)
+    ]
+    given = {
+        "members": format_members(listed),
+        "levels": format_levels(levels),
+        "relax": relax,
+        "share": share,
+    }
+    label = " + ".join(f"{_percent(rows[:, k])} {members[k].label}" for k in used)
+    rest = 1.0 - rows.sum(axis=1)
+    if rest.max() > 0.005:
+        label += f" + {_percent(rest)} as it was"
+    if levels:
+        label += " where the noise is " + "/".join(f"{level:.2g}" for level in levels) + " e"
+    if relax:
+        label += ", after triangles were evened out"
+    if share < 1.0:
+        label = f"{share:.0%} of what {label} moves"
+    return "blend", methods.find("blend").validate(given), label
+
+
+def _percent(weights: Floats) -> str:
+    """One weight as 40%, more of them as 0/20/60%."""
+    if (weights == weights[0]).all():
+        return f"{weights[0]:.0%}"
+    return "/".join(f"{100.0 * weight:.0f}" for weight in weights) + "%"
+
+
+def choose_least(noise: NoiseLevel, wishes: Wishes, why: str, surface: str) -> Choice:
+    """The choice for a mesh where ``why`` no filter is worth its harm, such as ``clean``: only a
+    wish for more smoothing smooths it."""
+    what = f"noise {noise.mean_edges:.2g} e; {why}"
+    if wishes.strength <= 0.0 and wishes.keep != "shape":
+        is_less = wishes.strength < 0.0 or wishes.keep == "texture"
+        is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
+        hint = "; --strength 1 smooths it all the same" if is_wish else ""
+        return Choice(NONE, {}, f"{what}; left as it is{hint}", surface, noise)
+    level = max(noise.high, noise.mean_edges, MIN_NOISE) * STRENGTH**wishes.strength
+    level *= SHAPE if wishes.keep == "shape" else 1.0
+    level = round(level, 4)
+    candidate = wiener_al(level)
+    return Choice(
+        candidate.method,
+        methods.find(candidate.method).validate(candidate.settings(level)),
+        f"{what}; smoothed for noise of {level:.2g} e, as requested; {candidate.label}",
+        surface,
+        noise,
+    )
+
+
+# More than the choice.  The choice is made once, without the wish.  What is mixed in is weighed by
+# what the mixture moves, so that more strength moves vertices farther, whatever the filters do.
+
+MORE = 0.03
+"""By how much farther each step of ``Wishes.strength`` above 0 moves vertices, in parts of the
+choice.  The noise is nearly gone by then, so it is shape and texture that move: three hundredths
+more is what removing a quarter as much again adds."""
+
+STRONGER_TIMES = (1.5, 2.0, 3.0, 5.0, 8.0)
+"""Levels of the noise that AL with the Wiener schedule is given, in parts of the estimate."""
+
+
+def stronger_candidates(level: float) -> list[Candidate]:
+    """Filters that move vertices farther than any for noise of ``level`` mean edge lengths."""
+    plain = [dataclasses.replace(wiener_al(times * level), times=times) for times in STRONGER_TIMES]
+    return [FARTHER, *plain]
+
+
+def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[int, float]:
+    """Which of ``moves``, (m, 3) each, to mix into ``base`` (m, 3), and by which weight, so that
+    vertices move farther by ``MORE`` of ``base`` for each step of ``strength``.
+
+    Both the mean and the root mean square count.  Of those that reach it, the one that departs
+    least from ``base``; if none does, the one that moves them farthest, by a weight in proportion.
+    """
+    target = (1.0 + MORE * strength) * _mean_and_rms(base)
+    found = []
+    for k, move in enumerate(moves):
+        for percent in range(1, 101):
+            change = 0.01 * percent * (move - base)
+            if (_mean_and_rms(base + change) >= target).all():
+                found.append((float(_mean_and_rms(change)[1]), k, 0.01 * percent))
+                break
+    if found:
+        _, k, weight = min(found)
+        return k, weight
+    k = int(np.argmax([_mean_and_rms(move)[0] for move in moves]))
+    return k, 0.5 * strength
+
+
+def _mean_and_rms(moves: Floats) -> Floats:
+    """Mean and root mean square (2,) of the lengths of ``moves`` (m, 3)."""
+    squares = (moves * moves).sum(axis=1)
+    return (
+        np.array([np.sqrt(squares).mean(), np.sqrt(squares.mean())]) if len(moves) else np.zeros(2)
+    )
