@@ -26,7 +26,6 @@ from msal_cli.report.data import known_values
 from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
-from msal_cli.structs import dataclass
 from msal_cli.view import pages, pictures
 from msal_cli.view.colours import coloured_surface_of
 from msal_cli.view.panels import jpeg_bytes
@@ -42,31 +41,20 @@ _STANDARD_RANGE = 0.5
 # Below this, in mean edge lengths, nothing moved but the last digits.
 _ROUNDING_EDGES = 1e-9
 
+MAX_SECONDS, MAX_PICTURE_BYTES = 60.0, 14_000_000
+"""What pictures of all files may cost; begun ones are finished."""
 
-@dataclass(frozen=True)
-class Bounds:
-    """What pictures may cost.
+MAX_FACES = 1_000_000
+"""Faces of one mesh with pictures."""
 
-    ``seconds`` and ``picture_bytes`` in all, begun pictures are finished;
-    ``faces`` of one mesh; ``scenes`` are the worst files that can be turned, with at most
-    ``scene_faces`` each.
-    """
-
-    seconds: float = 60.0
-    faces: int = 1_000_000
-    scenes: int = 5
-    scene_faces: int = 100_000
-    picture_bytes: int = 14_000_000
-
-
-BOUNDS = Bounds()
+MAX_SCENES, MAX_SCENE_FACES = 5, 100_000
+"""The worst files can be turned, as many, with at most so many faces each."""
 
 
 def build_gallery(
     records: Sequence[MeshRecord],
     *,
     backup: str = DEFAULT_BACKUP,
-    bounds: Bounds = BOUNDS,
     on_file: Callable[[int, int], None] | None = None,
 ) -> Gallery:
     """Pictures of as many files as the bounds allow, and scenes of the worst.
@@ -77,7 +65,7 @@ def build_gallery(
     """
     numbers = {id(record): at for at, record in enumerate(records)}
     reach = _reach(records)
-    end = time.monotonic() + bounds.seconds
+    end = time.monotonic() + MAX_SECONDS
     images: dict[int, Pictures] = {}
     scenes: dict[int, str] = {}
     n_left = n_bytes = 0
@@ -92,14 +80,14 @@ def build_gallery(
     for done, record in enumerate(candidates):
         if on_file is not None:
             on_file(done, len(candidates))
-        is_over = time.monotonic() > end or n_bytes > bounds.picture_bytes
-        if is_over or (record.triangles or record.faces or 0) > bounds.faces:
+        is_over = time.monotonic() > end or n_bytes > MAX_PICTURE_BYTES
+        if is_over or (record.triangles or record.faces or 0) > MAX_FACES:
             n_left += 1
             continue
         at = numbers[id(record)]
-        key = f"scene{at}" if len(scenes) < bounds.scenes else ""
+        key = f"scene{at}" if len(scenes) < MAX_SCENES else ""
         try:
-            drawn = _draw(record, backup, bounds, reach, key)
+            drawn = _draw(record, backup, reach, key)
         except Exception:
             # A picture is an extra: whatever keeps it from being made keeps back no report.
             log.info("%s: no picture", record.input, exc_info=True)
@@ -110,25 +98,23 @@ def build_gallery(
         n_bytes += sum(len(part or b"") for part in images[at])
         if scene:
             scenes[at] = scene
-            is_decimated |= (record.triangles or 0) > bounds.scene_faces
+            is_decimated |= (record.triangles or 0) > MAX_SCENE_FACES
     remarks = []
     if n_left:
         remarks.append(
             f"{format_count(n_left, 'file')} without pictures, which are made of the worst files, "
-            f"of up to {bounds.faces:,} faces, in {bounds.seconds:.0f} seconds and "
-            f"{bounds.picture_bytes / 1e6:.0f} MB; `msal view` makes others."
+            f"of up to {MAX_FACES:,} faces, in {MAX_SECONDS:.0f} seconds and "
+            f"{MAX_PICTURE_BYTES / 1e6:.0f} MB; `msal view` makes others."
         )
     if is_decimated:
         remarks.append(
-            f"In 3D, meshes of more than {bounds.scene_faces:,} faces are decimated; the figures "
+            f"In 3D, meshes of more than {MAX_SCENE_FACES:,} faces are decimated; the figures "
             "are those of the full meshes."
         )
     return Gallery(images, scenes, _draw_legend(reach), tuple(remarks))
 
 
-def _draw(
-    record: MeshRecord, backup: str, bounds: Bounds, reach: float, key: str
-) -> tuple[Pictures, str] | None:
+def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> tuple[Pictures, str] | None:
     """Three pictures from one place, and a scene if it has a ``key``; None where a file is not
     what the record says.  Colours reach to ``reach`` mean edge lengths."""
     output = str(record.output)
@@ -168,7 +154,7 @@ def _draw(
         ends=(-end, end) if scene.is_signed else None,
         view=camera.axes,
         colours=scene.colours,
-        max_faces=bounds.scene_faces,
+        max_faces=MAX_SCENE_FACES,
     )
     poster = jpeg_bytes(image(scene.after, scene.painted(1), "paint", _POSTER))
     name = f"{record.input}, after"

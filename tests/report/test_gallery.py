@@ -12,7 +12,6 @@ from PIL import Image
 
 from msal_cli.report import gallery
 from msal_cli.report.data import read_json
-from msal_cli.report.gallery import Bounds
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
 
 
@@ -57,18 +56,24 @@ def test_in_place_the_backup_is_the_input(tmp_path):
     assert gallery.build_gallery(records, backup=".orig").pictures == {}
 
 
-def test_the_bounds_are_kept_and_said(records):
-    found = gallery.build_gallery(records, bounds=Bounds(seconds=-1.0))
+def test_the_bounds_are_kept_and_said(records, monkeypatch):
+    def built(**bounds):
+        with monkeypatch.context() as patch:
+            for name, value in bounds.items():
+                patch.setattr(gallery, name, value)
+            return gallery.build_gallery(records)
+
+    found = built(MAX_SECONDS=-1.0)
     assert found.pictures == {} and found.remarks[0].startswith("2 files without")
-    found = gallery.build_gallery(records, bounds=Bounds(faces=100))
+    found = built(MAX_FACES=100)
     assert shown(records, found) == ["b.ply"] and found.remarks[0].startswith("1 file without")
-    found = gallery.build_gallery(records, bounds=Bounds(picture_bytes=0))
+    found = built(MAX_PICTURE_BYTES=0)
     assert len(found.pictures) == 1 and found.remarks[0].startswith("1 file without")
-    found = gallery.build_gallery(records, bounds=Bounds(scenes=1))
+    found = built(MAX_SCENES=1)
     (at,) = found.scenes
     worst = max(found.pictures, key=lambda at: records[at].displacement.max_edges)
     assert at == worst
-    found = gallery.build_gallery(records, bounds=Bounds(scene_faces=100))
+    found = built(MAX_SCENE_FACES=100)
     assert "decimated" in found.remarks[0]
 
 
