@@ -103,15 +103,11 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
 def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
     """Tables of numbers for beside a scene: a heading, and rows of a name and a value."""
     record, mesh = scene.record, scene.before
-    if scene.counts and record is None:
-        ((n_faces, n_vertices),) = scene.counts
-        return [("Mesh", [("Vertices", f"{n_vertices:,}"), ("Triangles", f"{n_faces:,}")])]
     if record is None:
-        rows: Rows = [
-            ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
-            ("Triangles", f"{len(mesh.faces):,}"),
-            ("Mean edge length", _number(mesh.mean_edge_length)),
-        ]
+        counts = scene.counts or ((len(mesh.faces), pictures.count_of_vertices(mesh)),)
+        rows: Rows = [("Vertices", f"{counts[0][1]:,}"), ("Triangles", f"{counts[0][0]:,}")]
+        if not scene.counts:
+            rows.append(("Mean edge length", _number(mesh.mean_edge_length)))
         return [("Mesh", rows)]
     tables = (
         ("Displacement", record.displacement),
@@ -207,18 +203,10 @@ def _decimation(drawn: EncodedScene) -> list[str]:
     if not drawn.is_decimated:
         return []
     counts = f"{drawn.drawn_faces:,} of {drawn.faces:,} faces"
+    if drawn.after_faces is not None:
+        counts += f", and {drawn.drawn_after_faces:,} of {drawn.after_faces:,} after"
     how = "Short edges were contracted to one of their ends"
-    if drawn.after_faces is None:
-        return [f"Decimated for the page: {counts}. {how}."]
-    if (drawn.after_faces, drawn.drawn_after_faces) == (drawn.faces, drawn.drawn_faces):
-        where = "the same of both meshes"
-        how += ", the same on both sides; vertices that stay keep their places"
-    else:
-        where = f"and {drawn.drawn_after_faces:,} of {drawn.after_faces:,} after"
-    return [
-        f"Decimated for the page: {counts}, {where}. {how}."
-        " The numbers are those of the full meshes."
-    ]
+    return [f"Decimated for the page: {counts}. {how}. The numbers are those of the full meshes."]
 
 
 def _precision(drawn: EncodedScene) -> list[str]:

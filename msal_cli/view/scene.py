@@ -4,8 +4,8 @@
 
 Faces are put in an order in which neighbours follow one another, and vertices in that of their
 first use.  So a corner is coded as how long ago its vertex was new (0: now), and a position as the
-step from a known corner of the same face, in whole steps of a grid.  Each number is cut into bytes,
-and all lowest bytes come first, then all second ones: deflate finds more in them that way.
+way from the vertex before, in whole steps of a grid.  Each number is cut into bytes, and all lowest
+bytes come first, then all second ones: deflate finds more in them that way.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def encode_scene(
         order, faces = _order(mesh.vertices[stays], coarse)
         kept = stays[order]
         ticks = _ticks(mesh.vertices[kept], low, step)
-        planes += _index_planes(faces) + _planes(_zigzag(_residuals(ticks, faces)), 3)
+        steps = np.diff(ticks, axis=0, prepend=0)
+        planes += _index_planes(faces) + _planes(_zigzag(steps), 3)
         entries.append({"vertices": len(kept), "faces": len(faces)})
         selections.append(kept)
     if after is not None and shares:
@@ -180,21 +181,6 @@ def _index_planes(faces: Ints) -> list[bytes]:
     newest = np.maximum.accumulate(flat)
     seen = np.concatenate([[0], newest[:-1] + 1])
     return _planes(seen - flat, 3)
-
-
-def _residuals(ticks: Longs, faces: Ints) -> Longs:
-    """Steps (n, 3) from the corner that the script knows already when it meets a vertex."""
-    flat = faces.reshape(-1).astype(np.int64)
-    _, first = np.unique(flat, return_index=True)
-    numbers = np.arange(len(first))
-    place = first % 3
-    begin = first - place
-    second, third = flat[begin + 1], flat[begin + 2]
-    known = np.where(second < numbers, second, np.where(third < numbers, third, numbers - 1))
-    known = np.where(place > 0, flat[np.maximum(first - 1, 0)], known)
-    parents = np.concatenate([np.zeros((1, 3), dtype=np.int64), ticks])[known + 1]
-    residuals: Longs = ticks - parents
-    return residuals
 
 
 def _zigzag(numbers: Longs) -> Longs:

@@ -34,23 +34,11 @@ def decoded(text):
             meshes.append((ticks + steps(one["vertices"]), faces))
             continue
         corners = numbers(3 * one["faces"], 3)
-        first, known = [], 0
+        known = 0
         for c in range(len(corners)):
             corners[c] = known - corners[c]
-            if corners[c] == known:
-                first.append(c)
-                known += 1
-        ticks = steps(one["vertices"])
-        for v in range(1, len(ticks)):
-            c = first[v]
-            parent = v - 1
-            if c % 3:
-                parent = corners[c - 1]
-            elif corners[c + 1] < v:
-                parent = corners[c + 1]
-            elif corners[c + 2] < v:
-                parent = corners[c + 2]
-            ticks[v] += ticks[parent]
+            known += corners[c] == known
+        ticks = np.cumsum(steps(one["vertices"]), axis=0)
         meshes.append((ticks, corners.reshape(-1, 3)))
     deviation = None
     if "deviation" in header:

@@ -1,4 +1,4 @@
-// Unpacks a scene: the other half of page/scene.py, where the form is described.
+// Unpacks a scene: the other half of view/scene.py, where the form is described.
 
 async function unpacked(text) {
   const letters = atob(text.trim());
@@ -28,21 +28,13 @@ async function unpacked(text) {
       continue;
     }
     const corners = new Uint32Array(numbers(3 * faces, 3));
-    const first = new Uint32Array(vertices);
     let known = 0;
     for (let c = 0; c < corners.length; c++) {
       corners[c] = known - corners[c];
-      if (corners[c] === known) first[known++] = c;
+      if (corners[c] === known) known++;
     }
     const ticks = columns(vertices);
-    for (let v = 0; v < vertices; v++) {
-      const c = first[v];
-      let from = v - 1;
-      if (c % 3) from = corners[c - 1];
-      else if (corners[c + 1] < v) from = corners[c + 1];
-      else if (corners[c + 2] < v) from = corners[c + 2];
-      for (const axis of ticks) axis[v] = (v ? axis[from] : 0) + step(axis[v]);
-    }
+    for (const axis of ticks) for (let v = 0; v < vertices; v++) axis[v] = (v && axis[v - 1]) + step(axis[v]);
     meshes.push({ corners, ticks });
   }
   const deviation = header.deviation ? numbers(meshes.at(-1).ticks[0].length, 2) : null;
