@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 GROUPS = Path("/sys/fs/cgroup")
@@ -323,3 +324,12 @@ def _is_alive_on_windows(pid: int) -> bool:
     is_known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
     kernel.CloseHandle(handle)
     return bool(is_known) and code.value == still_active
+
+
+def iso_timestamp(time_ns: int) -> str:
+    """A time in nanoseconds since 1970 in UTC, ISO 8601, to the millisecond."""
+    try:
+        when = datetime.fromtimestamp(time_ns / 1e9, UTC)
+    except (OverflowError, ValueError, OSError):
+        when = datetime.fromtimestamp(0, UTC)
+    return when.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -328,7 +328,7 @@ def _version_fields(version: FileStat | ObjectMark | None, sha256: str | None) -
 
 
 def encode_line(data: Mapping[str, Any]) -> bytes:
-    """The line for what ``intent_line`` or ``done_line`` made, with its end."""
+    """The line for what ``intent_line`` or the like made, with its end."""
     # ASCII with escapes carries names that are not valid Unicode, and no name can break a line.
     text = json.dumps(data, separators=(",", ":"), default=to_builtin)
     return text.encode("ascii") + b"\n"
@@ -364,10 +364,6 @@ class Manifest:
     def get(self, name: str) -> ManifestEntry | None:
         """The entry of an output."""
         return self._entries.get(name)
-
-    def names(self) -> frozenset[str]:
-        """Every output that some run wrote or began to write here."""
-        return frozenset(self._entries)
 
     def append(self, lines: Iterable[Mapping[str, Any]]) -> None:
         """Add lines made by ``intent_line``, ``done_line`` and the like.

@@ -1,11 +1,14 @@
-"""What an earlier run has done already, proved by hashes and not by times."""
+"""What earlier runs have done: what of it is current, proved by hashes and not by times, and what
+the manifests of a folder say of them."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+import platform
 import stat
+import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, replace
@@ -13,21 +16,15 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from msal_cli.batch.history import RunEntry
-from msal_cli.batch.manifest import (
-    FileStat,
-    Manifest,
-    ManifestEntry,
-    done_line,
-    intent_line,
-    open_folder,
-    open_manifest,
-    to_builtin,
-)
+from msal_cli.batch import manifest as manifests
+from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, manifest_key
+from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
+from msal_cli.job.plain_data import from_data
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import Settings, Task, suffix
+from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import ObjectMark, is_url
@@ -63,7 +60,7 @@ def hash_settings(settings: Settings, members: Sequence[str] = ()) -> str:
     data: dict[str, Any] = {"version": __version__, "settings": asdict(settings)}
     if members:
         data["members"] = list(members)
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"), default=to_builtin)
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), default=manifests.to_builtin)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -101,15 +98,16 @@ class FileState:
 
 
 def file_states(
-    plan: Plan, manifests: Mapping[str, Manifest], settings: str, *, threads: int
+    plan: Plan, by_place: Mapping[str, Manifest], settings: str, *, threads: int
 ) -> Generator[FileState, None, None]:
-    """The state of every task, in the plan's order; ``settings`` is their hash.
+    """The state of every task, in the plan's order, by the manifest of each place and the hash of
+    the ``settings``.
 
     An output is current if input, output, settings and version are those of the manifest: files
     are read and hashed, their times are never trusted.  Closing the iterator stops the reading.
     """
     is_stopped = Event()
-    check = _FreshnessCheck(plan, manifests, settings, is_stopped)
+    check = _FreshnessCheck(plan, by_place, settings, is_stopped)
     indices = range(len(plan.tasks))
     n_read = sum(plan.tasks[index].in_place or check.entry(index) is not None for index in indices)
     if n_read < 2 or threads < 2:
@@ -130,16 +128,16 @@ def file_states(
 
 class _FreshnessCheck:
     def __init__(
-        self, plan: Plan, manifests: Mapping[str, Manifest], settings: str, is_stopped: Event
+        self, plan: Plan, by_place: Mapping[str, Manifest], settings: str, is_stopped: Event
     ) -> None:
-        self.plan, self.manifests, self.settings = plan, manifests, settings
+        self.plan, self.by_place, self.settings = plan, by_place, settings
         self.is_stopped = is_stopped
         self._methods: dict[str, MethodUsed] = {}
 
     def entry(self, index: int) -> ManifestEntry | None:
         task = self.plan.tasks[index]
         folder = task.manifest_dir
-        return None if folder is None else self.manifests[folder].get(manifest_key(task))
+        return None if folder is None else self.by_place[folder].get(manifest_key(task))
 
     def file_state(self, index: int) -> FileState:
         task, entry = self.plan.tasks[index], self.entry(index)
@@ -242,14 +240,14 @@ class Journal:
         members = [task.relative for task in plan.tasks] if plan.is_set else []
         self._hash = hash_settings(settings, members)
         self.manifests: dict[str, Manifest] = {}
-        self._entry: RunEntry | None = None
+        self._started_s = time.monotonic()
         # Those in which the start of this run is recorded.
         self._begun: list[Manifest] = []
         self._stats: dict[int, FileStat | None] = {}
 
     def read(self) -> None:
         """Read what earlier runs did, and touch nothing."""
-        self.manifests = {place: open_manifest(place) for place in self._plan.folders()}
+        self.manifests = {place: manifests.open_manifest(place) for place in self._plan.folders()}
 
     def begin(
         self,
@@ -264,18 +262,21 @@ class Journal:
         ``stack`` releases locks and manifests.
         """
         tasks = self._plan.tasks
-        self._entry = RunEntry.start(self._plan, self._settings, command)
+        start = start_line(self._plan, self._settings, command)
         for place in self._plan.folders():
-            self.manifests[place] = opened.get(place) or open_folder(place, stack, self._plan.shard)
+            self.manifests[place] = opened.get(place) or manifests.open_folder(
+                place, stack, self._plan.shard
+            )
         todo, restored = self.find_outdated(on_done)
         for manifest in self.manifests.values():
             manifest.open()
-            manifest.append([self._entry.start_line()])
+            manifest.append([start])
             self._begun.append(manifest)
         for index in restored:
             restore_backup(tasks[index])
         self._append(
-            todo, lambda index, key: intent_line(key, tasks[index].input, tasks[index].output)
+            todo,
+            lambda index, key: manifests.intent_line(key, tasks[index].input, tasks[index].output),
         )
         self._stats = {n: FileStat.of(tasks[n].input) for n in todo if tasks[n].in_place}
         return todo
@@ -316,16 +317,16 @@ class Journal:
         tasks = self._plan.tasks
         self._append(
             finished,
-            lambda index, key: done_line(
+            lambda index, key: manifests.done_line(
                 key, self._hash, finished[index], tasks[index].input, tasks[index].output
             ),
         )
 
     def end(self, *, interrupted: bool) -> None:
         """Record the end of this run where its start is recorded."""
+        line = end_line(time.monotonic() - self._started_s, interrupted=interrupted)
         for manifest in self._begun:
-            assert self._entry is not None
-            manifest.append([self._entry.end_line(interrupted=interrupted)])
+            manifest.append([line])
 
     def roll_back(self, index: int) -> str:
         """Undo what a lost worker did in place; why the file must not be tried again, if so."""
@@ -382,3 +383,143 @@ def roll_back(task: Task, before: FileStat | None) -> str:
     if FileStat.of(task.input) == before:
         return ""
     return "the file changed before its worker was lost, and may be denoised already"
+
+
+# Runs and files, as manifests describe them
+
+
+def start_line(plan: Plan, settings: Settings, command: Sequence[str]) -> dict[str, Any]:
+    """The manifest's line for a run of this process that starts now."""
+    return {
+        "kind": "run",
+        "format": manifests.FORMAT,
+        "command": list(command),
+        "shard": None if plan.shard is None else [plan.shard.number, plan.shard.count],
+        "version": __version__,
+        "settings": asdict(settings),
+        "started": iso_timestamp(time.time_ns()),
+        "pid": os.getpid(),
+        "host": platform.node(),
+        "files": len(plan.tasks),
+    }
+
+
+def end_line(seconds: float, *, interrupted: bool) -> dict[str, Any]:
+    """The manifest's line for the end, which is now, of a run that took so long."""
+    return {
+        "kind": "end",
+        "format": manifests.FORMAT,
+        "finished": iso_timestamp(time.time_ns()),
+        "seconds": round(seconds, 3),
+        "interrupted": interrupted,
+    }
+
+
+@dataclass(frozen=True)
+class RunEntry:
+    """A run as its manifest describes it.
+
+    ``at`` orders runs (see `manifest`).  ``started`` and ``finished`` are UTC, ISO 8601, to
+    the millisecond, and ``seconds`` lie between them.  A run without an end, because it was killed
+    or is still at work, is ``interrupted`` and finished when it wrote its last line.
+    """
+
+    version: str
+    command: tuple[str, ...]
+    settings: Mapping[str, Any]
+    started: str
+    shard: Shard | None = None
+    at: int = 0
+    finished: str = ""
+    seconds: float = 0.0
+    interrupted: bool = True
+
+    @property
+    def configuration(self) -> tuple[str, str]:
+        """Version and settings; runs that have both in common did the same work."""
+        return self.version, json.dumps(self.settings, sort_keys=True, default=repr)
+
+
+@dataclass(frozen=True)
+class FileRow:
+    """What is known of one file: its record, and when that was made (see `manifest`).
+
+    ``input`` and ``output`` are the paths that the run had; the record of a failure has no output.
+    """
+
+    at: int
+    input: str
+    output: str
+    record: MeshRecord
+
+
+@dataclass(frozen=True)
+class RunHistory:
+    """All runs that manifests know of, in their order, and the newest row of every file."""
+
+    runs: tuple[RunEntry, ...]
+    rows: tuple[FileRow, ...]
+
+
+def read_place(place: str) -> RunHistory | None:
+    """What all manifests in a folder, or a folder of a store, say; None if there is none.
+
+    A file that a run began and did not finish has a record that is ``planned``.
+    Raises OutputError if a manifest cannot be read.
+    """
+    views = manifests.read_views(place)
+    return _history(views, place) if views else None
+
+
+def read_file(path: Path) -> RunHistory:
+    """What one manifest of a folder says; OutputError if it cannot be read."""
+    return _history([manifests.read_view(path)], str(path.parent))
+
+
+def _history(views: Sequence[LogView], place: str) -> RunHistory:
+    runs = [run for view in views for run in _parse_runs(view)]
+    entries = manifests.merge_entries(views).values()
+    return RunHistory(
+        tuple(sorted(runs, key=lambda run: run.at)), tuple(_row(entry, place) for entry in entries)
+    )
+
+
+def _parse_runs(view: LogView) -> list[RunEntry]:
+    runs: list[RunEntry] = []
+    for run_line in view.run_lines:
+        try:
+            data = json.loads(run_line.line)
+            if data["kind"] == "run":
+                runs.append(_parse_start(data, run_line.last_at))
+            elif runs:
+                runs[-1] = replace(
+                    runs[-1],
+                    finished=str(data["finished"]),
+                    seconds=float(data["seconds"]),
+                    interrupted=bool(data["interrupted"]),
+                )
+        except (ValueError, KeyError, TypeError, RecursionError):
+            continue
+    return runs
+
+
+def _parse_start(data: Mapping[str, Any], last_at: int) -> RunEntry:
+    """A run from its first line, as if it had ended with its last entry."""
+    shard, at = data["shard"], int(data["at"])
+    entry: RunEntry = from_data(
+        RunEntry, {**data, "shard": shard and {"number": shard[0], "count": shard[1]}}
+    )
+    finished = iso_timestamp(last_at) if last_at > at else entry.started
+    return replace(entry, finished=finished, seconds=max(0, last_at - at) / 1e9)
+
+
+def _row(entry: ManifestEntry, place: str) -> FileRow:
+    record = entry.record() if entry.is_done else None
+    try:
+        source, target = map(str, entry.data()["paths"])
+    except (KeyError, TypeError, ValueError):
+        source, target = entry.name, ""
+    target = target or str(Path(place) / entry.name)
+    if record is None:
+        record = MeshRecord(input=source, status="planned", output=target)
+    return FileRow(entry.at, source, target, record)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
@@ -15,14 +15,13 @@ from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import MESSAGES, PATH, group
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import ADAPTIVE, AUTO
 from msal_cli.report.data import Run
 from msal_cli.storage.gzip_streams import read_whole
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
-    from msal_cli.batch.history import FileRow, RunEntry, RunHistory
+    from msal_cli.batch.resume import FileRow, RunEntry, RunHistory
     from msal_cli.job.records import MeshRecord
 
 
@@ -130,7 +129,7 @@ def _summarize(names: Sequence[str]) -> _Summary:
     UsageError for a name without a file, a folder or a manifest in it; FormatError for a file that
     is neither a manifest nor a report; OutputError or InputError where a file cannot be read.
     """
-    from msal_cli.batch import history as histories
+    from msal_cli.batch import resume
     from msal_cli.batch.manifest import list_manifests
 
     rows: list[FileRow] = []
@@ -140,7 +139,7 @@ def _summarize(names: Sequence[str]) -> _Summary:
     for name in dict.fromkeys(names):
         path = Path(name)
         if is_url(name) or path.is_dir():
-            history = histories.read_place(name)
+            history = resume.read_place(name)
             if history is None:
                 raise UsageError(
                     f"there is no manifest in the folder {name!r}",
@@ -164,7 +163,7 @@ def _summarize(names: Sequence[str]) -> _Summary:
         runs += history.runs
     records = _newest_records(rows)
     is_finished = not remarks and all(record.status != "planned" for record in records)
-    run = _combine(runs, is_finished) if runs else _guess_run(rows, is_finished)
+    run = _combine(runs, is_finished) if runs else _unknown_run(rows, is_finished)
     return _Summary(run, records, remarks, paths)
 
 
@@ -199,7 +198,7 @@ def _all_shards(run: RunEntry) -> list[str]:
 
 
 def _read_file(path: Path) -> RunHistory:
-    from msal_cli.batch import history as histories
+    from msal_cli.batch import resume
     from msal_cli.report.data import read_json, read_lines
 
     name = str(path)
@@ -209,32 +208,22 @@ def _read_file(path: Path) -> RunHistory:
     runs: tuple[RunEntry, ...] = ()
     if path.suffix.lower() == ".jsonl":
         if b'"kind":' in data.lstrip()[:10]:
-            return histories.read_file(path)
+            return resume.read_file(path)
         records = read_lines(data, name)
     elif path.suffix.lower() == ".json":
         run, records = read_json(data, name)
         ended = _parse_time(run.finished)
         at = at if ended is None else int(ended * 1e9)
-        runs = (
-            histories.RunEntry(
-                version=run.version,
-                command=run.command,
-                settings=run.settings,
-                started=run.started,
-                at=at,
-                finished=run.finished,
-                seconds=run.seconds,
-                interrupted=run.interrupted,
-            ),
-        )
+        known = {name: value for name, value in vars(run).items() if name != "machine"}
+        runs = (resume.RunEntry(**known, at=at),)
     else:
         raise UsageError(
             f"the suffix of {name!r} is not that of a report that can be read",
             hint=_WHAT_TO_NAME,
             path=name,
         )
-    rows = (histories.FileRow(at, made.input, made.output or "", made) for made in records)
-    return histories.RunHistory(runs, tuple(rows))
+    rows = (resume.FileRow(at, made.input, made.output or "", made) for made in records)
+    return resume.RunHistory(runs, tuple(rows))
 
 
 def _newest_records(rows: Sequence[FileRow]) -> list[MeshRecord]:
@@ -275,23 +264,16 @@ def _combine(runs: Sequence[RunEntry], is_finished: bool) -> Run:
     )
 
 
-def _guess_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
-    """What is known of a run of which only the files are known."""
-    from msal_cli.auto import ALL
-    from msal_cli.batch.history import iso_timestamp
+def _unknown_run(rows: Sequence[FileRow], is_finished: bool) -> Run:
+    """The run of a report in .jsonl, which has only files."""
+    from msal_cli.machine import iso_timestamp
 
     times = [row.at for row in rows] or [0]
-    newest = max(rows, key=lambda row: row.at).record if rows else None
-    settings: dict[str, Any] = {}
-    if newest is not None and newest.choice is not None:
-        method = AUTO if newest.choice.among == ALL else ADAPTIVE
-        settings = {"method": method, "parameters": newest.choice.wishes}
-    elif newest is not None and newest.method is not None:
-        settings = {"method": newest.method.name, "parameters": newest.method.parameters}
+    newest = max(rows, key=lambda row: row.at).record.version if rows else ""
     return Run(
-        version=(newest.version if newest is not None else "") or __version__,
+        version=newest or __version__,
         command=(),
-        settings=settings,
+        settings={},
         started=iso_timestamp(min(times)),
         finished=iso_timestamp(max(times)),
         seconds=0.0,
