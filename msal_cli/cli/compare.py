@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,6 @@ from msal_cli.cli.options import MESSAGES, PATH, group, resolve_format
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.job.plain_data import as_data
 from msal_cli.storage import gzip_streams
-from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -105,11 +104,9 @@ def command(request: Request) -> int:
 
     refuse_conflicts(find_given(request.context))
     gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
-    baseline, tolerance = request.baseline, request.tolerance
     earlier = None
-    if baseline is not None:
+    if (baseline := request.baseline) is not None:
         earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)
-    checks = _Checks(gates, earlier, 0.01 if tolerance is None else tolerance)
     request.format = resolve_format(request.format)
     before, others, heatmap = request.before, request.others, request.heatmap
     patterns = request.include, request.exclude
@@ -121,26 +118,25 @@ def command(request: Request) -> int:
 
     are_folders = [any(file.root for file in side) for side in sides]
     after = others[0]
-    if request.ignore_missing and not any(are_folders):
-        raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
-    if are_folders == [False, False]:
-        if heatmap is not None:
-            if not heatmap.lower().endswith(".ply"):
-                raise UsageError(
-                    f"the heat map {heatmap!r} must be a PLY", hint="name it with the suffix .ply"
-                )
-            refuse_target(heatmap, "the heat map", (before, after), replaces=_HEAT_MAP)
-        return _compare_two(request, checks, compare)
     if any(are_folders) and are_folders != [True, True]:
         raise UsageError(
             "A and B are files and folders",
             hint="give files, or two folders whose files have the same relative paths",
         )
+    if request.ignore_missing and not any(are_folders):
+        raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
     if heatmap is not None:
-        raise UsageError("--heatmap is for two files", hint="compare them one by one")
+        if any(are_folders) or len(others) > 1:
+            raise UsageError("--heatmap is for two files", hint="compare them one by one")
+        if not heatmap.lower().endswith(".ply"):
+            raise UsageError(
+                f"the heat map {heatmap!r} must be a PLY", hint="name it with the suffix .ply"
+            )
+        refuse_target(heatmap, "the heat map", (before, after), replaces=_HEAT_MAP)
     if not any(are_folders):
-        table = {path: compare(before, path) for path in others}
-        return _print_table(table, checks, request.as_json, is_all=True)
+        pairs = {path: compare(before, path) for path in others}
+        is_pair = len(pairs) == 1
+        return _conclude(request, gates, earlier, pairs, is_pair=is_pair, is_all=not is_pair)
     first, second = ({file.relative: file.path for file in side} for side in sides)
     if request.ignore_missing:
         first, second = _drop_missing({before: first, after: second})
@@ -158,7 +154,7 @@ def command(request: Request) -> int:
             records[name] = ComparisonRecord(*paths, version=__version__, error=failure)
     # Files that were left out on purpose are not missed.
     is_all = not any(patterns) and not request.ignore_missing
-    return _print_table(records, checks, request.as_json, is_all=is_all)
+    return _conclude(request, gates, earlier, records, is_all=is_all)
 
 
 def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
@@ -176,34 +172,6 @@ def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
     return [{name: side[name] for name in side if name in shared} for side in (first, second)]
 
 
-def _compare_two(
-    request: Request, checks: _Checks, compare: Callable[[str, str], ComparisonRecord]
-) -> int:
-    from msal_cli.report import comparison, data
-    from msal_cli.report.gates import is_any_broken
-
-    (after,) = request.others
-    (record,) = checks.judge({after: compare(request.before, after)}, is_pair=True)
-    failure: MsalError | None = None
-    if request.heatmap is not None and record.error is None:
-        # What was measured is printed, even if the picture fails.
-        try:
-            _write_heatmap(request)
-        except MsalError as error:
-            failure = error
-    if request.as_json:
-        console.put_bytes(data.json_bytes(data.plain_record(record)))
-    if record.error is not None:
-        _say_failure(record)
-        return console.FATAL
-    if not request.as_json:
-        console.put_lines(comparison.describe_comparison(record))
-    console.say_lines(comparison.broken_gates([record]))
-    if failure is not None:
-        raise failure
-    return console.status_of_files(1, 0, is_gate_failed=is_any_broken([record]))
-
-
 def _write_heatmap(request: Request) -> None:
     from msal_cli.job.comparison import build_heatmap, open_mesh_file
     from msal_cli.job.room import room_for_files
@@ -219,42 +187,76 @@ def _write_heatmap(request: Request) -> None:
     console.say(f"{file_name(target)}: deviation, pale to dark for {low:g} to {high:.4g}")
 
 
-def _print_table(
-    pairs: Mapping[str, ComparisonRecord], checks: _Checks, as_json: bool, *, is_all: bool
+def _conclude(
+    request: Request,
+    gates: Sequence[Gate],
+    earlier: Mapping[str, Any] | None,
+    pairs: Mapping[str, ComparisonRecord],
+    *,
+    is_all: bool,
+    is_pair: bool = False,
 ) -> int:
-    """Print the records by relative path, or by the name of B; the exit status.
+    """Judge and print the records by relative path, or by the name of B; the exit status.
 
-    ``is_all``: all files were compared, so that the baseline may miss a file.
+    ``earlier`` are the figures of the baseline by path; None if there is none.  ``is_all``: all
+    files were compared, so that it may miss a file.  ``is_pair``: A and B are two files.
     """
     from msal_cli.job.records import ComparisonRecord
-    from msal_cli.report import comparison
+    from msal_cli.report import comparison, data
     from msal_cli.report.facts import file_name
-    from msal_cli.report.gates import is_any_broken
+    from msal_cli.report.gates import is_any_broken, with_gates
 
-    records = checks.judge(pairs)
+    known = earlier or {}
+    tolerance = 0.01 if request.tolerance is None else request.tolerance
+    records = with_gates(gates, [*pairs.values()])
+    for at, (name, record) in enumerate(zip(pairs, records, strict=True)):
+        # A baseline of one pair is that of this pair, whatever the files are called.
+        is_of_pair = is_pair and len(known) == 1
+        then = next(iter(known.values())) if is_of_pair else comparison.find_partner(name, known)
+        if record.error is None and then is not None:
+            broken = comparison.compare_with_baseline(record, then, tolerance)
+            records[at] = replace(record, gates=record.gates + broken)
+        elif record.error is None and is_pair and earlier is not None:
+            raise UsageError(
+                f"the baseline has no figures of {name!r}",
+                hint="make it anew with msal compare --json",
+            )
+    failures = [record for record in records if record.error is not None]
     present = [
         name
         for name, record in pairs.items()
         if record.error is None or record.error.code != _NO_PARTNER
     ]
-    vanished = comparison.list_missing(present, checks.earlier or {}) if is_all else []
-    if as_json:
+    vanished = comparison.list_missing(present, known) if is_all else []
+    unwritten: MsalError | None = None
+    if request.heatmap is not None and not failures:
+        # What was measured is printed, even if the picture fails.
+        try:
+            _write_heatmap(request)
+        except MsalError as error:
+            unwritten = error
+    if request.as_json and is_pair:
+        console.put_bytes(data.json_bytes(data.plain_record(records[0])))
+    elif request.as_json:
         console.put_json(ComparisonRecord.schema, records=[as_data(record) for record in records])
-        for record in records:
-            if record.error is not None:
-                _say_failure(record)
-    else:
+    elif not is_pair:
         console.put_lines(comparison.comparison_table(records, width=console.width(sys.stdout)))
+    elif not failures:
+        console.put_lines(comparison.describe_comparison(records[0]))
+    if request.as_json or is_pair:
+        for record in failures:
+            _say_failure(record)
     console.say_lines(comparison.broken_gates(records))
     for name in vanished:
         console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
+    if unwritten is not None:
+        raise unwritten
     # A pair that cannot be compared weighs more than a broken gate, and that more than a file
     # without a partner.
-    n_failed = sum(record.error is not None for record in records)
     is_gate_failed = is_any_broken(records) or bool(vanished)
-    if is_gate_failed and n_failed == len(records) - len(present) < len(records):
+    if is_gate_failed and len(failures) == len(records) - len(present) < len(records):
         return console.GATE_FAILED
-    return console.status_of_files(len(records), n_failed)
+    return console.status_of_files(len(records), len(failures))
 
 
 def _say_failure(record: ComparisonRecord) -> None:
@@ -266,37 +268,3 @@ def _say_failure(record: ComparisonRecord) -> None:
             console.say_failure(path, replace(error, where=error.where[len(path) + 2 :]))
             return
     console.say_failure(record.after, error)
-
-
-@dataclass(frozen=True)
-class _Checks:
-    """Gates, and the figures of an earlier run by path; None if there are none."""
-
-    gates: tuple[Gate, ...]
-    earlier: Mapping[str, Any] | None
-    tolerance: float
-
-    def judge(
-        self, records: Mapping[str, ComparisonRecord], *, is_pair: bool = False
-    ) -> list[ComparisonRecord]:
-        """The records by path, or that of two files, with what became of the gates."""
-        from msal_cli.report.comparison import compare_with_baseline, find_partner
-        from msal_cli.report.gates import with_gates
-
-        known = self.earlier or {}
-        judged = []
-        for name, record in zip(records, with_gates(self.gates, [*records.values()]), strict=True):
-            # A baseline of one pair is that of this pair, whatever the files are called.
-            is_of_pair = is_pair and len(known) == 1
-            before = next(iter(known.values())) if is_of_pair else find_partner(name, known)
-            is_unknown = before is None and record.error is None
-            if is_pair and self.earlier is not None and is_unknown:
-                raise UsageError(
-                    f"the baseline has no figures of {name!r}",
-                    hint="make it anew with msal compare --json",
-                )
-            if record.error is None and before is not None:
-                broken = compare_with_baseline(record, before, self.tolerance)
-                record = replace(record, gates=record.gates + broken)
-            judged.append(record)
-        return judged
