@@ -14,10 +14,10 @@ import re
 import stat
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from msal_cli import report
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.errors import OutputError, UsageError
@@ -32,6 +32,21 @@ if TYPE_CHECKING:
     from msal_cli.job.records import MeshRecord
     from msal_cli.report.data import Run
     from msal_cli.report.html import Gallery
+
+
+# By the suffix of a report, the function of a run and its records that makes its bytes.
+_WRITERS = {
+    ".json": ("data", "render_json"),
+    ".jsonl": ("data", "render_lines"),
+    ".csv": ("data", "render_csv"),
+    ".md": ("markdown", "render"),
+    ".xml": ("junit", "render"),
+    ".html": ("html", "render"),
+}
+
+
+def _suffix(name: str) -> str:
+    return os.path.splitext(name)[1].lower()
 
 
 def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = None) -> None:
@@ -51,7 +66,10 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             )
         if is_step_summary(name):
             continue
-        report.writer(name)
+        if _suffix(name) not in _WRITERS:
+            raise UsageError(
+                f"unknown report format: {name!r}", hint=f"known are {', '.join(_WRITERS)}"
+            )
         is_remote = is_url(name)
         path = urls.identity(name) if is_remote else os.path.normcase(os.path.realpath(name))
         if path in seen:
@@ -86,13 +104,13 @@ def write(
     Parameters
     ----------
     backup : what was added to the names of originals that were replaced, if it is known.
-    csv_columns : ``all``; or those that ``csv_report.COMMON`` has.
+    csv_columns : ``all``; by default those of ``data.COMMON_COLUMNS``.
     without_pictures : leave them out of pages, where a run is to end soon.
     quiet : show no bar while pictures are made.
     """
     first: OutputError | None = None
     # Pages take longest: after Ctrl-C the other reports are there.
-    pages = {name for name in names if name.lower().endswith(".html")}
+    pages = {name for name in names if _suffix(name) == ".html"}
     pictures: Gallery | None = None
     for name in sorted(names, key=pages.__contains__):
         if name in pages and pictures is None and not without_pictures:
@@ -106,12 +124,14 @@ def write(
             if is_step_summary(name):
                 _append_to_summary(name, run, records)
                 continue
-            if name in pages:
-                from msal_cli.report import html
-
-                data = html.render(run, records, pictures or html.EMPTY_GALLERY)
-            else:
-                data = report.writer(name, has_all_columns=csv_columns == "all")(run, records)
+            module, function = _WRITERS[_suffix(name)]
+            render = getattr(import_module(f"msal_cli.report.{module}"), function)
+            options: dict[str, Any] = {}
+            if name in pages and pictures is not None:
+                options = {"gallery": pictures}
+            elif function == "render_csv":
+                options = {"has_all": csv_columns == "all"}
+            data = render(run, records, **options)
             # A signal must not leave a temporary file, which no later run would remove.
             with interrupts.catch_signals(interrupts.raise_for):
                 write_output(name, data)
