@@ -111,7 +111,8 @@ def command(request: Request) -> int:
             filters.append(filter)
             if not request.as_json and not request.quiet and lost is None:
                 try:
-                    console.put(_describe_cell(cell))
+                    numbers = ", ".join(sweep.describe_numbers(cell))
+                    console.put(f"{numbers}: {escape_for_display(cell.command)}\n")
                     console.flush()
                 except BrokenPipeError as error:
                     lost = error
@@ -163,16 +164,6 @@ def _parse_fixed(assignments: tuple[str, ...]) -> dict[str, str]:
             raise UsageError(f"{option}: {name} is set twice", hint="give it once")
         values[name] = value
     return values
-
-
-def _describe_cell(cell: Cell) -> str:
-
-    numbers = [f"moved {cell.mean_displacement_edges:.4g} e"]
-    if cell.volume_change_percent is not None:
-        numbers.append(f"volume {cell.volume_change_percent:+.3g} %")
-    if cell.mean_angular_error_deg is not None:
-        numbers.append(f"normals {cell.mean_angular_error_deg:.3f} degrees off")
-    return f"{', '.join(numbers)}: {escape_for_display(cell.command)}\n"
 
 
 def _describe_nearest(cells: list[Cell]) -> str:

@@ -65,8 +65,6 @@ _ANGLES = {
 }
 """Degrees round to the right and up from the front."""
 
-VIEWS = ("auto", *_ANGLES)
-
 
 def choose_camera(
     vertices: Floats,
@@ -83,9 +81,9 @@ def choose_camera(
     Parameters
     ----------
     vertices : (n, 3); ``faces`` : (m, 3), at least one.
-    view : one of ``VIEWS``, about the up and the front that the mesh seems to have.  ``auto``
-        looks at solids from the front, a little from the right and from above, and straight at
-        scans of one side and at reliefs.
+    view : one of ``_ANGLES``, about the up and the front that the mesh seems to have; or ``auto``,
+        which looks at solids from the front, a little from the right and from above, and straight
+        at scans of one side and at reliefs.
     turn_deg : more goes round to the mesh's right; None is 0, or what ``auto`` chose.
     tilt_deg : more goes up; None likewise.
     up : an axis with its sign, such as ``-y``, where the guess is wrong.

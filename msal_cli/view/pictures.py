@@ -23,9 +23,6 @@ from msal_cli.view.colours import Scale, scale_of
 from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
 
-COLOURS = ("auto", "file", "deviation", "none")
-"""What colours show: the files' own and the deviation, one of the two, or nothing."""
-
 SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
 
@@ -85,7 +82,8 @@ class Scene:
 class View:
     """Where a picture is taken from and how large it is; see ``view.camera.choose_camera``.
 
-    ``size`` is the width of each panel in pixels.  ``colours`` is one of ``COLOURS``.
+    ``size`` is the width of each panel in pixels.  ``colours`` is ``auto`` for those of the
+    files and the deviation, ``file`` or ``deviation`` for one of the two, or ``none``.
     """
 
     view: str = "auto"

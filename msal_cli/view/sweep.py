@@ -249,7 +249,10 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
     sides: list[Panel] = [(draw_grid(on, on.ready.mesh, view), title, ["input"])]
     cells: list[Panel] = []
     for cell, image in done:
-        panel = image, _title(cell, least, nearest), _lines(cell)
+        # What comes after OUT; the rest is the same for all and is in the footer.
+        options = cell.command.partition(" -o OUT ")[2].replace(" -", "  -")
+        lines = [*describe_numbers(cell), *filter(None, [options])]
+        panel = image, _title(cell, least, nearest), lines
         (sides if cell.choice else cells).append(panel)
     if on.reference is not None:
         error = measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
@@ -286,14 +289,12 @@ def _title(cell: Cell, least: float | None, nearest: Cell | None) -> str:
     return words + (f" ({', '.join(notes)})" if notes else "")
 
 
-def _lines(cell: Cell) -> list[str]:
-    words = [f"moved {cell.mean_displacement_edges:.3g} e"]
+def describe_numbers(cell: Cell) -> list[str]:
+    """How far vertices moved, and how far the result is from the truth, as far as that is known."""
+    moved = [f"moved {cell.mean_displacement_edges:.3g} e"]
     if cell.volume_change_percent is not None:
-        words.append(f"volume {cell.volume_change_percent:+.2g} %")
+        moved.append(f"volume {cell.volume_change_percent:+.2g} %")
     errors = [] if cell.risk_edges is None else [f"risk {cell.risk_edges:.2g} e"]
     if cell.mean_angular_error_deg is not None:
         errors.append(f"normals {cell.mean_angular_error_deg:.2f}\N{DEGREE SIGN}")
-    # What comes after OUT; the rest is the same for all and is in the footer.
-    options = cell.command.partition(" -o OUT ")[2]
-    lines = [", ".join(words), ", ".join(errors), options.replace(" -", "  -")]
-    return [line for line in lines if line]
+    return [", ".join(words) for words in (moved, errors) if words]

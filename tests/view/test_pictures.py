@@ -68,7 +68,7 @@ def test_distances_to_the_surface():
 
 
 def _painted(vertices, faces, colours):
-    return Surface(vertices, faces, 0, SurfaceColours(np.asarray(colours, np.uint8)))
+    return Surface(vertices, faces, colours=SurfaceColours(np.asarray(colours, np.uint8)))
 
 
 def _halves(vertices):
