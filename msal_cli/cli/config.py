@@ -7,9 +7,9 @@ dashes.  The command line wins.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -34,15 +34,6 @@ _OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))
 _MAX_BYTES = 1_000_000
 
 
-class Config(NamedTuple):
-    """A file, which the user named or which was found, and what it gives for one command:
-    values as a command line would have them, by the names of parameters."""
-
-    path: str
-    values: Mapping[str, Any]
-    is_named: bool
-
-
 def _find_file() -> str | None:
     """The nearest ``msal.toml``: in the current folder, or in a parent within its repository."""
     if os.path.isfile(FILE_NAME):
@@ -58,9 +49,9 @@ def _find_file() -> str | None:
     return None
 
 
-def read_config(path: str, ctx: click.Context, *, is_named: bool) -> Config:
-    """The table of the command of ``ctx`` in a file that the user ``is_named``, or that was
-    found."""
+def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, Any]:
+    """What a file that the user named, or that was found, gives for the command of ``ctx``:
+    values as a command line would have them, by the names of parameters."""
     root, command = ctx.find_root(), str(ctx.command.name)
     names = root.command.list_commands(root) if isinstance(root.command, click.Group) else [command]
     tables = _read_tables(path)
@@ -115,7 +106,7 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> Config:
             ]
             words = several if option.multiple else several[0]
         values[option.name] = words
-    return Config(path, values, is_named)
+    return values
 
 
 def key_of(option: click.Option) -> str:
@@ -174,7 +165,7 @@ def _to_word(value: Any, place: str) -> str:
     return str(value)
 
 
-_META = "msal_cli.config"
+_FOUND = "msal_cli.config_was_found"
 
 Parse = Callable[[click.Context, list[str]], list[str]]
 
@@ -209,8 +200,8 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     # The tables of conflicts are needed only where there is a file.
     from msal_cli.cli.conflicts import find_overruled
 
-    ctx.meta[_META] = config = read_config(path, ctx, is_named=is_named)
-    ctx.default_map = dict(config.values)
+    values = read_config(path, ctx, is_named=is_named)
+    ctx.meta[_FOUND], ctx.default_map = not is_named, dict(values)
     words = list(args)
     try:
         rest = parse(ctx, args)
@@ -223,13 +214,12 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
         raise UsageError(f"{place}: {error.message}".replace("\n\t", " ")) from None
     if not (overruled := find_overruled(ctx)):
         return rest
-    ctx.default_map = {k: v for k, v in config.values.items() if k not in overruled}
+    ctx.default_map = {k: v for k, v in values.items() if k not in overruled}
     ctx.params.clear()
     return parse(ctx, words)
 
 
 def is_from_found_file(ctx: click.Context, name: str) -> bool:
     """Whether the value of a parameter is from a file that was found, and not named by --config."""
-    config: Config | None = ctx.meta.get(_META)
     is_from_file = ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
-    return config is not None and not config.is_named and is_from_file
+    return is_from_file and bool(ctx.meta.get(_FOUND))

@@ -6,18 +6,18 @@ import logging
 import os
 import re
 import time
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
 from msal_cli.batch import interrupts
-from msal_cli.cli import console, logs
+from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.config import is_from_found_file
 from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.denoise_options import GROUPS
+from msal_cli.cli.logs import with_log
 from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import (
     INPUTS,
@@ -28,6 +28,7 @@ from msal_cli.cli.options import (
 )
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Limits, Settings, parse
+from msal_cli.machine import iso_timestamp, usable_cores
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from msal_cli.batch.schedule import EngineFactory, Event
     from msal_cli.cli.streams import Stream
     from msal_cli.job.records import MeshRecord
-    from msal_cli.job.settings import Limits
     from msal_cli.report.data import Run
     from msal_cli.report.gates import Gate
 
@@ -48,6 +48,7 @@ _log = logging.getLogger("msal.denoise")
 
 
 @grouped_command("denoise", *GROUPS, arguments=[INPUTS])
+@with_log
 def command(request: Request) -> int:
     """Denoise mesh files; nothing but positions changes.
 
@@ -58,13 +59,7 @@ def command(request: Request) -> int:
     properties, comments and the order of everything stay as they are. What an earlier run has
     finished is not done again.
     """
-    with log_of(request):
-        return _Session(request).run()
-
-
-def log_of(request: Request) -> AbstractContextManager[None]:
-    """The log while a command runs that has ``--quiet`` and ``--log-file``."""
-    return logs.log_to_console(-1 if request.quiet else request.verbose, request.log_file)
+    return _Session(request).run()
 
 
 def read_limits(request: Request) -> Limits:
@@ -80,7 +75,7 @@ class _Session:
         self._request = request
         # For reports and manifests, without passwords.
         self._command = ("msal", *map(urls.redact, request.context.obj))
-        self._clock = Clock()
+        self._started, self._begun = iso_timestamp(time.time_ns()), time.perf_counter()
         self._stream: Stream | None = None
         if STREAM in (*request.inputs, request.output):
             from msal_cli.cli.streams import find_stream
@@ -243,9 +238,9 @@ class _Session:
             version=__version__,
             command=self._command,
             settings=asdict(settings),
-            started=self._clock.started,
-            finished=self._clock.now(),
-            seconds=self._clock.seconds(),
+            started=self._started,
+            finished=iso_timestamp(time.time_ns()),
+            seconds=time.perf_counter() - self._begun,
             interrupted=interrupted or n_left > 0,
             machine=describe_machine() if request.reports or request.as_json else {},
         )
@@ -299,8 +294,6 @@ class _Session:
         if is_listing:
             console.put_lines(text.listing(records))
             if not request.quiet and len(records) > 1:
-                from msal_cli.machine import usable_cores
-
                 console.say_lines([text.outlook(records, request.jobs or usable_cores())])
         if len(records) == 1 and records[0].error is not None:
             console.say_failure(records[0].input, records[0].error)
@@ -443,29 +436,10 @@ def log_record(record: MeshRecord) -> None:
         _log.info("%s: %s", record.input, warning)
 
 
-class Clock:
-    """Started when it is made; ``started`` is UTC, ISO 8601, to the millisecond."""
-
-    def __init__(self) -> None:
-        self.started = self.now()
-        self._start = time.perf_counter()
-
-    @staticmethod
-    def now() -> str:
-        """The time in the form of ``started``."""
-        return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-    def seconds(self) -> float:
-        """Wall-clock seconds since the start, by a monotonic clock."""
-        return time.perf_counter() - self._start
-
-
 def describe_machine() -> dict[str, str]:
     """System, cores and versions by name; nothing that identifies the user or the host."""
     import platform
     from importlib import metadata
-
-    from msal_cli.machine import usable_cores
 
     facts = {
         "system": f"{platform.system()} {platform.release()}".strip(),

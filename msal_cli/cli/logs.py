@@ -11,7 +11,6 @@ from typing import Any, TextIO
 import click
 
 from msal_cli.cli import console
-from msal_cli.cli.command import Request
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.job.display_names import escape_for_display
 
@@ -48,12 +47,15 @@ def log_to_console(verbosity: int, log_file: str | None = None) -> Iterator[None
             handler.close()
 
 
-def with_log(function: Callable[[Request], int]) -> Callable[[Request], int]:
-    """A command that sends the log to the console, as much of it as ``-v`` asks for."""
+def with_log(function: Callable[[Any], int]) -> Callable[[Any], int]:
+    """A command that sends the log to the console and to the file of ``--log-file``, if it has
+    these options, as much of it as ``-v`` or ``-q`` asks for."""
 
     @functools.wraps(function)
-    def run(request: Request) -> int:
-        with log_to_console(request.verbose):
+    def run(request: Any) -> int:
+        given = vars(request)
+        verbosity = -1 if given.get("quiet") else request.verbose
+        with log_to_console(verbosity, given.get("log_file")):
             return function(request)
 
     return run

@@ -1,40 +1,52 @@
-"""``msal watch``: denoise what arrives in a folder, batch by batch, as ``msal denoise`` does."""
+"""``msal watch``: denoise what arrives in a folder, batch by batch, as ``msal denoise`` does.
+
+The folder is listed again and again, as for a run, on network disks and all others alike.
+"""
 
 from __future__ import annotations
 
+import logging
 import os
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import click
 
 from msal_cli.batch import interrupts
+from msal_cli.batch.inputs import DiscoveredInput, NothingMatched, discover_inputs
+from msal_cli.batch.manifest import FileStat, Manifest
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.denoise import (
     build_settings,
     check_request,
-    log_of,
     log_record,
     plan_files,
     read_limits,
 )
 from msal_cli.cli.denoise_options import HOW_TO_DENOISE, MESSAGES_AND_HELP
+from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
-    from msal_cli.batch.inputs import DiscoveredInput
-    from msal_cli.batch.manifest import Manifest
     from msal_cli.batch.plan import Plan
     from msal_cli.batch.schedule import Event
-    from msal_cli.batch.watch import Inbox
     from msal_cli.job.records import MeshRecord
+
+_UNFINISHED_ENDS = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp", "~")
+_LISTED_EVERY_S = 2.0
+
+# Listing takes no more than this part of the time, however many files there are.
+_SHARE_OF_LISTING = 0.1
+
+_log = logging.getLogger("msal.batch")
 
 _STEP_S = 0.1
 
@@ -92,6 +104,7 @@ more:
     MESSAGES_AND_HELP,
     arguments=[click.Argument(["folder"], metavar="FOLDER", type=PATH)],
 )
+@with_log
 def command(request: Request) -> int:
     """Denoise the mesh files of a folder, and then what arrives in it.
 
@@ -103,8 +116,7 @@ def command(request: Request) -> int:
     does only what is left, and msal report OUT writes reports. Ctrl-C and SIGTERM end it.
     """
     request = Request(**_NOT_GIVEN | vars(request), inputs=(request.folder,))
-    with log_of(request):
-        return _Watch(request).run()
+    return _Watch(request).run()
 
 
 class _Watch:
@@ -127,7 +139,6 @@ class _Watch:
     def run(self) -> int:
         """Watch until the end that was asked for; the exit status."""
         from msal_cli.batch.manifest import open_folder
-        from msal_cli.batch.watch import Inbox
 
         request = self._request
         with ExitStack() as stack:
@@ -241,10 +252,10 @@ class _Watch:
             self._n_new_failures += not record.remembered
             console.say_failure(name, record.error)
         elif record.status != "up-to-date" and not self._request.quiet:
-            seconds = record.seconds.total if record.seconds is not None else 0.0
+            from msal_cli.report.text import file_text
+
             shown = escape_for_display(f"{name} -> {record.output}")
-            left = f", left as it is: {record.left_alone}" if record.left_alone else ""
-            console.say(f"{shown} ({seconds:.2f} s{left})")
+            console.say(f"{shown}: {file_text(record)}")
 
     def _is_given_up(self) -> bool:
         return self._max_failures is not None and self._n_new_failures >= self._max_failures
@@ -266,3 +277,85 @@ def _check_folders(folder: str, output: str) -> None:
         raise UsageError(
             f"the output {output!r} is the folder that is watched", hint="choose another folder"
         )
+
+
+class Inbox:
+    """The mesh files of a folder and its subfolders, as ``discover_inputs`` finds them, each once
+    per content; files with names of unfinished files are passed over.
+
+    Parameters
+    ----------
+    output : the folder that gets the outputs; nothing below it is taken.
+    settle_s : seconds for which size and time of a file must stand still.
+    """
+
+    def __init__(
+        self,
+        folder: str,
+        output: str,
+        include: Sequence[str] = (),
+        exclude: Sequence[str] = (),
+        *,
+        settle_s: float,
+    ) -> None:
+        self._folder = folder
+        self._output = output
+        self._patterns = include, exclude
+        self._settle_s = settle_s
+        # Since when (s) size and time of a file have stood still; None once it is taken.
+        self._known: dict[str, tuple[FileStat, float | None]] = {}
+        self._is_listable = True
+        self._next_listing = 0.0
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether no file is on its way."""
+        return all(since is None for _, since in self._known.values())
+
+    def take_complete(self) -> list[DiscoveredInput]:
+        """The files that have become complete, in the order of their times of change.
+
+        Empty, and quick, between two listings.
+        """
+        now = time.monotonic()
+        if now < self._next_listing:
+            return []
+        files = self._list()
+        known: dict[str, tuple[FileStat, float | None]] = {}
+        complete: list[tuple[int, DiscoveredInput]] = []
+        for file in files:
+            stat = FileStat.of(file.path)
+            if stat is None or is_unfinished_name(os.path.basename(file.path)):
+                continue
+            before, since = self._known.get(file.path, (None, now))
+            if before != stat:
+                since = now
+            elif since is not None and now - since >= self._settle_s:
+                complete.append((stat.mtime_ns, file))
+                since = None
+            known[file.path] = stat, since
+        if self._is_listable:
+            self._known = known
+        wait_s = min(_LISTED_EVERY_S, max(self._settle_s, 0.1))
+        spent = time.monotonic() - now
+        self._next_listing = now + spent + max(wait_s, spent / _SHARE_OF_LISTING)
+        return [file for _, file in sorted(complete, key=lambda item: (item[0], item[1].path))]
+
+    def _list(self) -> Sequence[DiscoveredInput]:
+        try:
+            found = discover_inputs([self._folder], *self._patterns, output=self._output)
+        except NothingMatched:
+            found = ()
+        except UsageError as error:
+            # A disk that is away may come back.
+            if self._is_listable:
+                _log.warning("%s; msal waits for it", error.message)
+            self._is_listable = False
+            return ()
+        self._is_listable = True
+        return found
+
+
+def is_unfinished_name(name: str) -> bool:
+    """Whether programs give such a name to files that they still write."""
+    return name.startswith("~") or name.lower().endswith(_UNFINISHED_ENDS)

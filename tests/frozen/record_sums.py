@@ -14,6 +14,7 @@ the new one, and ``diff -r A B``.
 from __future__ import annotations
 
 import gzip
+import itertools
 import json
 import os
 import re
@@ -28,7 +29,6 @@ from unittest import mock
 from click.testing import CliRunner
 
 from msal_cli.cli import denoise, progress
-from msal_cli.cli.denoise import Clock
 from msal_cli.cli.main import program
 from tests.frozen import kept
 from tests.frozen.kept import ROOT, data_and_texts, digest
@@ -233,9 +233,10 @@ def outcomes(chosen: list[str]) -> Iterator[tuple[str, str, str]]:
 
     Later commands read what earlier ones wrote: all run, whichever are chosen.
     """
+    clock = mock.Mock(perf_counter=itertools.count(0.0).__next__)
     with (
-        mock.patch.object(Clock, "now", staticmethod(lambda: "2026-01-02T03:04:05.678Z")),
-        mock.patch.object(Clock, "seconds", lambda self: 1.0),
+        mock.patch.object(denoise, "iso_timestamp", lambda ns: "2026-01-02T03:04:05.678Z"),
+        mock.patch.object(denoise, "time", clock),
         # On a busy machine a file may take long enough for its stage to be printed.
         mock.patch.object(progress, "_SILENT_S", float("inf")),
         mock.patch.object(denoise, "describe_machine", lambda: {"system": "Linux"}),
