@@ -31,7 +31,6 @@ from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.machine import is_alive
 from msal_cli.storage.regular import open_own
-from msal_cli.structs import dataclass
 
 NAME = ".msal-lock"
 _ANY_NAME = re.compile(re.escape(NAME) + r"(?:-(\d{1,9})-of-(\d{1,9}))?")
@@ -92,13 +91,13 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
             with contextlib.suppress(OSError):
                 step()
 
-    def _lock(self) -> _LockOwner | None:
+    def _lock(self) -> str | None:
         """Lock the file of this run; None, or the owner of its lock."""
         while self._handle is None:
             handle = _open(self._path, os.O_CREAT)
             try:
                 if not _try_lock(handle, self._path):
-                    return _LockOwner.of(handle, self._path)
+                    return _describe_owner(handle, self._path)
                 # Its last owner may have removed it while we waited for it.
                 if _has_name(handle, self._path):
                     _write_owner(handle, self._path)
@@ -108,7 +107,7 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
                     os.close(handle)
         return None
 
-    def _find_rival(self, shard: Shard | None) -> _LockOwner | None:
+    def _find_rival(self, shard: Shard | None) -> str | None:
         """The owner of a lock that this run conflicts with."""
         for path, count in _lock_files(self._path.parent):
             is_beside = shard is not None and count == shard.count
@@ -123,30 +122,24 @@ def lock_owners(folder: str) -> tuple[str, ...]:
     for path, _ in _lock_files(Path(folder)):
         with contextlib.suppress(OutputError):
             owners.append(_find_owner(path))
-    return tuple(str(owner) for owner in owners if owner is not None)
+    return tuple(filter(None, owners))
 
 
-@dataclass(frozen=True, slots=True)
-class _LockOwner:
-    """Process id and machine of a lock's owner, empty where they are not known."""
+def _read_owner(handle: int) -> tuple[str, str]:
+    """Process id and machine in the text of an open lock file, empty where they are not known."""
+    os.lseek(handle, 0, os.SEEK_SET)
+    pid, _, host = os.read(handle, 300).decode(errors="replace").strip().partition(" ")
+    return pid, host
 
-    pid: str
-    host: str
-    shard: str
 
-    @classmethod
-    def of(cls, handle: int, path: Path) -> _LockOwner:
-        """The owner that the text of an open lock file names."""
-        os.lseek(handle, 0, os.SEEK_SET)
-        pid, _, host = os.read(handle, 300).decode(errors="replace").strip().partition(" ")
-        name = _ANY_NAME.fullmatch(path.name)
-        return cls(pid, host, f"{name[1]}/{name[2]}" if name and name[1] else "")
-
-    def __str__(self) -> str:
-        who = f"process {self.pid}" if self.pid else "another process"
-        if self.host and self.host != platform.node():
-            who += f" on {self.host}"
-        return who + (f" (shard {self.shard})" if self.shard else "")
+def _describe_owner(handle: int, path: Path) -> str:
+    """The owner of an open lock file in words, such as ``process 17 on host (shard 1/4)``."""
+    pid, host = _read_owner(handle)
+    who = f"process {pid}" if pid else "another process"
+    if host and host != platform.node():
+        who += f" on {host}"
+    name = _ANY_NAME.fullmatch(path.name)
+    return who + (f" (shard {name[1]}/{name[2]})" if name and name[1] else "")
 
 
 def _lock_files(folder: Path) -> Iterator[tuple[Path, int]]:
@@ -192,7 +185,7 @@ def _has_name(handle: int, path: Path) -> bool:
         return False
 
 
-def _find_owner(path: Path) -> _LockOwner | None:
+def _find_owner(path: Path) -> str | None:
     """The owner of a lock file; None if it is free."""
     try:
         handle = _open(path)
@@ -203,7 +196,7 @@ def _find_owner(path: Path) -> _LockOwner | None:
     try:
         # A shared lock lets others look at the same time.
         is_free = _try_lock(handle, path, is_shared=True)
-        return None if is_free else _LockOwner.of(handle, path)
+        return None if is_free else _describe_owner(handle, path)
     finally:
         os.close(handle)
 
@@ -214,9 +207,9 @@ def _try_lock(handle: int, path: Path, *, is_shared: bool = False) -> bool:
         return _flock(handle, is_shared=is_shared)
     except OSError as error:
         _warn_once(str(path.parent), str(error))
-        owner = _LockOwner.of(handle, path)
-        is_here = owner.host == platform.node() and owner.pid.isdigit()
-        return not (is_here and is_alive(int(owner.pid)))
+        pid, host = _read_owner(handle)
+        is_here = host == platform.node() and pid.isdigit()
+        return not (is_here and is_alive(int(pid)))
 
 
 @functools.cache
