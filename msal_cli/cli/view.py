@@ -108,7 +108,6 @@ def command(request: Request) -> int:
     from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
     from msal_cli.view import pages, pictures
-    from msal_cli.view.colours import open_coloured_surface
     from msal_cli.view.panels import png_bytes
 
     names = (request.before,) if request.after is None else (request.before, request.after)
@@ -124,7 +123,7 @@ def command(request: Request) -> int:
         refuse_target(output, "the picture", names)
     view = dataclasses.replace(read_view(request), colours=request.colours)
     with room_for_files(names, format):
-        first, *second = (open_coloured_surface(name, format) for name in names)
+        first, *second = (pictures.open_coloured_surface(name, format) for name in names)
         scene = pictures.scene_of(first, second[0] if second else None, names)
         if view.shows_file_colours and not request.quiet:
             for note in scene.notes:

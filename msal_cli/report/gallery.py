@@ -27,7 +27,6 @@ from msal_cli.report.facts import format_count, worst_first
 from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
 from msal_cli.view import pages, pictures
-from msal_cli.view.colours import coloured_surface_of
 from msal_cli.view.panels import jpeg_bytes
 from msal_cli.view.scene import encode_scene
 from msal_cli.view.shading import Image, Style, shade
@@ -169,7 +168,7 @@ def _surface(path: str, sha256: str | None, format: str | None) -> Surface | Non
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
     plain, _ = gzip_streams.expand(data, path)
-    return coloured_surface_of(codecs.open_mesh(plain, path, format), path)
+    return pictures.coloured_surface_of(codecs.open_mesh(plain, path, format), path)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:

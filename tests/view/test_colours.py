@@ -7,7 +7,7 @@ import pytest
 
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.colour_maps import colour_table
-from msal_cli.view.colours import open_coloured_surface, scale_of
+from msal_cli.view.pictures import open_coloured_surface, scale_of
 from tests.codecs.plain_glb import Scene
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
