@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from msal_cli.view.camera import VIEWS, choose_camera, frame_vertices, rotate
+from msal_cli.view.camera import choose_camera, frame_vertices, rotate
 from msal_cli.view.panels import Legend, draw_panels, fit_text, png_bytes
 from msal_cli.view.shading import shade
 from tests.shapes import ball, cube, grid
@@ -20,6 +20,9 @@ def box(width, depth, height):
     """A closed box with a corner at the origin."""
     vertices, faces = cube()
     return vertices * (width, depth, height), faces
+
+
+VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 
 
 @pytest.mark.parametrize("view", VIEWS)
