@@ -20,13 +20,14 @@ from msal_cli.batch.manifest import FileStat, Manifest
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.denoise import (
+    HOW_TO_DENOISE,
+    MESSAGES_AND_HELP,
     build_settings,
     check_request,
     log_record,
     plan_files,
     read_limits,
 )
-from msal_cli.cli.denoise_options import HOW_TO_DENOISE, MESSAGES_AND_HELP
 from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
