@@ -19,7 +19,6 @@ from msal_cli.batch import interrupts as signals
 from msal_cli.cli import console
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.storage import urls
 from msal_cli.version import __version__
 
 COMPLETE_VARIABLE = "_MSAL_COMPLETE"
@@ -145,8 +144,6 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
             if not arguments:
                 console.say(context.get_help())
                 return console.USAGE
-            if "MSAL_URL_SECRETS" in os.environ:
-                urls.check_secrets()
             return int(group.invoke(context) or console.SUCCESS)
     except Exit as finish:
         return finish.exit_code

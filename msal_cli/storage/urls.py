@@ -90,28 +90,13 @@ def restore_secrets(url: str) -> str:
     return f"{protocol}://{place}{slash}{rest}" + ("" if query is None else f"?{query}")
 
 
-def check_secrets() -> None:
-    """Refuse secrets in the environment that are none; UsageError."""
-    text = os.environ.get(SECRETS)
-    if not text:
-        return
-    try:
-        kept = json.loads(text)
-    except (ValueError, RecursionError):
-        kept = None
-    is_map = isinstance(kept, dict) and all(isinstance(secret, str) for secret in kept.values())
-    if not is_map:
-        # This part is secret, so it is not quoted.
-        raise UsageError(
-            f"{SECRETS} in the environment is not a JSON object of strings",
-            hint="msal sets it for its workers; unset it, and write passwords into the URLs",
-        )
-
-
 def _load_secrets() -> dict[str, str]:
-    text = os.environ.get(SECRETS)
-    kept: dict[str, str] = json.loads(text) if text else {}
-    return kept
+    """Those in the environment; none where it holds anything else."""
+    try:
+        kept = json.loads(os.environ.get(SECRETS) or "{}")
+    except (ValueError, RecursionError):
+        return {}
+    return {url: str(kept[url]) for url in kept} if isinstance(kept, dict) else {}
 
 
 def _store_secret(url: str, secret: str) -> None:
