@@ -81,6 +81,10 @@ denoise a.ply -o new --engine dask --scheduler x | --scheduler x: this is not an
 denoise a.ply -o new --engine dask --scheduler local | --scheduler local: this is not an address
 denoise a.ply -o new --engine dask --scheduler tcp://host:1 -j 2 | -j is for this machine
 denoise a.ply --in-place --engine dask --scheduler tcp://host:1 | cannot be used with Dask
+denoise in --tile-set --in-place | --in-place cannot be used with --tile-set
+denoise in -o new --tile-set --shard 1/2 | the files of a tile set are one mesh
+denoise in -o new --tile-set --timeout 5 | the files of a tile set are one mesh
+denoise in -o new --tile-set --engine dask --scheduler tcp://host:1 | of a tile set are one mesh
 denoise in -o new --fail-on 'volume_chnge > 1%' | the gate 'volume_chnge > 1%', column & hint:
 denoise in -o new --fail-on '' | the gate '', column & hint:
 denoise in -o new --fail-on 'hausdorff > 0' | against a reference & give --reference TRUTH

@@ -142,18 +142,22 @@ def test_an_output_of_two_inputs_is_a_failure_of_the_later(inbox):
 
 def test_a_file_written_slowly_is_taken_once_and_whole(inbox):
     scan = closed_scan()
+    size = len(scan) // 14
+    (inbox / "slow.ply").write_bytes(scan[:size])
 
     def write():
-        with (inbox / "slow.ply").open("wb") as file:
-            for at in range(0, len(scan), len(scan) // 8 + 1):
-                file.write(scan[at : at + len(scan) // 8 + 1])
+        while not (inbox.parent / "out/.msal-lock").exists():
+            time.sleep(0.01)
+        with (inbox / "slow.ply").open("ab") as file:
+            for at in range(size, len(scan), size):
+                time.sleep(0.09)
+                file.write(scan[at : at + size])
                 file.flush()
-                time.sleep(0.05)
 
     (inbox / "early.ply.part").write_bytes(scan[:20])
     (inbox / ".hidden.ply").write_bytes(scan[:20])
     threading.Thread(target=write).start()
-    made = watch(inbox, "--settle", "0.3s")
+    made = watch(inbox, "--settle", "0.4s")
     assert made.exit_code == 0, made.stderr
     assert made.stderr.count(" -> ") == 1
     assert list(tree(inbox.parent / "out")) == ["slow.ply"]
