@@ -11,6 +11,7 @@ import time
 import pytest
 
 from msal_cli.batch.lock import FolderLock
+from msal_cli.cli.watch import Inbox
 from tests.campaigns import runs
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
 from tests.files import tree
@@ -140,24 +141,20 @@ def test_an_output_of_two_inputs_is_a_failure_of_the_later(inbox):
     assert "would replace that of" in made.stderr
 
 
-def test_a_file_written_slowly_is_taken_once_and_whole(inbox):
-    scan = closed_scan()
-    size = len(scan) // 14
-    (inbox / "slow.ply").write_bytes(scan[:size])
-
-    def write():
-        while not (inbox.parent / "out/.msal-lock").exists():
-            time.sleep(0.01)
-        with (inbox / "slow.ply").open("ab") as file:
-            for at in range(size, len(scan), size):
-                time.sleep(0.09)
-                file.write(scan[at : at + size])
-                file.flush()
-
-    (inbox / "early.ply.part").write_bytes(scan[:20])
-    (inbox / ".hidden.ply").write_bytes(scan[:20])
-    threading.Thread(target=write).start()
-    made = watch(inbox, "--settle", "0.4s")
-    assert made.exit_code == 0, made.stderr
-    assert made.stderr.count(" -> ") == 1
-    assert list(tree(inbox.parent / "out")) == ["slow.ply"]
+def test_a_file_is_taken_once_it_stands_still_and_again_when_it_changes(inbox, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    (inbox / "early.ply.part").write_bytes(b"ply")
+    (inbox / ".hidden.ply").write_bytes(b"ply")
+    box = Inbox(str(inbox), str(inbox.parent / "out"), settle_s=0.5)
+    taken = {}
+    for step in range(40):
+        # It grows at each of ten steps, stands still, and grows once more.
+        if step in (*range(10), 20):
+            with (inbox / "slow.ply").open("ab") as file:
+                file.write(b"x")
+        assert box.is_quiet == (step == 0 or 12 < step <= 20 or step > 22)
+        for file in box.take_complete():
+            taken[step] = file.relative
+        now += 0.3
+    assert taken == {12: "slow.ply", 22: "slow.ply"}
