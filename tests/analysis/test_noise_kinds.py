@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.noise_kinds import KINDS, outcomes
 from benchmarks.scan_simulation import ScannerSettings, find_truth, simulate_scan
+from msal_cli import codecs
 from msal_cli.analysis import noise_estimate
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence
@@ -19,6 +21,7 @@ from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, box, cube, grid, torus
 
+SAMPLES = Path(__file__).parents[2] / "sample_meshes"
 SLANTED = (1.0, 2.0, -3.0)
 
 
@@ -142,6 +145,18 @@ def test_noise_of_a_volume_is_not_taken_for_white():
     assert summarize(noise)[0] == "correlated"
     assert noise.file_units == pytest.approx(np.sqrt((distances**2).mean()), rel=0.4)
     assert noise.mean_edges > 3.0 * estimate_white(mesh).level.mean_edges
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_rope_is_not_taken_for_shared_noise(seed):
+    """Strands repeat, and leave as much to fits over four rings everywhere."""
+    sample = codecs.open_mesh((SAMPLES / "knot_clean.stl").read_bytes(), "knot.stl")
+    rope = prepare_mesh(sample.vertices, sample.faces).mesh
+    noisy = rope.with_vertices(add_noise(rope, AddedNoise("gaussian-normal", 0.2, seed)))
+    noise = noise_estimate.estimate_noise(noisy)
+    assert summarize(noise)[0] != "correlated"
+    assert 0.15 < noise.mean_edges < 0.3
+    assert noise_estimate.estimate_noise(rope).is_negligible
 
 
 @pytest.mark.parametrize("sizes", [(8, 8, 8), (20, 20, 20), (60, 6, 6), (40, 40, 2)])

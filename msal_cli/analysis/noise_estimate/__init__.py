@@ -531,6 +531,7 @@ def _least_probabilities(evidence: Evidence) -> dict[str, float]:
     is_known = {
         "white": may_be_white,
         "isotropic": may_be_white,
+        "correlated": evidence.colour is None or not evidence.colour.is_pattern,
         "view": evidence.axis is not None,
         "staircase": steps.n_axes == 3,
         "uneven": evidence.differences is not None,

@@ -125,6 +125,7 @@ class Colour:
     sharpness : (5,), by fit.
     is_floor : whether what wide fits leave over is as even as only noise is, and no pattern.
     is_relief : whether a smooth relief that is the same everywhere would leave that, too.
+    is_pattern : whether it is more even than shared noise is: shape that repeats.
     """
 
     rings: int
@@ -134,6 +135,7 @@ class Colour:
     sharpness: Floats
     is_floor: bool
     is_relief: bool
+    is_pattern: bool
 
 
 def find_colour(
@@ -194,6 +196,7 @@ def find_colour(
         sharpness=sharpness,
         is_floor=bool((sharpness >= least_sharpness).all()) and not is_pattern,
         is_relief=is_relief,
+        is_pattern=is_pattern,
     )
 
 
