@@ -48,7 +48,8 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection(session: pytest.Session) -> None:
     """Import the test files backwards in every second worker, where all of them are run.
 
-    All workers import all files, and what one has compiled the others need not.
+    All workers import all files, and what one has compiled the others need not.  So no parameter
+    of a test may depend on what has been imported: all workers have to find the same tests.
     """
     number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
     folder = Path(__file__).parent

@@ -22,10 +22,10 @@ from msal_cli.codecs.text_slots import (
 from msal_cli.errors import ContentError, InternalError, MsalError, TruncatedError
 from msal_cli.kernels import parallel
 from tests.codecs.patching import texts_between_numbers
-from tests.frozen import corpus_inputs
+from tests.frozen import corpus_sums
 from tests.fuzz.seeds import seeds
 
-FORMATS = tuple(one for one in corpus_inputs.formats() if seeds(one) and one != "gz")
+FORMATS = tuple(one for one in corpus_sums.formats() if seeds(one) and one != "gz")
 TEXTS = ("obj", "off")
 LARGEST = 4000
 """Bytes of the files that are tried."""
@@ -44,7 +44,7 @@ def is_read(format: str, data: bytes) -> bool:
 
 def cases(format: str):
     files = [data for data in seeds(format) if is_read(format, data)]
-    chosen = files if format in corpus_inputs.FUZZED else files[-AT_MOST:]
+    chosen = files if format in corpus_sums.FUZZED else files[-AT_MOST:]
     return [pytest.param(format, data, id=f"{format}-{k}") for k, data in enumerate(chosen)]
 
 
@@ -223,10 +223,10 @@ def test_another_encoding_is_the_same_mesh_or_is_refused(format, data):
             assert np.array_equal(again.faces, file.faces)
 
 
-@pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_inputs.FUZZED])
+@pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_sums.FUZZED])
 def test_mutants_end_in_an_error_or_in_a_mesh(format):
     for number in range(40):
-        data = corpus_inputs.mutant(format, number)
+        data = corpus_sums.mutant(format, number)
         try:
             file = open_mesh(data, f"a.{format}")
             vertices = moved(file)

@@ -19,6 +19,7 @@ import functools
 import gzip
 import multiprocessing
 import os
+import random
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -32,9 +33,11 @@ from msal_cli.codecs.header import of_beginning
 from msal_cli.errors import MsalError
 from msal_cli.storage.gzip_streams import expand
 from tests.frozen import kept
-from tests.frozen.corpus_inputs import formats, mutant, ordinary_files, real_files
-from tests.frozen.kept import data_and_texts, digest
-from tests.fuzz.seeds import seeds
+from tests.frozen.kept import ROOT, data_and_texts, digest
+from tests.frozen.sums import REAL
+from tests.fuzz import mutants
+from tests.fuzz.seeds import archived, seeds
+from tests.fuzz.seeds import kept as kept_by_fuzzing
 
 KEPT = Path(__file__).with_name("corpus_sums.json")
 
@@ -49,6 +52,58 @@ PLAIN = ("ply", "obj", "stl", "gltf", "3mf", "off")
 
 ENCODINGS = ("same", "ascii", "binary")
 PRECISIONS = ("same", "float32", "float64")
+
+FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
+"""Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
+
+
+def formats() -> tuple[str, ...]:
+    """All formats that are compared."""
+    found = {name.split("/")[1] for name in archived() if name.startswith(("seeds/", "made/"))}
+    return (*FUZZED, *sorted(found - set(FUZZED)))
+
+
+def mutant(format: str, number: int) -> bytes:
+    """The mutant of that number."""
+    if format in FUZZED:
+        return mutants.mutant(format, number)
+    dice = random.Random(f"{format} {number}")
+    data = dice.choice(seeds(format))
+    for _ in range(dice.choice((1, 1, 1, 2, 3))):
+        change = dice.choice((mutants._number, mutants._number, mutants._lines, mutants._bytes))
+        data = change(format, data, dice)
+    return data
+
+
+def format_of(name: str) -> str:
+    """The format under which a file is listed."""
+    suffix = name.rpartition(".")[2] if "." in name else ""
+    return suffix if suffix in formats() else "none"
+
+
+def ordinary_files(format: str) -> dict[str, bytes]:
+    """All files of a format but mutants, by name."""
+    found: dict[str, bytes] = {}
+    for path in sorted((ROOT / "sample_meshes").glob("*_*.*")):
+        if path.suffix != ".py" and format_of(path.name) == format:
+            found[f"sample/{path.name}"] = path.read_bytes()
+    if format in FUZZED:
+        found |= {f"fuzz/{name[:10]}": data for name, data in kept_by_fuzzing(format).items()}
+    for name, data in archived().items():
+        kind, _, rest = name.partition("/")
+        listed = kind == "malformed" and format_of(rest) == format
+        if listed or (kind != "malformed" and rest.startswith(f"{format}/")):
+            found[name] = data
+    return found
+
+
+def real_files(format: str) -> Iterator[tuple[str, bytes]]:
+    """The files of the folder MSAL_DATA, none where it is not set."""
+    folder = os.environ.get("MSAL_DATA", "")
+    for file in REAL if folder else ():
+        if format_of(file) == format:
+            yield f"data/{file}", Path(folder, file).read_bytes()
+
 
 Step = tuple[str, str, str]
 """What was done, its data, its texts."""

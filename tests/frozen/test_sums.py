@@ -11,7 +11,7 @@ import json
 
 import pytest
 
-from tests.frozen import corpus_inputs, corpus_sums, kept, record_sums, sums
+from tests.frozen import corpus_sums, kept, record_sums, sums
 
 KEPT, CORPUS, RECORDS = (
     json.loads(module.KEPT.read_text()) for module in (sums, corpus_sums, record_sums)
@@ -57,7 +57,7 @@ def test_every_case_has_a_sum():
 
 @pytest.mark.parametrize(
     "task",
-    [(format, "mutants", 0) for format in corpus_inputs.FUZZED]
+    [(format, "mutants", 0) for format in corpus_sums.FUZZED]
     + [(format, "files", 1) for format in ("off", "vtk", "none")],
     ids=lambda task: " ".join(task[:2]),
 )
