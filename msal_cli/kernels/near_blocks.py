@@ -54,12 +54,12 @@ _RATIO = np.float32((WIDE / NARROW) ** 2)
 
 
 @compiled
-def list_neighbours(first, last, near_start, near, per_reach, faces, counts, scales):
+def list_neighbours(first, last, near_start, near, units, unit, faces, counts, scales):
     """List the neighbours of the faces ``first`` to ``last`` side by side; return how many rows.
 
     The first row of ``faces`` is the faces themselves, which also fill lanes without a k-th
     neighbour; ``counts`` (8,) gets the numbers of neighbours, ``scales`` (8,) one over WIDE local
-    units, which ``per_reach`` (m,) has.
+    units, of which each face has its own, ``unit`` where that is zero.
     """
     rows = ONE
     for lane in range(LANES):
@@ -68,7 +68,8 @@ def list_neighbours(first, last, near_start, near, per_reach, faces, counts, sca
     for lane in range(LANES):
         f = first + lane if first + lane < last else last - ONE
         row, end = near_start[f], near_start[f + ONE]
-        counts[lane], scales[lane] = np.float32(end - row), per_reach[f]
+        counts[lane] = np.float32(end - row)
+        scales[lane] = 1.0 / ((units[f] if units[f] > 0.0 else unit) * WIDE)
         faces[lane] = f
         place = R1 + lane
         for entry in range(row, end):

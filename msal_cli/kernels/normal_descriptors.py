@@ -127,13 +127,12 @@ def describe(
     stop,
     points,
     marks,
-    per_reach,
+    units,
+    unit,
     near_start,
     near,
     faces,
     ripples,
-    units,
-    unit,
     others,
     known,
     records,
@@ -152,7 +151,7 @@ def describe(
     found = np.empty(np.int64(_TO_RECORD + R6), dtype=np.float32)
     last = np.uint64(stop)
     for first in range(np.uint64(start), last, LANES):
-        rows = list_neighbours(first, last, near_start, near, per_reach, listed, counts, scales)
+        rows = list_neighbours(first, last, near_start, near, units, unit, listed, counts, scales)
         close = lay_neighbours(rows, points, marks, listed, counts, scales, block)
         _describe_block(rows, close, marks, listed, counts, block, found)
         for f in range(first, min(first + LANES, last)):
@@ -235,14 +234,14 @@ def lay_inputs(first, last, group, of, is_later, faces, counts, scales, block, s
 
     Parameters
     ----------
-    of : ``points``, ``per_reach``, ``near_start`` and ``near``; what is ``known``, and the
+    of : ``points``, ``units``, ``unit``, ``near_start`` and ``near``; what is ``known``, and the
         ``records``, from ``describe``; ``statistics`` (m, 5); ``others`` (m, 12), four vectors of
         each face; flat.
     is_later : whether vectors of earlier stages are in the records.
     faces, counts, scales, block, sums : memory.
     """
-    points, per_reach, near_start, near, known, records, statistics, others = of
-    rows = list_neighbours(first, last, near_start, near, per_reach, faces, counts, scales)
+    points, units, unit, near_start, near, known, records, statistics, others = of
+    rows = list_neighbours(first, last, near_start, near, units, unit, faces, counts, scales)
     for at in range(ZERO, SUMS, LANES):
         store_lanes(sums, at, fill_lanes(_0))
     for row in range(ZERO, rows, CHUNK):

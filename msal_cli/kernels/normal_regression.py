@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.kernels.compiled import compiled
@@ -168,7 +167,7 @@ def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of a scan before its faces are described; see ``methods/_evidence``.
+    """What is known of a scan before its faces are described; see ``methods/_cascade``.
 
     Attributes
     ----------
@@ -195,20 +194,20 @@ class Descriptors:
 
     Attributes
     ----------
-    arrays : what ``lay_inputs`` makes inputs of: most of what is known is made where it is used,
+    sources : what ``lay_inputs`` makes inputs of: most of what is known is made where it is used,
         since to write it down takes as long.
     is_later : whether a stage came before.
     globals : (GLOBALS,) the inputs that are the same for all faces.
     """
 
-    arrays: tuple[NDArray[Any], ...]
+    sources: tuple[Any, ...]
     is_later: bool
     globals: Floats32
 
     @property
     def axes(self) -> Floats32:
         """The axes (m, 3, 3) of each face."""
-        known = self.arrays[4].reshape(-1, int(KNOWN))
+        known = self.sources[5].reshape(-1, int(KNOWN))
         return known[:, AXES:OWN_NUMBERS].reshape(-1, 3, 3)
 
     @property
@@ -221,20 +220,20 @@ class Descriptors:
 
         The inputs are the candidates along axes of the face, NUMBERS, STATISTICS and GLOBALS.
         """
-        m, k = len(self.arrays[1]), self.n_vectors
+        m, k = len(self.sources[1]), self.n_vectors
         own = np.empty((m, 3 * k + NUMBERS + STATISTICS), dtype=np.float32)
         vectors = np.empty((m, 3 * k), dtype=np.float32)
-        over_ranges(collect_inputs, m, *self.arrays, self.is_later, own, vectors)
+        over_ranges(collect_inputs, m, *self.sources, self.is_later, own, vectors)
         shared = np.broadcast_to(self.globals, (m, GLOBALS))
         return np.concatenate([own, shared], axis=1), vectors.reshape(m, k, 3)
 
     def predict(self, network: Network, normals: Floats | None = None) -> Floats:
         """The unit normals (m, 3) that the network gives, in the memory of ``normals``."""
-        m = len(self.arrays[1])
+        m = len(self.sources[1])
         normals = np.empty((m, 3)) if normals is None else normals
         sizes = self.n_vectors, network.n_in, network.n_hidden, network.n_out
         weights = network.bound(self.globals)
-        of = *self.arrays, self.is_later, *sizes, weights
+        of = *self.sources, self.is_later, *sizes, weights
         over_ranges(predict_normals, m, *of, normals.reshape(-1))
         return normals
 
@@ -327,16 +326,13 @@ class NormalDescriber:
         points = centroid_points(positions, self._faces)
         units = _find_units(points[:-1].reshape(-1, 3), around.ring_start, around.ring)
         unit = float(units.mean()) or 1.0
-        per_reach = np.where(units > 0.0, units, unit)
-        np.multiply(per_reach, WIDE, out=per_reach)
-        np.divide(1.0, per_reach, out=per_reach)
-        near = per_reach, around.near_start.view(np.uint64), around.near.view(np.uint32)
-        sizes = self._faces.reshape(-1).view(np.uint32), ripples, units, unit
-        others, made = given.normals.reshape(-1), (known.reshape(-1), records.reshape(-1))
-        over_ranges(describe, m, points, self._marks, *near, *sizes, others, *made)
-        arrays = points, *near, *made, given.statistics.reshape(-1), others
+        of = units, unit, around.near_start.view(np.uint64), around.near.view(np.uint32)
+        corners, others = self._faces.reshape(-1).view(np.uint32), given.normals.reshape(-1)
+        made = known.reshape(-1), records.reshape(-1)
+        over_ranges(describe, m, points, self._marks, *of, corners, ripples, others, *made)
+        inputs = points, *of, *made, given.statistics.reshape(-1), others
         values = _find_globals(known, records, given)
-        return Descriptors(arrays, earlier is not None, values)
+        return Descriptors(inputs, earlier is not None, values)
 
     def _lay_marks(self, normals: Floats, areas: Floats) -> None:
         """Take normals (m, 3) and areas (m,) for ``describe``; zero normals where there is none."""

@@ -79,7 +79,8 @@ def predict_normals(
     start,
     stop,
     points,
-    per_reach,
+    units,
+    unit,
     near_start,
     near,
     known,
@@ -100,7 +101,7 @@ def predict_normals(
     last of at least ``n_vectors``.  ``weights`` has the three layers one behind another.
     """
     n_in, n_hidden, n_out = np.uint64(n_in), np.uint64(n_hidden), np.uint64(n_out)
-    of = points, per_reach, near_start, near, known, records, statistics, others
+    of = points, units, unit, near_start, near, known, records, statistics, others
     widest = most_neighbours(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
     block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
@@ -143,7 +144,8 @@ def collect_inputs(
     start,
     stop,
     points,
-    per_reach,
+    units,
+    unit,
     near_start,
     near,
     known,
@@ -155,7 +157,7 @@ def collect_inputs(
     vectors,
 ):
     """The inputs (m, n_in) and the vectors (m, 3 k) of all faces, for training."""
-    of = points, per_reach, near_start, near, known, records, statistics, others
+    of = points, units, unit, near_start, near, known, records, statistics, others
     widest = most_neighbours(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
     block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)

@@ -88,6 +88,7 @@ class Cascade:
             mesh.vertices, mesh.vertex_normals(), mesh.topology
         )
         self.evidence = gather_evidence(mesh, noise, is_white, self._ripples)
+        mesh.release_normals()
         self._describer: NormalDescriber | None = None
 
     @property

@@ -29,7 +29,7 @@ taken to be, what the stages took beyond it comes back as in ``wiener`` (``textu
 along the normals, which is measured, the way that vertices came sideways is undone (``sliding``;
 see ``guided_normal``).
 
-The cost is 7 to 10 s per million faces on one core. docs/training.md describes the files of the
+The cost is 5 to 8 s per million faces on one core. docs/training.md describes the files of the
 weights, and how to train them, with clean meshes of your own too.
 
 Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM TOG 35
@@ -49,7 +49,7 @@ from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import noise_parameter
 
-BYTES_PER_FACE = 845
+BYTES_PER_FACE = 730
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 MIN_KNOWN = 0.03

@@ -146,7 +146,7 @@ def test_lanes_of_machine_code_are_those_of_numpy(scan, monkeypatch):
     network = random_network(count_vectors(1), hidden=8)
     earlier = -face_normals_and_areas(scan.vertices, scan.faces)[0]
     descriptors = described(scan, earlier)[0]
-    expected = [*descriptors.arrays[4:6], descriptors.predict(network).reshape(-1)]
+    expected = [*descriptors.sources[5:7], descriptors.predict(network).reshape(-1)]
     monkeypatch.setenv("MSAL_INTERPRET_KERNELS", "1")
     kernels = list(all_kernels())
     for kernel in kernels:
@@ -161,7 +161,7 @@ def test_lanes_of_machine_code_are_those_of_numpy(scan, monkeypatch):
     monkeypatch.setattr(normal_regression, "over_ranges", over_part)
     # What is not made is anything.
     with np.errstate(all="ignore"):
-        known, records = described(scan, earlier)[0].arrays[4:6]
+        known, records = described(scan, earlier)[0].sources[5:7]
     made = known, records, descriptors.predict(network).reshape(-1)
     for interpreted, array in zip(made, expected, strict=True):
         rows = [part.reshape(len(earlier), -1)[start:stop] for part in (interpreted, array)]
