@@ -11,6 +11,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.mesh import Mesh
 from msal_cli.structs import dataclass
 
@@ -26,9 +27,6 @@ million by place takes longer than a short search can spend."""
 MARGIN = 3
 """Rings at the cut of a patch that are filtered but not evaluated: their neighbours beyond the cut
 are missing."""
-
-CELLS = 1024
-"""Cells along each axis, for the order of vertices in space."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,7 @@ def select_patch(mesh: Mesh, most: int) -> Part:
     places = np.flatnonzero(judged if judged.any() else links.has_ring)
     if len(places) > 2 * SEEDS:
         places = places[:: len(places) // SEEDS]
-    order = places[_in_space(mesh.vertices[places])]
+    order = places[order_in_space(mesh.vertices[places])]
     inside = np.zeros(n, dtype=np.bool_)
     count = max(most // PATCH, 1)
     for patch in range(count):
@@ -83,23 +81,6 @@ def select_patch(mesh: Mesh, most: int) -> Part:
     kept = judged[used] & ~_cut_rings(used, links)[used]
     part = Mesh(mesh.vertices[used], corners.reshape(-1, 3).astype(np.int32))
     return Part(part, kept if kept.any() else judged[used], used)
-
-
-def _in_space(vertices: Floats) -> NDArray[np.int64]:
-    """An order of the vertices (n, 3) in which those that are near in space are near."""
-    low = vertices.min(axis=0)
-    extent = max(float((vertices.max(axis=0) - low).max()), np.finfo(float).tiny * CELLS)
-    # The bits of a step, three places apart; those of the axes go between one another.
-    steps = np.arange(CELLS, dtype=np.int32)
-    apart = np.zeros(CELLS, dtype=np.int32)
-    for bit in range(CELLS.bit_length() - 1):
-        apart |= ((steps >> bit) & 1) << (3 * bit)
-    key = np.zeros(len(vertices), dtype=np.int32)
-    for axis in range(3):
-        cell = np.minimum((vertices[:, axis] - low[axis]) * (CELLS / extent), CELLS - 1)
-        key |= apart[cell.astype(np.int32)] << axis
-    # Sorted with their places below them, keys are in order as by a stable sort, and sooner.
-    return np.sort((key.astype(np.int64) << 32) | np.arange(len(key))) & 0xFFFFFFFF
 
 
 def _grow(

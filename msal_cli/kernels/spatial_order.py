@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
@@ -120,6 +120,15 @@ def morton_keys(vertices: Floats, low: Floats, extent: float) -> NDArray[np.uint
     keys = np.empty(len(vertices), dtype=np.uint64)
     over_ranges(_key_vertices, len(vertices), vertices, low, _CELLS / extent, keys)
     return keys
+
+
+def order_in_space(points: Floats) -> Longs:
+    """The numbers (n,) of points (n, 3) along a Morton curve through their box."""
+    low = points.min(axis=0)
+    extent = max(float((points.max(axis=0) - low).max()), np.finfo(float).tiny * _CELLS)
+    keys = morton_keys(points, low, extent)
+    keys.sort()
+    return (keys & LOW_BITS).astype(np.int64)
 
 
 def sort_in_space(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.mesh import Mesh
 from msal_cli.structs import dataclass
 
@@ -153,26 +154,14 @@ def _ticks(vertices: Floats, low: Floats, step: float) -> Longs:
 def _order(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
     """An order of the vertices, and the faces with the vertices' new numbers.
 
-    Faces follow a Z-shaped curve through space (Morton 1966), and vertices their first use.
+    Faces follow a curve through space, and vertices their first use.
     """
-    centres = vertices[faces].sum(axis=1)
-    low = centres.min(axis=0)
-    extent = float((centres.max(axis=0) - low).max()) or 1.0
-    cells = np.minimum((centres - low) / extent * 1024, 1023).astype(np.int64)
-    keys = _spread(cells[:, 0]) | _spread(cells[:, 1]) << 1 | _spread(cells[:, 2]) << 2
-    flat = faces[np.argsort(keys, kind="stable")].reshape(-1)
+    flat = faces[order_in_space(vertices[faces].sum(axis=1))].reshape(-1)
     used, first, inverse = np.unique(flat, return_index=True, return_inverse=True)
     order = np.argsort(first)
     number = np.empty(len(used), dtype=np.int32)
     number[order] = np.arange(len(used))
     return used[order].astype(np.int64), number[inverse].reshape(-1, 3)
-
-
-def _spread(numbers: Longs) -> Longs:
-    """Numbers of ten bits with two zeros put after each bit."""
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        numbers = (numbers | numbers << shift) & mask
-    return numbers
 
 
 def _index_planes(faces: Ints) -> list[bytes]:
