@@ -41,7 +41,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """In words: ``guided normals (sigma_r 0.45, 5 iterations)``."""
+        """In words: ``MSAL (K = 0.5, 1 mollification)``."""
         name, words = _LABELS[self.method, self.given.get("schedule")]
         words = re.sub(r"\b1 (\w+)s\b", r"1 \1", words.format(**self.given))
         if self.times != 1.0:
@@ -55,10 +55,6 @@ _LABELS: dict[tuple[str, Any], tuple[str, str]] = {
     ("al", None): ("AL", "{iterations} sweeps, {mollify} mollifications"),
     ("al", "wiener"): ("AL with Wiener fidelity", "{iterations} sweeps"),
     ("bilateral_non_iterative", None): ("non-iterative bilateral", ""),
-    ("bilateral_normal", None): (
-        "bilateral normals",
-        "sigma_s {similarity:g}, {iterations} iterations",
-    ),
     ("hc", None): ("HC", "{iterations} iterations"),
     ("learned", None): ("learned", ""),
     ("msal", None): ("MSAL", "K = {K:g}, {mollify} mollifications"),

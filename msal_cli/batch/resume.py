@@ -453,12 +453,8 @@ class FileRow:
     record: MeshRecord
 
 
-@dataclass(frozen=True)
-class RunHistory:
-    """All runs that manifests know of, in their order, and the newest row of every file."""
-
-    runs: tuple[RunEntry, ...]
-    rows: tuple[FileRow, ...]
+RunHistory = tuple[list[RunEntry], list[FileRow]]
+"""All runs that manifests know of, in their order, and the newest row of every file."""
 
 
 def read_place(place: str) -> RunHistory | None:
@@ -478,10 +474,8 @@ def read_file(path: Path) -> RunHistory:
 
 def _history(views: Sequence[LogView], place: str) -> RunHistory:
     runs = [run for view in views for run in _parse_runs(view)]
-    entries = manifests.merge_entries(views).values()
-    return RunHistory(
-        tuple(sorted(runs, key=lambda run: run.at)), tuple(_row(entry, place) for entry in entries)
-    )
+    rows = [_row(entry, place) for entry in manifests.merge_entries(views).values()]
+    return sorted(runs, key=lambda run: run.at), rows
 
 
 def _parse_runs(view: LogView) -> list[RunEntry]:

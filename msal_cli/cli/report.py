@@ -146,7 +146,7 @@ def _summarize(names: Sequence[str]) -> _Summary:
                     hint="name the output folder of msal denoise (with --in-place the input)",
                     path=name,
                 )
-            remarks += _missing_parts(history.runs, name)
+            remarks += _missing_parts(history[0], name)
             paths += [] if is_url(name) else map(str, list_manifests(name))
         elif path.is_file():
             history = _read_file(path)
@@ -159,8 +159,9 @@ def _summarize(names: Sequence[str]) -> _Summary:
                 hint=_WHAT_TO_NAME,
                 path=name,
             )
-        rows += history.rows
-        runs += history.runs
+        new_runs, new_rows = history
+        runs += new_runs
+        rows += new_rows
     records = _newest_records(rows)
     is_finished = not remarks and all(record.status != "planned" for record in records)
     run = _combine(runs, is_finished) if runs else _unknown_run(rows, is_finished)
@@ -205,7 +206,7 @@ def _read_file(path: Path) -> RunHistory:
     data = bytes(read_whole(name))
     at = path.stat().st_mtime_ns
     records: Iterable[MeshRecord]
-    runs: tuple[RunEntry, ...] = ()
+    runs: list[RunEntry] = []
     if path.suffix.lower() == ".jsonl":
         if b'"kind":' in data.lstrip()[:10]:
             return resume.read_file(path)
@@ -215,15 +216,15 @@ def _read_file(path: Path) -> RunHistory:
         ended = _parse_time(run.finished)
         at = at if ended is None else int(ended * 1e9)
         known = {name: value for name, value in vars(run).items() if name != "machine"}
-        runs = (resume.RunEntry(**known, at=at),)
+        runs = [resume.RunEntry(**known, at=at)]
     else:
         raise UsageError(
             f"the suffix of {name!r} is not that of a report that can be read",
             hint=_WHAT_TO_NAME,
             path=name,
         )
-    rows = (resume.FileRow(at, made.input, made.output or "", made) for made in records)
-    return resume.RunHistory(runs, tuple(rows))
+    rows = [resume.FileRow(at, made.input, made.output or "", made) for made in records]
+    return runs, rows
 
 
 def _newest_records(rows: Sequence[FileRow]) -> list[MeshRecord]:
