@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.spatial_order import order_in_space
+from msal_cli.kernels.welding import repeated_corners
 from msal_cli.mesh import Mesh
 from msal_cli.structs import dataclass
 
@@ -188,7 +190,7 @@ def _planes(numbers: Longs, count: int) -> list[bytes]:
 
 
 def _deviation(
-    values: Floats, kept: Longs, ends: tuple[float, float]
+    values: Floats, kept: Ints, ends: tuple[float, float]
 ) -> tuple[dict[str, object], list[bytes]]:
     """The colour scale of the deviations, and the kept ones in 65,535 steps over their range."""
     is_finite = np.isfinite(values)
@@ -235,16 +237,16 @@ _PASSES = 3
 _TAKEN = -2
 
 
-def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Longs, Ints]:
+def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
     """The vertices (k,) that stay, in rising order, and faces (j, 3) int32 of places among them:
     as many faces as there may be, at most ``max_faces`` where that can be reached.
 
     ``vertices`` (n, 3) finite, ``faces`` (m, 3).  Faces that contractions put on one another are
     left out but for the first.  What has few enough faces keeps all of them.
     """
-    left = faces.astype(np.int64)
+    left = faces
     if len(left) > max_faces:
-        left = left[_has_area(left)]
+        left = left[~repeated_corners(left)]
     is_checked = True
     for _ in range(_ROUNDS):
         excess = len(left) - max_faces
@@ -261,7 +263,7 @@ def coarsen(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Longs, Ints]
     return kept, flat.reshape(-1, 3).astype(np.int32)
 
 
-def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> Longs:
+def _round(vertices: Floats, faces: Ints, excess: int, *, is_checked: bool) -> Ints:
     """The faces after one round, which takes away not many more than ``excess``."""
     stays, goes = _pairs(vertices, faces)
     # Two faces to an edge inside; the last round stops where it should.
@@ -271,7 +273,7 @@ def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> 
     is_rim = _on_boundary(len(vertices), faces)
     outward = is_rim[goes] & ~is_rim[stays]
     stays[outward], goes[outward] = goes[outward], stays[outward].copy()
-    moved = np.arange(len(vertices))
+    moved = np.arange(len(vertices), dtype=np.int32)
     moved[goes] = stays
     if is_checked:
         pair = np.full(len(vertices), -1)
@@ -293,10 +295,10 @@ def _round(vertices: Floats, faces: Longs, excess: int, *, is_checked: bool) -> 
             bad = _turn(vertices, faces, moved)
             moved[bad] = bad
     after = moved[faces]
-    return after[_has_area(after)]
+    return after[~repeated_corners(after)]
 
 
-def _pairs(vertices: Floats, faces: Longs) -> tuple[Longs, Longs]:
+def _pairs(vertices: Floats, faces: Ints) -> tuple[Ints, Ints]:
     """Ends of short edges, each vertex in one pair at most; the shortest first, by and large."""
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     # An edge between two faces is met in both directions: once is enough.
@@ -320,7 +322,7 @@ def _pairs(vertices: Floats, faces: Longs) -> tuple[Longs, Longs]:
     return np.concatenate(stays), np.concatenate(goes)
 
 
-def _on_boundary(n_vertices: int, faces: Longs) -> NDArray[np.bool_]:
+def _on_boundary(n_vertices: int, faces: Ints) -> NDArray[np.bool_]:
     """Whether the faces around each vertex leave a gap.
 
     Numbers of the neighbours add up to nothing around a closed fan, where each is once the next
@@ -334,24 +336,10 @@ def _on_boundary(n_vertices: int, faces: Longs) -> NDArray[np.bool_]:
     return is_open
 
 
-def _turn(vertices: Floats, faces: Longs, moved: Longs) -> Longs:
+def _turn(vertices: Floats, faces: Ints, moved: Ints) -> Ints:
     """Corners of the faces that would turn too far, or become needles."""
     after = moved[faces]
-    is_changed = (after != faces).any(axis=1) & _has_area(after)
-    faces, after = faces[is_changed], after[is_changed]
-    was, now = _normals(vertices, faces), _normals(vertices, after)
-    along = (was * now).sum(axis=1)
-    sizes = np.sqrt((was * was).sum(axis=1) * (now * now).sum(axis=1))
-    return np.unique(faces[along <= _MIN_COSINE * sizes])
-
-
-def _normals(vertices: Floats, faces: Longs) -> Floats:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _has_area(faces: Longs) -> NDArray[np.bool_]:
-    """Whether faces have three different corners."""
-    a, b, c = faces.T
-    has_area: NDArray[np.bool_] = (a != b) & (b != c) & (c != a)
-    return has_area
+    is_changed = (after != faces).any(axis=1) & ~repeated_corners(after)
+    faces = faces[is_changed]
+    cosines = face_normals(vertices, faces) * face_normals(vertices, after[is_changed])
+    return np.unique(faces[cosines.sum(axis=1) <= _MIN_COSINE])
