@@ -12,9 +12,8 @@ import click
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.logs import with_log
-from msal_cli.cli.options import MESSAGES, PATH, group, resolve_format
+from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts, resolve_format
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.job.plain_data import as_data
 from msal_cli.storage import gzip_streams

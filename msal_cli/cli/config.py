@@ -14,7 +14,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from msal_cli.cli.options import group
+from msal_cli.cli.options import find_overruled, group
 from msal_cli.errors import UsageError
 
 FILE_NAME = "msal.toml"
@@ -197,9 +197,6 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     path: str | None = None if is_help or without else given.get("config") or _find_file()
     if path is None:
         return parse(ctx, args)
-    # The tables of conflicts are needed only where there is a file.
-    from msal_cli.cli.conflicts import find_overruled
-
     values = read_config(path, ctx, is_named=is_named)
     ctx.meta[_FOUND], ctx.default_map = not is_named, dict(values)
     words = list(args)

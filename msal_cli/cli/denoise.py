@@ -15,7 +15,6 @@ from msal_cli.batch import interrupts
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.config import is_from_found_file
-from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.logs import with_log
 from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import STREAM, group
@@ -484,7 +483,7 @@ _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 def check_request(request: Request, stream: Stream | None) -> None:
     """Refuse options that do not go with each other, or with ``stream``; UsageError."""
-    given = find_given(request.context)
+    given = options.find_given(request.context)
     if stream is not None:
         given["stream"] = STREAM
         if stream.target == STREAM:
@@ -494,7 +493,7 @@ def check_request(request: Request, stream: Stream | None) -> None:
             "there is no output",
             hint="name a file or a folder with -o OUT, or replace the inputs with --in-place",
         )
-    refuse_conflicts(given)
+    options.refuse_conflicts(given)
     if "scheduler" in given and not re.fullmatch(_ADDRESS, str(request.scheduler)):
         raise UsageError(
             f"--scheduler {request.scheduler}: this is not an address",

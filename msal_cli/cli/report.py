@@ -11,9 +11,8 @@ import click
 
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.conflicts import find_given, refuse_conflicts
 from msal_cli.cli.methods import say_summary
-from msal_cli.cli.options import MESSAGES, PATH, group
+from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts
 from msal_cli.errors import UsageError
 from msal_cli.report.data import Run
 from msal_cli.storage.gzip_streams import read_whole
