@@ -6,7 +6,6 @@ import inspect
 import json
 import pickle
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -15,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import msal_cli as msal
+from tests.campaigns import runs
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, open_scan
 from tests.cli.scans import msal as run_command
 from tests.files import tree
@@ -146,7 +146,7 @@ for record in msal.denoise_folder(sys.argv[1], sys.argv[2], "l0", jobs=1, iterat
 def test_ctrl_c_ends_the_run_at_once_as_a_keyboard_interrupt(tmp_path):
     scans = folder_of(tmp_path / "scans", a=to_ply(*torus(300, 100)))
     command = [sys.executable, "-c", SLOW, str(scans), str(tmp_path / "out")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = runs.started(command, text=True)
     assert process.stdout.readline() == "begun\n"
     deadline = time.monotonic() + 60
     while not (tmp_path / "out").is_dir() and time.monotonic() < deadline:

@@ -29,6 +29,7 @@ from msal_cli.job.pipeline import denoise_bytes
 from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
+from tests.campaigns import runs
 from tests.files import tree
 from tests.shapes import noisy, torus
 
@@ -221,13 +222,8 @@ class TestInterrupts:
     """Signals to a real process, which then must leave no process and no half file behind."""
 
     def start(self, folders):
-        return subprocess.Popen(
-            [sys.executable, "-c", DRIVER, str(folders / "in"), str(folders / "out")],
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=Path(fakes.__file__).parents[2],
-            start_new_session=True,
-        )
+        words = [sys.executable, "-c", DRIVER, str(folders / "in"), str(folders / "out")]
+        return runs.started(words, text=True, cwd=Path(fakes.__file__).parents[2])
 
     def interrupted(self, folders, send, after):
         """Send a signal once ``after`` files are finished; exit status, workers, seconds."""
