@@ -170,14 +170,7 @@ def forget_peak() -> None:
 
 def memory_bytes(pid: int | str, name: str) -> int:
     """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not known."""
-    try:
-        with open(f"/proc/{pid}/status", "rb") as file:
-            for line in file:
-                if line.startswith(name.encode() + b":"):
-                    return 1024 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
-    return 0
+    return 1024 * (_entry(Path(f"/proc/{pid}/status"), f"{name}:") or 0)
 
 
 def _peak_on_windows() -> int | None:
