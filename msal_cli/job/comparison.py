@@ -48,8 +48,9 @@ def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
 
 def surface_of(mesh_file: MeshFile) -> Surface:
     """The surface in an open file."""
-    own = mesh_file
-    return Surface(own.vertices, own.faces, own.merged_vertices, grid=own.grid)
+    return Surface(
+        mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices, grid=mesh_file.grid
+    )
 
 
 def open_surface(path: str, format: str | None = None) -> Surface:
