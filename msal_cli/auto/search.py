@@ -90,8 +90,8 @@ MOST = 0.5
 be left of the noise is no shape."""
 
 MIN_LEARNED = 0.5
-"""Sum of weights of the learned filter below which, where neighbours share the noise, half of the
-blend is that filter: mirrored, such noise looks like shape."""
+"""Sum of weights of the learned filter below which, where neighbours share the noise, all other
+weights are halved, and that filter has the rest: mirrored, such noise looks like shape."""
 
 WEAK = 0.1
 """White noise in mean edge lengths below which a range scan may have more that neighbours share."""
@@ -365,7 +365,9 @@ class _Search:
         if members[0] is ROBUST_LEARNED and self.noise.character.rings:
             is_learned = np.array([member.method == LEARNED.method for member in members])
             if weights[is_learned].sum() < MIN_LEARNED:
-                return blends.round_weights(0.5 * (weights + np.eye(len(members))[0]))
+                halved = 0.5 * weights
+                halved[0] += 1.0 - halved.sum()
+                return blends.round_weights(halved)
         return weights
 
     def _choice(

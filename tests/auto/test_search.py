@@ -376,12 +376,14 @@ def test_terraces_get_the_learned_filter_without_a_level(box_scan, monkeypatch):
 @pytest.mark.parametrize(
     ("kind", "rings", "end"),
     [
-        ("correlated", 1, "50% learned"),
-        ("view", 1, "50% learned"),
+        ("correlated", 1, "learned"),
+        ("view", 1, "learned"),
         ("view", 0, "left as it is"),
     ],
 )
-def test_where_neighbours_share_the_noise_half_is_learned(box_scan, monkeypatch, kind, rings, end):
+def test_learned_has_what_no_filter_has_where_neighbours_share_the_noise(
+    box_scan, monkeypatch, kind, rings, end
+):
     with_kind(box_scan, monkeypatch, kind=kind, rings=rings)
     monkeypatch.setattr(
         search.blends, "best_weights", lambda risks, *others: np.zeros(len(risks[0].drift))
