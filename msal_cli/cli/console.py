@@ -79,7 +79,6 @@ def say_failure(name: str, failure: Failure) -> None:
 
 
 def _say_error_words(words: str, hint: str) -> None:
-
     say(f"msal: error: {escape_for_display(words)}", "bad")
     if hint:
         say(f"hint: {escape_for_display(hint)}")
@@ -87,7 +86,6 @@ def _say_error_words(words: str, hint: str) -> None:
 
 def say_written(path: str) -> None:
     """That a file was written."""
-
     say(f"wrote {escape_for_display(path)}", "good")
 
 

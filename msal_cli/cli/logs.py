@@ -114,7 +114,6 @@ class _SafeFormatter(logging.Formatter):
 
 
 def _escape(text: str) -> str:
-
     # Traces, also those that workers send, are the only messages of several lines.
     lines = text.split("\n") if _TRACE in text else [text]
     return "\n".join(map(escape_for_display, lines))
