@@ -53,6 +53,12 @@ class SceneFile(mesh_file.MeshFile):
         super().__init__(scene.data.data, self.format, _layout(scene))
         self.data = data
 
+    def replaced(self, vertices: Floats) -> Buffer:
+        if np.array_equal(vertices, self.vertices):
+            return self.data
+        # Also where all numbers are rounded to what they were: bounds need not be theirs.
+        return self._pack(self.replaced_data(vertices))
+
     def check(self, output: Buffer, vertices: Floats) -> None:
         try:
             text, data = self._unpack(output, vertices)

@@ -317,14 +317,12 @@ class MeshFile(Surface):
         """The file with the positions (n, 3) that moved, and their normals, replaced.
 
         A vertex equal to the stored one keeps its very bytes; with none moved the result is the
-        input byte for byte.
-        New numbers of a text have as many decimals as their own line or the file usually has, or
-        as 1e-7 of its extent asks for, whichever is more.  Raises ContentError (``E_RANGE``) for a
-        position that does not fit the file's number type.
+        input byte for byte.  New numbers of a text have as many decimals as their own line or the
+        file usually has, or as 1e-7 of its extent asks for, whichever is more.  Raises ContentError
+        (``E_RANGE``) for a position that does not fit the file's number type.
         """
-        if np.array_equal(vertices, self.vertices):
-            return self.data
-        return self._pack(self.replaced_data(vertices))
+        data = self.replaced_data(vertices)
+        return self.data if data is self._data else self._pack(data)
 
     def replaced_data(self, vertices: Floats) -> Buffer:
         """What the layout is about with other positions (n, 3)."""

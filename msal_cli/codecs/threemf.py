@@ -271,8 +271,6 @@ class ThreeMfFile(mesh_file.MeshFile):
                 f"the file has {stale[0]}, which would no longer fit a surface that moved",
                 hint="export it as a plain mesh, or convert it with --to",
             )
-        if content is self._data:
-            return bytes(self.data)
         names = list(self.package.models)
         if len(names) == 1:
             return self.package.archive.replace({names[0]: content})
