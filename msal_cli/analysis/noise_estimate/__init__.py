@@ -90,43 +90,44 @@ CORRECTED = ("white", "isotropic", "correlated", "view", "outliers", "impulsive"
 """Kinds whose measured level trees correct; steps and regions are measured as well without."""
 
 MANY_VERTICES, FEWER = 1_500, 1.6
-"""Vertices below which a mesh is a design rather than a scan, and the power of their number with
-which the odds of noise fall."""
+"""Below so many vertices the odds of noise fall with their number to this power: few vertices are
+a design rather than a scan."""
 
 MAX_RINGS, MIN_SHARED = 4, 0.95
-"""Most rings, and the estimated number of them below which neighbours share nothing."""
+"""Greatest number of rings, and the estimate below which there are none."""
 
 
 MIN_VERTICES = 64
 """Vertices below which nothing is said: two rings are most of the mesh."""
 
 NAMED = 0.5
-"""Share of the probability of noise that its most probable kind needs to be named."""
+"""Least probability of a kind that is named, as a share of the probability of noise."""
 
 PLAIN_SHARED, SURE_SHARED, RELIEF_SHARED = 0.5, 0.72, 0.9
-"""Probability of noise that neighbours share, which removes most of a relief where there is none:
-where wide fits leave the same everywhere and ``PLAIN_MISFIT`` holds, elsewhere, and where a smooth
-relief would leave that as well, or ``POOR_MISFIT`` is exceeded."""
+"""Least probability of shared noise that is named, for filters would take relief for it: where wide
+fits leave the same everywhere and the misfit is below ``PLAIN_MISFIT``; elsewhere; and where a
+smooth relief would leave the same, or the misfit is above ``POOR_MISFIT``."""
 
 PLAIN_MISFIT, POOR_MISFIT = 0.06, 0.1
-"""Misfits of the levels by scale below which shared noise explains them, and above which it hardly
-does."""
+"""Misfits of the levels by scale: below the first shared noise explains them, above the second
+hardly."""
 
 FEW_VERTICES, MAX_FEW = 512, 0.75
-"""Vertices below which a design and a scan look alike, whatever the trees say: coarse models, a
-cone of 34, a ring of 128, a patch of 432; and the greatest probability of noise on these."""
+"""Below so many vertices designs look like scans (a cone of 34, a ring of 128, a patch of 432), and
+noise is at most this probable."""
 
 QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
-"""Mean edge lengths below which noise that neighbours may share has to be as probable as the
-second, the third for noise that differs by region and for terraces, and the last for few vertices.
-"""
+"""Level, mean edge lengths, below which noise of the ``SHARED_KINDS`` needs the probability
+``SURE_NOISE``; ``SURE_DESIGN`` is for terraces and noise that looks like detail of a design, and
+``SURE_FEW`` for few vertices."""
 
 QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
-"""The first two for noise that differs by region: detail of a model does as well."""
+"""The same for noise that differs by region, as detail of a model does."""
 
 MAX_SEEN = (1.0, 0.65, 0.19)
-"""Greatest level for white noise, over that of noise shared over so many rings, or more, of which
-it is: 0.5 over one ring, 0.10 to 0.17 over two, on 21 shapes; white noise on relief has more."""
+"""Greatest level for white noise that noise shared over 0, 1, 2 and more rings shows, as a share of
+its own level; on 21 shapes 0.5 over one ring and 0.10 to 0.17 over two.  White noise on relief
+shows more."""
 
 MAX_WHITE = 1.25
 """What fits over two rings leave at the flattest fifth of the places, over the level for white
@@ -138,19 +139,19 @@ SURE_SHARED_NOISE = 0.9
 white noise."""
 
 FACING, MIN_GAIN = 0.6, 0.05
-"""Mean squared cosine of the normals to an axis that a mesh faces as a whole, and by how much an
-axis explains better what is left over, where it does not."""
+"""Depths in steps need a mesh that faces their axis (mean squared cosine of the normals), or else
+an axis that explains what fits leave better by ``MIN_GAIN``."""
 
 SURE_STEPS = 0.95
-"""Probability of depths in steps from which they are that whatever an axis explains, which texture
-hides."""
+"""Probability from which depths are in steps without either: texture hides what an axis
+explains."""
 
 MAX_SLIDE = 1.6
-"""Level of noise along an axis, by how far vertices slide along it, over that by what fits leave:
-1.0 to 1.5, and 4 on range scans whose rows are uneven."""
+"""Greatest ratio of the level by how far vertices slide along the axis to that by what fits leave:
+noise along an axis has 1.0 to 1.5, range scans with uneven rows 4."""
 
 SHARED_KINDS = ("correlated", "view", "uneven")
-"""Kinds whose noise neighbours may share."""
+"""Kinds of noise that neighbours may share."""
 
 PASSES = 20
 """Averages over one-rings: over some sixty vertices, enough to tell a level within a tenth."""

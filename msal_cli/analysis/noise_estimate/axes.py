@@ -50,42 +50,45 @@ ROUNDS = 8
 """Rounds of the fit in which groups with more texture count for less."""
 
 GRAIN, MAX_ERROR = 0.02, 3.0
-"""What is added to squared cosines, and the most that the logarithm of a variance counts."""
+"""Added to squared cosines before they are compared; the greatest error of a logarithm that
+counts."""
 
 FACING = 0.1
-"""Mean squared cosine to an axis from which a group tells the level along it."""
+"""Mean squared cosine of a group's normals to the axis from which the level is measured there."""
 
 HOPELESS = 0.4
-"""By how much an axis may be worse than none before it is turned."""
+"""Axes with a misfit so much greater than that without an axis are not turned in search of
+better."""
 
 TURNS = (0.3, 0.15, 0.08, 0.04)
 """Tangents of the angles by which an axis is turned in search of a better one."""
 
 
 CLEAR_SLIDE, CLEAR_CONTRAST = 0.7, 2.5
-"""Movement along the axis within the surface, as a share of the level, and over that across it,
-that an axis shows at least where it leaves no doubt."""
+"""An axis is clear where vertices move along it within the surface by this share of the level at
+least, and so many times as far as across it."""
 
 PLAIN_GAIN, SHARED_SLIDE, PLAIN_CONTRAST = 0.5, 0.35, 1.35
-"""Gain that texture and noise by region do not bring, and the least movement and contrast then."""
+"""An axis with this gain is plain, since texture and uneven noise gain less; movement and contrast
+need to be no more than these."""
 
 MAX_EXCESS = 1.4
-"""Movement along the axis over the level that noise explains where the contrast is low."""
+"""Greatest movement along the axis, in levels, where the contrast is low: more is no noise."""
 
 MIN_OF_SLIDE = 0.85
-"""Share of that movement that the level has at least, where it is clear."""
+"""The level is at least this share of that movement."""
 
 LINKED, LINKED_CONTRAST, LINKED_SLIDE = 0.33, 3.0, (0.5, 1.8)
-"""How much more often than not the ways of a vertex within the surface and out of it are along one
-axis, the contrast of those within it, and their least and most in levels along the axis, where
-noise is along it.  On eleven models noise along an axis has 0.33 to 0.79 and 2 to 14, and other
-noise at most 0.3, or a contrast of at most 1.7."""
+"""Bounds for noise along an axis: the agreement of movement within the surface with that out of it,
+the contrast of the movement, and its least and greatest size in levels.  On eleven models noise
+along an axis has agreements of 0.33 to 0.79 and contrasts of 2 to 14; other noise has at most 0.3,
+or a contrast of at most 1.7."""
 
 STEEP = 0.3
 """Sine of the angle between normal and axis from which movement along it can be seen."""
 
 FLAT_COSINE = 0.25
-"""Squared cosine from which a place tells the level along an axis."""
+"""Squared cosine of a normal to the axis from which the level is measured at a place."""
 
 
 @dataclass(frozen=True)
@@ -354,10 +357,10 @@ ON_STEP, MOSTLY = 0.02, 0.97
 MIN_DIFFERENCES = 100
 
 OBLIQUE = (0.05, 0.95)
-"""Squared cosines to an axis between which a place is oblique to it: terraces lie there."""
+"""Squared cosines between which a place is oblique to the axis, where terraces are."""
 
 MIN_OBLIQUE = 0.08
-"""Share of the places that have to be, for others to be left out."""
+"""Share of oblique places from which they alone are looked at."""
 
 
 PARALLEL = 1e-6
@@ -367,25 +370,26 @@ AT_ONCE = 32
 """Directions that are compared with all at a time: more would take memory."""
 
 MAX_CANDIDATES, MAX_DIRECTIONS, MIN_PARALLEL = 512, 13, 0.01
-"""Edges whose direction may be an axis of a turned grid; of how many directions pairs are tried,
-which marching cubes have along axes and diagonals; and the share of all edges with such a one."""
+"""Edges whose directions are counted; the most frequent directions of which pairs are tried, as
+many as marching cubes have along axes and diagonals; and the least share of edges with such a
+direction."""
 
 ACROSS = 2e-3
 """Cosine between axes of a grid at most."""
 
 
 MAX_PAIRS, MAX_COMPARED, MAX_STEP_AXES = 200, 400, 4
-"""Pairs of edges whose plane may be one of equal depth, edges that are compared with each, and
-planes whose steps are looked at."""
+"""Pairs of edges whose planes are tried as planes of equal depth, edges that are compared with each
+plane, and planes whose steps are measured."""
 
 MIN_SINE, PARALLEL_SINE, MIN_LEVEL_SHARE = 0.3, 1e-4, 0.05
-"""Sine between the edges of such a pair, sine to the plane up to which an edge lies in it, and the
-share of all edges that do."""
+"""Least sine of the angle within a pair, greatest sine between a plane and an edge in it, and the
+least share of all edges in a plane."""
 
 OF_VOXELS, OF_SLICES, SAME_HEIGHT = 0.205, 0.145, 1.2
-"""Root mean square distance of terraces from the surface, in heights, where they have the same
-height in all directions and where not; median over ten closed shapes, the latter with slices of
-three voxels.  It depends on the shape by 10 and by 40 %."""
+"""Root mean square distance of terraces from the surface, in their heights, where these are the
+same in all directions (to ``SAME_HEIGHT``) and where not; medians over ten closed shapes, the
+second with slices of three voxels.  Shapes differ by 10 and 40 %."""
 
 
 @dataclass(frozen=True, eq=False)

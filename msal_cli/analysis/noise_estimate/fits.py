@@ -210,22 +210,22 @@ then cover each vertex once or twice, and more of them would add little.  A fit 
 microseconds."""
 
 FLATTEST = 0.2
-"""Share of the places whose surface is taken for flat enough: less, and patched holes would count
-for the whole; more, and texture would."""
+"""Share of the places that are taken for flat: a smaller one would measure patched holes, a greater
+one texture."""
 
 MARGIN = 1.03
-"""What fits over the one-ring leave over counts for so much: they have fewer degrees of freedom,
-and the least of several that differ by chance would be too little."""
+"""Factor of the levels over one-rings, whose fits have few degrees of freedom: the least of several
+levels that scatter would be too low."""
 
 TEXTURE = 0.5
-"""Texture in what the best fit leaves over, as variance, for each unit that the next coarser fit
-leaves more; measured on clean scans, see docs/noise.md."""
+"""Variance of texture in what the best fit leaves, as a share of what the next coarser fit leaves
+more; measured on clean scans."""
 
 MAX_TEXTURE = 0.75
 """Share of the variance that is taken for texture, at most."""
 
 TEXTURE_BOUND = 2.0
-"""The same as ``TEXTURE`` where texture counts for most of all; for the lower end."""
+"""The same at most, for the lower end of the interval."""
 
 TOO_MUCH = 0.1
 """What the lower end allows for creases, which the flattest fifth of the places may still have."""
@@ -240,7 +240,7 @@ MIN_TAIL = 0.008
 """Excess of the tail over that from which noise is impulsive."""
 
 FAR_OUT_EXCESS = 0.08
-"""What those vertices add of themselves, in variances of Gaussian noise."""
+"""Variance that those vertices add under Gaussian noise, as a share of it."""
 
 NEGLIGIBLE = 0.005
 """Mean edge lengths below which no noise can be seen."""

@@ -66,34 +66,32 @@ WEIGHTS = np.array([0.0, 1.0, 1.0, 1.0, 0.7])
 """How much the fits count.  The one-ring's takes up most of the noise itself, and does not."""
 
 ABOVE = np.array([0.6, 0.6, 0.5, 0.25, 0.08])
-"""What variance above the expected counts for, which the surface may have left, in comparison to
-one below, which nothing explains."""
+"""Weight of variance above the expected one, by fit; variance below it has 1.  The surface explains
+more variance, and nothing explains less."""
 
 MAX_ABOVE = 0.5
-"""Square of the most that the surface counts for, where it leaves more than all noise does."""
+"""Greatest square that such an excess counts for."""
 
 FINE = np.array([0.97, 0.79, 0.40, 0.27, 0.20])
 FINE_WEIGHT, MAX_FINE = 0.1, 0.03
-"""The level for white noise, which rests on one-rings too, over that of the fit over two rings, by
-the number of averages; and how much it counts, by error and
-at most.  Measured on noise of 0.2 on 12 shapes."""
+"""The level for white noise over that by the fit over two rings, by the number of averages,
+measured on noise of 0.2 on 12 shapes; the weight of its error, and the most that it counts for."""
 
 WHITE_FINE = 0.88
-"""Ratio of the same above which neighbours share nothing."""
+"""The same ratio, above which neighbours share nothing."""
 
 MIN_RISE = 1.2
 """How much more of shared noise a fit over four rings leaves than one over two, at least."""
 
 PER_RING = 0.02
-"""By how much a ring more has to explain the levels better: in doubt the fewer, for what the
-surface leaves looks like more rings."""
+"""How much less misfit one ring more has to bring, since the surface looks like more rings."""
 
 DOUBT = 0.006
-"""Difference of misfits at which another number of rings counts for a third in the level."""
+"""Difference of misfits by which the weight of a number of rings in the level falls to a third."""
 
 SHARP = np.array([0.0, 0.58, 0.68, 0.705, 0.38])
-"""Ratios of standard deviations at ``FLOOR`` and ``FLAT`` that noise shows, shared or not, by fit;
-texture and shape show less in one of them."""
+"""Least ratios of standard deviations at ``FLOOR`` and ``FLAT``, by fit, of noise of any kind;
+texture and shape are below one of them."""
 
 
 LOUD_LEVEL = 0.12
@@ -101,15 +99,15 @@ SHARP_LOUD = np.array([0.0, 0.58, 0.68, 0.665, 0.38])
 """The same for levels from so many mean edges on, which fine texture seldom has."""
 
 PATTERN = np.array([1.0, 1.0, 1.0, 0.92, 0.945])
-"""Sharpness that shared noise does not reach, and shape that repeats does."""
+"""Sharpness, by fit, that shape which repeats reaches and shared noise does not."""
 
 RELIEF_SHARP, RELIEF_GROWTH = 0.8, 1.22
-"""Sharpness of fits over six rings, and what they leave over those over four, compared with noise,
-from which a relief is everywhere."""
+"""Sharpness of fits over six rings, and growth from four rings to six, compared with that of noise,
+from which there is relief everywhere."""
 
 SMOOTH_GROWTH = 0.97
-"""What degree 3 over three rings leaves over degree 2 over two, below which it is smooth relief:
-shared noise leaves 1 to 1.16 times as much."""
+"""Ratio of what degree 3 over three rings leaves to what degree 2 over two does, below which that
+is smooth relief; shared noise has 1 to 1.16."""
 
 
 @dataclass(frozen=True)
@@ -206,18 +204,18 @@ MAX_REGIONS, MIN_PLACES = 16, 20
 """Regions of the survey, and the places that each has on average."""
 
 SHARES = (0.1, 0.3, 0.4, 0.5)
-"""Shares of the places of a region: for the least and the middle for ``PURE``, and between them
-for its level and for its share in the level of all."""
+"""Shares of the places of a region at which variances are read: the first and the last for
+``PURE``, the second for the region's level, the third for its part in the level of the mesh."""
 
 PURE = 0.3
 """Least ratio of the variances of a tenth and of half of the places in a region that is in one part
 of the mesh only."""
 
 LOUD_SHARE = 0.16
-"""Variance, over the most of all regions, of those whose noise is looked at."""
+"""Regions with less than this share of the greatest variance are quiet."""
 
 UNEVEN, MIN_LOUD = 2.5, 0.05
-"""Ratio of the most to the least noisy region, and mean edge lengths that the former has."""
+"""Least ratio of the most to the least noisy region, and least level of the former, mean edges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +286,8 @@ MIN_OUTLIERS = 0.004
 """Share of the vertices from which they are outliers."""
 
 OUTLYING, TIMES_USUAL, USUAL = 0.9, 3.5, 0.7
-"""How far an outlier is off the middle of its ring at least: in mean edge lengths, and compared
-with what this share of the vertices does not exceed."""
+"""Least distance of an outlier from the middle of its ring: in mean edge lengths, and as a multiple
+of the distance that the share ``USUAL`` of the vertices does not exceed."""
 
 
 def outlying_share(mesh: Mesh, white: WhiteEstimate, survey: Survey) -> tuple[float, float]:
