@@ -44,7 +44,7 @@ from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import even_out
 from msal_cli.structs import dataclass
 
-BYTES_PER_FACE = 875
+BYTES_PER_FACE = 760
 """Memory with ``learned``, the member that needs most; see ``Method``."""
 
 KEPT_PER_FACE = 30
