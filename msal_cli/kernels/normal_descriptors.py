@@ -114,7 +114,7 @@ _FIVE, _TEN, _TWELVE = np.uint64(5), np.uint64(10), np.uint64(12)
 _SCATTER, _UNIT, _TO_RECORD = np.uint64(33), np.uint64(35), KNOWN * R1
 _OWN_NUMBERS = np.uint64(OWN_NUMBERS)
 
-FACES = np.uint64(16)
+FACES = np.uint64(32)
 """Faces whose inputs are side by side for a network: they fit a first-level cache."""
 
 S1, S2, S3 = (FACES * np.uint64(rows) for rows in range(1, 4))
