@@ -23,6 +23,7 @@ from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Failed, Interrupt, Message, Returned, Started, Work
 from msal_cli.batch.workers import WorkerPool
 from msal_cli.errors import ResourceError, UsageError, install_hint
+from msal_cli.job.records import Failure
 from msal_cli.storage.atomic import sweep, sweep_after, temporary_name
 from msal_cli.version import __version__
 
@@ -31,8 +32,11 @@ _PATIENCE_S = 60.0
 _BETWEEN_CHECKS_S = 0.2
 _CLOSED_WITHIN_S = 1.5
 _GOES_ON = "finished files are kept; the same command goes on from there"
-_DEATHS = "Dask workers died while at work on it"
-_DEATHS_HINT = "a library broke on this file, or the machines ran out of memory"
+_DEATHS = Failure(
+    "E_CRASH",
+    "Dask workers died while at work on it",
+    "a library broke on this file, or the machines ran out of memory",
+)
 
 _log = logging.getLogger("msal.dask")
 
@@ -102,7 +106,7 @@ class DaskEngine:
                 elif tries[index] <= max(1, self._work.retries):
                     suspects.append(index)
                 else:
-                    yield [Started(index), Failed(index, "crash", _DEATHS, _DEATHS_HINT)]
+                    yield [Started(index), Failed(index, _DEATHS)]
             if ended.has_ready():
                 continue
             if _has_workers(client):

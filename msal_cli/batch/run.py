@@ -27,7 +27,7 @@ from msal_cli.batch.schedule import (
 )
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed
+from msal_cli.job.records import MeshRecord, MethodUsed
 from msal_cli.job.room import foresee
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings, least_memory_bytes
 from msal_cli.machine import megabytes, usable_cores
@@ -42,15 +42,6 @@ if TYPE_CHECKING:
     from msal_cli.batch.schedule import EngineFactory, Message, OnEvent
     from msal_cli.batch.workers import Denoise
 
-
-# By what ended a task.
-_LOSS_CODES = {
-    "crash": "E_CRASH",
-    "memory": "E_MEMORY",
-    "timeout": "E_TIMEOUT",
-    "exception": "E_INTERNAL",
-    "changed": "E_CHANGED",
-}
 
 _log = logging.getLogger("msal.batch")
 
@@ -309,16 +300,14 @@ class _BatchRun:
 
     def _unfinished_record(self, index: int, failed: Failed | None = None) -> MeshRecord:
         """The record of a file that is not done yet, or was lost outside of the pipeline."""
-        task, failure = self.plan.tasks[index], None
-        if failed is not None:
-            failure = Failure(_LOSS_CODES[failed.cause], failed.reason, failed.hint)
+        task = self.plan.tasks[index]
         return MeshRecord(
             input=task.input,
             output=task.output if failed is None else None,
             status="planned" if failed is None else "failed",
             version=__version__,
             method=MethodUsed(self.settings.method, dict(self.settings.parameters)),
-            error=failure,
+            error=None if failed is None else failed.failure,
         )
 
 

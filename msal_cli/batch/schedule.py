@@ -26,7 +26,7 @@ from msal_cli.machine import available_bytes
 from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import MeshRecord
+    from msal_cli.job.records import Failure, MeshRecord
 
 _SHARE = 0.8
 
@@ -65,14 +65,12 @@ class Returned:
 class Failed:
     """A task has no result.
 
-    ``cause`` is ``"crash"``, ``"memory"`` or ``"timeout"``, at every try; ``"exception"``, which
-    another try would not avoid; or ``"changed"``, if another try would do harm.
+    Its code is ``E_CRASH``, ``E_MEMORY`` or ``E_TIMEOUT``, at every try; ``E_INTERNAL``, which
+    another try would not avoid; or ``E_CHANGED``, if another try would do harm.
     """
 
     index: int
-    cause: str
-    reason: str
-    hint: str = ""
+    failure: Failure
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import field
+from dataclasses import field, replace
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from msal_cli.batch.schedule import (
@@ -44,6 +44,7 @@ from msal_cli.batch.schedule import (
     Work,
 )
 from msal_cli.errors import ResourceError
+from msal_cli.job.records import Failure
 from msal_cli.job.settings import FORECAST
 from msal_cli.machine import forget_peak, memory_bytes, oom_kills, peak_bytes, usable_cores
 from msal_cli.structs import dataclass
@@ -250,7 +251,8 @@ class WorkerPool:
                 worker.dismiss()
             elif worker.current_task is not None:
                 # It may still write, so the task is not begun a second time.
-                lost.append(Failed(worker.current_task, "timeout", self._timeout_text(), _STUCK))
+                failure = Failure("E_TIMEOUT", self._timeout_text(), _STUCK)
+                lost.append(Failed(worker.current_task, failure))
                 worker.current_task, worker.deadline = None, math.inf
         return lost
 
@@ -277,13 +279,12 @@ class WorkerPool:
         elif kind == "raised":
             index, reason = rest
             self._finish(worker, 0)
-            return [
-                Failed(index, "exception", reason, "this is a defect of msal; please report it")
-            ]
+            hint = "this is a defect of msal; please report it"
+            return [Failed(index, Failure("E_INTERNAL", reason, hint))]
         elif kind == "exhausted":
             # What is left of its heap cannot be trusted with another file: it is replaced too.
             worker.dismiss()
-            return self._handle_loss(worker, "memory", *self._out_of_memory("not enough memory"))
+            return self._handle_loss(worker, self._out_of_memory("not enough memory"))
         elif kind == "unusable":
             raise ResourceError(
                 f"the workers cannot work: {rest[0].strip().splitlines()[-1]}",
@@ -310,7 +311,7 @@ class WorkerPool:
         if worker.current_task is not None:
             for line in worker.last_lines:
                 _log.info("worker %d, before it ended: %s", worker.pid, line)
-            return self._handle_loss(worker, *self._cause_of_death(worker, code))
+            return self._handle_loss(worker, self._cause_of_death(worker, code))
         if not worker.is_ready and (worker.is_overdue or not worker.is_dismissed):
             self._false_starts += 1
             if self._false_starts >= _MAX_FALSE_STARTS:
@@ -322,52 +323,39 @@ class WorkerPool:
                 )
         return []
 
-    def _cause_of_death(self, worker: WorkerProcess, code: int) -> tuple[str, str, str]:
-        """Cause, reason and hint for the current task of a worker that died."""
+    def _cause_of_death(self, worker: WorkerProcess, code: int) -> Failure:
+        """What became of the current task of a worker that died."""
         if worker.is_overdue:
-            return (
-                "timeout",
-                self._timeout_text(),
-                "raise --timeout, or look at the file: it may be very large, or damaged",
-            )
+            hint = "raise --timeout, or look at the file: it may be very large, or damaged"
+            return Failure("E_TIMEOUT", self._timeout_text(), hint)
         if code == -9 and oom_kills() > worker.kills_before:
-            return (
-                "memory",
-                "the system killed the worker because memory ran out",
-                _FEWER_JOBS,
-            )
+            reason = "the system killed the worker because memory ran out"
+            return Failure("E_MEMORY", reason, _FEWER_JOBS)
         is_limited = code != -9 and self._limits.memory_bytes is not None
         if is_limited and any(map(_OUT_OF_MEMORY.search, worker.last_lines)):
-            reason = f"the worker {describe_exit(code)} because memory ran out"
-            return "memory", *self._out_of_memory(reason)
+            return self._out_of_memory(f"the worker {describe_exit(code)} because memory ran out")
         hint = "a library broke on this file; it may be damaged"
         if code == -9:
             hint = "the system may have run out of memory: run fewer jobs at once"
-        return "crash", f"the worker {describe_exit(code)}", hint
+        return Failure("E_CRASH", f"the worker {describe_exit(code)}", hint)
 
-    def _out_of_memory(self, reason: str) -> tuple[str, str]:
-        """Reason and hint of a loss."""
+    def _out_of_memory(self, reason: str) -> Failure:
         limit = self._limits.memory_bytes
         if limit is None:
-            return reason, _FEWER_JOBS
-        return (
-            f"{reason}, with a limit of {limit / 1e6:,.0f} MB",
-            "raise --memory-limit if the machine has more",
-        )
+            return Failure("E_MEMORY", reason, _FEWER_JOBS)
+        reason = f"{reason}, with a limit of {limit / 1e6:,.0f} MB"
+        return Failure("E_MEMORY", reason, "raise --memory-limit if the machine has more")
 
     def _timeout_text(self) -> str:
         return f"it was not done within {self._limits.timeout_s:g} s"
 
-    def _handle_loss(
-        self, worker: WorkerProcess, cause: str, reason: str, hint: str
-    ) -> list[Message]:
-        index = worker.current_task
+    def _handle_loss(self, worker: WorkerProcess, failure: Failure) -> list[Message]:
+        index, reason = worker.current_task, failure.message
         assert index is not None
         worker.current_task = None
         worker.is_dismissed = True
-        objection = self._work.on_loss(index)
-        if objection:
-            return [Failed(index, "changed", f"{objection}; {reason}", hint)]
+        if objection := self._work.on_loss(index):
+            return [Failed(index, Failure("E_CHANGED", f"{objection}; {reason}", failure.hint))]
         self._n_losses[index] += 1
         n_tries = self._n_losses[index]
         if n_tries <= self._work.retries:
@@ -376,7 +364,7 @@ class WorkerPool:
             return [Retried(index, reason)]
         if n_tries > 1:
             reason += ", as at the first try" if n_tries == 2 else f" ({n_tries} tries)"
-        return [Failed(index, cause, reason, hint)]
+        return [Failed(index, replace(failure, message=reason))]
 
     # Starting and ending processes
 

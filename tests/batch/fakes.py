@@ -78,7 +78,7 @@ class InProcess:
             try:
                 result = self._work.function(task, self._work.common, lambda *step: None)
             except Exception as error:
-                yield [Failed(index, "exception", str(error))]
+                yield [Failed(index, Failure("E_INTERNAL", str(error)))]
             else:
                 yield [Returned(index, result)]
 

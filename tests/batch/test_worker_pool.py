@@ -69,16 +69,16 @@ def test_common_and_progress_arrive():
 @posix
 def test_tasks_that_kill_their_workers_are_lost_alone():
     deaths = {
-        2: ("kill", "crash", "SIGKILL"),
-        5: ("segfault", "crash", "SIGSEGV"),
-        7: ("exit", "crash", "exit status 3"),
-        8: ("memory", "memory", "not enough memory"),
+        2: ("kill", "E_CRASH", "SIGKILL"),
+        5: ("segfault", "E_CRASH", "SIGSEGV"),
+        7: ("exit", "E_CRASH", "exit status 3"),
+        8: ("memory", "E_MEMORY", "not enough memory"),
     }
     messages = heard([(deaths.get(n, ["double"])[0], n) for n in range(12)])
     assert results(messages) == {n: 2 * n for n in range(12) if n not in deaths}
     for index, one in lost(messages).items():
         _, cause, words = deaths[index]
-        assert one.cause == cause and words in one.reason
+        assert one.failure.code == cause and words in one.failure.message
         tries = [type(m) for m in messages if m.index == index]
         assert tries == [Started, Retried, Started, Failed]
     assert lost(messages).keys() == deaths.keys()
@@ -90,7 +90,7 @@ def test_tasks_that_kill_their_workers_are_lost_alone():
 def test_an_exception_costs_one_task_and_no_worker():
     hows = ("error", "sysexit", "unpicklable")
     messages = heard([("pid", 0), *((how, 0) for how in hows), ("pid", 0)], jobs=1)
-    assert [one.cause for one in lost(messages).values()] == ["exception"] * 3
+    assert [one.failure.code for one in lost(messages).values()] == ["E_INTERNAL"] * 3
     assert results(messages)[0] == results(messages)[4]
     assert not [one for one in messages if isinstance(one, Retried)]
 
@@ -115,7 +115,7 @@ def test_prints_of_a_library_reach_neither_the_protocol_nor_our_output(capfd, ca
 def test_a_lost_task_is_retried_so_often_and_then_failed(retries, end):
     messages = heard([("exit", 0)], jobs=1, retries=retries)
     assert [one.index for one in messages if isinstance(one, Retried)] == [0] * retries
-    assert lost(messages)[0].reason == f"the worker ended with exit status 3{end}"
+    assert lost(messages)[0].failure.message == f"the worker ended with exit status 3{end}"
 
 
 class TestReplacement:
@@ -211,8 +211,8 @@ class TestTime:
         )
         assert results(messages) == {0: 2, 2: 6}
         (one,) = lost(messages).values()
-        assert (one.index, one.cause) == (1, "timeout")
-        assert "0.4 s" in one.reason and "--timeout" in one.hint
+        assert (one.index, one.failure.code) == (1, "E_TIMEOUT")
+        assert "0.4 s" in one.failure.message and "--timeout" in one.failure.hint
         assert [type(m) for m in messages if m.index == 1] == [Started, Retried, Started, Failed]
         assert deaths == [1, 1]
 
@@ -225,8 +225,8 @@ class TestTime:
 
 def test_an_objection_ends_the_tries():
     messages = heard([("exit", 0)], on_loss=lambda index: f"task {index} is spoilt")
-    assert lost(messages)[0].cause == "changed"
-    assert "task 0 is spoilt" in lost(messages)[0].reason
+    assert lost(messages)[0].failure.code == "E_CHANGED"
+    assert "task 0 is spoilt" in lost(messages)[0].failure.message
 
 
 @posix
@@ -237,7 +237,7 @@ def test_a_kill_by_the_system_for_want_of_memory_is_told_apart(monkeypatch):
     assert [one.reason for one in messages if isinstance(one, Retried)] == [
         "the worker was killed by SIGKILL"
     ]
-    assert lost(messages)[0].cause == "memory"
+    assert lost(messages)[0].failure.code == "E_MEMORY"
 
 
 class TestMemory:
@@ -251,8 +251,8 @@ class TestMemory:
         )
         assert set(results(messages)) == {0, 2}
         one = lost(messages)[1]
-        assert one.cause == "memory" and "300 MB" in one.reason
-        assert "--memory-limit" in one.hint
+        assert one.failure.code == "E_MEMORY" and "300 MB" in one.failure.message
+        assert "--memory-limit" in one.failure.hint
 
     @linux
     def test_where_the_system_cannot_the_worker_looks_itself(self, monkeypatch):
@@ -263,14 +263,14 @@ class TestMemory:
         monkeypatch.setattr(workers, "_BOOT", boot)
         limits = Limits(memory_bytes=300_000_000)
         messages = heard([("hold", 400 << 20), ("double", 2)], limits=limits, jobs=1, retries=0)
-        assert lost(messages)[0].cause == "memory"
+        assert lost(messages)[0].failure.code == "E_MEMORY"
         assert results(messages) == {1: 4}
 
     @posix
     def test_a_library_that_aborts_at_the_limit_ran_out_of_memory(self):
         limits = Limits(memory_bytes=300_000_000)
         messages = heard([("bad_alloc", 0), ("abort", 0)], limits=limits, jobs=1, retries=0)
-        assert [one.cause for one in lost(messages).values()] == ["memory", "crash"]
+        assert [one.failure.code for one in lost(messages).values()] == ["E_MEMORY", "E_CRASH"]
 
     def test_one_that_fits_with_no_other_has_all_cores(self):
         tasks = [("threads", 0)] * 3
