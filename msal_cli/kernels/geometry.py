@@ -318,11 +318,16 @@ def _apply_umbrella(start, stop, x, ring_start, ring, inner, moves):
         moves[i, 2] = sz / m - x[i, 2] if m else 0.0
 
 
-def apply_umbrella(values: Floats, ring_start: Ints, ring: Ints, inner: Flags) -> Floats:
+def apply_umbrella(
+    values: Floats, ring_start: Ints, ring: Ints, inner: Flags, moves: Floats | None = None
+) -> Floats:
     """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value.
 
-    Zero where the vertex is not ``inner`` (n,), and where it has no neighbours."""
-    return fill_array(_apply_umbrella, values.shape, values, ring_start, ring, inner)
+    Zero where the vertex is not ``inner`` (n,), and where it has no neighbours.  It is written to
+    ``moves`` where that is given."""
+    moves = np.empty_like(values) if moves is None else moves
+    over_ranges(_apply_umbrella, len(values), values, ring_start, ring, inner, moves)
+    return moves
 
 
 @compiled

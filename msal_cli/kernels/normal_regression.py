@@ -127,8 +127,9 @@ def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> F
     """
     inner = links.has_ring & ~links.boundary
     left, ripples = vertices, np.empty((len(vertices), 4))
+    moves = np.empty((2, *vertices.shape))
     for time in range(3):
-        left = apply_umbrella(left, *links.one_ring, inner)
+        left = apply_umbrella(left, *links.one_ring, inner, moves[time % 2])
         over_ranges(_measure_heights, len(vertices), left, normals, time, ripples)
     return ripples
 
