@@ -208,7 +208,7 @@ class Descriptors:
     @property
     def axes(self) -> Floats32:
         """The axes (m, 3, 3) of each face."""
-        known = self.sources[5].reshape(-1, int(KNOWN))
+        known: Floats32 = self.sources[5].reshape(-1, int(KNOWN))
         return known[:, AXES:OWN_NUMBERS].reshape(-1, 3, 3)
 
     @property
