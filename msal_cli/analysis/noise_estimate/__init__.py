@@ -388,6 +388,9 @@ def characterize(mesh: Mesh) -> Estimate:
         # Rows of a range scan slide within the surface farther than noise makes them.
         measured = min(measured, MAX_SLIDE * evidence.axis.level)
         verdict = _with_level(verdict, min(verdict.level, measured))
+    elif verdict.kind == "staircase":
+        measured = evidence.steps.facing_level
+        verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
     if is_doubtful or is_weak:

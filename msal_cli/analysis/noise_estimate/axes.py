@@ -391,6 +391,10 @@ OF_VOXELS, OF_SLICES, SAME_HEIGHT = 0.205, 0.145, 1.2
 same in all directions (to ``SAME_HEIGHT``) and where not; medians over ten closed shapes, the
 second with slices of three voxels.  Shapes differ by 10 and 40 %."""
 
+ACROSS_SLICES = 0.23
+"""The same in heights across the surface, their root mean square over the places, where heights
+differ: shapes differ by 20 %."""
+
 
 @dataclass(frozen=True, eq=False)
 class StepEvidence:
@@ -402,6 +406,7 @@ class StepEvidence:
     axis : (3,) unit vector across the steps; None where there are none, or along all axes.
     step : the widest, mean edges; of terraces their height.  0 for none.
     level : standard deviation that such steps make, mean edges.
+    facing_level : the same by the directions that the surface faces.
     voxel_share : share of the edges that marching cubes over voxels could have.
     is_turned : whether the grid is not along the axes of the file.
     along_gain : by how much the axis explains better what is left over than the normals do.
@@ -412,13 +417,14 @@ class StepEvidence:
     axis: Floats | None
     step: float
     level: float
+    facing_level: float
     voxel_share: float
     is_turned: bool
     along_gain: float
     roughness: float
 
 
-NO_STEPS = StepEvidence(0, None, 0.0, 0.0, 0.0, False, 0.0, 0.0)
+NO_STEPS = StepEvidence(0, None, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0)
 
 
 def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvidence:
@@ -448,11 +454,14 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         # Vertices of marching cubes over binary voxels are in the middles of the voxels' edges, so
         # that coordinates of edges, in steps, have an even sum; those of other grids odd ones too.
         sums = np.round(differences @ frame.T / np.array(steps)).sum(axis=1)
+        level = (OF_VOXELS if is_even else OF_SLICES) * step
+        across = 2.0 * math.sqrt(float(((normals * steps) ** 2).sum(axis=1).mean()))
         return StepEvidence(
             n_axes=3,
             axis=None,
             step=step,
-            level=(OF_VOXELS if is_even else OF_SLICES) * step,
+            level=level,
+            facing_level=level if is_even else ACROSS_SLICES * across,
             voxel_share=float((sums % 2.0 == 0.0).mean()),
             is_turned=is_turned,
             along_gain=0.0,
@@ -467,6 +476,7 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         axis=axis,
         step=step,
         level=step / math.sqrt(12.0),
+        facing_level=step / math.sqrt(12.0),
         voxel_share=0.0,
         is_turned=is_turned,
         along_gain=gain,
