@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.kernels.connectivity import Connectivity

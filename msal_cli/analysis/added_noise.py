@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from msal_cli.analysis.measures import share_over_rings
 from msal_cli.arrays import Floats
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.mesh import Mesh
-from msal_cli.structs import dataclass
 
 KINDS = {
     "gaussian-normal": "Gaussian along the vertex normals",

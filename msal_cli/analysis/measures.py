@@ -8,14 +8,13 @@ its normals point to, and changes so large that they are damage rather than deno
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Longs
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
-from msal_cli.structs import dataclass
 
 FLAT = 1e-9
 """A volume below this share of area ** 1.5 is rounding: the surface encloses nothing."""

@@ -7,6 +7,7 @@ to five neighbours together.  Nothing else moves.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.quantiles import median
 from msal_cli.mesh import Mesh
-from msal_cli.structs import dataclass
 
 ROUGH = 0.85
 """Agreement of a vertex's face normals below which it is looked at: spikes and folds have less, and

@@ -7,6 +7,7 @@ are one point already, as they are when the mesh is denoised by itself.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from msal_cli.kernels.connectivity import boundary_curves
 from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 from msal_cli.kernels.welding import first_alike
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints, Longs

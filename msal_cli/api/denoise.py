@@ -6,7 +6,7 @@ import difflib
 import inspect
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar, Unpack, overload
 
 import numpy as np
@@ -19,7 +19,6 @@ from msal_cli.job.pipeline import FileRun
 from msal_cli.job.plain_data import screen_repr
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
 from msal_cli.job.settings import NO_LIMITS, Assumption, Keep, Preference, Settings, parse
-from msal_cli.structs import dataclass
 
 MeshObject = TypeVar("MeshObject")
 

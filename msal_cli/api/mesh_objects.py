@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.mesh_file import Surface, cut_polygons
 from msal_cli.errors import ContentError, InputError, MsalError, UnsupportedError, UsageError
 from msal_cli.job.room import to_known_error
-from msal_cli.structs import dataclass
 
 Array = NDArray[Any]
 

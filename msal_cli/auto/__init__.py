@@ -9,9 +9,8 @@ the same file comes out the same everywhere.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.analysis.noise_estimate import NoiseLevel

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,6 @@ from msal_cli.auto.risk import Risk, count_relaxing
 from msal_cli.auto.sample_patch import Part
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
-from msal_cli.structs import dataclass
 
 FLOOR = 0.02
 """Estimated errors below this share of the input's count as equal: they are mostly scatter."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from dataclasses import dataclass
 from typing import Any
-
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

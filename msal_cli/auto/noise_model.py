@@ -16,6 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,6 @@ from msal_cli.analysis.measures import share_over_rings
 from msal_cli.analysis.noise_estimate import NoiseLevel, local_levels
 from msal_cli.arrays import Floats
 from msal_cli.mesh import Mesh
-from msal_cli.structs import dataclass
 
 NORMALS, ISOTROPIC, AXIS = "normals", "isotropic", "axis"
 """Directions of noise."""

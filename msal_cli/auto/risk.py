@@ -27,6 +27,7 @@ Only ``judged`` vertices count.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,6 @@ from msal_cli.kernels.geometry import area_and_volume, face_normals
 from msal_cli.mesh import Mesh
 from msal_cli.methods import Method
 from msal_cli.methods._sliding import even_out
-from msal_cli.structs import dataclass
 
 Run = Callable[[Mesh], Floats]
 """Gives what a filter moves the vertices of a mesh by, (m, 3)."""

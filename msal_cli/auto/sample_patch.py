@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.mesh import Mesh
-from msal_cli.structs import dataclass
 
 Ints = NDArray[Any]
 

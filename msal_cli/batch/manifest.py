@@ -36,7 +36,7 @@ import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -50,7 +50,6 @@ from msal_cli.storage import urls
 from msal_cli.storage.atomic import flush_folder, write_whole
 from msal_cli.storage.regular import open_own, open_regular
 from msal_cli.storage.urls import ObjectMark, is_url
-from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 NAME = ".msal-manifest.jsonl"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NoReturn
 
@@ -21,7 +21,6 @@ from msal_cli.job.settings import (
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.batch.shard import Shard

@@ -11,7 +11,7 @@ import stat
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -28,7 +28,6 @@ from msal_cli.machine import iso_timestamp
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import ObjectMark, is_url
-from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 # Failures that the file itself causes come again with the same file, settings and version.  All

@@ -8,7 +8,7 @@ import os
 import signal
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +33,6 @@ from msal_cli.job.settings import NO_LIMITS, Limits, Settings, least_memory_byte
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.atomic import sweep, sweep_after
 from msal_cli.storage.urls import is_url
-from msal_cli.structs import dataclass
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import collections
 from collections.abc import Callable, Generator, Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from msal_cli.job.room import LARGE_BYTES, input_bytes
@@ -23,7 +23,6 @@ from msal_cli.job.settings import (
     method_bytes_per_face,
 )
 from msal_cli.machine import available_bytes
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.job.records import Failure, MeshRecord

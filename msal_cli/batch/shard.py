@@ -9,9 +9,9 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-from msal_cli.structs import dataclass
 
 MAX_SHARDS = 1_000_000
 """More would be fewer files a shard than the largest folders have."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,7 +44,6 @@ from msal_cli.job.settings import (
 )
 from msal_cli.machine import memory_bytes
 from msal_cli.storage.atomic import sweep_after
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints

@@ -29,7 +29,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 from msal_cli.batch.schedule import (
@@ -47,7 +47,6 @@ from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure
 from msal_cli.job.settings import FORECAST
 from msal_cli.machine import forget_peak, memory_bytes, oom_kills, peak_bytes, usable_cores
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress

@@ -6,6 +6,7 @@ file has is named as lost."""
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
 from msal_cli.codecs.slots import as_float32
 from msal_cli.errors import UnsupportedError
 from msal_cli.storage.regular import Buffer
-from msal_cli.structs import dataclass
 
 _NORMAL_PROPERTIES = re.compile(
     r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
 
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs.slots import Strided
-from msal_cli.structs import dataclass
 
 Span = tuple[int, int]
 """The first character of a value, and the one behind its last."""

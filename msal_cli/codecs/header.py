@@ -17,6 +17,7 @@ import os
 import re
 import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
@@ -26,7 +27,6 @@ from msal_cli.errors import FormatError, MsalError, TooLargeError, TruncatedErro
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url
-from msal_cli.structs import dataclass
 
 _ALWAYS_BELIEVED = 256 << 20
 """Bytes that the header of a compressed file may always claim."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,6 @@ from msal_cli.codecs.slots import (
 from msal_cli.errors import ContentError, InternalError, UnsupportedError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ import functools
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,7 +48,6 @@ from msal_cli.kernels import obj_scan as scan
 from msal_cli.kernels.parallel import over_ranges, threads
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
-from msal_cli.structs import dataclass
 
 MISFIT_DEG = 30.0
 """Angle between a face and its ``vn`` from which on it is warned that the vn does not fit."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +31,6 @@ from msal_cli.codecs.text_slots import plan_patches, replace_statements
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
-from msal_cli.structs import dataclass
 
 GRID = "range_grid"
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 
 from msal_cli import errors
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.structs import dataclass
 
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.slots import Change, as_float32, require_range
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
-from msal_cli.structs import dataclass
 
 HEADER_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])

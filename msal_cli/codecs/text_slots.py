@@ -12,7 +12,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY
+from dataclasses import KW_ONLY, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from msal_cli.errors import (
     damaged,
 )
 from msal_cli.storage.regular import Buffer
-from msal_cli.structs import dataclass
 
 SHORTEST = 18
 """In place of a number of decimals: the shortest text that is read back as the same double."""

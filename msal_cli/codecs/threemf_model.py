@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from dataclasses import field
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from msal_cli import errors
 from msal_cli.arrays import Floats, Longs
 from msal_cli.codecs.xml_tree import Element, parse_tree
-from msal_cli.structs import dataclass
 
 _NUMBER = rb'"([-+.0-9eE]++)"'
 _INDEX = rb'"[0-9]++"'

@@ -12,6 +12,7 @@ import lzma
 import re
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,6 @@ from msal_cli.codecs.vtk import Cells
 from msal_cli.codecs.xml_tree import Element, parse_tree
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
 from msal_cli.storage.regular import Buffer, memory_bytes
-from msal_cli.structs import dataclass
 
 _CODES = {
     f"{sign}Int{bits}": f"{code}{bits // 8}"

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.job import records
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import DistanceStatistics, Harm

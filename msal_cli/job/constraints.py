@@ -10,10 +10,10 @@ import math
 import operator
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.errors import ContentError, UsageError
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats

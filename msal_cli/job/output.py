@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from msal_cli.errors import InternalError, LossError, MsalError, OutputError, UnsupportedError
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise

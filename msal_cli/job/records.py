@@ -8,13 +8,13 @@ them in the JSON Schemas (docs/make_schemas.py).
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from msal_cli.errors import MsalError
 from msal_cli.job.plain_data import ScreenRepr
+from msal_cli.record_fields import about, known, required
 from msal_cli.storage.urls import ObjectMark
-from msal_cli.structs import about, dataclass, known, required
 
 SCHEMA = "msal.report/1"
 

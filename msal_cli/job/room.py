@@ -11,7 +11,7 @@ import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,6 @@ from msal_cli.kernels import array_files
 from msal_cli.machine import megabytes
 from msal_cli.storage.regular import LOOKED_AT, large_files_allowed, open_regular
 from msal_cli.storage.urls import is_url
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.codecs.header import Forecast

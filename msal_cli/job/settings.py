@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
 
 from msal_cli.errors import UsageError
 from msal_cli.storage.urls import is_url, split
-from msal_cli.structs import dataclass
 
 if TYPE_CHECKING:
     from msal_cli.codecs.header import Forecast

@@ -7,6 +7,8 @@ is needed.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
@@ -18,7 +20,6 @@ from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vert
 from msal_cli.kernels.operators import MIN_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
 from msal_cli.kernels.vectors import longest_row
-from msal_cli.structs import dataclass
 
 MAX_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""

@@ -8,6 +8,7 @@ stopped, and a column that is solved early divides by nothing.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +16,6 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.structs import dataclass
 
 CHUNK = 4096
 """Rows that are summed up together: sums over chunks do not depend on how threads share them."""

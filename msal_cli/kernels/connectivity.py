@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,7 +19,6 @@ from msal_cli.arrays import Flags, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import MARKING_THREADS, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
-from msal_cli.structs import dataclass
 
 Kept = TypeVar("Kept")
 

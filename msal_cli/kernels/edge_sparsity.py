@@ -9,6 +9,8 @@ quantities that are linear in the positions once their coefficients are fixed:
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
@@ -17,7 +19,6 @@ from msal_cli.kernels.conjugate_gradient import RowMatrix
 from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.vectors import edges_and_normal
-from msal_cli.structs import dataclass
 
 MAX_COEFFICIENT = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""

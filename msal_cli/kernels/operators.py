@@ -17,6 +17,7 @@ end would keep loops from becoming vector code.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -29,7 +30,6 @@ from msal_cli.kernels.geometry import ring_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row, most_neighbours
-from msal_cli.structs import dataclass
 
 BLOCK = np.uint64(256)
 """Vertices in a block at most: with 6 neighbours each their heights take 12 KiB."""

@@ -11,13 +11,13 @@ The powers of the lost shape are those of a first guess, which is made in the sa
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.structs import dataclass
 
 NOISE_SHARES = (
     0.8571428571428571,

@@ -7,6 +7,7 @@ computes all of its terms from the positions that the sweep before left (Jacobi)
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import quantile_above_zero
-from msal_cli.structs import dataclass
 
 
 class Pace(NamedTuple):

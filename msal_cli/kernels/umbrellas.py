@@ -15,6 +15,7 @@ the next term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.vectors import ONE, THREE, TWO
-from msal_cli.structs import dataclass
 
 
 @compiled

@@ -20,14 +20,13 @@ import math
 import time
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
 from msal_cli.arrays import Floats
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
-from msal_cli.structs import dataclass
 
 OnSweep = Callable[[int, int], None]
 """Called as ``on_sweep(done, iterations)`` after every sweep."""

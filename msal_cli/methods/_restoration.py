@@ -5,6 +5,8 @@ It is what ``wiener`` does, and what the learned filter looks at.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from msal_cli.arrays import Floats
@@ -23,7 +25,6 @@ from msal_cli.methods._sweeps import (
     free_vertices,
     noise_parameter,
 )
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import ScaleParameters
-from msal_cli.structs import dataclass
 
 
 def boundary_rule() -> Any:

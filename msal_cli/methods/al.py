@@ -38,11 +38,12 @@ Black, G. Sapiro, D. Marimont and D. Heeger, Robust anisotropic diffusion, IEEE 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.kernels.operators import SCALINGS
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import HeightParameters, ScheduledParameters, height_operator, run
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

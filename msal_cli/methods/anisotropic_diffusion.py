@@ -36,13 +36,13 @@ Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 from msal_cli.kernels.curvature import AnisotropicCurvature, curvature_threshold
 from msal_cli.kernels.faces import flaps
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
-from msal_cli.structs import dataclass
 
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
 """Automatic lambda, in standard deviations above the median."""

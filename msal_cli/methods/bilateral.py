@@ -32,6 +32,8 @@ Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM TO
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.errors import UsageError
 from msal_cli.kernels.bilateral import BallBilateral
 from msal_cli.kernels.operators import Operator, RingBilateral
@@ -42,7 +44,6 @@ from msal_cli.methods._sweeps import (
     free_vertices,
     run,
 )
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

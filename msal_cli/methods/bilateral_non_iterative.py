@@ -27,11 +27,12 @@ TOG 22 (SIGGRAPH 2003), 943-949.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.kernels.bilateral import ProjectionAverage
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 210
 

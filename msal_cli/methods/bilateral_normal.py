@@ -35,6 +35,8 @@ same journal 13 (2007), 925-938.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from msal_cli.arrays import Floats
@@ -45,7 +47,6 @@ from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
-from msal_cli.structs import dataclass
 
 TOLERANCE = 1e-4
 """Residual of the global solution over lambda; normals are then right to 2e-5 on the mean."""

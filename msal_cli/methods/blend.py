@@ -33,6 +33,7 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,6 @@ from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import even_out
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 760
 """Memory with ``learned``, the member that needs most; see ``Method``."""

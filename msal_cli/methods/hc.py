@@ -21,11 +21,12 @@ Computer Graphics Forum 18 (1999), 131-138.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.kernels.umbrellas import hc_sweep
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 10
 

@@ -37,6 +37,8 @@ SIAM Journal on Scientific Computing 31 (2008), 74-93.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats
@@ -49,7 +51,6 @@ from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices
-from msal_cli.structs import dataclass
 
 SMALLEST_SPREAD = 1e-6
 """Spreads below count as this: face normals within a tenth of a degree of the vertex's."""

@@ -31,6 +31,7 @@ Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM TOG 32 (4
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 from msal_cli.kernels.conjugate_gradient import conjugate_gradients
@@ -40,7 +41,6 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._sliding import sliding_parameter, undo_sliding
 from msal_cli.methods._sweeps import free_vertices
-from msal_cli.structs import dataclass
 
 FIRST_BETA = 1e-3
 LAST_BETA = 1e3

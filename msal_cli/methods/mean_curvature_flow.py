@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from msal_cli.kernels.curvature import (
     AREAS,
@@ -46,7 +47,6 @@ from msal_cli.kernels.operators import Operator
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 180
 

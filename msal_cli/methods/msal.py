@@ -34,6 +34,8 @@ Source: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 3 and Algori
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._sweeps import (
@@ -45,7 +47,6 @@ from msal_cli.methods._sweeps import (
     quantile_parameter,
     run,
 )
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_rings
@@ -43,7 +44,6 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._normal_filters import run_rounds
 from msal_cli.methods._sliding import sliding_parameter
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 130
 

@@ -24,13 +24,14 @@ Source: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import threshold_averages
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._normal_filters import NormalFilterParameters, run
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 120
 

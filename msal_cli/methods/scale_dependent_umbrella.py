@@ -23,13 +23,13 @@ A. Barr, Implicit fairing of irregular meshes using diffusion and curvature flow
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import ScheduledRingParameters, ring_of
 from msal_cli.methods._sweeps import run
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import (
@@ -52,7 +53,6 @@ from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._normal_filters import run_rounds
 from msal_cli.methods._sliding import sliding_parameter
-from msal_cli.structs import dataclass
 
 OnStep = Callable[[], object]
 

@@ -23,13 +23,14 @@ Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.errors import UsageError
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
-from msal_cli.structs import dataclass
 
 LARGEST_PASS_BAND = 1.0
 """Noise has its middle frequency at 1: with a pass band beyond it most of it would grow."""

@@ -21,12 +21,13 @@ Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, parameter
 from msal_cli.methods._rings import ScheduledRingParameters, ring_of
 from msal_cli.methods._sweeps import run
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

@@ -37,11 +37,12 @@ Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics Fo
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._restoration import RestorationParameters, fit_to_normals, restore
 from msal_cli.methods._sweeps import anisotropic_laplacian, resolve_noise_level
-from msal_cli.structs import dataclass
 
 BYTES_PER_FACE = 250
 

@@ -22,11 +22,12 @@ sidelobe behavior, IEEE Transactions on Acoustics, Speech, and Signal Processing
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.mesh import Mesh
 from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
 from msal_cli.methods._rings import boundary_rule, ring_of
-from msal_cli.structs import dataclass
 
 
 @dataclass(frozen=True)

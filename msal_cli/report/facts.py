@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from msal_cli.job.display_names import escape_for_display, figure
@@ -27,7 +28,6 @@ from msal_cli.job.records import (
     TileSetPart,
 )
 from msal_cli.report.data import Run, Totals, flatten, known_values, plain
-from msal_cli.structs import dataclass
 
 Tone = Literal["plain", "good", "bad", "faint"]
 

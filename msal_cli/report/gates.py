@@ -16,7 +16,7 @@ import operator
 import re
 import typing
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 from msal_cli.errors import UsageError
@@ -24,7 +24,6 @@ from msal_cli.job.constraints import COMPARISONS, UNIT_PATTERN, in_file_units
 from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import ComparisonRecord, GateResult, MeshRecord
 from msal_cli.report.data import leaf_fields
-from msal_cli.structs import dataclass
 
 Value = float | bool | None
 Record = TypeVar("Record", MeshRecord, ComparisonRecord)

@@ -16,7 +16,7 @@ import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from string import Template
 from typing import Any, NamedTuple
 
@@ -25,7 +25,6 @@ from msal_cli.job.records import DONE, MeshRecord
 from msal_cli.report import facts
 from msal_cli.report.data import Run, Totals, known_values, plain, totals
 from msal_cli.report.facts import Fact, Tone
-from msal_cli.structs import dataclass
 from msal_cli.view import pages
 from msal_cli.view.pages import asset, content_policy, escape, to_base64
 

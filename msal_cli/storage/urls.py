@@ -10,9 +10,10 @@ from __future__ import annotations
 import json
 import os
 import re
+from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
-from msal_cli.structs import dataclass, required
+from msal_cli.record_fields import required
 
 SECRETS = "MSAL_URL_SECRETS"
 """Environment variable that hands secrets down to worker processes: JSON, by URL without them."""

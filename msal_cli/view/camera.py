@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.structs import dataclass
 
 MARGIN = 0.04
 """Share of the picture's width and height that stays free on each side."""

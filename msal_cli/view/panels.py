@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.structs import dataclass
 from msal_cli.view.shading import LIGHT, Image, Style
 
 if TYPE_CHECKING:

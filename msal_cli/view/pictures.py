@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
 from msal_cli.job.room import are_arrays_in_files, prepare_mesh
 from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
-from msal_cli.structs import dataclass
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.panels import Legend, Panel, draw_panels
 from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade

@@ -15,6 +15,7 @@ import json
 import struct
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,6 @@ from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.kernels.welding import repeated_corners
 from msal_cli.mesh import Mesh
-from msal_cli.structs import dataclass
 
 MAX_FACES = 200_000
 """Faces of one mesh that a page holds; more are decimated."""

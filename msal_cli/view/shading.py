@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Floats32, Ints
-from msal_cli.structs import dataclass
 from msal_cli.view.camera import Camera
 
 Image = NDArray[np.uint8]

@@ -10,7 +10,7 @@ import itertools
 import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ from msal_cli.job.changes import volume_changed
 from msal_cli.job.room import prepare_mesh
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method
-from msal_cli.structs import dataclass
 from msal_cli.view import pictures
 from msal_cli.view.camera import Camera
 from msal_cli.view.panels import Panel, draw_panels
