@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import re
@@ -42,21 +41,6 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
         return None
     text = collection_path.read_text("utf-8") if collection_path.is_file() else ""
     return True if re.search(r"^pytestmark = [^\]\n]*(\[[^\]]*)?mark\.ci\b", text, re.M) else None
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection(session: pytest.Session) -> None:
-    """Import the test files backwards in every second worker, where all of them are run.
-
-    All workers import all files, and what one has compiled the others need not.  So no parameter
-    of a test may depend on what has been imported: all workers have to find the same tests.
-    """
-    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    folder = Path(__file__).parent
-    if int(number) % 2 and [os.path.abspath(name) for name in session.config.args] == [str(folder)]:
-        for path in sorted(folder.glob("*/test_*.py"), reverse=True):
-            if not pytest_ignore_collect(path, session.config):
-                importlib.import_module(f"tests.{path.parent.name}.{path.stem}")
 
 
 @pytest.fixture(scope="session")
