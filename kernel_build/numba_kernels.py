@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+import dis
 import functools
 import types
 from typing import Any, cast
 
 from msal_cli.kernels.compiled import Kernel
-
-ARRAY_MAKERS = frozenset({"arange", "empty", "empty_like", "full", "ones", "zeros"})
-"""Functions of numpy by which kernels make arrays."""
 
 
 def to_dispatcher(kernel: Kernel, **options: bool) -> Any:
@@ -28,8 +26,7 @@ def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
 
     known = kernel.function.__globals__
     called = {}
-    names = _names_used(kernel.function.__code__)
-    for name in names:
+    for name in _globals_used(kernel.function.__code__):
         value = known.get(name)
         if isinstance(value, Kernel):
             called[name] = _dispatcher(value, options)
@@ -41,18 +38,15 @@ def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
     function.__module__ = kernel.function.__module__
     # A division by zero gives infinity or no number, as in numpy: a check would be a branch,
     # and a loop with a branch does not become vector code.
-    # References are counted, with atomic instructions, only where arrays are made.
-    counts = not names.isdisjoint(ARRAY_MAKERS)
-    decorate: Any = njit(nogil=True, error_model="numpy", _nrt=counts, **dict(options))  # type: ignore[call-overload]
+    decorate: Any = njit(nogil=True, error_model="numpy", **dict(options))  # type: ignore[call-overload]
     return decorate(function)
 
 
-def _names_used(code: types.CodeType) -> set[str]:
-    """The names of globals and attributes."""
-    names = set(code.co_names)
+def _globals_used(code: types.CodeType) -> set[str]:
+    names = {one.argval for one in dis.get_instructions(code) if one.opname == "LOAD_GLOBAL"}
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            names |= _names_used(constant)
+            names |= _globals_used(constant)
     return names
 
 
