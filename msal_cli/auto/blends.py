@@ -292,7 +292,7 @@ def build_recipe(
     ``noise_edges`` is the noise that members are given, mean edge lengths of the mesh.  With
     ``levels`` of local noise, mean edge lengths, weights are (levels, k).  ``relax`` is how many
     passes even out the triangles before, and ``share`` how much of the way to the result is gone;
-    see the method ``blend``.  One member of weight 1 is its method by itself, and no
+    see the method ``blend``.  One member of weight 1 is its method alone, and no
     weight at all is ``NONE``.
     """
     rows = np.atleast_2d(weights)

@@ -245,11 +245,11 @@ def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshF
 def prepare_mesh(surface: Surface, name: str = "") -> PreparedMesh:
     """The mesh of a surface, fit for computing; ContentError, with the path ``name``, if it is
     not."""
-    from msal_cli.mesh import prepare_mesh
+    from msal_cli import mesh
 
     are_distinct = surface.merged_vertices > 0
     try:
-        return prepare_mesh(surface.vertices, surface.faces, are_distinct=are_distinct)
+        return mesh.prepare_mesh(surface.vertices, surface.faces, are_distinct=are_distinct)
     except MsalError as error:
         error.path = error.path or name
         raise

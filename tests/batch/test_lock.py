@@ -181,7 +181,7 @@ def test_many_shards_that_start_and_end_at_once_are_not_refused(tmp_path):
     assert [process.wait() for process in processes] == [0] * 4
 
 
-# Shards: every file in exactly one, whoever asks, and the systems' variables read right
+# Shards: every file is in exactly one of them; the variables of clusters are read right
 
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"])) | st.binary().map(os.fsdecode)

@@ -453,7 +453,7 @@ def _may_be_white(evidence: Evidence) -> bool:
     """Whether fits over two rings leave what the finest do, as of white noise."""
     flat = evidence.survey.quantile(TWO, FLATTEST)
     finest = math.exp(evidence.numbers[LEVELS.index("white")])
-    return not math.sqrt(max(flat, 0.0)) > MAX_WHITE * finest
+    return math.isnan(flat) or math.sqrt(max(flat, 0.0)) <= MAX_WHITE * finest
 
 
 def _is_surely_shared(verdict: Verdict, evidence: Evidence) -> bool:
