@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.codecs import mesh_file, ply_header
-from msal_cli.codecs.ply_body import Lines, Section, find_sections
+from msal_cli.codecs.ply_body import Section, find_sections
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.codecs.text_slots import plan_patches, replace_statements
 from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
@@ -439,12 +439,6 @@ class PlyLayout(mesh_file.Layout):
     normal_elements: tuple[str, ...]
     surface: Surface
 
-    @property
-    def is_stream(self) -> bool:
-        """Whether ascii records are not one to a line."""
-        section = self.sections["vertex"]
-        return isinstance(section, Lines) and section.is_stream
-
 
 def parse(data: Buffer) -> PlyLayout:
     """Find the positions, normals and faces of a PLY file; errors as of ``PlyFile``."""
@@ -494,11 +488,6 @@ def parse(data: Buffer) -> PlyLayout:
         surface=surface,
     )
     warnings = [*warnings_of(header, vertex), *surface.warnings]
-    if layout.is_stream:
-        warnings.append(
-            "the records do not stand one to a line: they are read as a stream of words, and the "
-            "lines kept"
-        )
     if n_behind:
         warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
     layout.warnings = tuple(warnings)
@@ -607,7 +596,7 @@ class PlyFile(mesh_file.MeshFile):
             values |= {(element, name): normals[:, k] for k, name in enumerate(ply_header.NORMAL)}
         from msal_cli.codecs.ply_write import recode
 
-        return recode(data, old, header, text, values, layout.end, is_stream=layout.is_stream)
+        return recode(data, old, header, text, values, layout.end)
 
 
 read = PlyFile

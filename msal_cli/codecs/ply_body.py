@@ -3,13 +3,12 @@
 Each element becomes a section: ``Fixed`` (binary records of one size, reached through strided
 views, nothing is copied), ``Varied`` (binary records that differ in size because of their lists)
 or ``Lines`` (ascii).  No section is made before every byte that its counts promise is known to be
-there.  Ascii records that are not one to a line are read as a stream of tokens.
+there.
 """
 
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -21,7 +20,7 @@ from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.ply_header import CUT_HINT, NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
-from msal_cli.errors import FormatError, InputError, TruncatedError
+from msal_cli.errors import FormatError, TruncatedError
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
@@ -31,8 +30,6 @@ ALL_DIGITS = 1_000
 
 Wanted = Callable[[Element], Sequence[str]]
 """The properties of an element whose places are to be kept where that costs memory."""
-
-_TOKEN = re.compile(rb"\S")
 
 MAX_UNUSUAL = 5_000
 """Records with numbers that are not plain, up to which each line keeps its own decimals."""
@@ -78,7 +75,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Lines(Part):
-    """Ascii records, one to a line, or if ``is_stream`` on whatever lines.
+    """Ascii records, one to a line.
 
     Attributes
     ----------
@@ -93,7 +90,6 @@ class Lines(Part):
 
     stop: int
     kept: tuple[str, ...]
-    is_stream: bool = False
     scalars: Floats | None = None
     statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = field(default_factory=dict)
     plain_list: tuple[Ints, Ints] | None = None
@@ -101,7 +97,7 @@ class Lines(Part):
     @functools.cached_property
     def tokens(self) -> Places:
         """The places of all words of the properties ``kept``."""
-        return _find_tokens(self, self.kept, self.is_stream)[0]
+        return _find_tokens(self, self.kept)[0]
 
     def where(self, record: int) -> str:
         line = line_of(self.data, int(self.tokens.starts[record, 0]))
@@ -158,21 +154,12 @@ class Lines(Part):
     def items(self, name: str) -> tuple[NDArray[Any], Longs | Ints]:
         """All items of a list of whole numbers, and each record's number (count,)."""
         from msal_cli.kernels.ply_scan import read_integers
-        from msal_cli.kernels.text import read_numbers
 
         if self.plain_list is not None:
             return self.plain_list
         starts, stops, lengths = self.item_spans(name)
         items = np.empty(len(starts), dtype=np.int64)
-        if self.is_stream:
-            values, bad = read_numbers(self.data, starts, stops)
-            if bad < 0:
-                # Beyond this a double does not tell whole numbers apart.
-                is_whole = (np.rint(values) == values) & (np.abs(values) < 2.0**53)
-                bad = -1 if is_whole.all() else int(np.argmin(is_whole))
-                items[:] = np.where(is_whole, values, 0.0)
-        else:
-            bad = int(read_integers(self.data, starts, stops, items))
+        bad = int(read_integers(self.data, starts, stops, items))
         if bad >= 0:
             raise self.not_a_number(int(starts[bad]), "a whole number")
         return items, lengths
@@ -263,43 +250,7 @@ def _read_lists(part: Part, kept: tuple[str, ...]) -> Lines | None:
     return Lines(**vars(part), stop=int(at), kept=kept, plain_list=plain_list)
 
 
-def _read_stream(
-    data: Bytes, header: Header, wanted: Wanted
-) -> tuple[dict[str, Section], int] | None:
-    """The sections of all elements of an ascii file by name, and the byte behind the last one,
-    whatever lines the records are on; None if that leaves tokens over, or some are missing.
-
-    Some programs write several records on a line, or break a record over several, and most readers
-    do not look at line ends.  Without them a missing token shows only at the end.  So the elements
-    must take all tokens, and each begin on a line of its own where there are several lines.
-    """
-    parts = [Part(data, header, element, header.size) for element in header.elements]
-    filled = [part for part in parts if part.element.count and part.element.properties]
-    if not filled or not all(part.can_hold() for part in filled) or not data[header.size :].all():
-        return None
-    sections: dict[str, Section] = {}
-    gaps: list[Bytes] = []
-    at = header.size
-    for element in header.elements:
-        try:
-            section = section_at(Part(data, header, element, at), wanted(element), is_stream=True)
-        except InputError:
-            return None
-        sections[element.name], stop = section, section.stop
-        if stop > at:
-            first = _TOKEN.search(data.data, at)
-            gaps.append(data[at : first.start() if first else stop])
-        at = stop
-    body = data[header.size + len(gaps[0]) : at]
-    is_apart = all(_has_line_end(gap) for gap in gaps[1:]) or not _has_line_end(body)
-    return (sections, at) if is_apart and not data[at:].tobytes().strip() else None
-
-
-def _has_line_end(part: Bytes) -> bool:
-    return bool(((part == 10) | (part == 13)).any())
-
-
-def _find_tokens(part: Part, kept: Sequence[str], is_stream: bool) -> tuple[Places, int]:
+def _find_tokens(part: Part, kept: Sequence[str]) -> tuple[Places, int]:
     from msal_cli.kernels.ply_scan import BAD_COUNT, CUT, TOO_FEW, WHOLE, walk_text
 
     data, header, element = part.data, part.header, part.element
@@ -315,7 +266,6 @@ def _find_tokens(part: Part, kept: Sequence[str], is_stream: bool) -> tuple[Plac
         data,
         part.start,
         min(element.count, len(data) + 1),
-        is_stream,
         np.array([prop.is_list for prop in listed]),
         np.array([columns.get(prop.name, -1) for prop in listed]),
         *tokens[1:],
@@ -345,7 +295,8 @@ def _find_tokens(part: Part, kept: Sequence[str], is_stream: bool) -> tuple[Plac
     raise FormatError(
         f"{element.name} {records} has {many} values than the header declares",
         where=place,
-        hint="each record of an ascii PLY file stands on one line of its own",
+        hint="each record of an ascii PLY file stands on one line of its own; where this one is "
+        "on others, MeshLab may read it and save it so",
     )
 
 
@@ -412,32 +363,24 @@ def find_sections(
 ) -> tuple[dict[str, Section], int]:
     """The sections of all elements by name, and the byte behind the last one.
 
-    With ``last``, the search ends behind the element of that name.
-    Ascii records that do not stand one to a line are read as a stream of words, if that leaves
-    nothing over.  Raises TruncatedError and FormatError with the element, record and, in ascii,
-    line.
+    With ``last``, the search ends behind the element of that name.  Raises TruncatedError and
+    FormatError with the element, record and, in ascii, line.
     """
     is_text = header.encoding == "ascii"
     sections: dict[str, Section] = {}
     at = header.size
-    try:
-        for element in header.elements:
-            part, names = Part(data, header, element, at), wanted(element)
-            plain = _plain_lines(part, names) if is_text else None
-            section = sections[element.name] = plain or section_at(part, names)
-            at = section.stop
-            if element.name == last:
-                break
-    except (FormatError, TruncatedError):
-        stream = _read_stream(data, header, wanted) if is_text else None
-        if stream is None:
-            raise
-        return stream
+    for element in header.elements:
+        part, names = Part(data, header, element, at), wanted(element)
+        plain = _plain_lines(part, names) if is_text else None
+        section = sections[element.name] = plain or section_at(part, names)
+        at = section.stop
+        if element.name == last:
+            break
     return sections, at
 
 
-def section_at(part: Part, names: Sequence[str], *, is_stream: bool = False) -> Section:
-    """The section of one element; its ascii records are one to a line, unless ``is_stream``.
+def section_at(part: Part, names: Sequence[str]) -> Section:
+    """The section of one element.
 
     ``names`` are the properties whose places are to be kept where that costs memory.
     Errors as in ``find_sections``.
@@ -445,8 +388,8 @@ def section_at(part: Part, names: Sequence[str], *, is_stream: bool = False) -> 
     if part.header.encoding != "ascii":
         return _records(part, names)
     kept = part.kept_names(names)
-    tokens, stop = _find_tokens(part, kept, is_stream)
-    lines = Lines(**vars(part), stop=stop, kept=kept, is_stream=is_stream)
+    tokens, stop = _find_tokens(part, kept)
+    lines = Lines(**vars(part), stop=stop, kept=kept)
     lines.__dict__["tokens"] = tokens
     return lines
 

@@ -42,15 +42,12 @@ def recode(
     text: bytes,
     values: Mapping[tuple[str, str], Floats],
     end: int,
-    *,
-    is_stream: bool,
 ) -> bytearray:
     """A file in another encoding or with other types of numbers.
 
     Parameters
     ----------
-    data, old : the file and its header; ``end`` is the byte behind its last element, ``is_stream``
-        says that its ascii records do not stand one to a line.
+    data, old : the file and its header; ``end`` is the byte behind its last element.
     new, text : the new header, of the same elements, and its bytes.
     values : for (element, property), the (count,) numbers in place of the file's.
     """
@@ -64,7 +61,7 @@ def recode(
     at = old.size
     for element, renewed in zip(old.elements, new.elements, strict=True):
         names = [prop.name for prop in element.properties]
-        section = section_at(Part(data, old, element, at), names, is_stream=is_stream)
+        section = section_at(Part(data, old, element, at), names)
         at = section.stop
         is_touched = renewed != element or any((element.name, name) in values for name in names)
         if keeps_encoding and not is_touched:

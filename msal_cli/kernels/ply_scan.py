@@ -132,19 +132,13 @@ def _next_record(data, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _next_token(data, at, is_stream):  # type: ignore[no-untyped-def]
-    return _next_record(data, at) if is_stream else skip_blanks(data, at)
-
-
-@compiled
 def _is_line_end(data, at):  # type: ignore[no-untyped-def]
     return at >= len(data) or data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13
 
 
 @compiled
-def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
-    """Find the fields of ``count`` ascii records, one to a line, or if ``is_stream`` on whatever
-    lines; blank lines are skipped.
+def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
+    """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
 
     Parameters as in ``walk_binary``; a list's ``starts`` and ``stops`` are those of its count.
     Returns (records walked, end, status); the end is that of the last token, and after a fault
@@ -157,7 +151,7 @@ def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengt
         if at == end:
             return record, at, CUT
         for p in range(n_properties):
-            start = at = _next_token(data, at, is_stream)
+            start = at = skip_blanks(data, at)
             at = skip_token(data, at)
             if at == start:
                 return record, at, TOO_FEW
@@ -170,14 +164,14 @@ def walk_text(data, at, count, is_stream, is_list, columns, starts, stops, lengt
                 if status != 0 or length < 0:
                     return record, start, BAD_COUNT
                 for _ in range(length):
-                    item = _next_token(data, at, is_stream)
+                    item = skip_blanks(data, at)
                     at = skip_token(data, item)
                     if at == item:
                         return record, at, TOO_FEW
             if columns[p] >= 0:
                 lengths[record, columns[p]] = length
         rest = skip_blanks(data, at)
-        if not is_stream and not _is_line_end(data, rest):
+        if not _is_line_end(data, rest):
             return record, rest, TOO_MANY
     return count, at, WHOLE
 
@@ -301,7 +295,7 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[
     for record in range(len(stops)):
         at = stops[record]
         for _ in range(lengths[record]):
-            start = _next_record(data, at)
+            start = skip_blanks(data, at)
             at = skip_token(data, start)
             item_starts[k] = start
             item_stops[k] = at
