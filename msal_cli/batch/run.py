@@ -25,11 +25,12 @@ from msal_cli.batch.schedule import (
     Work,
     estimate_memory,
 )
+from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.records import MeshRecord, MethodUsed
 from msal_cli.job.room import foresee
-from msal_cli.job.settings import NO_LIMITS, Limits, Settings, least_memory_bytes
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.atomic import sweep, sweep_after
 from msal_cli.storage.urls import is_url
@@ -339,9 +340,8 @@ def check_options(
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.max_faces is not None and limits.max_faces < 1:
         raise UsageError(f"no file has {limits.max_faces} faces at most")
-    least = least_memory_bytes()
-    if limits.memory_bytes is not None and limits.memory_bytes < least:
+    if limits.memory_bytes is not None and limits.memory_bytes < BASE_BYTES:
         raise UsageError(
             f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
-            hint=f"msal itself takes {least / 1e6:.0f} MB",
+            hint=f"msal itself takes {BASE_BYTES / 1e6:.0f} MB",
         )

@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
+from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job.room import LARGE_BYTES, input_bytes
 from msal_cli.job.settings import (
     NO_LIMITS,
@@ -19,7 +20,6 @@ from msal_cli.job.settings import (
     Settings,
     Task,
     forecast,
-    least_memory_bytes,
     method_bytes_per_face,
 )
 from msal_cli.machine import available_bytes
@@ -272,6 +272,6 @@ def estimate_memory(
             largest_light = max(largest_light, size)
         else:
             large[index] = limited(forecast(task, settings).memory_bytes or 0)
-    light = limited(least_memory_bytes() + int(per_byte * largest_light))
+    light = limited(BASE_BYTES + int(per_byte * largest_light))
     available = available_bytes()
     return large, light, None if available is None else int(_SHARE * available)

@@ -27,6 +27,7 @@ from msal_cli.batch import interrupts
 from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress
 from msal_cli.batch.workers import limited_memory
+from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import InputError, MsalError, TooLargeError, UsageError
 from msal_cli.job import changes, output
@@ -40,7 +41,7 @@ from msal_cli.job.settings import (
     Task,
     forecast,
     is_mesh_name,
-    least_memory_bytes,
+    parse_lock,
 )
 from msal_cli.machine import memory_bytes
 from msal_cli.storage.atomic import sweep_after
@@ -119,7 +120,7 @@ def denoise_set(
     run = _SetRun(plan.tasks, settings, on_step, limits)
     limit = limits.memory_bytes
     if limit is not None:  # what this process has beside is not the set's
-        limit += max(0, memory_bytes("self", "VmRSS") - least_memory_bytes())
+        limit += max(0, memory_bytes("self", "VmRSS") - BASE_BYTES)
     with (
         interrupts.catch_signals(interrupts.raise_for),
         interrupts.end_if_late(clean),
@@ -135,9 +136,8 @@ def survey_set(plan: Plan, settings: Settings) -> dict[int, MeshRecord]:
 
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
     """Bytes of memory that denoising these files as one will need."""
-    base = least_memory_bytes()
-    needs = [forecast(task, settings).memory_bytes or base for task in tasks]
-    return base + sum(max(0, need - base) for need in needs)
+    needs = [forecast(task, settings).memory_bytes or BASE_BYTES for task in tasks]
+    return BASE_BYTES + sum(max(0, need - BASE_BYTES) for need in needs)
 
 
 class _SetRun:
@@ -213,8 +213,6 @@ class _SetRun:
 
     def _read_properties(self, mesh_file: MeshFile) -> dict[str, Floats]:
         """The properties of vertices that --lock and --weights name, of one file."""
-        from msal_cli.job.constraints import parse_lock
-
         locks = (parse_lock(lock) for lock in self._settings.lock)
         names = {lock.name for lock in locks if lock is not None}
         if self._settings.weights is not None:

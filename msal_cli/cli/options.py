@@ -14,8 +14,7 @@ import click
 from click.core import ParameterSource
 
 from msal_cli.errors import UsageError
-from msal_cli.job.constraints import METRES
-from msal_cli.job.settings import SELF_INTERSECTIONS, parse_input_format
+from msal_cli.job.settings import METRES, SELF_INTERSECTIONS, parse_input_format
 from msal_cli.storage import urls
 
 STREAM = "-"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from msal_cli.auto import NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
-from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings
+from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_length
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import Harm
@@ -92,8 +92,6 @@ def skip_reason(noise: NoiseLevel, mesh: Mesh, min_noise: str) -> str:
     level = f"noise {noise.mean_edges:.2g} e"
     if min_noise == NEGLIGIBLE:
         return f"{level}: none to speak of" if noise.is_negligible else ""
-    from msal_cli.job.constraints import parse_length
-
     edge = mesh.mean_edge_length
     bound = parse_length(min_noise, "--min-noise").in_units(edge) / edge
     return f"{level}, below --min-noise {min_noise}" if noise.is_below(bound) else ""

@@ -13,6 +13,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output, room
@@ -27,6 +29,7 @@ from msal_cli.job.settings import (
     Task,
     refuse_faces,
 )
+from msal_cli.kernels import array_files
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -147,7 +150,7 @@ class FileRun:
         self._count()
         seconds = Seconds(**self._seconds, total=self._counted - self._started)
         # Pages of files, which the system takes back when it likes, would count.
-        peak = None if room.are_arrays_in_files() else machine.peak_bytes()
+        peak = None if array_files.are_used() else machine.peak_bytes()
         self.know(seconds=seconds, peak_memory_bytes=peak, **values)
         return self._record
 
@@ -283,8 +286,7 @@ class FileRun:
             if settings.max_move or settings.lock or settings.weights or pinned is not None:
                 from msal_cli.job.constraints import build_constraints
 
-                given = (settings.max_move, settings.lock, settings.weights)
-                constraints = build_constraints(ready, mesh_file, *given, pinned)
+                constraints = build_constraints(ready, mesh_file, settings, pinned)
                 if constraints.held is not None and settings.lock:
                     self.know(locked_vertices=int(constraints.held.sum()))
             mesh_file.forget_vertices()
@@ -367,8 +369,6 @@ class FileRun:
 
     def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""
-        import numpy as np
-
         name = self._record.method and self._record.method.name
         if vertices.shape != ready.mesh.vertices.shape:
             raise InternalError(f"{name} changed the number of vertices")

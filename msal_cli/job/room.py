@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msal_cli import machine
+from msal_cli.codecs import header
+from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
 from msal_cli.job.records import Failure, MeshRecord, Planned
 from msal_cli.job.settings import (
@@ -27,7 +30,6 @@ from msal_cli.job.settings import (
     Settings,
     Task,
     forecast,
-    least_memory_bytes,
     refuse_faces,
 )
 from msal_cli.kernels import array_files
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("msal")
 
+_DENOISING = "denoising this file"
+
 LARGE_BYTES = 4 << 20
 """Files from this size on are looked into; smaller ones fit."""
 
@@ -54,12 +58,6 @@ _MAX_IN_MEMORY, _SMALL_SHARE = 2 << 20, 128
 
 # What is mapped at once of small meshes and of others.
 _MAPPED_OF_SMALL, _MAPPED_BYTES = 0.3, 32_000_000
-
-_GUESSED = 2
-"""By what factor a forecast without counts may be too high."""
-
-_COUNTED = ("ply", "stl", "glb")
-"""Formats whose headers have counts, or are damaged, which the reader will report."""
 
 
 @dataclass(frozen=True)
@@ -78,17 +76,12 @@ def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractCon
     # Of a file that cannot be looked at the reader says why.
     if not has_limits and (input_bytes(task) or 0) < LARGE_BYTES:
         return nullcontext()
-    expected = forecast(task, settings)
+    return use_scratch(_fit_task(task, forecast(task, settings), limits))
+
+
+def _fit_task(task: Task, expected: Forecast, limits: Limits) -> Scratch | None:
     refuse_faces(expected.faces, limits)
-    return use_scratch(scratch_of_task(task, expected, limits))
-
-
-def scratch_of_task(task: Task, expected: Forecast, limits: Limits) -> Scratch | None:
-    """See ``find_scratch``."""
-    is_guess = expected.faces is None and expected.format not in _COUNTED
-    return find_scratch(
-        "denoising this file", expected.memory_bytes or 0, limits, task.output, is_guess=is_guess
-    )
+    return find_scratch(_DENOISING, expected.memory_bytes or 0, limits, task.output)
 
 
 def room_for_files(
@@ -101,30 +94,22 @@ def room_for_files(
 
     ``settings``: those by which the first of them is denoised, too.
     """
-    from msal_cli.codecs import header
-
-    base = least_memory_bytes()
-    needs = [header.forecast(path, format=format).memory_bytes or base for path in paths]
+    needs = [header.forecast(path, format=format).memory_bytes or BASE_BYTES for path in paths]
     words = "opening this file" if len(paths) == 1 else "opening these files"
     if settings is not None:
-        needs[0] = forecast(Task(paths[0], output or "", paths[0]), settings).memory_bytes or base
-        words = "denoising this file"
-    needed = base + sum(need - base for need in needs)
+        task = Task(paths[0], output or "", paths[0])
+        needs[0] = forecast(task, settings).memory_bytes or BASE_BYTES
+        words = _DENOISING
+    needed = BASE_BYTES + sum(need - BASE_BYTES for need in needs)
     return use_scratch(find_scratch(words, needed, output=output))
 
 
 def find_scratch(
-    work: str,
-    needed: int,
-    limits: Limits = NO_LIMITS,
-    output: str | None = None,
-    *,
-    is_guess: bool = False,
+    work: str, needed: int, limits: Limits = NO_LIMITS, output: str | None = None
 ) -> Scratch | None:
     """Where arrays have to live if some work needs so many bytes of memory; None where they fit.
 
-    A limit set by the user replaces what the machine has left.  ``is_guess``: the work may need
-    much less.
+    A limit set by the user replaces what the machine has left.
 
     Raises ResourceError (``E_MEMORY`` with ``where`` ``FORECAST``) if they fit nowhere, and
     OutputError if the folder has no space for them.
@@ -133,9 +118,8 @@ def find_scratch(
     room = machine.available_bytes() if limit is None else limit
     if room is None or needed <= room:
         return None
-    n_bytes = max(0, needed - least_memory_bytes())
-    if not array_files.can_use_files() and is_guess and limit is None and needed < _GUESSED * room:
-        return None
+    n_bytes = max(0, needed - BASE_BYTES)
+
     kept = max(_KEPT_SHARE * n_bytes, min(_MAPPED_OF_SMALL * n_bytes, _MAPPED_BYTES))
     least = needed - n_bytes + kept if array_files.can_use_files() else needed
     if least > room:
@@ -159,19 +143,16 @@ def find_scratch(
             where=FORECAST,
             hint="name a folder on a disk by --scratch",
         )
-    free = _free_bytes(folder)
-    if free is not None and free < n_bytes:
+    free = n_bytes
+    with suppress(OSError):  # using the folder says why not
+        free = shutil.disk_usage(folder).free
+    if free < n_bytes:
         raise OutputError(
             f"arrays that exceed the memory take up to {megabytes(n_bytes)} in {folder!r}, where "
             f"{megabytes(free, rounded_up=False)} are free",
             hint="name a folder with more space by --scratch",
         )
     return Scratch(folder, n_bytes, room)
-
-
-def are_arrays_in_files() -> bool:
-    """Whether large arrays of this process live in files now."""
-    return array_files.are_used()
 
 
 @contextmanager
@@ -220,14 +201,6 @@ def _is_in_memory(folder: str) -> bool:
     name = f"{os.major(device)}:{os.minor(device)}"
     kinds = {line.partition(" - ")[2].split()[0] for line in lines if line.split()[2] == name}
     return bool(kinds & {"tmpfs", "ramfs"})
-
-
-def _free_bytes(folder: str) -> int | None:
-    try:
-        status = os.statvfs(folder)
-    except OSError:
-        return None  # using it says why not
-    return status.f_bavail * status.f_frsize
 
 
 # Opening a file
@@ -333,8 +306,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         if not is_url(task.input):
             counted = _check_header(task.input, settings.format)
             n = n if counted is None else counted
-        refuse_faces(expected.faces, limits)
-        scratch = scratch_of_task(task, expected, limits)
+        scratch = _fit_task(task, expected, limits)
     except MsalError as error:
         return replace(record, status="failed", output=None, error=Failure.of(error))
     seconds = None
@@ -360,7 +332,6 @@ def _check_header(path: str, format: str | None) -> int | None:
     """Raise what the reader of a local file would, as far as it is known without all of it; a file
     as small as a header is read as a whole, and its vertices are returned."""
     from msal_cli import codecs
-    from msal_cli.codecs import header
     from msal_cli.storage import gzip_streams
 
     try:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import operator
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, get_args
@@ -147,6 +150,134 @@ class Task:
     manifest_dir: str | None = None
 
 
+METRES = {
+    "nm": (1, 10**9),
+    "um": (1, 10**6),
+    "mm": (1, 1000),
+    "cm": (1, 100),
+    "dm": (1, 10),
+    "m": (1, 1),
+    "km": (1000, 1),
+    "mil": (254, 10**7),
+    "in": (254, 10**4),
+    "ft": (3048, 10**4),
+    "yd": (9144, 10**4),
+}
+"""Length units in metres, as numerator and denominator; ``mil`` is a thousandth of an inch."""
+
+# Micro sign and Greek letter.
+_MICRO = ("\N{MICRO SIGN}m", "\N{GREEK SMALL LETTER MU}m")
+
+UNIT_PATTERN = "|".join(sorted((*METRES, *_MICRO), key=len, reverse=True))
+"""A regular expression for the name of a unit."""
+
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+"""What a user may write between a quantity and a length or number."""
+
+
+def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
+    """A length in the unit of the file.
+
+    Parameters
+    ----------
+    number : the length as it was written, so that 0.1 is a tenth and not the double next to it.
+    unit : its unit, as in ``UNIT_PATTERN``.
+    file_unit : the unit of the file's coordinates, one of ``METRES``.
+
+    Raises UsageError if the file's unit is not known, or the length is too long for a double.
+    """
+    if file_unit is None:
+        raise UsageError(
+            f"{number}{unit}: mesh files have no unit, so that it is not known how long that is",
+            hint="say with --unit what the unit of the files is, such as --unit mm, or write the "
+            "length in file units (0.05) or mean edge lengths (0.3e)",
+        )
+    from fractions import Fraction
+
+    if not float(number):
+        # An exponent of a billion would be a fraction of as many digits.
+        return 0.0
+    own, other = METRES["um" if unit in _MICRO else unit], METRES[file_unit]
+    try:
+        return float(Fraction(number) * Fraction(*own) / Fraction(*other))
+    except OverflowError:
+        raise UsageError(f"{number}{unit}: the length is too large") from None
+
+
+BOUNDARY = "boundary"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{UNIT_PATTERN})?\s*")
+_LOCK = re.compile(rf"(?a)\s*([^\s<>=!]+)\s*(<=|>=|==|!=|<|>)\s*({_NUMBER})\s*")
+
+
+@dataclass(frozen=True)
+class Length:
+    """A length above 0 in file units, or ``in_edges``: in mean edge lengths of the input."""
+
+    value: float
+    in_edges: bool
+
+    def __str__(self) -> str:
+        return f"{self.value!r}{'e' if self.in_edges else ''}"
+
+    def in_units(self, mean_edge_length: float) -> float:
+        """The length in file units."""
+        return self.value * mean_edge_length if self.in_edges else self.value
+
+
+@dataclass(frozen=True)
+class Lock:
+    """A vertex property compared with a value, such as ``confidence < 0.2``."""
+
+    name: str
+    comparison: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.comparison} {self.value!r}"
+
+
+def parse_length(text: str, option: str = "--max-move", unit: str | None = None) -> Length:
+    """``0.3e``, ``0.05``, or ``0.01mm`` where the files' ``unit`` is known; UsageError, which names
+    the option, for anything else."""
+    match = _LENGTH.fullmatch(text)
+    value = float(match[1]) if match else 0.0
+    if match is not None and 0.0 < value < math.inf and match[2] not in (None, "e"):
+        try:
+            value = in_file_units(match[1], match[2], unit)
+        except UsageError as error:
+            raise UsageError(f"{option} {error.message}", hint=error.hint) from None
+    if match is None or not 0.0 < value < math.inf:
+        raise UsageError(
+            f"{option} {text}: this is no length above 0",
+            hint="write 0.3e for mean edge lengths, or 0.05 for file units; with --unit mm, if "
+            "that is the unit of the files, also 0.01mm or 0.002in",
+        )
+    return Length(value, match[2] == "e")
+
+
+def parse_lock(text: str, option: str = "--lock") -> Lock | None:
+    """``confidence < 0.2``; None for the word ``boundary``; UsageError, which names the option, for
+    anything else."""
+    if text.strip() == BOUNDARY:
+        return None
+    match = _LOCK.fullmatch(text)
+    if match is None or not math.isfinite(float(match[3])):
+        raise UsageError(
+            f"{option} {text}: this is neither 'boundary' nor a property compared with a number",
+            hint=f"as in {option} 'confidence < 0.2'; msal info lists a file's properties",
+        )
+    return Lock(match[1], match[2], float(match[3]))
+
+
 Check = Callable[[Any, str, str | None], Any]
 """Gives the setting for a value; gets the label for messages and the unit of the files, too."""
 
@@ -179,15 +310,11 @@ def _number_from(low: float, high: float, span: str) -> Check:
 
 def _length(value: Any, label: str, unit: str | None) -> str:
     """A length as settings have it: ``"0.3e"`` in mean edge lengths, a number in file units."""
-    from msal_cli.job.constraints import parse_length
-
     text = value if isinstance(value, str) else repr(to_number(value, label))
     return str(parse_length(text, label, unit))
 
 
 def _locks(value: str | Sequence[str], label: str, unit: str | None) -> tuple[str, ...]:
-    from msal_cli.job.constraints import BOUNDARY, parse_lock
-
     return tuple(str(parse_lock(text, label) or BOUNDARY) for text in to_texts(value))
 
 
@@ -472,10 +599,3 @@ def method_bytes_per_face(settings: Settings) -> int:
     if name not in methods.names():
         return 0
     return methods.find(name).bytes_per_face_of(parameters) + extra
-
-
-def least_memory_bytes() -> int:
-    """What denoising takes however small the file is: no memory limit can be less."""
-    from msal_cli.codecs.header import BASE_BYTES
-
-    return BASE_BYTES

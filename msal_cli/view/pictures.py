@@ -20,7 +20,8 @@ from msal_cli.errors import MsalError
 from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
-from msal_cli.job.room import are_arrays_in_files, prepare_mesh
+from msal_cli.job.room import prepare_mesh
+from msal_cli.kernels import array_files
 from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.panels import Legend, Panel, draw_panels
@@ -447,7 +448,7 @@ def _read_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
 
 def is_to_be_thinned(surface: Surface) -> bool:
     """Whether pictures show a part of the vertices only."""
-    return are_arrays_in_files() and len(surface.vertices) >= MIN_VERTICES
+    return array_files.are_used() and len(surface.vertices) >= MIN_VERTICES
 
 
 def choose_vertices(surface: Surface) -> tuple[Ints, Ints]:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from msal_cli import machine
+from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
 from msal_cli.job.comparison import compare_files
 from msal_cli.job.inspection import inspect_file
@@ -26,7 +27,6 @@ from msal_cli.job.settings import (
     Settings,
     Task,
     forecast,
-    least_memory_bytes,
 )
 from msal_cli.kernels import array_files, spatial_order
 from msal_cli.kernels.parallel import over_ranges
@@ -107,7 +107,7 @@ def forget_peak(folder: Path) -> None:
 
 def limits_for(task, settings) -> Limits:
     """A limit in the middle between what arrays in files take and what those in memory do."""
-    return Limits(memory_bytes=(forecast(task, settings).memory_bytes + least_memory_bytes()) // 2)
+    return Limits(memory_bytes=(forecast(task, settings).memory_bytes + BASE_BYTES) // 2)
 
 
 SETTINGS = {
@@ -189,7 +189,7 @@ def test_info_and_compare_say_the_same(tmp_path, small, monkeypatch):
     source = waves(tmp_path / "a.ply", 60)
     usual = inspect_file(str(source))
     other = compare_files(str(source), str(source))
-    monkeypatch.setattr(machine, "available_bytes", lambda: least_memory_bytes() + 700_000)
+    monkeypatch.setattr(machine, "available_bytes", lambda: BASE_BYTES + 700_000)
     assert inspect_file(str(source)) == usual
     assert compare_files(str(source), str(source)) == other
 
@@ -204,7 +204,7 @@ def test_other_commands_write_the_same_bytes(tmp_path, small, monkeypatch, words
     source = waves(tmp_path / "a.ply", 30 if words == SWEEP else 60)
     # As much as one of the files of a sweep takes: the other is counted, too.
     swept = forecast(Task(str(source), "", source.name), Settings(AUTO)).memory_bytes
-    available = swept if words == SWEEP else least_memory_bytes() + 700_000
+    available = swept if words == SWEEP else BASE_BYTES + 700_000
     usual, beyond = (tmp_path / f"{name}.{suffix}" for name in ("usual", "beyond"))
     assert msal(*words, "a.ply", "-o", usual).exit_code == 0
     monkeypatch.setattr(machine, "available_bytes", lambda: available)

@@ -8,9 +8,11 @@ import pytest
 from msal_cli import codecs, methods
 from msal_cli.errors import UsageError
 from msal_cli.job import constraints
+from msal_cli.job.constraints import select_vertices
 from msal_cli.job.pipeline import denoise_bytes
+from msal_cli.job.settings import parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
-from msal_cli.mesh import prepare_mesh
+from msal_cli.mesh import Mesh, prepare_mesh
 from tests.job.test_pipeline import settings
 from tests.ply_files import to_ply
 from tests.shapes import grid, torus
@@ -55,14 +57,14 @@ def denoised(data, **asked):
     ],
 )
 def test_lengths(text, unit, value, in_edges):
-    found = constraints.parse_length(text, unit=unit)
+    found = parse_length(text, unit=unit)
     assert (found.value, found.in_edges) == (value, in_edges)
-    assert constraints.parse_length(str(found)) == found
+    assert parse_length(str(found)) == found
 
 
 def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
     with pytest.raises(UsageError, match=r"--max-move 0\.01mm: mesh files have no unit") as caught:
-        constraints.parse_length("0.01mm")
+        parse_length("0.01mm")
     assert "--unit mm" in caught.value.hint
 
 
@@ -73,13 +75,13 @@ def test_a_unit_means_nothing_where_that_of_the_file_is_not_known():
 )
 def test_what_is_no_length_is_refused(text):
     with pytest.raises(UsageError, match=r"no length|too large"):
-        constraints.parse_length(text, unit="m")
+        parse_length(text, unit="m")
 
 
 @pytest.mark.parametrize("text", ["", "confidence <", "< 3", "a < b", "a < 1e999", "a=1"])
 def test_what_is_no_lock_is_refused(text):
     with pytest.raises(UsageError, match="neither"):
-        constraints.parse_lock(text)
+        parse_lock(text)
 
 
 @pytest.mark.parametrize(
@@ -87,17 +89,20 @@ def test_what_is_no_lock_is_refused(text):
     [("<", "100"), ("<=", "110"), (">", "001"), (">=", "011"), ("==", "010"), ("!=", "101")],
 )
 def test_comparisons(comparison, expected):
-    lock = constraints.parse_lock(f"q {comparison} 2")
-    selected = lock.select(np.array([1.0, 2.0, 3.0]))
+    lock = parse_lock(f"q {comparison} 2")
+    selected = select_vertices(lock, np.array([1.0, 2.0, 3.0]))
     assert "".join(str(int(flag)) for flag in selected) == expected
-    assert constraints.parse_lock(str(lock)) == lock
+    assert parse_lock(str(lock)) == lock
 
 
 def test_a_single_precision_property_is_compared_in_single_precision():
     stored = np.array([0.2, 0.3], dtype=np.float32).astype(float)
     assert stored[0] > 0.2
-    assert constraints.parse_lock("q <= 0.2").select(stored).tolist() == [True, False]
-    assert constraints.parse_lock("q == 0.2").select(np.array([0.2, 0.3])).tolist() == [True, False]
+    assert select_vertices(parse_lock("q <= 0.2"), stored).tolist() == [
+        True,
+        False,
+    ]
+    assert select_vertices(parse_lock("q == 0.2"), np.array([0.2, 0.3])).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("method", ALL)
@@ -126,7 +131,8 @@ def test_clamping_never_exceeds_the_limit_not_even_by_rounding(scale):
     before = scale * (random().standard_normal((2000, 3)) + 50.0)
     after = before + scale * np.random.default_rng(8).standard_normal((2000, 3))
     limit = 0.1 * scale
-    kept, n_clamped = constraints.clamp_moves(before, after, limit)
+    mesh = Mesh(before, np.array([[0, 1, 2]], dtype=np.int32))
+    kept, n_clamped = constraints.Constraints(mesh, None, limit).apply(after)
     assert n_clamped == (distances(before, after) > limit).sum() > 1000
     assert distances(before, kept).max() <= limit
     assert not np.shares_memory(kept, after)

@@ -5,7 +5,7 @@ import pytest
 
 from msal_cli.codecs.mesh_file import Surface, SurfaceColours
 from msal_cli.errors import ContentError
-from msal_cli.kernels import spatial_order
+from msal_cli.kernels import array_files, spatial_order
 from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View, draw_picture, scene_of
 from tests.shapes import ball, cube, grid, torus
@@ -123,7 +123,7 @@ def test_what_colours_show(colours, n_panels, is_red):
 
 @pytest.fixture
 def beyond(monkeypatch):
-    monkeypatch.setattr(pictures, "are_arrays_in_files", lambda: True)
+    monkeypatch.setattr(array_files, "are_used", lambda: True)
     monkeypatch.setattr(pictures, "MIN_VERTICES", 1000)
 
 
