@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from msal_cli.api import mesh_objects
 from msal_cli.api.method_list import MethodName, MethodParameters
-from msal_cli.errors import ContentError, UsageError
+from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.plain_data import screen_repr
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
@@ -222,9 +222,25 @@ def denoise(
             mesh.properties[_MASK] = _as_mask(lock, len(mesh.vertices))
             given["lock"] = f"{_MASK} != 0"
         if not (weights is None or isinstance(weights, str)):
-            mesh.properties[_TRUST] = _as_trust(weights, len(mesh.vertices))
+            values = mesh_objects.vertex_numbers(weights, "weights", len(mesh.vertices))
+            mesh.properties[_TRUST] = values
             given["weights"] = _TRUST
-        result = _run(mesh, parse_arguments(denoise, given))
+        # By the steps that files take.
+        run = FileRun(mesh.name, parse_arguments(denoise, given), None, NO_LIMITS)
+        positions = run.move_vertices(mesh)
+        n_faces = len(mesh.faces)
+        run.know(
+            precision=str(mesh.dtype),
+            vertices=len(mesh.vertices),
+            faces=n_faces,
+            triangles=n_faces,
+        )
+        is_moved = not np.array_equal(positions, mesh.vertices)
+        record = replace(run.finish(None), status="written" if is_moved else "unchanged")
+        result = DenoiseResult(mesh.to_given_type(positions), record)
+        _log.info("%s: %s; %s", mesh.name, result.method, result.reason or result.parameters)
+        for warning in result.warnings:
+            _log.info("%s: %s", mesh.name, warning)
         return mesh.to_result(result.vertices) if faces is None else result
 
 
@@ -268,33 +284,3 @@ def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
         raise UsageError(f"lock names a vertex that is not there, of {n}")
     mask[values] = True
     return mask
-
-
-def _as_trust(weights: Any, n: int) -> mesh_objects.Array:
-    """Weights (n,), at least one above 0, all finite; UsageError or ContentError if not."""
-    values = mesh_objects.vertex_numbers(weights, "weights", n)
-    if not np.isfinite(values).all():
-        where = f"vertex {int(np.argmin(np.isfinite(values)))}"
-        raise ContentError("a weight is not finite", code="E_NONFINITE", where=where)
-    if not values.max(initial=0) > 0:
-        raise ContentError("no weight is above 0, so that no vertex is to be trusted")
-    return values
-
-
-def _run(mesh: mesh_objects.MemoryMesh, settings: Settings) -> DenoiseResult:
-    """The mesh denoised by the steps that files take."""
-    run = FileRun(mesh.name, settings, None, NO_LIMITS)
-    vertices = run.move_vertices(mesh)
-    run.know(
-        precision=str(mesh.dtype),
-        vertices=len(mesh.vertices),
-        faces=len(mesh.faces),
-        triangles=len(mesh.faces),
-    )
-    is_moved = not np.array_equal(vertices, mesh.vertices)
-    record = replace(run.finish(None), status="written" if is_moved else "unchanged")
-    result = DenoiseResult(mesh.to_given_type(vertices), record)
-    _log.info("%s: %s; %s", mesh.name, result.method, result.reason or result.parameters)
-    for warning in result.warnings:
-        _log.info("%s: %s", mesh.name, warning)
-    return result

@@ -100,8 +100,7 @@ def add_noise(
     """
     given = locals()
     from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
-    from msal_cli.analysis.added_noise import add_noise as add
-    from msal_cli.job.output import read_weights
+    from msal_cli.job.output import move_by_noise
 
     with explained_errors():
         mesh = read_mesh(vertices, faces)
@@ -117,9 +116,7 @@ def add_noise(
             _to_whole_number(seed, "seed"),
             **{name: _READ[name](value, name) for name, value in given.items()},
         )
-        ready = prepare_mesh(mesh)
-        weights = read_weights(mesh, ready, noise.property) if kind == "property" else None
-        moved = ready.to_file_vertices(add(ready.mesh, noise, weights), mesh.vertices)
+        moved, _ = move_by_noise(mesh, noise)
         return mesh.to_result(mesh.to_given_type(moved))
 
 

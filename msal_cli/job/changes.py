@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from msal_cli.job import records
 
 if TYPE_CHECKING:
@@ -231,8 +233,6 @@ def method_warnings(
 
 def is_ruled_by_spike(fidelity: Floats | None) -> bool:
     """Whether lambda (n,) of the first sweep is small nearly everywhere beside its maximum, 1."""
-    import numpy as np
-
     if fidelity is None:
         return False
     sample = fidelity[:: max(len(fidelity) // _MAX_SAMPLED, 1)]

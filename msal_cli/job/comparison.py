@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
@@ -249,8 +251,6 @@ def build_heatmap(
     The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
     all the rest in one colour.
     """
-    import numpy as np
-
     from msal_cli.analysis import colour_maps as colours
     from msal_cli.codecs import ply_write
 

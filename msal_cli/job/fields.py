@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import FieldsFile
 from msal_cli.version import __version__
@@ -85,8 +87,6 @@ def compute(
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
-    import numpy as np
-
     from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
     from msal_cli.analysis.noise_estimate import estimate_regions
 
@@ -123,8 +123,6 @@ def build_file(
 
     ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, one at least.
     """
-    import numpy as np
-
     from msal_cli.analysis import colour_maps as colours
     from msal_cli.codecs import ply_write
 

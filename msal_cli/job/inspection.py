@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from msal_cli.job.changes import defect_fields, noise_field
 from msal_cli.job.records import Failure, InfoRecord
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
@@ -90,8 +92,6 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
 
 def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
     """How many faces have 3, 4, ... corners, keyed by that number as text (for JSON)."""
-    import numpy as np
-
     polygons = mesh_file.polygons()
     if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
         return {str(polygons.shape[1]): len(polygons)}

@@ -6,6 +6,8 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from msal_cli.errors import InternalError, LossError, MsalError, OutputError, UnsupportedError
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
 
@@ -13,7 +15,6 @@ if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
     from msal_cli.arrays import Floats
     from msal_cli.codecs.mesh_file import Companion, MeshFile, Surface
-    from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.atomic import Sources
     from msal_cli.storage.regular import Buffer
 
@@ -60,7 +61,9 @@ def build_output(
     from msal_cli.storage import gzip_streams
 
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
-    target = _target(mesh_file, path, settings)
+    # ``--to``, else the output name's, else the input's.
+    named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
+    target = (settings.to or named).lower().lstrip(".")
     how = settings.encoding, settings.precision
     if target != mesh_file.format:
         from msal_cli.codecs import conversion, detection
@@ -80,7 +83,7 @@ def build_output(
     if how != ("same", "same"):
         output = mesh_file.encoded(vertices, *how)
         _check_reopened(output, target, mesh_file, vertices)
-    elif not _are_equal(vertices, mesh_file.vertices):
+    elif not np.array_equal(vertices, mesh_file.vertices):
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
@@ -94,20 +97,8 @@ def build_output(
     return Output(output, mesh_file.references, companions, notes, mesh_file.sources)
 
 
-def _target(mesh_file: MeshFile, output_path: str | None, settings: Settings) -> str:
-    """The format to write: ``--to``, else the output name's, else the input's."""
-    if settings.to is not None:
-        return settings.to.lower().lstrip(".")
-    named = suffix(output_path or "").lstrip(".")
-    if named and output_path is not None and is_mesh_name(output_path):
-        return named
-    return mesh_file.format
-
-
 def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats) -> None:
     """Read a re-encoded or converted file back before it is trusted."""
-    import numpy as np
-
     from msal_cli import codecs
 
     try:
@@ -126,15 +117,6 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
     wanted = vertices[mesh_file.faces.reshape(-1)]
     if float(np.abs(corners - wanted).max(initial=0.0)) > slack:
         raise InternalError(f"the {target} output holds other positions than it should")
-
-
-def _are_equal(vertices: Floats, others: Floats) -> bool:
-    """Whether all positions (n, 3) are the same; it ends where two differ."""
-    step = 1 << 14
-    return all(
-        bool((vertices[at : at + step] == others[at : at + step]).all())
-        for at in range(0, len(vertices), step)
-    )
 
 
 def make_folder_of(path: str) -> None:
@@ -196,11 +178,8 @@ def add_noise_to_file(
 
     ``target`` is the output's name, which must be of the same format; ``-`` has none.
     """
-    import numpy as np
-
-    from msal_cli.analysis.added_noise import add_noise
     from msal_cli.codecs import detection
-    from msal_cli.job.room import open_mesh, prepare_mesh
+    from msal_cli.job.room import open_mesh
 
     mesh_file, is_compressed = open_mesh(data, name, format)
     wanted = detection.format_of_name(target)
@@ -209,14 +188,8 @@ def add_noise_to_file(
             f"noise keeps the format, {mesh_file.format}, and the output's name says {wanted}",
             hint=f"name it .{mesh_file.format}, and convert with msal denoise --to",
         )
-    ready = prepare_mesh(mesh_file)
-    is_weighted = noise.kind == "property"
-    weights = read_weights(mesh_file, ready, noise.property) if is_weighted else None
-    positions = add_noise(ready.mesh, noise, weights)
-    if not np.isfinite(positions).all():
-        raise InternalError("noise made a position that is not finite")
+    vertices, edge = move_by_noise(mesh_file, noise)
     original = mesh_file.vertices
-    vertices = ready.to_file_vertices(positions, original)
     n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     path, source = None if target == "-" else target, Source(data, name, is_compressed)
     try:
@@ -228,20 +201,27 @@ def add_noise_to_file(
     settings = noise.describe()
     description = (
         f"{noise.kind} noise of {noise.level:g} mean edge lengths "
-        f"({noise.level * ready.mesh.mean_edge_length:.4g}), {settings + ', ' if settings else ''}"
+        f"({noise.level * edge:.4g}), {settings + ', ' if settings else ''}"
         f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}"
     )
     return made, description, mesh_file.warnings
 
 
-def read_weights(mesh_file: Surface, ready: PreparedMesh, name: str) -> Floats:
-    """A vertex property of the file at the mesh's vertices (n,); of vertices at one place the
-    first in the file counts."""
-    import numpy as np
+def move_by_noise(surface: Surface, noise: AddedNoise) -> tuple[Floats, float]:
+    """Positions (n, 3) of a surface's vertices with noise, and its mean edge length."""
+    from msal_cli.analysis.added_noise import add_noise
+    from msal_cli.job.room import prepare_mesh
 
-    values = mesh_file.vertex_property(name)
-    if ready.vertex_map is None:
-        return values
-    is_used = ready.vertex_map >= 0
-    _, first = np.unique(ready.vertex_map[is_used], return_index=True)
-    return values[is_used][first]
+    ready = prepare_mesh(surface)
+    weights = None
+    if noise.kind == "property":
+        weights = surface.vertex_property(noise.property)
+        if ready.vertex_map is not None:
+            # Of vertices at one place the first in the file counts.
+            is_used = ready.vertex_map >= 0
+            _, first = np.unique(ready.vertex_map[is_used], return_index=True)
+            weights = weights[is_used][first]
+    positions = add_noise(ready.mesh, noise, weights)
+    if not np.isfinite(positions).all():
+        raise InternalError("noise made a position that is not finite")
+    return ready.to_file_vertices(positions, surface.vertices), ready.mesh.mean_edge_length
