@@ -3,7 +3,7 @@
 A module of this folder whose name does not start with an underscore is a method.  It has
 
 - a docstring whose first line is the summary and which holds a ``Source:`` line,
-- a frozen dataclass ``Parameters`` whose fields are made by ``parameter``,
+- a frozen dataclass ``Parameters`` whose fields are made by ``_fields``,
 - a function ``denoise(mesh, parameters, on_sweep) -> Result``,
 - ``BYTES_PER_FACE``, if it needs more memory than ``al`` does (see ``Method.bytes_per_face``).
 
@@ -130,36 +130,6 @@ class ParameterSpec:
         return UsageError(
             f"{self.name} = {given} is not allowed", hint=f"allowed: {self.range_text}"
         )
-
-
-def parameter(
-    default: Any,
-    help: str,
-    *,
-    symbol: str = "",
-    low: float = -math.inf,
-    high: float = math.inf,
-    low_open: bool = False,
-    high_open: bool = False,
-    choices: tuple[str, ...] = (),
-    unit: str = "",
-    more: str = "",
-) -> Any:
-    """A dataclass field that carries what users need to know; see ``ParameterSpec``."""
-    return field(
-        default=default,
-        metadata={
-            "symbol": symbol,
-            "low": low,
-            "high": high,
-            "low_open": low_open,
-            "high_open": high_open,
-            "choices": choices,
-            "unit": unit,
-            "help": help,
-            "more": more,
-        },
-    )
 
 
 @functools.cache

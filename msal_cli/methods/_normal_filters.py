@@ -10,8 +10,9 @@ from typing import Any
 from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import sliding_parameter, undo_sliding
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._sliding import undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 
@@ -19,32 +20,23 @@ from msal_cli.methods._sweeps import free_vertices
 class NormalFilterParameters:
     """Parameters of a method that filters face normals and fits the vertices to them."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         20,
         "passes over the face normals; 0 returns the mesh as it is",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother normals, larger flat pieces",
+        "smoother normals, larger flat pieces",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         10,
         "passes that fit the vertices to the filtered normals",
-        low=0,
-        high=1000,
-        more="faces closer to their normals, vertices farther from the scan",
+        "faces closer to their normals, vertices farther from the scan",
     )
-    neighbours: str = parameter(
+    neighbours: str = fields.parameter(
         "vertex",
         "the neighbours of a face: those that share a vertex with it, or an edge",
         choices=("vertex", "edge"),
     )
-    boundary: str = parameter(
-        "fixed",
-        "vertices at open edges: fixed, or fitted like the others to the faces that they have",
-        choices=("fixed", "free"),
-    )
-    sliding: str = sliding_parameter()
+    boundary: str = fields.boundary("fixed")
+    sliding: str = fields.sliding()
 
 
 @dataclass()

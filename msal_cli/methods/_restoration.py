@@ -18,44 +18,34 @@ from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, parameter
-from msal_cli.methods._sweeps import (
-    NormalParameters,
-    caution_parameter,
-    free_vertices,
-    noise_parameter,
-)
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep
+from msal_cli.methods._sweeps import NormalParameters, free_vertices
 
 
 @dataclass(frozen=True)
 class RestorationParameters(NormalParameters):
     """Parameters of the Wiener-filtered residual and of the normals that follow it."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         6,
         "plain sweeps at the beginning; 0 returns the mesh as it is",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother under strong noise, hardly else",
+        "smoother under strong noise, hardly else",
     )
-    mollify: int = parameter(
+    mollify: int = fields.passes(
         2,
         "passes that average the normals over the one-ring before the first sweep",
-        low=0,
+        "smoother normals: flatter flats under heavy noise, softer edges",
         high=100,
-        more="smoother normals: flatter flats under heavy noise, softer edges",
     )
-    noise: float = noise_parameter(of="")
-    caution: float = caution_parameter(0.75, of="")
-    normal_iterations: int = parameter(
+    noise: float = fields.noise(of="")
+    caution: float = fields.caution(0.75, of="")
+    normal_iterations: int = fields.passes(
         3,
         "passes over the face normals; 0 leaves this step out",
-        low=0,
-        high=1000,
-        more="smoother",
+        "smoother",
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         2.25,
         "width of the Gaussian of the differences between unit normals of the result, over the "
         "noise in mean edge lengths",
@@ -64,7 +54,7 @@ class RestorationParameters(NormalParameters):
         high=100.0,
         more="smoother; edges of larger angles go",
     )
-    closeness: float = parameter(
+    closeness: float = fields.parameter(
         1.25,
         "width of the Gaussian of the distances between centroids",
         symbol="sigma_c",
@@ -73,19 +63,15 @@ class RestorationParameters(NormalParameters):
         unit="mean distances of neighbouring centroids",
         more="smoother, up to the plain average of the neighbours",
     )
-    scan_share: float = parameter(
+    scan_share: float = fields.share(
         0.75,
         "share of the scan's normals in those that are filtered, beside those of the result",
-        low=0.0,
-        high=1.0,
-        more="positions closer to the scan, and finer texture; less is smoother",
+        "positions closer to the scan, and finer texture; less is smoother",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         2,
         "passes that fit the vertices to the filtered normals",
-        low=0,
-        high=1000,
-        more="faces closer to their normals",
+        "faces closer to their normals",
     )
 
 

@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from msal_cli.arrays import Ints
 from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import parameter
+from msal_cli.methods import _fields as fields
 from msal_cli.methods._sweeps import ScaleParameters
-
-
-def boundary_rule() -> Any:
-    """The parameter ``boundary`` of these methods."""
-    return parameter(
-        "curve",
-        "vertices at open edges: averaged along the rim only, as a curve; with all the neighbours "
-        "they have, which draws the rim inwards; or fixed",
-        choices=("curve", "free", "fixed"),
-    )
 
 
 def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
@@ -43,4 +32,4 @@ def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
 class ScheduledRingParameters(ScaleParameters):
     """Parameters of an operator of equation (2) that averages over one-rings."""
 
-    boundary: str = boundary_rule()
+    boundary: str = fields.rim()

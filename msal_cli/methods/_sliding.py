@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from msal_cli.analysis.measures import apply_umbrella
@@ -12,7 +10,6 @@ from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.quantiles import median
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh, cached_by_mesh
-from msal_cli.methods._contract import parameter
 from msal_cli.methods._sweeps import free_vertices
 
 FINAL_PASSES = 3
@@ -25,16 +22,6 @@ Over the machined and the organic meshes of benchmarks/ground_truth.py it is mea
 0.48 with noise along the normals, as 0.58 to 0.82 where noise of the same strength is in one more
 direction as well, and as 0.86 to 1.06 where it is in every direction.  Scans that are
 unevenly sampled (the dragon: 0.75 and more) are taken for the latter, and nothing is undone."""
-
-
-def sliding_parameter(default: str = "kept") -> Any:
-    """The parameter of ``undo_sliding``."""
-    return parameter(
-        default,
-        "the way that vertices came sideways: kept; undone at the end, for scans whose noise is "
-        "along their normals, so that only heights are wrong; or auto, undone on such scans",
-        choices=("kept", "undone", "auto"),
-    )
 
 
 def undo_sliding(mesh: Mesh, positions: Floats, sliding: str, boundary: str) -> Floats:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,37 +24,32 @@ from msal_cli.kernels.sweeps import (
     run_sweeps,
 )
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
 
 
 @dataclass(frozen=True)
 class NormalParameters:
     """Iterations, and the vertex normals that heights, and sigma of eq. (4), are measured along."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         4,
         "sweeps over all vertices",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother; under the multiscale schedule many sweeps lead back to the input",
+        "smoother; under the multiscale schedule many sweeps lead back to the input",
     )
-    mollify: int = parameter(
+    mollify: int = fields.passes(
         1,
         "passes that average the normals over the one-ring before the first sweep",
-        low=0,
+        "smoother normals: flatter flats under heavy noise, softer edges",
         high=100,
-        more="smoother normals: flatter flats under heavy noise, softer edges",
     )
-    normals: str = parameter(
+    normals: str = fields.parameter(
         "uniform",
         "how face normals count in a vertex normal: alike, or by face area",
         choices=("uniform", "area"),
     )
-    boundary: str = parameter(
-        "free",
-        "vertices at open edges: filtered like the others with the neighbours they have, or fixed",
-        choices=("free", "fixed"),
+    boundary: str = fields.boundary(
+        "free", "filtered like the others with the neighbours they have"
     )
 
 
@@ -67,7 +61,7 @@ MAX_NOISE_MULTISCALE = 0.15
 passes of Taubin's filter have the smaller angles on most models of benchmarks/ground_truth.py."""
 
 
-class ScheduleTraits:
+class ScheduleTraits(NormalParameters):
     """What the parameter ``schedule`` of a method and those that belong to it mean."""
 
     schedule: str
@@ -77,18 +71,19 @@ class ScheduleTraits:
     caution: float
     time_step = 1.0
     fidelity = 0.0
+    has_own_step = False  # True where the operator takes ``time_step``, and a schedule is a share
 
     def build_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""
+        step = 1.0 if self.has_own_step else self.time_step
         if self.schedule == "constant":
-            return Schedule(self.time_step, self.fidelity)
-        if self.schedule == "multiscale":
-            return Schedule(self.time_step, decay=self.K, quantile=1.0)
-        if self.schedule == "robust":
-            return Schedule(self.time_step, decay=self.K, quantile=self.quantile)
+            return Schedule(step, self.fidelity)
+        if self.schedule in ("multiscale", "robust"):
+            share = 1.0 if self.schedule == "multiscale" else self.quantile
+            return Schedule(step, decay=self.K, quantile=share)
         if self.schedule == "wiener":
-            return Wiener(self.time_step, noise=self.noise or None, caution=self.caution)
-        return Schedule(self.time_step)
+            return Wiener(step, noise=self.noise or None, caution=self.caution)
+        return Schedule(step)
 
     @property
     def has_data_term(self) -> bool:
@@ -112,96 +107,53 @@ class ScheduleTraits:
         return self.schedule == "multiscale"
 
 
-def quantile_parameter() -> Any:
-    """The parameter of the robust schedule."""
-    return parameter(
-        0.99,
-        "robust schedule: quantile of sigma, from 0 to 1, that replaces max sigma",
-        symbol="q",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother; 1 is the multiscale schedule",
-    )
-
-
-def noise_parameter(of: str = "wiener schedule: ") -> Any:
-    """A parameter of the Wiener schedule."""
-    return parameter(
-        0.0,
-        of + "standard deviation of the noise; 0 estimates it",
-        low=0.0,
-        high=100.0,
-        unit="mean edge lengths",
-        more="smoother, above 0",
-    )
-
-
-def caution_parameter(default: float = 1.0, of: str = "wiener schedule: ") -> Any:
-    """The other parameter of the Wiener schedule."""
-    return parameter(
-        default,
-        of + "factor of the assumed power of the noise",
-        low=0.0,
-        high=100.0,
-        more="smoother, less texture",
-    )
-
-
 @dataclass(frozen=True)
-class ScheduledParameters(ScheduleTraits, NormalParameters):
+class ScheduledParameters(ScheduleTraits):
     """Parameters of a method whose operator can run under any schedule of equation (2)."""
 
-    time_step: float = parameter(
+    time_step: float = fields.share(
         1.0,
         "share of the operator's step that the first sweep takes",
+        "smoother",
         symbol="tau",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother",
+        above=0.0,
     )
-    schedule: str = parameter(
+    schedule: str = fields.parameter(
         "plain",
         "how the sweeps go on: alike; with a constant pull to the data; multiscale, as in msal; "
         "robust, unaffected by spikes; or alike, and what is more than noise comes back (wiener)",
         choices=("plain", "constant", "multiscale", "robust", "wiener"),
     )
-    fidelity: float = parameter(
+    fidelity: float = fields.share(
         0.1,
         "constant schedule: pull towards the scanned position at every sweep",
+        "closer to the input",
         symbol="lambda",
-        low=0.0,
-        high=1.0,
-        more="closer to the input",
     )
-    K: float = parameter(
+    K: float = fields.share(
         0.5,
         "multiscale and robust schedules: factor by which the smoothing shrinks from sweep to "
         "sweep",
+        "smoother; less keeps more texture, and more noise",
         symbol="K",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother; less keeps more texture, and more noise",
+        above=0.0,
     )
-    quantile: float = quantile_parameter()
-    noise: float = noise_parameter()
-    caution: float = caution_parameter()
+    quantile: float = fields.quantile()
+    noise: float = fields.noise()
+    caution: float = fields.caution()
 
 
 @dataclass(frozen=True)
 class ScaleParameters(ScheduledParameters):
     """Parameters of a method whose normals serve only sigma of eq. (4), and so the fidelity."""
 
-    mollify: int = parameter(
+    mollify: int = fields.passes(
         1,
         "multiscale schedule: passes that average the normals along which sigma is measured",
-        low=0,
+        "a lambda that follows the noise less",
         high=100,
-        more="a lambda that follows the noise less",
     )
-    normals: str = parameter(
+    normals: str = fields.parameter(
         "uniform",
         "multiscale schedule: how face normals count in these normals: alike, or by face area",
         choices=("uniform", "area"),
@@ -228,12 +180,11 @@ def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> Anisotrop
 
 def run(
     mesh: Mesh,
-    parameters: NormalParameters,
+    parameters: ScheduleTraits,
     operator: Callable[[], Operator],
-    schedule: Schedule,
     on_sweep: OnSweep,
 ) -> Result:
-    """Sweeps of the operator that ``operator()`` makes, under ``schedule``.
+    """Sweeps of the operator that ``operator()`` makes, under the schedule of ``parameters``.
 
     Making it counts as the stage ``normals``.  For a schedule that needs sigma over an operator
     that does not compute it, sigma is that of eq. (4) along the mesh's vertex normals.  lambda is
@@ -242,6 +193,7 @@ def run(
     end.
     """
     timer = Timer()
+    schedule = parameters.build_schedule()
     made = operator()
     laplacian = anisotropic_laplacian(mesh, parameters) if schedule.quantile is not None else None
 
@@ -300,13 +252,13 @@ def _restore(
 class HeightParameters(NormalParameters):
     """Parameters of the anisotropic Laplacian and its variants."""
 
-    weights: str = parameter(
+    weights: str = fields.parameter(
         "gauss",
         "how the weight of a neighbour falls with its height: to nothing at a height (tukey), "
         "to almost nothing (gauss), slowly (lorentz, huber), or not at all (none)",
         choices=WEIGHTS,
     )
-    deviation: str = parameter(
+    deviation: str = fields.parameter(
         "mean",
         "scale of the heights: 2 mean or 1.4826 median absolute deviations; the median keeps "
         "sharper edges under weak noise, and leaves strong noise in place",

@@ -42,7 +42,8 @@ from dataclasses import dataclass
 
 from msal_cli.kernels.operators import SCALINGS
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._sweeps import HeightParameters, ScheduledParameters, height_operator, run
 
 
@@ -50,31 +51,25 @@ from msal_cli.methods._sweeps import HeightParameters, ScheduledParameters, heig
 class Parameters(ScheduledParameters, HeightParameters):
     """Parameters of the anisotropic Laplacian."""
 
-    scaling: str = parameter(
+    scaling: str = fields.parameter(
         "none",
         "for meshes of mixed triangle sizes: steps by the area around a vertex, or by edge lengths",
         choices=SCALINGS,
     )
-    scaled_step: float = parameter(
+    scaled_step: float = fields.step(
         0.25,
         "with a scaling: the time step; vertices with a smaller limit of stability take that",
         symbol="c",
-        low=0.0,
         high=100.0,
-        low_open=True,
-        unit="squared mean edge lengths",
-        more="smoother, up to the limit of each vertex",
     )
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """AL of ``mesh``; see the module's description."""
     time_step = parameters.scaled_step * mesh.mean_edge_length**2
-    schedule = parameters.build_schedule()
     return run(
         mesh,
         parameters,
         lambda: height_operator(mesh, parameters, parameters.scaling, time_step),
-        schedule,
         on_sweep,
     )

@@ -35,13 +35,13 @@ Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 from msal_cli.kernels.curvature import AnisotropicCurvature, curvature_threshold
 from msal_cli.kernels.faces import flaps
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 DEVIATIONS = {"cad": 0.0, "organic": 1.0}
@@ -54,35 +54,21 @@ BYTES_PER_FACE = 195
 class Parameters(ScaleParameters):
     """Parameters of anisotropic mean curvature diffusion."""
 
-    iterations: int = parameter(
+    has_own_step = True
+
+    iterations: int = fields.iterations(
         40,
         "steps; about 10 for variant=amc",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother; under the multiscale schedule many lead back to the input",
+        "smoother; under the multiscale schedule many lead back to the input",
     )
-    boundary: str = parameter(
-        "fixed",
-        "vertices at open edges: fixed, or free to move by the edges that have two faces",
-        choices=("fixed", "free"),
-    )
-    time_step: float = parameter(
-        0.1,
-        "time step of the first sweep; vertices with a smaller limit of stability take that",
-        symbol="tau",
-        low=0.0,
-        high=1000.0,
-        low_open=True,
-        unit="squared mean edge lengths",
-        more="smoother, up to the limit of each vertex",
-    )
-    variant: str = parameter(
+    boundary: str = fields.boundary("fixed", "free to move by the edges that have two faces")
+    time_step: float = fields.step(0.1)
+    variant: str = fields.parameter(
         "pmc",
         "flow towards a smooth prescribed mean curvature, or plain anisotropic mean curvature flow",
         choices=("pmc", "amc"),
     )
-    threshold: float = parameter(
+    threshold: float = fields.parameter(
         0.0,
         "curvature |H| beyond which an edge is kept; 0 measures it on the input",
         low=0.0,
@@ -90,18 +76,17 @@ class Parameters(ScaleParameters):
         unit="mean edge lengths",
         more="smoother, fewer edges kept; but for 0",
     )
-    shape: str = parameter(
+    shape: str = fields.parameter(
         "cad",
         "with threshold=0: an object with sharp edges, or a rounded one, where fewer are kept",
         choices=tuple(DEVIATIONS),
     )
-    falloff: float = parameter(
+    falloff: float = fields.parameter(
         10.0,
         "how fast the weight of an edge falls beyond the threshold",
         symbol="r",
-        low=0.0,
+        above=0.0,
         high=1e6,
-        low_open=True,
         more="sharper edges, and more noise taken for an edge",
     )
 
@@ -127,6 +112,4 @@ def _operator(mesh: Mesh, parameters: Parameters) -> AnisotropicCurvature:
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Anisotropic diffusion of ``mesh``; see the module's description."""
-    # The operator has taken its own step; the schedule's is a share of it.
-    schedule = dataclasses.replace(parameters, time_step=1.0).build_schedule()
-    return run(mesh, parameters, lambda: _operator(mesh, parameters), schedule, on_sweep)
+    return run(mesh, parameters, lambda: _operator(mesh, parameters), on_sweep)

@@ -38,41 +38,34 @@ from msal_cli.errors import UsageError
 from msal_cli.kernels.bilateral import BallBilateral
 from msal_cli.kernels.operators import Operator, RingBilateral
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import (
-    ScheduledParameters,
-    free_vertices,
-    run,
-)
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
+from msal_cli.methods._sweeps import ScheduledParameters, free_vertices, run
 
 
 @dataclass(frozen=True)
 class Parameters(ScheduledParameters):
     """Parameters of the bilateral filters."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         5,
         "sweeps over all vertices; 3 in Huang and Ascher, up to 5 in Fleishman et al.",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother; under the multiscale schedule many sweeps lead back to the input",
+        "smoother; under the multiscale schedule many sweeps lead back to the input",
     )
-    mollify: int = parameter(
+    mollify: int = fields.passes(
         1,
         "one_ring, and the sigma of the multiscale schedule: passes that average the normals over "
         "the one-ring before the first sweep",
-        low=0,
+        "smoother normals: flatter flats under heavy noise, softer edges",
         high=100,
-        more="smoother normals: flatter flats under heavy noise, softer edges",
     )
-    variant: str = parameter(
+    variant: str = fields.parameter(
         "one_ring",
         "the neighbours: the one-ring, along normals kept from the input; or the vertices within "
         "a radius, along normals measured anew at every sweep",
         choices=("one_ring", "fleishman"),
     )
-    closeness: float = parameter(
+    closeness: float = fields.parameter(
         0.0,
         "width of the Gaussian of distances; 0 is automatic: the mean edge length (one_ring); half "
         "the radius, or without one each vertex's shortest edge (fleishman)",
@@ -82,7 +75,7 @@ class Parameters(ScheduledParameters):
         unit="mean edge lengths",
         more="smoother; for fleishman also slower",
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         0.0,
         "width of the Gaussian of heights; 0 is automatic: their standard deviation around each "
         "vertex",
@@ -92,7 +85,7 @@ class Parameters(ScheduledParameters):
         unit="mean edge lengths",
         more="smoother; edges go",
     )
-    radius: float = parameter(
+    radius: float = fields.parameter(
         0.0,
         "fleishman: distance within which vertices count; 0 is automatic: twice sigma_c",
         symbol="rho",
@@ -138,5 +131,4 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Bilateral filtering of ``mesh``; see the module's description."""
-    schedule = parameters.build_schedule()
-    return run(mesh, parameters, lambda: _operator(mesh, parameters), schedule, on_sweep)
+    return run(mesh, parameters, lambda: _operator(mesh, parameters), on_sweep)

@@ -31,7 +31,8 @@ from dataclasses import dataclass
 
 from msal_cli.kernels.bilateral import ProjectionAverage
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 BYTES_PER_FACE = 210
@@ -41,31 +42,26 @@ BYTES_PER_FACE = 210
 class Parameters(ScaleParameters):
     """Parameters of the non-iterative bilateral filter."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         1,
         "times that the whole filter is run; 1 in the paper",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother; under the multiscale schedule many lead back to the input",
+        "smoother; under the multiscale schedule many lead back to the input",
     )
-    closeness: float = parameter(
+    closeness: float = fields.parameter(
         1.0,
         "width of the Gaussian of distances; faces within twice of it count",
         symbol="sigma_f",
-        low=0.0,
+        above=0.0,
         high=8.0,
-        low_open=True,
         unit="mean edge lengths",
         more="smoother, and slower; small features are lost",
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         1.0,
         "width of the Gaussian of distances from planes",
         symbol="sigma_g",
-        low=0.0,
+        above=0.0,
         high=10.0,
-        low_open=True,
         unit="mean edge lengths",
         more="smoother; edges go",
     )
@@ -85,6 +81,5 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             parameters.closeness * unit,
             parameters.similarity * unit,
         ),
-        parameters.build_schedule(),
         on_sweep,
     )

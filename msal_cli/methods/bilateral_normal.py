@@ -45,7 +45,8 @@ from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_dis
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas
 from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._normal_filters import NormalFilterParameters, Passes, run
 
 TOLERANCE = 1e-4
@@ -61,12 +62,12 @@ BYTES_PER_FACE = 265
 class Parameters(NormalFilterParameters):
     """Parameters of the bilateral filters of normals."""
 
-    variant: str = parameter(
+    variant: str = fields.parameter(
         "local",
         "average the normals over their neighbours, pass by pass; or solve for all at once",
         choices=("local", "global"),
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         0.35,
         "width of the Gaussian of the differences between unit normals",
         symbol="sigma_s",
@@ -74,7 +75,7 @@ class Parameters(NormalFilterParameters):
         high=10.0,
         more="smoother; edges of larger angles go",
     )
-    closeness: float = parameter(
+    closeness: float = fields.parameter(
         1.0,
         "width of the Gaussian of the distances between centroids",
         symbol="sigma_c",
@@ -83,7 +84,7 @@ class Parameters(NormalFilterParameters):
         unit="mean distances of neighbouring centroids",
         more="smoother, up to the plain average of the neighbours",
     )
-    fidelity: float = parameter(
+    fidelity: float = fields.parameter(
         0.01,
         "global: weight of the scanned normals",
         symbol="lambda",

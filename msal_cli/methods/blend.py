@@ -41,7 +41,8 @@ import numpy as np
 from msal_cli.analysis.noise_estimate import local_levels
 from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import Method, OnSweep, Result, Timer, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import Method, OnSweep, Result, Timer
 from msal_cli.methods._sliding import even_out
 
 BYTES_PER_FACE = 760
@@ -184,32 +185,29 @@ def _parse_weights(text: str, count: int) -> tuple[float, ...]:
 class Parameters:
     """Parameters of a blend."""
 
-    members: str = parameter(
+    members: str = fields.parameter(
         "0.5*guided_normal(similarity=0.45,iterations=5)+0.5*al(iterations=2,mollify=2)",
         "weights and methods with their parameters: W*METHOD(NAME=VALUE,...)+...",
         more="the more a member weighs, the more the result is like its own",
     )
 
-    levels: str = parameter(
+    levels: str = fields.parameter(
         "",
         "levels of the local noise, mean edge lengths, for which members have a weight each, as "
         "0.02:0.25; empty for the same weights everywhere",
         more="weights of noisier places are for places of more noise",
     )
-    relax: int = parameter(
+    relax: int = fields.passes(
         0,
         "passes that even out the triangles within the surface before the members run, for noise "
         "in all directions",
-        low=0,
+        "more even triangles, vertices farther from the scan",
         high=100,
-        more="more even triangles, vertices farther from the scan",
     )
-    share: float = parameter(
+    share: float = fields.share(
         1.0,
         "how much of the way from the mesh to the result is gone, after everything else",
-        low=0.0,
-        high=1.0,
-        more="farther from the scan; 0 returns the mesh as it is",
+        "farther from the scan; 0 returns the mesh as it is",
     )
 
     def __post_init__(self) -> None:

@@ -45,9 +45,9 @@ from msal_cli.kernels.faces import face_centroids, faces_within, mean_centroid_d
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._normal_filters import run_rounds
-from msal_cli.methods._sliding import sliding_parameter
 
 MAX_NEAR = 64
 """Faces near one at most; ten are usual."""
@@ -59,34 +59,29 @@ BYTES_PER_FACE = 385
 class Parameters:
     """Parameters of guided normal filtering."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         20,
         "filterings of the normals, each with its passes over the vertices",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother, with sharper edges; fine features go",
+        "smoother, with sharper edges; fine features go",
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         0.35,
         "width of the Gaussian of the differences between guide normals",
         symbol="sigma_r",
-        low=0.0,
+        above=0.0,
         high=10.0,
-        low_open=True,
         more="smoother; blunt edges go",
     )
-    closeness: float = parameter(
+    closeness: float = fields.parameter(
         1.0,
         "width of the Gaussian of distances between centroids",
         symbol="sigma_s",
-        low=0.0,
+        above=0.0,
         high=10.0,
-        low_open=True,
         unit="mean distances of neighbouring centroids",
         more="smoother, as far as the radius goes",
     )
-    radius: float = parameter(
+    radius: float = fields.parameter(
         2.0,
         "distance between centroids up to which faces count",
         symbol="r",
@@ -95,19 +90,13 @@ class Parameters:
         unit="mean distances of neighbouring centroids",
         more="smoother, and slower; thin features are lost",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         10,
         "passes that fit the vertices to the normals, after each filtering",
-        low=0,
-        high=1000,
-        more="faces closer to their normals, vertices farther from the scan",
+        "faces closer to their normals, vertices farther from the scan",
     )
-    boundary: str = parameter(
-        "free",
-        "vertices at open edges: moved like the others by the faces that they have, or fixed",
-        choices=("free", "fixed"),
-    )
-    sliding: str = sliding_parameter()
+    boundary: str = fields.boundary("free")
+    sliding: str = fields.sliding()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -25,8 +25,9 @@ from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import hc_sweep
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._rings import boundary_rule, ring_of
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._rings import ring_of
 
 BYTES_PER_FACE = 10
 
@@ -35,29 +36,24 @@ BYTES_PER_FACE = 10
 class Parameters:
     """Parameters of the HC algorithm."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         10,
         "times that all vertices are averaged and pushed back",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother",
+        "smoother",
     )
-    alpha: float = parameter(
+    alpha: float = fields.share(
         0.1,
         "share of the scanned position, against the previous one, in what is pushed back to",
-        low=0.0,
-        high=1.0,
-        more="closer to the input",
+        "closer to the input",
     )
-    beta: float = parameter(
+    beta: float = fields.parameter(
         0.6,
         "share of a vertex's own correction, against its neighbours'; above 0.5 it converges",
         low=0.5,
         high=1.0,
         more="less is smoothed at each iteration",
     )
-    boundary: str = boundary_rule()
+    boundary: str = fields.rim()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

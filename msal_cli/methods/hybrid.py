@@ -49,7 +49,8 @@ from msal_cli.kernels.quantiles import clusters
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._sweeps import NormalParameters, anisotropic_laplacian, free_vertices
 
 SMALLEST_SPREAD = 1e-6
@@ -65,29 +66,24 @@ BYTES_PER_FACE = 95
 class Parameters(NormalParameters):
     """Parameters of the hybrid filter."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         6,
         "sweeps over all vertices, those before the clustering among them",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother flats, more even triangles",
+        "smoother flats, more even triangles",
     )
-    presmooth: int = parameter(
+    presmooth: int = fields.passes(
         3,
         "sweeps before the clustering",
-        low=0,
-        high=1000,
-        more="features are found under stronger noise, and weak ones are lost",
+        "features are found under stronger noise, and weak ones are lost",
     )
-    clusters: int = parameter(
+    clusters: int = fields.parameter(
         3,
         "groups into which K-means parts the vertices; the highest one holds the features",
         low=2,
         high=10,
         more="fewer features",
     )
-    crease_angle_deg: float = parameter(
+    crease_angle_deg: float = fields.parameter(
         25.0,
         "angle between the normals on both sides below which nothing is a feature",
         low=0.0,
@@ -95,22 +91,18 @@ class Parameters(NormalParameters):
         unit="degrees",
         more="fewer features",
     )
-    K: float = parameter(
+    K: float = fields.share(
         0.5,
         "factor by which the steps of features shrink from sweep to sweep, before and after the "
         "clustering",
+        "smoother features",
         symbol="K",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother features",
+        above=0.0,
     )
-    regularize: float = parameter(
+    regularize: float = fields.share(
         0.25,
         "share of the umbrella's step along the surface that flat vertices take",
-        low=0.0,
-        high=1.0,
-        more="more even triangles, farther from where they were scanned",
+        "more even triangles, farther from where they were scanned",
     )
 
 

@@ -38,8 +38,9 @@ from msal_cli.kernels.conjugate_gradient import conjugate_gradients
 from msal_cli.kernels.edge_sparsity import edge_sparsity
 from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import sliding_parameter, undo_sliding
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._sliding import undo_sliding
 from msal_cli.methods._sweeps import free_vertices
 
 FIRST_BETA = 1e-3
@@ -58,15 +59,12 @@ BYTES_PER_FACE = 455
 class Parameters:
     """Parameters of L0 minimisation."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         40,
         "steps in which beta grows from 0.001 to 1000; 40 are a factor of the square root of 2",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="a slower, more careful search for the edges to keep",
+        "a slower, more careful search for the edges to keep",
     )
-    sparsity: float = parameter(
+    sparsity: float = fields.parameter(
         0.2,
         "price of a bent edge",
         symbol="lambda",
@@ -75,7 +73,7 @@ class Parameters:
         unit="squared mean edge lengths times the mean dihedral angle in radians",
         more="fewer edges: larger flat pieces, less detail; far too much rounds everything",
     )
-    regularity: float = parameter(
+    regularity: float = fields.parameter(
         0.1,
         "weight of the parallelogram term at the first step",
         symbol="alpha",
@@ -84,12 +82,8 @@ class Parameters:
         unit="mean dihedral angles in radians",
         more="more even triangles, fewer folds, rounder edges",
     )
-    boundary: str = parameter(
-        "free",
-        "vertices at open edges: moved like the others by the edges that they have, or fixed",
-        choices=("free", "fixed"),
-    )
-    sliding: str = sliding_parameter()
+    boundary: str = fields.boundary("free", "moved like the others by the edges that they have")
+    sliding: str = fields.sliding()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

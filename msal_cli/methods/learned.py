@@ -45,10 +45,10 @@ from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
 from msal_cli.mesh import Mesh
+from msal_cli.methods import _fields as fields
 from msal_cli.methods._cascade import Cascade, load_networks, return_texture
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._sliding import sliding_parameter, undo_sliding
-from msal_cli.methods._sweeps import noise_parameter
+from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._sliding import undo_sliding
 
 BYTES_PER_FACE = 730
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
@@ -64,30 +64,23 @@ STAGE_PASSES = 10
 class Parameters:
     """Parameters of the learned filter."""
 
-    iterations: int = parameter(
+    iterations: int = fields.passes(
         3,
         "stages, each with its own network; beyond the third the last one again; 0 returns the "
         "mesh as it is",
+        "smoother flat and round parts, sharper edges",
         symbol="n",
-        low=0,
         high=100,
-        more="smoother flat and round parts, sharper edges",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         20,
         "passes that fit the scanned vertices to the normals of the last stage",
-        low=0,
-        high=1000,
-        more="faces closer to their normals, vertices farther from the scan",
+        "faces closer to their normals, vertices farther from the scan",
     )
-    noise: float = noise_parameter(of="")
-    boundary: str = parameter(
-        "free",
-        "vertices at open edges: moved like the others by the faces that they have, or fixed",
-        choices=("free", "fixed"),
-    )
-    sliding: str = sliding_parameter("auto")
-    texture: str = parameter(
+    noise: float = fields.noise(of="")
+    boundary: str = fields.boundary("free")
+    sliding: str = fields.sliding("auto")
+    texture: str = fields.parameter(
         "auto",
         "what the stages took beyond white noise: returned, lost, or by the noise (auto)",
         choices=("auto", "returned", "lost"),

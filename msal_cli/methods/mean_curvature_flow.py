@@ -45,7 +45,8 @@ from msal_cli.kernels.curvature import (
 from msal_cli.kernels.geometry import restore_volume
 from msal_cli.kernels.operators import Operator
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._sweeps import ScaleParameters, free_vertices, run
 
 BYTES_PER_FACE = 180
@@ -55,41 +56,31 @@ BYTES_PER_FACE = 180
 class Parameters(ScaleParameters):
     """Parameters of mean curvature flow."""
 
-    iterations: int = parameter(
+    has_own_step = True
+
+    iterations: int = fields.iterations(
         2,
         "sweeps over all vertices, or implicit steps",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother, and smaller; under the multiscale schedule many lead back to the input",
+        "smoother, and smaller; under the multiscale schedule many lead back to the input",
     )
-    boundary: str = parameter(
-        "fixed",
-        "vertices at open edges: fixed, or free to flow, which draws the rim inwards",
-        choices=("fixed", "free"),
-    )
-    time_step: float = parameter(
+    boundary: str = fields.boundary("fixed", "free to flow, which draws the rim inwards")
+    time_step: float = fields.step(
         0.25,
         "time step of the first sweep; explicit: vertices with a smaller limit of stability take "
         "that",
-        symbol="tau",
-        low=0.0,
-        high=1000.0,
-        low_open=True,
-        unit="squared mean edge lengths",
-        more="smoother; explicit: up to the limit of each vertex",
+        "smoother; explicit: up to the limit of each vertex",
     )
-    variant: str = parameter(
+    variant: str = fields.parameter(
         "implicit",
         "solve for the end of each step, stable at any length; or step from its start",
         choices=("implicit", "explicit"),
     )
-    areas: str = parameter(
+    areas: str = fields.parameter(
         "mixed",
         "area of a vertex: its mixed Voronoi area, or a third of its one-ring's",
         choices=AREAS,
     )
-    volume: str = parameter(
+    volume: str = fields.parameter(
         "free",
         "let a closed surface shrink, or restore its volume at the end",
         choices=("free", "restore"),
@@ -121,8 +112,6 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         mesh,
         parameters,
         lambda: _operator(mesh, parameters, lambda: on_step(finished, parameters.iterations)),
-        # The operator has taken its own step; the schedule's is a share of it.
-        dataclasses.replace(parameters, time_step=1.0).build_schedule(),
         on_step,
     )
     closed = not (mesh.topology.boundary_edges or mesh.topology.non_manifold_edges)

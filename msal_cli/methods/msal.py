@@ -37,44 +37,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
-from msal_cli.methods._sweeps import (
-    HeightParameters,
-    ScheduleTraits,
-    caution_parameter,
-    height_operator,
-    noise_parameter,
-    quantile_parameter,
-    run,
-)
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
+from msal_cli.methods._sweeps import HeightParameters, ScheduleTraits, height_operator, run
 
 
 @dataclass(frozen=True)
 class Parameters(ScheduleTraits, HeightParameters):
     """Parameters of the multiscale anisotropic Laplacian."""
 
-    K: float = parameter(
+    K: float = fields.share(
         0.5,
         "factor by which the smoothing shrinks from sweep to sweep",
+        "smoother; less keeps more texture, and more noise",
         symbol="K",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother; less keeps more texture, and more noise",
+        above=0.0,
     )
 
-    schedule: str = parameter(
+    schedule: str = fields.parameter(
         "multiscale",
         "lambda: the paper's; with a quantile of sigma in place of its maximum (robust); or, after "
         "plain sweeps, by how far what they took is more than noise (wiener)",
         choices=("multiscale", "robust", "wiener"),
     )
-    quantile: float = quantile_parameter()
-    noise: float = noise_parameter()
-    caution: float = caution_parameter()
+    quantile: float = fields.quantile()
+    noise: float = fields.noise()
+    caution: float = fields.caution()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """MSAL of ``mesh``; see the module's description."""
-    schedule = parameters.build_schedule()
-    return run(mesh, parameters, lambda: height_operator(mesh, parameters), schedule, on_sweep)
+    return run(mesh, parameters, lambda: height_operator(mesh, parameters), on_sweep)

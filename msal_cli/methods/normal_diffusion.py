@@ -41,9 +41,9 @@ from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import difference_width, diffused_normals
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._normal_filters import run_rounds
-from msal_cli.methods._sliding import sliding_parameter
 
 BYTES_PER_FACE = 130
 
@@ -52,29 +52,22 @@ BYTES_PER_FACE = 130
 class Parameters:
     """Parameters of the diffusion of normals."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         3,
         "rounds of diffusing the normals and fitting the vertices",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother, with sharper edges; fine features go",
+        "smoother, with sharper edges; fine features go",
     )
-    normal_iterations: int = parameter(
+    normal_iterations: int = fields.passes(
         15,
         "steps of diffusion in each round",
-        low=0,
-        high=1000,
-        more="smoother normals, larger flat pieces",
+        "smoother normals, larger flat pieces",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         7,
         "passes that fit the vertices to the diffused normals in each round",
-        low=0,
-        high=1000,
-        more="faces closer to their normals, vertices farther from the scan",
+        "faces closer to their normals, vertices farther from the scan",
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         0.0,
         "width of the Gaussian of the differences between normals; 0 measures it on the input",
         symbol="mu",
@@ -82,22 +75,13 @@ class Parameters:
         high=10.0,
         more="smoother, fewer edges kept; but for 0",
     )
-    time_step: float = parameter(
+    time_step: float = fields.step(
         0.1,
         "time step of the diffusion; faces with a smaller limit of stability take that",
-        symbol="tau",
-        low=0.0,
-        high=1000.0,
-        low_open=True,
-        unit="squared mean edge lengths",
-        more="smoother, up to the limit of each face",
+        "smoother, up to the limit of each face",
     )
-    boundary: str = parameter(
-        "fixed",
-        "vertices at open edges: fixed, or fitted like the others to the faces that they have",
-        choices=("fixed", "free"),
-    )
-    sliding: str = sliding_parameter()
+    boundary: str = fields.boundary("fixed")
+    sliding: str = fields.sliding()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

@@ -30,7 +30,8 @@ from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.normal_filters import threshold_averages
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._normal_filters import NormalFilterParameters, run
 
 BYTES_PER_FACE = 120
@@ -40,21 +41,18 @@ BYTES_PER_FACE = 120
 class Parameters(NormalFilterParameters):
     """Parameters of the threshold filter of normals."""
 
-    threshold: float = parameter(
+    threshold: float = fields.parameter(
         0.5,
         "cosine of the angle between normals at and beyond which a neighbour does not count",
         symbol="T",
         low=0.0,
-        high=1.0,
-        high_open=True,
+        below=1.0,
         more="sharper edges, and more noise taken for edges",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         50,
         "passes that fit the vertices to the filtered normals",
-        low=0,
-        high=1000,
-        more="faces closer to their normals, vertices farther from the scan",
+        "faces closer to their normals, vertices farther from the scan",
     )
 
 

@@ -22,12 +22,12 @@ A. Barr, Implicit fairing of irregular meshes using diffusion and curvature flow
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._rings import ScheduledRingParameters, ring_of
 from msal_cli.methods._sweeps import run
 
@@ -36,35 +36,22 @@ from msal_cli.methods._sweeps import run
 class Parameters(ScheduledRingParameters):
     """Parameters of the scale-dependent umbrella operator."""
 
-    iterations: int = parameter(
+    has_own_step = True
+
+    iterations: int = fields.iterations(
         4,
         "sweeps over all vertices",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother, and smaller; under the multiscale schedule many lead back to the input",
+        "smoother, and smaller; under the multiscale schedule many lead back to the input",
     )
-    time_step: float = parameter(
-        0.25,
-        "time step of the first sweep; vertices with a smaller limit of stability take that",
-        symbol="tau",
-        low=0.0,
-        high=100.0,
-        low_open=True,
-        unit="squared mean edge lengths",
-        more="smoother, up to the limit of each vertex",
-    )
+    time_step: float = fields.step(0.25, high=100.0)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Scale-dependent umbrella smoothing of ``mesh``; see the module's description."""
     time_step = parameters.time_step * mesh.mean_edge_length**2
-    # The operator has taken its own step; the schedule's is a share of it.
-    schedule = dataclasses.replace(parameters, time_step=1.0).build_schedule()
     return run(
         mesh,
         parameters,
         lambda: ScaleDependentUmbrella(*ring_of(mesh, parameters.boundary), time_step),
-        schedule,
         on_sweep,
     )

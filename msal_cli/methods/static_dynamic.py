@@ -50,9 +50,9 @@ from msal_cli.kernels.faces import (
 from msal_cli.kernels.geometry import face_normals_and_areas
 from msal_cli.kernels.normal_filters import minimising_normals, pair_weights
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
 from msal_cli.methods._normal_filters import run_rounds
-from msal_cli.methods._sliding import sliding_parameter
 
 OnStep = Callable[[], object]
 
@@ -69,15 +69,12 @@ BYTES_PER_FACE = 1450
 class Parameters:
     """Parameters of the static/dynamic filter."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         5,
         "filterings of the normals, each with its passes over the vertices",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother, with sharper edges; fine features go",
+        "smoother, with sharper edges; fine features go",
     )
-    strength: float = parameter(
+    strength: float = fields.parameter(
         2.0,
         "weight of the likeness of near normals, against keeping them as they are",
         symbol="lambda",
@@ -85,35 +82,32 @@ class Parameters:
         high=1e6,
         more="smoother",
     )
-    closeness: float = parameter(
+    closeness: float = fields.parameter(
         1.5,
         "width of the Gaussian of the distances between centroids; faces within 3 of it count",
         symbol="eta",
-        low=0.0,
+        above=0.0,
         high=10.0,
-        low_open=True,
         unit="mean distances of neighbouring centroids",
         more="smoother; the cost grows with its square; small features are lost",
     )
-    guidance: float = parameter(
+    guidance: float = fields.parameter(
         1.5,
         "width of the Gaussian of the differences between guide normals",
         symbol="mu",
-        low=0.0,
+        above=0.0,
         high=100.0,
-        low_open=True,
         more="the guide matters less",
     )
-    similarity: float = parameter(
+    similarity: float = fields.parameter(
         0.3,
         "width of the Gaussian of the differences between the normals themselves",
         symbol="nu",
-        low=0.0,
+        above=0.0,
         high=100.0,
-        low_open=True,
         more="smoother; blunt edges go",
     )
-    tolerance_deg: float = parameter(
+    tolerance_deg: float = fields.parameter(
         0.2,
         "mean change of the normals in a step at which a filtering ends",
         low=0.0,
@@ -121,19 +115,13 @@ class Parameters:
         unit="degrees",
         more="faster, less smooth",
     )
-    vertex_iterations: int = parameter(
+    vertex_iterations: int = fields.passes(
         10,
         "passes that fit the vertices to the normals, after each filtering",
-        low=0,
-        high=1000,
-        more="faces closer to their normals, vertices farther from the scan",
+        "faces closer to their normals, vertices farther from the scan",
     )
-    boundary: str = parameter(
-        "free",
-        "vertices at open edges: fitted like the others to the faces that they have, or fixed",
-        choices=("free", "fixed"),
-    )
-    sliding: str = sliding_parameter()
+    boundary: str = fields.boundary("free")
+    sliding: str = fields.sliding()
 
 
 def _filtered_normals(

@@ -29,8 +29,9 @@ from msal_cli.errors import UsageError
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._rings import boundary_rule, ring_of
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._rings import ring_of
 
 LARGEST_PASS_BAND = 1.0
 """Noise has its middle frequency at 1: with a pass band beyond it most of it would grow."""
@@ -40,24 +41,20 @@ LARGEST_PASS_BAND = 1.0
 class Parameters:
     """Parameters of Taubin's filter."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         10,
         "pairs of a step inwards and a step outwards",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother",
+        "smoother",
     )
-    shrink: float = parameter(
+    shrink: float = fields.parameter(
         0.5,
         "the step inwards, as a share of the way to the mean of the neighbours",
         symbol="lambda",
-        low=0.0,
+        above=0.0,
         high=2.0 / 3.0,
-        low_open=True,
         more="smoother",
     )
-    pass_band: float = parameter(
+    pass_band: float = fields.parameter(
         0.1132,
         "frequency up to which the shape is kept; it sets mu = 1 / (pass_band - 1 / lambda)",
         symbol="k_PB",
@@ -65,7 +62,7 @@ class Parameters:
         high=0.5,
         more="more of the shape, and of the noise, is kept",
     )
-    inflate: float = parameter(
+    inflate: float = fields.parameter(
         0.0,
         "the step outwards, negative, in size a little above lambda; 0 takes it from pass_band",
         symbol="mu",
@@ -73,7 +70,7 @@ class Parameters:
         high=0.0,
         more="(nearer to zero, but not 0) smoother, with more shrinkage",
     )
-    boundary: str = boundary_rule()
+    boundary: str = fields.rim()
 
     def __post_init__(self) -> None:
         if self.inflate and 1.0 / self.shrink + 1.0 / self.inflate > LARGEST_PASS_BAND:

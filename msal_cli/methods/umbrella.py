@@ -25,7 +25,8 @@ from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, parameter
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result
 from msal_cli.methods._rings import ScheduledRingParameters, ring_of
 from msal_cli.methods._sweeps import run
 
@@ -34,28 +35,20 @@ from msal_cli.methods._sweeps import run
 class Parameters(ScheduledRingParameters):
     """Parameters of the umbrella operator."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         3,
         "sweeps over all vertices",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="smoother, and smaller; under the multiscale schedule many lead back to the input",
+        "smoother, and smaller; under the multiscale schedule many lead back to the input",
     )
-    time_step: float = parameter(
+    time_step: float = fields.share(
         0.5,
         "share of the way to the mean of the neighbours; 1 in the paper's text",
+        "smoother",
         symbol="tau",
-        low=0.0,
-        high=1.0,
-        low_open=True,
-        more="smoother",
+        above=0.0,
     )
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     """Umbrella smoothing of ``mesh``; see the module's description."""
-    schedule = parameters.build_schedule()
-    return run(
-        mesh, parameters, lambda: Umbrella(*ring_of(mesh, parameters.boundary)), schedule, on_sweep
-    )
+    return run(mesh, parameters, lambda: Umbrella(*ring_of(mesh, parameters.boundary)), on_sweep)

@@ -26,32 +26,29 @@ from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.mesh import Mesh
-from msal_cli.methods._contract import OnSweep, Result, Timer, parameter
-from msal_cli.methods._rings import boundary_rule, ring_of
+from msal_cli.methods import _fields as fields
+from msal_cli.methods._contract import OnSweep, Result, Timer
+from msal_cli.methods._rings import ring_of
 
 
 @dataclass(frozen=True)
 class Parameters:
     """Parameters of the windowed sinc."""
 
-    iterations: int = parameter(
+    iterations: int = fields.iterations(
         20,
         "degree of the transfer function",
-        symbol="n",
-        low=0,
-        high=1000,
-        more="a sharper end of the pass band; fewer than 2 / sqrt(pass_band) keep more than it",
+        "a sharper end of the pass band; fewer than 2 / sqrt(pass_band) keep more than it",
     )
-    pass_band: float = parameter(
+    pass_band: float = fields.parameter(
         0.1,
         "frequency up to which the shape is kept",
         symbol="k_PB",
-        low=0.0,
+        above=0.0,
         high=2.0,
-        low_open=True,
         more="more of the shape, and of the noise, is kept",
     )
-    boundary: str = boundary_rule()
+    boundary: str = fields.rim()
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
