@@ -472,8 +472,7 @@ class _Session:
             if records[0].remembered:
                 console.say(f"it {text.remembered_text()}")
         elif request.quiet:
-            console.say_lines(text.failures(records, verbose=False))
-            console.say_lines(text.broken_gates(records, verbose=False))
+            console.say_lines(text.list_problems(records, False, "Failed", "Broken gates"))
         elif not is_listing:
             say_summary(run, records, verbose=request.verbose > 0)
 

@@ -82,7 +82,7 @@ def command(request: Request) -> int:
     if not quiet:
         say_summary(run, records, verbose=request.verbose > 0)
     elif request.fail_on:
-        console.say_lines(text.broken_gates(records, verbose=False))
+        console.say_lines(text.list_problems(records, False, "Broken gates"))
     for remark in account.remarks:
         console.say(remark, "bad")
     is_checked = request.check or bool(gates)

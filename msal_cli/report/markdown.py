@@ -49,8 +49,10 @@ def render(run: Run, records: Sequence[MeshRecord], *, max_bytes: int = MAX_BYTE
     left = max_bytes - sum(len(part.encode()) for part in parts)
     worst = facts.worst_first(records)
     for table in facts.problem_tables(worst):
-        codes = Counter(cells[1] for _, cells in table.rows) if table.title == "Failed" else {}
-        counts = sorted(codes.items(), key=lambda item: -item[1])[:12]
+        codes: Counter[str] = Counter()
+        if table.title == "Failed":
+            codes.update(record.error.code for record, _ in table.rows if record.error is not None)
+        counts = codes.most_common(12)
         remark = ", ".join(f"{count:,} × {_code(code)}" for code, count in counts)
         rows = [(_name(record), *map(_text, cells)) for record, cells in table.rows[:MAX_ROWS]]
         heads = ("file", *table.heads)

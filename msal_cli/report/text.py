@@ -27,6 +27,9 @@ _MIN_NAME_WIDTH = 16
 _START_S = 0.9
 """Seconds until the first worker denoises."""
 
+# What a summary lists; of noise or texture it has the number of files only.
+_PROBLEMS = ("Failed", "Broken gates", "Warnings", "No comparison with the reference")
+
 _SHAPES = {"3": "triangle", "4": "quad"}
 
 # Heads and their widths, left to right; a file is printed before the next is read.
@@ -107,46 +110,39 @@ def file_text(record: MeshRecord) -> str:
     """What became of a file, in one line: how, how far it moved, what calls for attention."""
     if record.error is not None:
         return escape_for_display(f"failed: {facts.failure_text(record.error)}")
-    moved = record.displacement
+    words = ("left as it is" if record.status == "unchanged" else "moved", "warning")
     parts = [
-        record.method.name if record.method is not None else "",
-        f"largest move {moved.max_edges:.3g} mean edge lengths" if moved is not None else "",
+        f"{fact.word} {fact.text}" if fact.word == "moved" else f"{fact.word}: {fact.text}"
+        for fact in facts.list_facts(record)
+        if fact.word in words
     ]
-    if record.status == "unchanged":
-        parts = [f"left as it is: {record.left_alone or 'no vertex moved'}"]
-    parts += [
-        format_count(record.flipped_faces or None, "flipped face"),
-        facts.despiked_text(record.despiked) if record.despiked else "",
-        facts.seconds_text(record.seconds.total) if record.seconds is not None else "",
-    ]
-    warnings = (f"warning: {warning}" for warning in record.warnings)
-    return escape_for_display("; ".join([", ".join(filter(None, parts)), *warnings]))
+    if record.method is not None and record.status != "unchanged":
+        parts.insert(0, escape_for_display(record.method.name))
+    seconds = [] if record.seconds is None else [facts.seconds_text(record.seconds.total)]
+    return "; ".join(parts + seconds)
 
 
-def failures(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
-    """The lines on what failed and why; none if nothing did."""
-    failed = [record for record in records if record.status == "failed"]
-    items = [facts.failure_lines(file_name(record.input), record.error, "  ") for record in failed]
-    yield from _section("failed", items, None if verbose else MAX_FAILURES)
-    if n_remembered := sum(record.remembered for record in failed):
-        yield Line(f"  {n_remembered:,} of them {remembered_text(n_remembered)}")
+def list_problems(records: Sequence[MeshRecord], verbose: bool, *titles: str) -> Iterator[Line]:
+    """The lines on what a reader has to look at, of all kinds or of those with these titles."""
+    for title, _, rows in facts.problem_tables(records):
+        if title not in (titles or _PROBLEMS):
+            continue
+        tone: Tone = "plain" if title == "Warnings" else "bad"
+        shown = rows if verbose else rows[: MAX_WARNINGS if title == "Warnings" else MAX_FAILURES]
+        yield Line(f"{title.lower()}: {len(rows):,}", tone)
+        for record, (why, *hint) in shown:
+            yield Line(f"  {file_name(record.input)}: {why}", tone)
+            yield from (Line(f"    hint: {text}") for text in hint if text)
+        if n_left := len(rows) - len(shown):
+            yield Line(f"  ... and {n_left:,} more (-v or --report)", tone)
+        if title == "Failed" and (n_remembered := sum(record.remembered for record, _ in rows)):
+            yield Line(f"  {n_remembered:,} of them {remembered_text(n_remembered)}")
 
 
 def remembered_text(count: int = 1) -> str:
     """What summaries say of files that failed in an earlier run."""
     pronoun = "it" if count == 1 else "them"
     return f"failed in an earlier run and would fail again; --retry-failed tries {pronoun} anyway"
-
-
-def broken_gates(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
-    """The lines on which file broke which gate, and with what value; none if none did."""
-    items = [
-        [Line(f"  {file_name(record.input)}: {facts.gate_text(gate)}", "bad")]
-        for record in records
-        for gate in facts.list_broken(record)
-    ]
-    n_files = sum(bool(facts.list_broken(record)) for record in records)
-    yield from _section("broke a gate", items, None if verbose else MAX_FAILURES, count=n_files)
 
 
 # One file
@@ -177,17 +173,12 @@ def _file_lines(
         )
         yield Line(f"{name} -> {output}{seconds}{ending}", "good")
     shown = facts.list_facts(record, None if verbose else defaults)
-    rest: list[Fact] = []
     if not verbose:
         shown = [fact for fact in shown if fact.level <= facts.SHORT]
-        if len(shown) > MAX_LINES - 1:
-            shown, rest = shown[: MAX_LINES - 2], shown[MAX_LINES - 2 :]
+        if rest := shown[MAX_LINES - 2 :] if len(shown) >= MAX_LINES else []:
+            worst: Tone = "bad" if any(fact.tone == "bad" for fact in rest) else "faint"
+            shown[MAX_LINES - 2 :] = [Fact("...", f"and {len(rest):,} more (-v shows them)", worst)]
     yield from facts.fact_lines(shown, 13)
-    if rest:
-        worst: Tone = "bad" if any(fact.tone == "bad" for fact in rest) else "faint"
-        yield from facts.fact_lines(
-            [Fact("...", f"and {len(rest):,} more (-v shows them)", worst)], 13
-        )
 
 
 def _output_name(record: MeshRecord) -> str:
@@ -214,32 +205,10 @@ def _batch_lines(
         yield Line("(moves in mean edge lengths, time in seconds)", "faint")
     elif listed:
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
-    warnings = [
-        [Line(f"  {file_name(record.input)}: {warning}")]
-        for record in records
-        if record.status in DONE
-        for warning in record.warnings
-    ]
-    yield from _section("warnings", warnings, None if verbose else MAX_WARNINGS, tone="plain")
-    yield from failures(records, verbose)
-    yield from _references(records, verbose)
-    yield from broken_gates(records, verbose)
-    done = [record for record in records if record.status in WITH_OUTPUT]
-    if advice := facts.auto_text([record for record in done if record.status != "up-to-date"]):
-        yield Line(advice)
-    unsure = [record for record in done if facts.unsure_text(record)]
-    if unsure:
-        n_filtered = sum(map(facts.is_filtered, unsure))
-        yield Line(
-            f"noise or texture: {format_count(len(unsure), 'file')}, {n_filtered} filtered mildly, "
-            "the others left as they are; --assume noise or --assume texture decides "
-            "(-v or --report lists them)"
-        )
+    yield from list_problems(records, verbose)
     sums = totals(records)
-    for word, text, tone, _ in facts.total_facts(done, sums):
-        yield Line(f"{word}: {text}", tone)
-    if tile_set := facts.tile_set_text(done):
-        yield Line(f"tile set: {tile_set}")
+    done = [record for record in records if record.status in WITH_OUTPUT]
+    yield from (Line(f"{fact.word}: {fact.text}") for fact in facts.total_facts(done, sums))
     is_bad = sums.failed or sums.gate_broken or run.interrupted
     yield Line(
         "; ".join(filter(None, (facts.totals_text(sums), facts.speed_text(run, sums)))),
@@ -281,50 +250,6 @@ def _note(record: MeshRecord) -> str:
         format_count(record.corners, "corner"),
     )
     return escape_for_display(", ".join(filter(None, notes)))
-
-
-def _section(
-    title: str,
-    items: Sequence[Sequence[Line]],
-    max_items: int | None,
-    *,
-    count: int | None = None,
-    tone: Tone = "bad",
-) -> Iterator[Line]:
-    """A title with a ``count`` (of the items by default), and at most ``max_items``."""
-    if not items:
-        return
-    yield Line(f"{title}: {len(items) if count is None else count:,}", tone)
-    for lines in items[:max_items]:
-        yield from lines
-    if n_left := len(items) - len(items[:max_items]):
-        last: Tone = "bad" if tone == "bad" else "faint"
-        yield Line(f"  ... and {n_left:,} more (-v or --report)", last)
-
-
-def _references(records: Sequence[MeshRecord], verbose: bool) -> Iterator[Line]:
-    """Over all files that have a reference, how far they are from it, and which could not be
-    compared with it."""
-    # It takes ten milliseconds to import, and few runs have references.
-    import statistics
-
-    for word, path, unit in (
-        ("angle between normals", "reference.mean_angular_error_deg", "degrees"),
-        ("vertex error", "reference.vertex_error_percent", "% of the mean edge length"),
-    ):
-        if values := known_values(records, path):
-            middle, worst = statistics.median(values), max(values)
-            figures = f"median {middle:.3g}, most {worst:.3g} {unit}"
-            yield Line(f"{word} against the reference: {figures}")
-    items = []
-    for reference in known_values(records, "reference"):
-        if (error := reference.error) is not None:
-            # The place may name the reference already.
-            is_named = f"{error.where}: ".startswith(f"{reference.path}: ")
-            name = "" if is_named else f"{file_name(reference.path)}: "
-            items.append([Line(f"  {name}{facts.failure_text(error)}", "bad")])
-    max_items = None if verbose else MAX_FAILURES
-    yield from _section("no comparison with the reference", items, max_items)
 
 
 # What is in files, for msal info

@@ -237,10 +237,11 @@ def test_a_log_has_a_line_for_each_file_as_it_finishes_with_its_whole_name(monke
     log.on_event(Finished(2, failed()))
     log.on_event(Finished(3, written(warnings=("half\n::gone",))))
     assert stream.getvalue().splitlines() == [
-        f"[1/4] {long}: msal, largest move 0.44 mean edge lengths, 2 flipped faces, "
-        "1 outlier vertex brought back, 0.95 s",
+        f"[1/4] {long}: msal; moved mean 0.11, most 0.44 mean edge lengths; volume -0.266 %; "
+        "2 flipped faces; 1 outlier vertex brought back; 0.95 s",
         "[3/4] bad.ply: failed: vertex 17: position is not finite (E_NONFINITE)",
-        "[4/4] odd.ply: msal, largest move 0.44 mean edge lengths, 0.95 s; warning: half\\n::gone",
+        "[4/4] odd.ply: msal; moved mean 0.11, most 0.44 mean edge lengths; volume -0.266 %; "
+        "warning: half\\n::gone; 0.95 s",
     ]
 
 
