@@ -12,7 +12,6 @@ import click
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts, resolve_format
 from msal_cli.errors import MsalError, UsageError
 from msal_cli.job.plain_data import as_data
@@ -80,7 +79,6 @@ more:
   msal compare scans denoised --baseline known.json --tolerance 2%
 """,
 )
-@with_log
 def command(request: Request) -> int:
     """Measure B against A, which is the reference: before and after, or truth and result.
 

@@ -25,8 +25,7 @@ _NEVER = ("config", "no_config")
 # A file that lies in a folder of scans from elsewhere must not replace the originals or other
 # files, nor have another machine take part: this it may only when it is named.
 _ONLY_NAMED = (
-    *("in_place", "no_backup", "force", "engine", "scheduler"),
-    *("log_file", "scratch", "heatmap", "outputs"),
+    *("in_place", "no_backup", "force", "engine", "scheduler", "scratch", "heatmap", "outputs"),
 )
 # Pictures, which are replaced.
 _OUTPUTS_ONLY_NAMED = (("view", "output"), ("sweep", "output"))

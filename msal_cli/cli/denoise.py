@@ -15,7 +15,6 @@ from msal_cli.batch import interrupts
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.config import is_from_found_file
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import STREAM, group
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
@@ -209,10 +208,7 @@ MESSAGES_AND_HELP = group(
     """
 --quiet
 -v, --verbose ...
-    Show every file and step; -vv shows everything.
-more:
---log-file FILE
-    Append everything, with times, to a file.
+    Show every file and step; -vv shows everything, with times.
 """,
 )
 
@@ -220,7 +216,6 @@ GROUPS = (_INPUT_AND_OUTPUT, *HOW_TO_DENOISE, _MANY_FILES, _REPORTS, MESSAGES_AN
 
 
 @grouped_command("denoise", *GROUPS, arguments=[options.INPUTS])
-@with_log
 def command(request: Request) -> int:
     """Denoise mesh files; nothing but positions changes.
 
@@ -312,7 +307,7 @@ class _Session:
         if request.reports or request.csv_columns:
             from msal_cli.cli import report_files
 
-            paths += [path for path in (request.log_file, request.reference) if path]
+            paths += [request.reference] if request.reference else []
             report_files.check(request.reports, paths, request.csv_columns)
 
     def _run_files(self, plan: Plan, settings: Settings) -> int:

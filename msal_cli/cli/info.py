@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import INPUTS, MESSAGES, STREAM, group, resolve_format
 from msal_cli.errors import UsageError
 from msal_cli.job.plain_data import as_data
@@ -32,12 +31,12 @@ if TYPE_CHECKING:
         MESSAGES,
         """
 -v, --verbose ...
-    Show all that is known of each file, and more of what is done; -vv shows everything.
+    Show all that is known of each file, and more of what is done; -vv shows everything, with
+    times.
 """,
     ),
     arguments=[INPUTS],
 )
-@with_log
 def command(request: Request) -> int:
     """Report what is in mesh files: format, counts, defects, size, volume, noise, and what is
     carried along.

@@ -9,7 +9,6 @@ import click
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import INPUTS, QUIET_AND_VERBOSE, STREAM, group, number, resolve_format
 from msal_cli.errors import MsalError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
@@ -81,7 +80,6 @@ more:
   msal noise clean.ply -o scan.ply --kind view --direction -z --rings 1
 """,
 )
-@with_log
 def command(request: Request) -> int:
     """Add a known amount of noise to meshes, and keep everything else in their files.
 

@@ -304,7 +304,7 @@ _SHARED = f"""
 -q, --quiet
     No progress and no summary; only errors.
 -v, --verbose ...
-    Show more of what is done; -vv shows everything.
+    Show more of what is done; -vv shows everything, with times.
 """
 
 _SHARED_TYPES = {

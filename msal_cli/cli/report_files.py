@@ -1,4 +1,4 @@
-"""Files beside the meshes: reports, logs and pictures, and what they must not replace.
+"""Files beside the meshes: reports and pictures, and what they must not replace.
 
 Every command asks ``refuse_target`` before it works.  Names lead to files by links of both kinds,
 and what a file is shows in its content, so neither a name nor a path alone is trusted.
@@ -8,10 +8,8 @@ GitHub Actions offers annotations in the log of a step, and a summary of its own
 
 from __future__ import annotations
 
-import io
 import os
 import re
-import stat
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from importlib import import_module
@@ -141,9 +139,6 @@ def write(
         raise first
 
 
-_LOG_LINE = rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} "
-"""How every line of a log begins."""
-
 REPORT = (
     r'\{\s*"schema": "msal\.report/|\{"input":[^\n]*"schema":"msal\.report/'
     r"|input,status,output,(?:schema|format),"
@@ -172,13 +167,21 @@ def refuse_target(
     from msal_cli.batch.plan import identify_file
     from msal_cli.codecs.detection import content_format
 
-    _refuse_name(name, what, may_be_mesh=replaces is not None)
+    is_remote = is_url(name)
+    for path in (name,) if is_remote else (name, os.path.realpath(name)):
+        # Where case does not count, another case is the same file.
+        if is_own((urls.name(path) if is_remote else Path(path).name).lower()):
+            raise UsageError(
+                f"{what} {name!r} would have the name of a file of msal's own", hint=_ANOTHER
+            )
+        if replaces is None and is_mesh_name(path):
+            raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
     here = identify_file(name) or os.path.realpath(name)
     for path in taken:
         if here == (identify_file(path) or os.path.realpath(path)):
             raise UsageError(f"{what} {name!r} would replace {path!r}", hint=_ANOTHER)
     # A link to nowhere is replaced.
-    if is_url(name) or not os.path.exists(name):
+    if is_remote or not os.path.exists(name):
         return
     if os.path.isdir(name):
         raise UsageError(f"{what} {name!r} is a folder", hint="name a file in it")
@@ -199,50 +202,6 @@ def refuse_target(
             f"{what} {name!r} would replace a file that is none of its kind",
             hint="move it away, or give another name",
         )
-
-
-def _refuse_name(name: str, what: str, *, may_be_mesh: bool = False) -> None:
-    """Refuse names of msal's own files and of meshes, also behind links; UsageError."""
-    is_remote = is_url(name)
-    for path in (name,) if is_remote else (name, os.path.realpath(name)):
-        # Where case does not count, another case is the same file.
-        if is_own((urls.name(path) if is_remote else Path(path).name).lower()):
-            raise UsageError(
-                f"{what} {name!r} would have the name of a file of msal's own", hint=_ANOTHER
-            )
-        if not may_be_mesh and is_mesh_name(path):
-            raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
-
-
-def open_log(name: str) -> io.TextIOWrapper:
-    """Open a log to append to it: a new file, an empty one, or what begins as a log of msal does.
-
-    A terminal, /dev/null and a pipe with a reader will do, too.  UsageError for any other file,
-    which might be a mesh, an input or a file of msal's own; OSError and ValueError if it cannot be
-    opened.
-    """
-    _refuse_name(name, "the log file")
-    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
-    # A pipe without a reader is an error, and is not waited for.
-    for flag in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_NOINHERIT"):
-        flags |= getattr(os, flag, 0)
-    handle = os.open(name, flags, 0o666)
-    try:
-        status = os.fstat(handle)
-        if stat.S_ISREG(status.st_mode) and status.st_size:
-            with open_regular(name) as file:
-                is_same = os.path.samestat(os.fstat(file.fileno()), status)
-                if not is_same or re.match(_LOG_LINE, file.read(64)) is None:
-                    raise UsageError(
-                        f"the log file {name!r} is there, and is no log of msal",
-                        hint="only a log is appended to; give another name",
-                    )
-        if hasattr(os, "set_blocking"):
-            os.set_blocking(handle, True)
-        return open(handle, "a", encoding="utf-8", errors="backslashreplace")
-    except BaseException:
-        os.close(handle)
-        raise
 
 
 _SUMMARY = "GITHUB_STEP_SUMMARY"

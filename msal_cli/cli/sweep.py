@@ -13,7 +13,6 @@ import click
 
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, complete_method, group
 from msal_cli.cli.view import make_view_group, read_view
 from msal_cli.errors import UsageError
@@ -68,7 +67,6 @@ _CHOICES = {"plain": Settings(ADAPTIVE), "auto": Settings(AUTO)}
   msal sweep scan.ply -o grid.png --method al --columns iterations=1,2,4,8
 """,
 )
-@with_log
 def command(request: Request) -> int:
     """Denoise FILE with every pair of values of two parameters, by the plain command and by --auto,
     and show all results beside it.

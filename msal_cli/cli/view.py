@@ -12,7 +12,6 @@ import click
 
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import (
     PATH,
     QUIET_AND_VERBOSE,
@@ -94,7 +93,6 @@ def read_view(request: Request) -> View:
   msal view scan.ply denoised.ply -o both.html
 """,
 )
-@with_log
 def command(request: Request) -> int:
     """Show mesh A, or A beside B (before and after) and the deviation of B in colours.
 

@@ -28,7 +28,6 @@ from msal_cli.cli.denoise import (
     plan_files,
     read_limits,
 )
-from msal_cli.cli.logs import with_log
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
@@ -105,7 +104,6 @@ more:
     MESSAGES_AND_HELP,
     arguments=[click.Argument(["folder"], metavar="FOLDER", type=PATH)],
 )
-@with_log
 def command(request: Request) -> int:
     """Denoise the mesh files of a folder, and then what arrives in it.
 

@@ -118,7 +118,6 @@ def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
         ("[denoise\n", ("msal.toml: this is not TOML", "line 1")),
         ("[denoise]\nin-place = true", ("in-place", "--config")),
         ("[denoise]\nscheduler = 'tcp://evil:1'", ("scheduler", "--config")),
-        ("[denoise]\nlog-file = 'x.log'", ("log-file", "--config")),
         ("[denoise]\nscratch = '.'", ("scratch", "--config")),
         ("[denoise]\nreport = '../x.csv'", ("leads out of the folder",)),
         ("[denoise]\noutput = '/elsewhere/x'", ("leads out of the folder",)),
@@ -137,9 +136,9 @@ def test_mistakes_are_refused_and_named(project, text, words):
 
 def test_a_named_file_may_do_all_that_the_command_line_may(project):
     (project / "away").mkdir()
-    write(project / "away", "[denoise]\nin-place = true\nlog-file = '../x.log'", "my.toml")
+    write(project / "away", "[denoise]\nin-place = true\nreport = '../x.csv'", "my.toml")
     assert msal("denoise", "in", "--config", "away/my.toml").exit_code == 0
-    assert (project / "x.log").exists()
+    assert (project / "x.csv").exists()
     assert (project / "in/a.ply.orig").exists()
 
 

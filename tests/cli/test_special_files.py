@@ -6,7 +6,6 @@ import os
 
 import pytest
 
-from msal_cli.cli import report_files
 from tests.cli.scans import closed_scan, folder_of, msal, open_scan
 from tests.files import time_limit, tree
 
@@ -70,16 +69,11 @@ def test_outputs_are_as_private_as_the_mesh(place, umask, name, words):
     assert {path.stat().st_mode & 0o777 for path in made} == {0o600}
 
 
-def test_a_report_does_not_replace_the_log_of_its_run(place):
-    made = msal(*DENOISE, "--report", "a.csv", "--log-file", "a.csv")
-    assert (made.exit_code, "would replace 'a.csv'" in made.stderr) == (2, True)
-
-
 def test_what_msal_made_is_replaced(place):
     reports = [f"r.{one}" for one in ("json", "jsonl", "csv", "md", "xml", "html")]
     words = [word for name in reports for word in ("--report", name)]
     for _ in range(2):
-        assert msal(*DENOISE, *words, "--log-file", "run.log").exit_code == 0
+        assert msal(*DENOISE, *words).exit_code == 0
         for pair in (("a.ply", "--heatmap", "h.ply"), ("a.ply",)):
             assert msal("compare", "in/a.ply", f"in/{pair[0]}", *pair[1:]).exit_code == 0
         assert msal("view", "in/a.ply", "-o", "p.png", "-q", "--size", "48").exit_code == 0
@@ -88,14 +82,6 @@ def test_what_msal_made_is_replaced(place):
     (place / "notes.csv").write_text("precious")
     made = msal(*DENOISE, "--report", "notes.csv")
     assert (made.exit_code, "none of its kind" in made.stderr) == (2, True)
-
-
-def test_a_log_goes_to_devices_and_waits_for_no_pipe(place):
-    with report_files.open_log("/dev/null") as stream:
-        stream.write("nothing")
-    os.mkfifo("pipe")
-    with pytest.raises(OSError, match="No such device"):
-        report_files.open_log("pipe")
 
 
 FOUND = [
