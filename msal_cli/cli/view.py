@@ -45,8 +45,6 @@ more:
     Width of each panel.
 --shading [smooth|flat] = smooth
     smooth rounds all but creases; flat shows every face.
---dark
-    Light words on a dark background.
 """,
         size=click.IntRange(48, 4096),
     )
@@ -56,9 +54,8 @@ def read_view(request: Request) -> View:
     """The view that the options of ``make_view_group`` ask for."""
     from msal_cli.view.pictures import View
 
-    style = "dark" if request.dark else "light"
     place = (request.view, request.turn, request.tilt, request.up)
-    return View(*place, request.size, style, request.shading)
+    return View(*place, request.size, request.shading)
 
 
 @grouped_command(

@@ -25,7 +25,7 @@ from msal_cli.kernels import array_files
 from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.panels import Legend, Panel, draw_panels
-from msal_cli.view.shading import CREASE_DEG, DARK, LIGHT, Image, Style, shade
+from msal_cli.view.shading import CREASE_DEG, Image, shade
 
 _log = logging.getLogger("msal")
 
@@ -107,7 +107,6 @@ class View:
     tilt_deg: float | None = None
     up: str = "auto"
     size: int = 640
-    style: str = "light"
     shading: str = "smooth"
     colours: str = "auto"
 
@@ -217,7 +216,7 @@ def camera_of(scene: Scene, view: View) -> Camera:
 
 def draw_picture(scene: Scene, view: View) -> Image:
     """(H, W, 3) uint8: the meshes side by side, what is between them, and the numbers."""
-    style, camera = style_of(view), camera_of(scene, view)
+    camera = camera_of(scene, view)
 
     def image(mesh: Mesh, at: int) -> Image:
         painted = scene.painted(at) if view.shows_file_colours else None
@@ -227,12 +226,12 @@ def draw_picture(scene: Scene, view: View) -> Image:
     record = scene.record
     panels: list[Panel] = [(image(scene.before, 0), titles[0], [_counts(scene, 0)])]
     if scene.after is None or record is None:
-        return draw_panels(panels, style=style)
+        return draw_panels(panels)
     lines = [_counts(scene, 1), *_changes(record)]
     panels.append((image(scene.after, 1), titles[1], lines))
     scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:
-        return draw_panels(panels, style=style)
+        return draw_panels(panels)
     edge = scene.edge
     beyond = float((abs(scene.deviation) > scale.high).mean())
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
@@ -244,7 +243,7 @@ def draw_picture(scene: Scene, view: View) -> Image:
     lines = [_move(scene, scene.deviation, edge)]
     lines += ["Blue: inwards, orange: outwards"] if scene.is_signed else []
     panels.append((picture, deviation_name(scene), lines))
-    return draw_panels(panels, legend, style=style)
+    return draw_panels(panels, legend)
 
 
 def scale_of_scene(scene: Scene) -> Scale | None:
@@ -279,10 +278,6 @@ def deviation_name(scene: Scene) -> str:
     return SIGNED if scene.is_signed else DISTANCE
 
 
-def style_of(view: View) -> Style:
-    return DARK if view.style == "dark" else LIGHT
-
-
 def panel(
     mesh: Mesh,
     camera: Camera,
@@ -303,7 +298,6 @@ def panel(
         view.size,
         round(view.size * tallness),
         colours,
-        style=style_of(view),
         crease_deg=0.0 if view.shading == "flat" else CREASE_DEG,
         colours_are=colours_are,
     )

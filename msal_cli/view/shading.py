@@ -30,13 +30,6 @@ class Style:
 
 
 LIGHT = Style()
-DARK = Style(
-    background=(24, 26, 30),
-    clay=(200, 194, 186),
-    inside=(104, 122, 148),
-    text=(236, 238, 242),
-    faint=(158, 164, 174),
-)
 
 _LAMPS = (
     ((-0.56, 0.60, 0.57), 1.00, 0.20),

@@ -33,7 +33,7 @@ from msal_cli.view import pictures
 from msal_cli.view.camera import Camera
 from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.pictures import View
-from msal_cli.view.shading import Image
+from msal_cli.view.shading import LIGHT, Image
 
 MAX_CELLS = 100
 
@@ -257,8 +257,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         error = measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
         sides.append((draw_grid(on, on.reference, view), "reference", [words]))
-    style = pictures.style_of(view)
-    empty: Panel = (np.full_like(sides[0][0], style.background), "", [])
+    empty: Panel = (np.full_like(sides[0][0], LIGHT.background), "", [])
     width = len([*wanted.axes.values()][-1])
     panels: list[Panel] = []
     for at in range(max(-(-len(cells) // width), len(sides))):
@@ -272,7 +271,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         footer.append("Risk: estimated distance from the true surface.")
     if least is not None:
         footer.append("Normals: mean angle between face normals and those of the reference.")
-    return draw_panels(panels, style=style, columns=width + 1, footer=footer)
+    return draw_panels(panels, columns=width + 1, footer=footer)
 
 
 def _plain(value: object) -> str:

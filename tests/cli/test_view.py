@@ -46,7 +46,6 @@ def test_options_change_the_picture(scans):
         ("--tilt", "-40"),
         ("--view", "top"),
         ("--up=-x",),
-        ("--dark",),
         ("--shading", "flat"),
         ("--size", "81"),
     ]

@@ -30,7 +30,7 @@ class Viewer {
   // --- what is seen beside the picture
 
   build() {
-    const before = this.box.dataset.before || "Before", after = this.box.dataset.after || "After";
+    const before = "Before", after = "After";
     this.canvas = element("canvas", {
       tabindex: 0,
       role: "application",
