@@ -18,7 +18,7 @@ from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
 from msal_cli.job.plain_data import screen_repr
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
-from msal_cli.job.settings import NO_LIMITS, Assumption, Keep, Preference, Settings, parse
+from msal_cli.job.settings import Assumption, Keep, Preference, Settings, parse
 
 MeshObject = TypeVar("MeshObject")
 
@@ -226,7 +226,7 @@ def denoise(
             mesh.properties[_TRUST] = values
             given["weights"] = _TRUST
         # By the steps that files take.
-        run = FileRun(mesh.name, parse_arguments(denoise, given), None, NO_LIMITS)
+        run = FileRun(mesh.name, parse_arguments(denoise, given))
         positions = run.move_vertices(mesh)
         n_faces = len(mesh.faces)
         run.know(

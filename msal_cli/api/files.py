@@ -63,7 +63,6 @@ def denoise_file(
     precision: Precision = "same",
     strict: bool = False,
     format: str | None = None,
-    max_faces: int | None = None,
     fail_on: str | Sequence[str] = (),
     parameters: Mapping[str, Any] | None = None,
     **more: Unpack[MethodParameters],
@@ -86,7 +85,6 @@ def denoise_file(
         ``"binary"``; ``"float32"`` or ``"float64"``.  ``"same"`` keeps what the input has.
     strict : raise LossError where another format would lose something, instead of a warning.
     format : the input's format where its name does not show it.
-    max_faces : refuse files with more faces.
     fail_on : gates such as ``"abs(volume_change) > 1%"`` (docs/gates.md); what became of each is in
         ``record.gates``.  A broken gate raises nothing.
 
@@ -106,8 +104,6 @@ def denoise_file(
     given = locals()
     source, target = os.fsdecode(input), os.fsdecode(output)
     with explained_errors(path=source):
-        limits = Limits(max_faces=max_faces)
-        check_options(limits)
         gates, settings = _parse(denoise_file, given)
         plan = build_plan(discover_inputs([source], output=target), target, to=settings.to)
         if len(plan.tasks) != 1 or plan.folders():
@@ -116,7 +112,7 @@ def denoise_file(
                 hint="denoise_folder takes folders",
             )
         task = plan.tasks[0]
-        file = FileRun(task.input, settings, None, limits)
+        file = FileRun(task.input, settings)
         data = file.read(task)
         record = file.write(task, data, file.denoise(data, task.output))
         return with_gates(gates, [record])[0]
@@ -143,7 +139,6 @@ def denoise_folder(
     precision: Precision = "same",
     strict: bool = False,
     format: str | None = None,
-    max_faces: int | None = None,
     fail_on: str | Sequence[str] = (),
     include: str | Sequence[str] = (),
     exclude: str | Sequence[str] = (),
@@ -209,7 +204,7 @@ def denoise_folder(
     paths = [inputs] if isinstance(inputs, str | os.PathLike) else inputs
     sources = [os.fsdecode(path) for path in paths]
     with explained_errors(", ".join(sources)):
-        limits = Limits(timeout, memory_limit, max_faces)
+        limits = Limits(timeout, memory_limit)
         check_options(limits, jobs, retries, max_failures)
         gates, settings = _parse(denoise_folder, given)
         target = None if output is None else os.fsdecode(output)

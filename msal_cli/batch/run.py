@@ -75,8 +75,7 @@ def run(
         files go first, and a file that fits beside no other runs alone on all cores.
     on_event : called in this thread with schedule.Started, Progress and Finished.
     dry_run : touch nothing; records are ``planned`` or ``up-to-date``.
-    limits : what one file may use; beyond it the file fails with ``E_TIMEOUT``, ``E_MEMORY`` or
-        ``E_TOO_LARGE``.
+    limits : what one file may use; beyond it the file fails with ``E_TIMEOUT`` or ``E_MEMORY``.
     retries : how often a file that was lost to a crash, memory or time is tried again, alone.
     stop_after_failures : hand out no more files once so many have failed; the rest is ``planned``.
     command : the command line, for the manifests and the reports made of them.
@@ -338,8 +337,6 @@ def check_options(
         raise UsageError(f"the number of retries must be at least 0, not {retries}")
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
-    if limits.max_faces is not None and limits.max_faces < 1:
-        raise UsageError(f"no file has {limits.max_faces} faces at most")
     if limits.memory_bytes is not None and limits.memory_bytes < BASE_BYTES:
         raise UsageError(
             f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",

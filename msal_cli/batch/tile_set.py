@@ -195,7 +195,7 @@ class _SetRun:
     def _scan(self, index: int) -> None:
         """Read a file for the first time: a member, or the record of its failure."""
         task = self._tasks[index]
-        run = FileRun(task.input, self._settings, self._progress_of(index), self._limits)
+        run = FileRun(task.input, self._settings, self._progress_of(index))
         try:
             mesh_file, _ = run.open(run.read(task))
             with run.stage("connectivity"):
@@ -267,9 +267,8 @@ class _SetRun:
         shared = self._share()
         parts = self._describe(shared)
         starts = [0, *itertools.accumulate(member.n_vertices for member in self._members)]
-        run = FileRun(
-            "the tile set", self._settings, self._progress_of(self._members[0].index), NO_LIMITS
-        )
+        on_progress = self._progress_of(self._members[0].index)
+        run = FileRun("the tile set", self._settings, on_progress)
         moved = run.move_vertices(*self._join(shared, starts))
         joint = run.finish(None)
         known = {name: getattr(joint, name) for name in _SHARED_FIELDS}
@@ -348,7 +347,7 @@ class _SetRun:
         ``known`` are fields of the record that all files of the set share.
         """
         task = member.task
-        run = FileRun(task.input, self._settings, self._progress_of(member.index), NO_LIMITS)
+        run = FileRun(task.input, self._settings, self._progress_of(member.index))
         try:
             data = run.read(task)
             mesh_file, is_compressed = run.open(data)

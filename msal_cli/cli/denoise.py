@@ -169,7 +169,6 @@ more:
 --memory-limit
 --scratch FOLDER
     Folder for the arrays of meshes that exceed the memory. [default: that of the output]
---max-faces
 --retries
 --fail-fast
 --max-failures
@@ -232,7 +231,7 @@ def command(request: Request) -> int:
 def read_limits(request: Request) -> Limits:
     """What one file may take; UsageError for a number of threads that is none."""
     options.check_threads_variable()
-    return Limits(request.timeout, request.memory_limit, request.max_faces, request.scratch)
+    return Limits(request.timeout, request.memory_limit, request.scratch)
 
 
 class _Session:
@@ -295,7 +294,7 @@ class _Session:
         settings = replace(settings, to=choose_format(stream, settings.to))
         bar = progress.stream_bar(stream.source, quiet=request.quiet)
         try:
-            record = denoise_stream(stream, settings, bar.on_progress, self._limits)
+            record = denoise_stream(stream, settings, bar.on_progress)
         finally:
             bar.close()
         log_record(record)

@@ -293,8 +293,6 @@ _SHARED = f"""
     Most time for one file: seconds, or 90s, 5m, 1h. [default: none]
 --memory-limit SIZE
     Most memory for one file and for each worker: 500M, 2G, 1.5GiB. [default: none]
---max-faces N
-    Refuse files with more faces. [default: none]
 --retries N
     How often a file is tried again, alone, that was lost to a crash, memory or time. [default: 1]
 --fail-fast
@@ -309,7 +307,6 @@ _SHARED = f"""
 
 _SHARED_TYPES = {
     "unit": click.Choice(tuple(METRES)),
-    "max_faces": click.IntRange(min=1),
     "retries": click.IntRange(min=0),
     "max_failures": click.IntRange(min=1),
 }

@@ -29,7 +29,7 @@ from msal_cli.storage.urls import is_url
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
     from msal_cli.job.records import MeshRecord
-    from msal_cli.job.settings import Limits, Settings
+    from msal_cli.job.settings import Settings
     from msal_cli.storage.regular import Buffer
 
 _PIECE = 1 << 20
@@ -122,9 +122,7 @@ def read_stream() -> Buffer:
     return bytes(data) if len(data) < _LARGE_BYTES else memoryview(data).toreadonly()
 
 
-def denoise_stream(
-    stream: Stream, settings: Settings, on_progress: OnProgress, limits: Limits
-) -> MeshRecord:
+def denoise_stream(stream: Stream, settings: Settings, on_progress: OnProgress) -> MeshRecord:
     """Read, denoise and write one mesh; nothing is written unless all went well.
 
     BrokenPipeError if standard output is not read.
@@ -136,7 +134,7 @@ def denoise_stream(
     record = start_record(name, settings)
     try:
         data = read_stream() if name == STREAM else header.read_input(name, settings.format)
-        output, record = denoise_bytes(data, name, settings, on_progress, limits)
+        output, record = denoise_bytes(data, name, settings, on_progress)
         if output is None:
             return record
         if stream.target == STREAM:

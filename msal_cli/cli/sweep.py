@@ -17,7 +17,7 @@ from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, complete_metho
 from msal_cli.cli.view import make_view_group, read_view
 from msal_cli.errors import UsageError
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.job.settings import ADAPTIVE, AUTO, NO_LIMITS, Settings
+from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 
 if TYPE_CHECKING:
     from msal_cli.auto.risk import Filter
@@ -144,7 +144,7 @@ def _results(on: Subject, grid: Grid, mesh_file: MeshFile) -> Iterator[tuple[Cel
     for cell, mesh in sweep.cells(on, grid):
         yield cell, mesh, (grid.method, grid.method.validate({**grid.fixed, **cell.parameters}))
     for choice, settings in _CHOICES.items():
-        run = FileRun(on.name, settings, None, NO_LIMITS)
+        run = FileRun(on.name, settings)
         cell, mesh = sweep.choice_cell(on, choice, run.move_vertices(mesh_file))
         used = run.finish(None).method
         assert used is not None

@@ -93,7 +93,6 @@ more:
 --retry-failed
 --timeout
 --memory-limit
---max-faces
 --retries
 --fail-fast
 --max-failures

@@ -27,7 +27,6 @@ from msal_cli.job.settings import (
     Limits,
     Settings,
     Task,
-    refuse_faces,
 )
 from msal_cli.kernels import array_files
 from msal_cli.version import __version__
@@ -57,12 +56,12 @@ def denoise_file(
 ) -> MeshRecord:
     """Denoise one file and report what happened; only KeyboardInterrupt and SystemExit pass.
 
-    A file beyond ``limits`` is refused before it is loaded, as far as its header shows it:
-    ``E_MEMORY`` or ``E_TOO_LARGE``.
+    A file beyond ``limits`` is refused before it is loaded, as far as its header shows it
+    (``E_MEMORY``).
     """
-    run = FileRun(task.input, settings, on_progress, limits)
+    run = FileRun(task.input, settings, on_progress)
     try:
-        with run.room(task):
+        with run.room(task, limits):
             data = run.read(task)
             made = run.denoise(data, task.output)
             return run.write(task, data, made)
@@ -71,17 +70,10 @@ def denoise_file(
 
 
 def denoise_bytes(
-    data: Buffer,
-    name: str,
-    settings: Settings,
-    on_progress: OnProgress | None = None,
-    limits: Limits = NO_LIMITS,
+    data: Buffer, name: str, settings: Settings, on_progress: OnProgress | None = None
 ) -> tuple[Buffer | None, MeshRecord]:
-    """Denoise a file that came through a pipe; the output is None if the record is a failure.
-
-    Of ``limits`` only ``max_faces`` counts: the file is in memory already.
-    """
-    run = FileRun(name, settings, on_progress, limits)
+    """Denoise a file that came through a pipe; the output is None if the record is a failure."""
+    run = FileRun(name, settings, on_progress)
     try:
         return run.denoise(data, None).data, run.finish(None)
     except Exception as error:
@@ -95,10 +87,9 @@ class FileRun:
     """
 
     def __init__(
-        self, name: str, settings: Settings, on_progress: OnProgress | None, limits: Limits
+        self, name: str, settings: Settings, on_progress: OnProgress | None = None
     ) -> None:
         self._settings = settings
-        self._limits = limits
         self._on_progress = on_progress or (lambda stage, done, total: None)
         self._started = self._counted = time.perf_counter()
         self._stage = "read"
@@ -168,12 +159,12 @@ class FileRun:
 
     # The way of a file
 
-    def room(self, task: Task) -> AbstractContextManager[None]:
+    def room(self, task: Task, limits: Limits) -> AbstractContextManager[None]:
         """Memory, or files for what does not fit, unless a file is beyond the limits."""
         with self.stage("read"):
             # The mark is older than the bytes: an object that changes in between is done again.
             self.know(input_object=task.input_mark)
-            return room.room_for_task(task, self._settings, self._limits)
+            return room.room_for_task(task, self._settings, limits)
 
     def read(self, task: Task) -> Buffer:
         """The bytes of the input, unless its header shows that it is no mesh."""
@@ -212,7 +203,6 @@ class FileRun:
                 triangles=len(mesh_file.faces),
             )
             self.warn(*mesh_file.warnings)
-            refuse_faces(mesh_file.n_polygons, self._limits)
         return mesh_file, is_compressed
 
     def build(

@@ -30,7 +30,6 @@ from msal_cli.job.settings import (
     Settings,
     Task,
     forecast,
-    refuse_faces,
 )
 from msal_cli.kernels import array_files
 from msal_cli.machine import megabytes
@@ -38,7 +37,6 @@ from msal_cli.storage.regular import LOOKED_AT, large_files_allowed, open_regula
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.header import Forecast
     from msal_cli.codecs.mesh_file import MeshFile, Surface
     from msal_cli.mesh import PreparedMesh
     from msal_cli.storage.regular import Buffer
@@ -71,17 +69,12 @@ class Scratch:
 
 
 def room_for_task(task: Task, settings: Settings, limits: Limits) -> AbstractContextManager[None]:
-    """Room for one file to be denoised; errors as of ``find_scratch``, and TooLargeError."""
-    has_limits = limits.memory_bytes is not None or limits.max_faces is not None
+    """Room for one file to be denoised; errors as of ``find_scratch``."""
     # Of a file that cannot be looked at the reader says why.
-    if not has_limits and (input_bytes(task) or 0) < LARGE_BYTES:
+    if limits.memory_bytes is None and (input_bytes(task) or 0) < LARGE_BYTES:
         return nullcontext()
-    return use_scratch(_fit_task(task, forecast(task, settings), limits))
-
-
-def _fit_task(task: Task, expected: Forecast, limits: Limits) -> Scratch | None:
-    refuse_faces(expected.faces, limits)
-    return find_scratch(_DENOISING, expected.memory_bytes or 0, limits, task.output)
+    needed = forecast(task, settings).memory_bytes or 0
+    return use_scratch(find_scratch(_DENOISING, needed, limits, task.output))
 
 
 def room_for_files(
@@ -306,7 +299,7 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
         if not is_url(task.input):
             counted = _check_header(task.input, settings.format)
             n = n if counted is None else counted
-        scratch = _fit_task(task, expected, limits)
+        scratch = find_scratch(_DENOISING, expected.memory_bytes or 0, limits, task.output)
     except MsalError as error:
         return replace(record, status="failed", output=None, error=Failure.of(error))
     seconds = None

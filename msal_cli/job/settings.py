@@ -108,13 +108,11 @@ class Limits:
     ----------
     timeout_s : seconds of wall time, enforced by the supervisor of the worker.
     memory_bytes : resident memory of the process that denoises it.
-    max_faces : faces as the file counts them.
     scratch : folder for the arrays of a mesh that exceeds the memory; None is the output's.
     """
 
     timeout_s: float | None = None
     memory_bytes: int | None = None
-    max_faces: int | None = None
     scratch: str | None = None
 
 
@@ -545,18 +543,6 @@ def refuse_unknown_format(output: str) -> None:
         f"those that can be written are {', '.join(writable_formats())}",
         hint=f"give the file one of these suffixes, or write {output + '/'!r} for a folder",
     )
-
-
-def refuse_faces(n_faces: int | None, limits: Limits) -> None:
-    """Refuse more faces than the limits allow; TooLargeError."""
-    from msal_cli.errors import TooLargeError
-
-    most = limits.max_faces
-    if most is not None and n_faces is not None and n_faces > most:
-        raise TooLargeError(
-            f"the file has {n_faces:,} faces, and --max-faces allows {most:,}",
-            hint="raise --max-faces, or leave it out",
-        )
 
 
 def forecast(task: Task, settings: Settings) -> Forecast:

@@ -314,7 +314,6 @@ class TestRun:
         [
             {"limits": Limits(timeout_s=0.0)},
             {"limits": Limits(memory_bytes=BASE_BYTES - 1)},
-            {"limits": Limits(max_faces=0)},
             {"retries": -1},
             {"jobs": 0},
             {"stop_after_failures": 0},

@@ -72,7 +72,6 @@ COMMANDS: dict[str, str] = {
     "gate of failure": "denoise in bad -o o6 --method msal -j 1 --json --fail-on",
     "bad": f"denoise {BAD} -o o/r.ply --method msal --json",
     "bad in words": f"denoise {BAD} -o o/r.ply --method msal",
-    "faces": f"denoise {PLY} -o o/s.ply --method msal --max-faces 10 --json",
     "no file": "denoise nowhere.ply -o o/t.ply",
     "no method": f"denoise {PLY} -o o/t.ply --method nothing",
     "no option": f"denoise {PLY} --nothing",

@@ -16,9 +16,8 @@ import trimesh
 
 from msal_cli import codecs, methods
 from msal_cli.codecs import header
-from msal_cli.codecs.conversion import convert
 from msal_cli.job import inspection, pipeline
-from msal_cli.job.pipeline import denoise_bytes, denoise_file
+from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
@@ -245,21 +244,6 @@ class TestLimits:
         assert "--memory-limit" in record.error.hint
         assert record.input_sha256 is None
         assert not path.with_name("out.obj").exists()
-
-    def test_faces_are_counted_by_the_header_and_else_after_reading(self, path, monkeypatch):
-        assert self.done(path, max_faces=576).error is None
-        record = self.done(path, max_faces=575)
-        assert record.error.code == "E_TOO_LARGE" and "576 faces" in record.error.message
-        assert record.vertices == 288
-        opened = codecs.open_mesh(path.read_bytes(), "a.obj")
-        as_ply = path.with_suffix(".ply")
-        as_ply.write_bytes(convert(opened, opened.vertices, "ply")[0])
-        monkeypatch.setattr(header, "read_whole", None)
-        record = self.done(as_ply, max_faces=575)
-        assert record.error.code == "E_TOO_LARGE" and record.vertices is None
-        limits = Limits(max_faces=3)
-        output, record = denoise_bytes(path.read_bytes(), "a.obj", Settings("msal"), limits=limits)
-        assert output is None and record.error.code == "E_TOO_LARGE"
 
     @pytest.mark.parametrize(
         "failure", [MemoryError(), RuntimeError("can't start new thread")], ids=repr
