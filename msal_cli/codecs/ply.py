@@ -43,28 +43,17 @@ _FIRST, _SECOND = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
 
 def grid_shape(header: ply_header.Header, grid: ply_header.Element) -> tuple[int, int]:
     """Rows and columns of the grid; FormatError where the header does not give them."""
-    sizes = {name: header.infos.get(name, "") for name in ("num_rows", "num_cols")}
-    missing = [f"'obj_info {name}'" for name, word in sizes.items() if not word]
-    if missing:
-        raise FormatError(
-            f"the header has a range grid but no {' and no '.join(missing)}",
-            where="header",
-            hint="write 'obj_info num_rows R' and 'obj_info num_cols C' below the format line; "
-            f"R times C are {grid.count}",
-        )
-    message = f"the size of the range grid, {' by '.join(sizes.values())[:60]}, is not two counts"
-    if all(word.isdecimal() and len(word) < 10 for word in sizes.values()):
-        rows, columns = (int(word) for word in sizes.values())
+    words = [header.infos.get(name, "") for name in ("num_rows", "num_cols")]
+    if all(word.isdecimal() and len(word) < 10 for word in words):
+        rows, columns = map(int, words)
         if rows * columns == grid.count:
             return rows, columns
-        message = (
-            f"the range grid has {grid.count} samples, but {rows} rows of {columns} columns are "
-            f"{rows * columns}"
-        )
+    shown = " and ".join(word[:30] or "missing" for word in words)
     raise FormatError(
-        message,
+        f"num_rows and num_cols of the range grid of {grid.count} samples are {shown}",
         where="header",
-        hint="correct the lines 'obj_info num_rows' and 'obj_info num_cols'",
+        hint="write 'obj_info num_rows R' and 'obj_info num_cols C' below the format line; "
+        f"R times C are {grid.count}",
     )
 
 
@@ -369,16 +358,6 @@ def vertex_element(header: ply_header.Header) -> ply_header.Element:
     return vertex
 
 
-def precision_of(header: ply_header.Header, vertex: ply_header.Element) -> str:
-    """How the coordinates are stored, as ``codecs.mesh_file.MeshFile`` says it."""
-    if header.encoding == "ascii":
-        return "text"
-    codes = {vertex.properties[vertex.index(name)].code for name in ply_header.POSITION}
-    if "f4" in codes:
-        return "float32"
-    return "float64" if "f8" in codes else "integer"
-
-
 def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[str, ...]:
     """What the file carries besides positions and corners, in file order; ``grid`` (rows, columns)
     is that of a range grid whose surface is read."""
@@ -395,32 +374,6 @@ def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[
             f"{element.name}.{prop}" for prop in element.properties if prop.name not in known
         ]
     return tuple(carried)
-
-
-def warnings_of(header: ply_header.Header, vertex: ply_header.Element) -> tuple[str, ...]:
-    """What a user should know of the header."""
-    warnings: list[str] = []
-    if header.strays:
-        first, count = header.strays[0], len(header.strays)
-        warnings.append(
-            f"{count} header {'line has' if count == 1 else 'lines have'} no known keyword and "
-            f"{'is' if count == 1 else 'are'} kept like comments: {first.text} in line {first.line}"
-            + (", ..." if count > 1 else "")
-        )
-    whole = [n for n in ply_header.POSITION if vertex.properties[vertex.index(n)].code[0] != "f"]
-    if whole:
-        warnings.append(
-            f"coordinates {', '.join(whole)} are whole numbers: new ones are rounded to the "
-            "nearest, halves to the even one"
-        )
-    for element in header.elements:
-        named = [prop for prop in element.properties if prop.name in ply_header.NORMAL]
-        if element.name in ("vertex", "face") and named and not has_normals(element):
-            warnings.append(
-                f"the {', '.join(prop.name for prop in named)} of element '{element.name}' are not "
-                "three floating-point numbers: they are kept, not recomputed"
-            )
-    return tuple(warnings)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -460,18 +413,28 @@ def parse(data: Buffer) -> PlyLayout:
         normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
-    for stray in header.strays:
-        # Had such a line declared an element or a property, the data would not end where they do.
-        if stray.is_doubtful and n_behind:
-            raise FormatError(
-                f"the header line {stray.text} is not understood, and {n_behind} bytes are left "
-                "behind the last element",
-                where=f"line {stray.line}",
-                hint="make it a comment if it is one, or export the file again",
+    warnings = []
+    codes = {prop.name: prop.code for prop in vertex.find_all(ply_header.POSITION)}
+    if whole := [name for name, code in codes.items() if code[0] != "f"]:
+        warnings.append(
+            f"coordinates {', '.join(whole)} are whole numbers: new ones are rounded to the "
+            "nearest, halves to the even one"
+        )
+    for element in header.elements:
+        named = [prop.name for prop in element.properties if prop.name in ply_header.NORMAL]
+        if element.name in ("vertex", "face") and named and not has_normals(element):
+            warnings.append(
+                f"the {', '.join(named)} of element '{element.name}' are not three floating-point "
+                "numbers: they are kept, not recomputed"
             )
-    layout = PlyLayout(
+    warnings += surface.warnings
+    if n_behind:
+        warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
+    types = {"f4": "float32", "f8": "float64"}
+    coarsest = next((name for code, name in types.items() if code in codes.values()), "integer")
+    return PlyLayout(
         encoding=header.encoding,
-        precision=precision_of(header, vertex),
+        precision="text" if header.encoding == "ascii" else coarsest,
         positions=(positions,),
         normals=tuple(normals.values()),
         renew_normals=functools.partial(_renew_normals, surface, normals),
@@ -481,17 +444,13 @@ def parse(data: Buffer) -> PlyLayout:
         sizes=surface.sizes,
         properties=properties_of(header, surface.grid),
         references=tuple(header.textures),
+        warnings=tuple(warnings),
         header=header,
         sections=sections,
         end=end,
         normal_elements=tuple(normals),
         surface=surface,
     )
-    warnings = [*warnings_of(header, vertex), *surface.warnings]
-    if n_behind:
-        warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
-    layout.warnings = tuple(warnings)
-    return layout
 
 
 def _renew_normals(

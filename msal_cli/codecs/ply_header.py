@@ -39,12 +39,6 @@ _SPELLINGS = {
 TYPES = {name: code for code, names in _SPELLINGS.items() for name in names}
 """Number types as files spell them, and their numpy codes; the 64-bit integers are an extension."""
 
-_STRUCTURAL = ("format", "element", "property", "end_header")
-"""Keywords without which a header cannot be understood."""
-
-_ALIKE = 0.65
-"""Similarity, from 0 to 1, from which on a word counts as a misspelt keyword."""
-
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
 
 
@@ -107,19 +101,6 @@ class Element:
         return [self.properties[self.index(name)] for name in names]
 
 
-@dataclass(frozen=True)
-class Stray:
-    """A header line without a known keyword, which is kept like a comment.
-
-    ``line`` counts from 1, ``text`` is for messages.  ``is_doubtful`` is set for one behind the
-    first ``element``: it could have declared something.
-    """
-
-    line: int
-    text: str
-    is_doubtful: bool
-
-
 @dataclass()
 class Header:
     """A parsed header.
@@ -131,7 +112,6 @@ class Header:
     encoding : one of ``ENCODINGS``, which line ``format_line`` (from 0) states.
     elements : in file order.
     textures : files named by ``comment TextureFile``, as written.
-    strays : lines that say nothing that is known.
     infos : words behind ``obj_info``, by the first of them.
     """
 
@@ -141,7 +121,6 @@ class Header:
     format_line: int = -1
     elements: list[Element] = field(default_factory=list)
     textures: list[str] = field(default_factory=list)
-    strays: list[Stray] = field(default_factory=list)
     infos: dict[str, str] = field(default_factory=dict)
 
     def find(self, name: str) -> Element | None:
@@ -183,20 +162,14 @@ def _first_line_end(head: bytes) -> bytes:
     match = re.match(rb"ply[ \t]*(\r\n|\n|\r)", head)
     if match:
         return match.group(1)
-    if head.startswith(BYTE_ORDER_MARK):
-        raise errors.FormatError(
-            "the file begins with a byte-order mark instead of the word 'ply'",
-            where="byte 0",
-            hint="remove the first three bytes",
-        )
-    if not head:
-        raise errors.TruncatedError("the file is empty", hint="copy or export it again")
-    if b"ply\n".startswith(head) or b"ply\r".startswith(head):
-        raise errors.TruncatedError("the file ends within its first line", hint="export it again")
+    if b"ply\r".startswith(head):
+        raise errors.TruncatedError("the file ends within its first line", hint=errors.CUT_SHORT)
     raise errors.FormatError(
         "the file does not begin with a line 'ply'",
         where="line 1",
-        hint="is it another format under a .ply name?",
+        hint="remove the byte-order mark in front of it"
+        if head.startswith(BYTE_ORDER_MARK)
+        else "is it another format under a .ply name?",
     )
 
 
@@ -230,119 +203,89 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
     )
 
 
-class _Parser:
-    """Fills a header line by line; every method raises FormatError with the line."""
+def _read_line(header: Header, number: int, text: bytes) -> None:
+    """Add what line ``number`` (from 0) declares to a header; FormatError with the line."""
 
-    def __init__(self, header: Header) -> None:
-        self.header = header
-        self.line = 0
+    def fail(message: str, hint: str = "") -> errors.FormatError:
+        return errors.FormatError(message, where=f"line {number + 1}", hint=hint)
 
-    def fail(self, message: str, hint: str = "") -> errors.FormatError:
-        return errors.FormatError(message, where=f"line {self.line + 1}", hint=hint)
-
-    def read_format(self, words: list[bytes]) -> None:
-        if self.header.encoding:
-            raise self.fail("the header states its format twice")
-        if len(words) != 3 or _decode(words[1]) not in ENCODINGS:
-            raise self.fail(
+    words = text.split()
+    match words:
+        case [b"obj_info", name, word]:
+            header.infos[_decode(name)] = _decode(word)
+        case [b"comment", name, _, *_] if name.lower() == b"texturefile":
+            header.textures.append(_decode(text.split(None, 2)[2].strip()))
+        case [] | [b"comment" | b"obj_info", *_]:
+            pass
+        case [b"format", *_] if header.encoding:
+            raise fail("the header states its format twice")
+        case [b"format", encoding, version] if _decode(encoding) in ENCODINGS:
+            if version != b"1.0":
+                raise errors.UnsupportedError(
+                    f"PLY version {_show(version)} is not known",
+                    where=f"line {number + 1}",
+                    hint="only version 1.0 exists",
+                )
+            header.encoding, header.format_line = _decode(encoding), number
+        case [b"format", *_]:
+            raise fail(
                 f"the format line {_show(b' '.join(words))} is not understood",
                 "expected 'format ascii 1.0', 'format binary_little_endian 1.0' or "
                 "'format binary_big_endian 1.0'",
             )
-        if words[2] != b"1.0":
-            raise errors.UnsupportedError(
-                f"PLY version {_show(words[2])} is not known",
-                where=f"line {self.line + 1}",
-                hint="only version 1.0 exists",
-            )
-        self.header.encoding = _decode(words[1])
-        self.header.format_line = self.line
-
-    def read_element(self, words: list[bytes]) -> None:
-        if len(words) != 3:
-            raise self.fail("an element line needs a name and a count")
-        name = _decode(words[1])
-        # Twenty digits hold every count a file could have; more would only burn time in int().
-        if not words[2].isdigit() or len(words[2]) > 20:
-            raise self.fail(
-                f"the count {_show(words[2])} of element {_show(words[1])} is not a whole "
-                "number from 0 up"
-            )
-        if any(element.name == name for element in self.header.elements):
-            raise self.fail(f"the header declares element {_show(words[1])} twice")
-        self.header.elements.append(Element(name, int(words[2])))
-
-    def read_property(self, words: list[bytes]) -> None:
-        if not self.header.elements:
-            raise self.fail("a property stands before the first element")
-        is_list = len(words) > 1 and words[1] == b"list"
-        if len(words) != (5 if is_list else 3):
-            raise self.fail(
+        case [b"element", word, count]:
+            # Twenty digits hold every count a file could have; more would only burn time in int().
+            if not count.isdigit() or len(count) > 20:
+                raise fail(
+                    f"the count {_show(count)} of element {_show(word)} is not a whole number from "
+                    "0 up"
+                )
+            if header.find(_decode(word)):
+                raise fail(f"the header declares element {_show(word)} twice")
+            header.elements.append(Element(_decode(word), int(count)))
+        case [b"element", *_]:
+            raise fail("an element line needs a name and a count")
+        case [b"property", *_] if not header.elements:
+            raise fail("a property stands before the first element")
+        case [b"property", b"list", _, _, word] | [b"property", _, word] if (
+            len(words) == 5 or words[1] != b"list"
+        ):
+            types = words[1 + (len(words) == 5) : -1]
+            for each in types:
+                if _decode(each) not in TYPES:
+                    raise fail(f"the number type {_show(each)} is not known")
+            count_type, kind = ["", *map(_decode, types)][-2:]
+            prop = Property(_decode(word), kind, count_type, number)
+            if prop.count_code.startswith("f"):
+                raise fail(f"the count of a list cannot be of type {count_type}")
+            element = header.elements[-1]
+            if element.find(prop.name):
+                raise fail(f"element '{element.name}' declares property {_show(word)} twice")
+            element.properties.append(prop)
+        case [b"property", *_]:
+            raise fail(
                 f"the property line {_show(b' '.join(words))} is not understood",
                 "expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'",
             )
-        for word in words[2 if is_list else 1 : -1]:
-            if _decode(word) not in TYPES:
-                raise self.fail(f"the number type {_show(word)} is not known")
-        count_type = _decode(words[2]) if is_list else ""
-        if is_list and TYPES[count_type][0] == "f":
-            raise self.fail(f"the count of a list cannot be of type {count_type}")
-        element = self.header.elements[-1]
-        prop = Property(_decode(words[-1]), _decode(words[-2]), count_type, self.line)
-        if element.find(prop.name):
-            raise self.fail(f"element '{element.name}' declares property {_show(words[-1])} twice")
-        element.properties.append(prop)
-
-    def read(self, text: bytes) -> None:
-        words = text.split()
-        if not words:
-            return
-        if words[0] == b"obj_info":
-            if len(words) == 3:
-                self.header.infos[_decode(words[1])] = _decode(words[2])
-        elif words[0] == b"comment":
-            if len(words) > 2 and words[1].lower() == b"texturefile":
-                self.header.textures.append(_decode(text.split(None, 2)[2].strip()))
-        elif words[0] == b"format":
-            self.read_format(words)
-        elif words[0] == b"element":
-            self.read_element(words)
-        elif words[0] == b"property":
-            self.read_property(words)
-        elif _is_stray(text, words[0]):
-            # As old versions of Blender write: "Created by Blender3D 2.43", without "comment".
-            self.header.strays.append(Stray(self.line + 1, _show(text), bool(self.header.elements)))
-        else:
-            raise self.fail(f"the header line {_show(text)} is not understood")
-
-
-def _is_stray(text: bytes, keyword: bytes) -> bool:
-    """Whether a line is text whose first word cannot be meant as a structural keyword."""
-    from difflib import get_close_matches
-
-    if any((c < 32 and c != 9) or c == 127 for c in text.rstrip(b"\r")):
-        return False
-    word = _decode(keyword[:60]).lower()
-    is_glued = any(word.startswith(keyword) for keyword in _STRUCTURAL)
-    return not is_glued and not get_close_matches(word, _STRUCTURAL, cutoff=_ALIKE)
+        case _:
+            # As old versions of Blender write: "Created by Blender3D 2.43".
+            hint = "put the word 'comment' in front of it if it declares nothing"
+            raise fail(f"the header line {_show(text)} is not understood", hint)
 
 
 def parse_header(data: memoryview, is_whole: bool = True) -> Header:
     """The header of the PLY file ``data`` (bytes), or of its beginning if not ``is_whole``.
 
-    Lines of other words are kept among ``Header.strays``.  Raises FormatError (not PLY, or a line
-    that is damaged, with its number), UnsupportedError (another version), TruncatedError (the file
-    ends within the header) and TooLargeError (no end within ``MAX_BYTES`` bytes or ``MAX_LINES``
-    lines).
+    Raises FormatError (not PLY, or a line that is damaged, with its number), UnsupportedError
+    (another version), TruncatedError (the file ends within the header) and TooLargeError (no end
+    within ``MAX_BYTES`` bytes or ``MAX_LINES`` lines).
     """
     head = bytes(data[:MAX_BYTES])
     newline = _first_line_end(head)
     lines, size = _split(head, newline, whole=is_whole and len(head) == len(data))
     header = Header(size, newline)
-    parser = _Parser(header)
-    for parser.line, text in enumerate(lines):
-        if 0 < parser.line < len(lines) - 1:
-            parser.read(text)
+    for number, text in enumerate(lines[1:-1], start=1):
+        _read_line(header, number, text)
     if not header.encoding:
         raise errors.FormatError(
             "the header has no format line",

@@ -6,7 +6,6 @@ header only the format line and the types of ``x y z nx ny nz`` change.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -20,8 +19,6 @@ from msal_cli.codecs.ply_header import TYPES, Header, Property
 from msal_cli.codecs.slots import to_type
 from msal_cli.errors import ContentError
 from msal_cli.storage.regular import Buffer
-
-_COMMENT = re.compile(rb"[ \t]*(?:comment|obj_info)(?:\s|\Z)")
 
 _CHUNK = 65_536
 """Records turned into text at a time."""
@@ -53,11 +50,6 @@ def recode(
     """
     output = bytearray(text)
     keeps_encoding = new.encoding == old.encoding
-    if not keeps_encoding and old.encoding == "ascii":
-        # Binary records leave no room for comments: they become the last lines of the header.
-        lines = find_body_comments(data[old.size : end].tobytes())
-        place = output.rindex(b"end_header")
-        output[place:place] = b"".join(line + old.newline for line in lines)
     at = old.size
     for element, renewed in zip(old.elements, new.elements, strict=True):
         names = [prop.name for prop in element.properties]
@@ -107,13 +99,6 @@ def _read_numbers(section: Section, prop: Property, values: Floats | None) -> Nu
     return Numbers(given.astype(dtype, copy=False), lengths)
 
 
-def find_body_comments(body: bytes) -> list[bytes]:
-    """The comments among ascii records, without the blanks around them."""
-    if b"comment" not in body and b"obj_info" not in body:
-        return []
-    return [line.strip() for line in re.split(rb"[\r\n]+", body) if _COMMENT.match(line)]
-
-
 def _require_all(
     fits: Flags, section: Section, prop: Property, lengths: Longs | None = None
 ) -> None:
@@ -145,33 +130,12 @@ def _read_tokens(section: Lines, prop: Property, dtype: np.dtype[Any]) -> Number
         raise section.not_a_number(int(starts[bad]), "a number")
     if dtype.kind == "f":
         return Numbers(values, lengths)
-    column: NDArray[Any]
-    if dtype.itemsize == 8:
-        column, fits = _long_integers(section, starts, stops, dtype)
-    else:
-        limits = np.iinfo(dtype)
-        fits = (values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)
-        column = np.where(fits, values, 0.0).astype(dtype)
-    _require_all(fits, section, prop, lengths)
-    return Numbers(column, lengths)
-
-
-def _long_integers(
-    section: Lines, starts: Longs, stops: Longs, dtype: np.dtype[Any]
-) -> tuple[NDArray[Any], Flags]:
-    """64-bit integers, which a double cannot tell apart, and which of them fit."""
     limits = np.iinfo(dtype)
-    column = np.zeros(len(starts), dtype=dtype)
-    fits = np.ones(len(starts), dtype=bool)
-    for k, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-        token = section.data[start:stop].tobytes()
-        # Twenty digits and a sign: longer ones do not fit, and int() is slow on very long ones.
-        fits[k] = re.fullmatch(rb"[+-]?[0-9]{1,20}", token) and (
-            limits.min <= int(token) <= limits.max
-        )
-        if fits[k]:
-            column[k] = int(token)
-    return column, fits
+    fits = (values >= limits.min) & (values <= limits.max) & (np.rint(values) == values)
+    # Beyond this a double does not tell whole numbers apart.
+    fits &= np.abs(values) < 2.0**53
+    _require_all(fits, section, prop, lengths)
+    return Numbers(values.astype(dtype), lengths)
 
 
 def _append_binary(output: bytearray, columns: Sequence[Numbers], count: int, order: str) -> None:

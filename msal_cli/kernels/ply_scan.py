@@ -90,45 +90,13 @@ def _is_token_end(data, at):  # type: ignore[no-untyped-def]
     return at >= len(data) or data[np.uint64(at)] == 32 or 9 <= data[np.uint64(at)] <= 13
 
 
-_COMMENT = np.frombuffer(b"comment", dtype=np.uint8)
-_OBJ_INFO = np.frombuffer(b"obj_info", dtype=np.uint8)
-
-
-@compiled
-def _is_keyword(data, at, word):  # type: ignore[no-untyped-def]
-    """Whether the token at ``at`` is this word."""
-    if at + len(word) > len(data):
-        return False
-    for k in range(len(word)):
-        if data[at + k] != word[k]:
-            return False
-    return _is_token_end(data, at + len(word))
-
-
 @compiled
 def _next_record(data, at):  # type: ignore[no-untyped-def]
-    """The first token of the next line that has one and is no comment.
-
-    Lines that begin with ``comment`` or ``obj_info``, as in the header, are passed over.
-    """
-    is_new_line = at == 0 or data[at - 1] == 10 or data[at - 1] == 13
-    while True:
-        at = skip_blanks(data, at)
-        if at >= len(data):
-            return at
-        c = data[np.uint64(at)]
-        if c == 10 or c == 13:
-            is_new_line = True
-            at += 1
-        elif (
-            (c == 99 or c == 111)
-            and is_new_line
-            and (_is_keyword(data, at, _COMMENT) or _is_keyword(data, at, _OBJ_INFO))
-        ):
-            while at < len(data) and data[np.uint64(at)] != 10 and data[np.uint64(at)] != 13:
-                at += 1
-        else:
-            return at
+    """The first token of the next line that has one."""
+    at = skip_blanks(data, at)
+    while at < len(data) and (data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13):
+        at = skip_blanks(data, at + 1)
+    return at
 
 
 @compiled

@@ -22,7 +22,8 @@ SMALL = [name for name in INTEGERS if not name.endswith("64")]
 def scalar(random: Random, kind: str) -> float:
     if kind in FLOATS:
         return single(any_float(random, 1e6)) + 0.0
-    bits = 8 * struct.calcsize("<" + PACK[kind])
+    # What is beyond 2^53 does not become binary.
+    bits = min(8 * struct.calcsize("<" + PACK[kind]), 53)
     low = 0 if PACK[kind].isupper() else -(1 << (bits - 1))
     return any_integer(random, low, low + (1 << bits) - 1)
 
