@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import errno
 import json
 import os
 import re
@@ -25,10 +24,11 @@ from msal_cli import errors
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.codecs import gltf_scene, mesh_file
 from msal_cli.codecs.slots import Change
+from msal_cli.codecs.text_slots import replace_spans
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.atomic import Sources, write_whole
 from msal_cli.storage.gzip_streams import expand, is_gzip_name, read_whole
-from msal_cli.storage.regular import Buffer, NotRegularError, memory_bytes, open_regular
+from msal_cli.storage.regular import Buffer, memory_bytes, open_regular
 from msal_cli.storage.urls import is_url
 
 
@@ -102,7 +102,7 @@ class SceneFile(mesh_file.MeshFile):
             for index, word, bound in self._bounds(data)
             if (span := spans[index].get(word))
         ]
-        return gltf_scene.replace_spans(self.text, edits).encode("latin-1")
+        return replace_spans(self.text, edits).encode("latin-1")
 
 
 def _layout(scene: gltf_scene.Scene) -> mesh_file.Layout:
@@ -291,7 +291,8 @@ def _file_name(uri: str, where: str) -> str:
 
 
 def _read_file(name: str, path: str, declared: int, room: int, where: str) -> bytes:
-    """The bytes of the file ``name`` beside that at ``path``: from ``declared`` to ``room``."""
+    """The bytes, of which there should be ``declared`` and may be ``room``, of the file ``name``
+    beside that at ``path``."""
     # A stream and an object in a store have no folder.
     if path in ("", "-") or is_url(path):
         raise errors.UnsupportedError(
@@ -299,10 +300,10 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
             where=where,
             hint="give the file by its path, or export it as .glb",
         )
-    folder = Path(path).parent
+    folder = os.path.realpath(Path(path).parent)
     try:
-        target = os.path.realpath(folder / name)
-        if not Path(target).is_relative_to(os.path.realpath(folder)):
+        target = os.path.realpath(Path(path).parent / name)
+        if not Path(target).is_relative_to(folder):
             raise errors.UnsupportedError(
                 f"the buffer {name!r} is a link that leads out of the folder, and is not read",
                 where=where,
@@ -316,29 +317,15 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
                     where=where,
                     hint="export the mesh again",
                 )
-            content = file.read()
-    except NotRegularError:
-        raise errors.UnsupportedError(
-            f"the buffer {name!r} is not a regular file", where=where, hint=_AS_GLB
-        ) from None
+            return file.read()
     except (OSError, ValueError) as failure:
-        is_missing = getattr(failure, "errno", None) in (errno.ENOENT, errno.ENOTDIR)
         reason = getattr(failure, "strerror", None) or str(failure)
         raise errors.InputError(
-            f"the buffer {name!r} is missing beside the .gltf"
-            if is_missing
-            else f"the buffer {name!r} cannot be read: {reason}",
+            f"the buffer {name!r} beside the .gltf cannot be read: {reason}",
             where=where,
             code="E_READ",
             hint="copy it beside the .gltf; a .gltf does not hold its mesh itself",
         ) from failure
-    if len(content) < declared:
-        raise errors.TruncatedError(
-            f"the buffer {name!r} should have {declared:,} bytes but has {len(content):,}",
-            where=where,
-            hint=errors.CUT_SHORT,
-        )
-    return content
 
 
 class GltfFile(SceneFile):
@@ -412,7 +399,7 @@ class GltfFile(SceneFile):
             span = start, len(content)
         if span[1] < declared:
             raise errors.TruncatedError(
-                f"the buffer should have {declared:,} bytes but has {span[1]:,}",
+                f"the buffer {uri[:40]!r} should have {declared:,} bytes but has {span[1]:,}",
                 where=where,
                 hint=errors.CUT_SHORT,
             )
@@ -453,7 +440,7 @@ class GltfFile(SceneFile):
             if _decode_data_uri(uri, "") != bytes(data[at : at + size]):
                 raise errors.InternalError("a buffer of a .gltf file was not written right")
             restored.append((spans["uri"], self.text[slice(*original[number]["uri"])]))
-        return gltf_scene.replace_spans(text, restored).encode("latin-1"), data
+        return replace_spans(text, restored).encode("latin-1"), data
 
     def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
         if self.names:
@@ -523,7 +510,7 @@ def _replace_uris(text: Buffer, uris: dict[int, str]) -> Buffer:
     plain = bytes(text).decode("latin-1")
     spans = gltf_scene.find_entries(plain, "buffers")
     edits = [(spans[number]["uri"], json.dumps(uri)) for number, uri in uris.items()]
-    return gltf_scene.replace_spans(plain, edits).encode("latin-1")
+    return replace_spans(plain, edits).encode("latin-1")
 
 
 def _stem(path: str) -> str:

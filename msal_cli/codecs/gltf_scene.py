@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
@@ -21,9 +21,7 @@ from numpy.typing import NDArray
 from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs.slots import Strided
-
-Span = tuple[int, int]
-"""The first character of a value, and the one behind its last."""
+from msal_cli.codecs.text_slots import Span, replace_spans
 
 _MAX_TEXT_BYTES = 64 << 20
 """Longest description that is read; those of very large scenes have a few megabytes, and in memory
@@ -111,15 +109,6 @@ def write_bound(old: str, new: list[float]) -> str:
         stored = np.array(value).astype(np.float32).tolist()
     spans = zip(_find_values(old, 0), stored, new, strict=True)
     return replace_spans(old, [(span, json.dumps(x)) for (_, span), was, x in spans if was != x])
-
-
-def replace_spans(text: str, edits: Iterable[tuple[Span, str]]) -> str:
-    """``text`` with other text at some places."""
-    pieces, done = [], 0
-    for (start, stop), new in sorted(edits):
-        pieces += [text[done:start], new]
-        done = stop
-    return "".join([*pieces, text[done:]])
 
 
 _FLOAT_TYPES = {5126: "<f4"}

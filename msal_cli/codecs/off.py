@@ -70,14 +70,14 @@ def parse(data: Buffer) -> Layout:
         raise FormatError("a face has fewer corners than it says", where=where, hint=EXPORT_AGAIN)
     corners = words.integers(np.repeat(first + 1, sizes) + number_within(sizes))
     require_indices(corners, n_vertices)
-    positions = words.float_rows(at)
+    positions = words.float_rows(at, TextSlots)
     normals: tuple[TextSlots, ...] = ()
     if has_normals:
         # MeshLab writes NCOFF, and colours of four numbers first; all others CNOFF, normals first.
         first_normal = 7 if kinds.startswith(b"NC") else 3
         if n_extra < first_normal:
             raise FormatError("a NOFF file without normals", hint=EXPORT_AGAIN)
-        normals = (words.float_rows(at + first_normal, unit_length=True),)
+        normals = (words.float_rows(at + first_normal, TextSlots, unit_length=True),)
     is_there = {
         "point.normals": has_normals,
         "vertex colours": has_colours,

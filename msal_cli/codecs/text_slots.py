@@ -11,9 +11,9 @@ import functools
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import NamedTuple
+from typing import Any, AnyStr, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -165,31 +165,19 @@ class TextSlots(Slots):
 
 
 def parse_floats(data: Bytes, starts: Longs, stops: Longs) -> Floats:
-    """The values (q,) of words; the exponent may be written with D, as Fortran does.
-
-    Raises FormatError with the line of a word that is no number.
-    """
+    """The values (q,) of words; FormatError with the line of one that is no number."""
     from msal_cli.kernels.text import read_numbers
 
     values, bad = read_numbers(data, starts, stops)
     if bad >= 0:
-        word = data[starts[bad] : stops[bad]].tobytes()
-        if len(starts) > 1 and b"d" not in word.lower():
-            raise _no_number(data, int(starts[bad]), word)
-        for i, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-            word = data[start:stop].tobytes()
-            try:
-                values[i] = float(word.replace(b"d", b"e").replace(b"D", b"e"))
-            except ValueError:
-                raise _no_number(data, start, word) from None
+        at = int(starts[bad])
+        word = data[at : stops[bad]].tobytes()
+        raise FormatError(
+            f"{word[:40].decode('ascii', 'backslashreplace')!r} is not a number",
+            where=f"line {line_of(data, at)}",
+            hint=number_hint(word),
+        )
     return values
-
-
-def _no_number(data: Bytes, at: int, word: bytes) -> FormatError:
-    shown = word[:40].decode("ascii", "backslashreplace")
-    return FormatError(
-        f"{shown!r} is not a number", where=f"line {line_of(data, at)}", hint=number_hint(word)
-    )
 
 
 def number_hint(word: bytes, otherwise: str = EXPORT_AGAIN) -> str:
@@ -454,35 +442,36 @@ def _skip_lines(text: Bytes, at: int, n_lines: int) -> int:
 
 def _blocks(patches: Sequence[Patch]) -> Iterator[_Block]:
     """The runs in the order of the file, a block at a time."""
-    group: list[Patch] = []
-    for patch in sorted((p for p in patches if len(p.at)), key=lambda patch: int(patch.at[0])):
-        if group and patch.at[0] > max(int(other.at[-1]) for other in group):
-            yield from _merged(group)
-            group = []
-        group.append(patch)
-    if group:
-        yield from _merged(group)
-
-
-def _merged(patches: Sequence[Patch]) -> Iterator[_Block]:
-    """``_blocks`` of patches whose runs take turns."""
-    at = [patch.at for patch in patches]
-    firsts = np.unique(np.concatenate([starts[::_ROWS] for starts in at]))
-    cuts = [np.append(np.searchsorted(starts, firsts), len(starts)).tolist() for starts in at]
-    for k in range(len(firsts)):
-        blocks = []
-        for (starts, values, is_changed, decimals), cut in zip(patches, cuts, strict=True):
-            rows = slice(cut[k], cut[k + 1])
+    patches = sorted((p for p in patches if len(p.at)), key=lambda patch: int(patch.at[0]))
+    if any(second.at[0] < first.at[-1] for first, second in itertools.pairwise(patches)):
+        # Their runs take turns.
+        order = np.argsort(np.concatenate([patch.at for patch in patches]), kind="stable")
+        patches = [Patch(*(np.concatenate(part)[order] for part in zip(*patches, strict=True)))]
+    for at, values, is_changed, decimals in patches:
+        for first in range(0, len(at), _ROWS):
+            rows = slice(first, first + _ROWS)
             # Zeros, since a stored number that is none would differ from itself.
             new = np.where(is_changed[rows], values[rows], 0.0)
             old = np.where(is_changed[rows], np.nan, 0.0)
-            if len(new):
-                blocks.append(_Block(starts[rows], old, new, decimals[rows]))
-        block = blocks[0]
-        if len(blocks) > 1:
-            order = np.argsort(np.concatenate([block.begins for block in blocks]), kind="stable")
-            block = _Block(*(np.concatenate(parts)[order] for parts in zip(*blocks, strict=True)))
-        yield block
+            yield _Block(at[rows], old, new, decimals[rows])
+
+
+Span = tuple[int, int]
+"""The place of a piece of text: its first character, and the one behind its last."""
+
+
+def replace_spans(text: AnyStr, edits: Iterable[tuple[Span, AnyStr]]) -> AnyStr:
+    """``text`` with other text at some places."""
+    pieces: list[AnyStr] = []
+    done = 0
+    for (start, stop), new in sorted(edits):
+        pieces += [text[done:start], new]
+        done = stop
+    pieces.append(text[done:])
+    return text[:0].join(pieces)
+
+
+_Slots = TypeVar("_Slots", bound=TextSlots)
 
 
 class Words:
@@ -551,12 +540,12 @@ class Words:
             raise damaged("a whole number is expected", f"line {line_of(self.data, at)}")
         return values.astype(np.int64)
 
-    def float_rows(self, first: Longs, *, unit_length: bool = False) -> TextSlots:
-        """Rows of three numbers, ``first`` (n,) being the first word of each."""
+    def float_rows(self, first: Longs, kind: type[_Slots], **more: Any) -> _Slots:
+        """Rows of three numbers, ``first`` (n,) being the first word of each; ``more`` are other
+        fields of the ``kind`` of slots."""
         chosen = (first[:, None] + np.arange(3)).reshape(-1)
         values = parse_floats(self.data, self.starts[chosen], self.stops[chosen]).reshape(-1, 3)
-        at = self.starts[first]
-        return TextSlots(self.data, at, values=values, unit_length=unit_length)
+        return kind(self.data, self.starts[first], values=values, **more)
 
     def first_of_lines(self) -> Longs:
         """The first word of each line that has one."""

@@ -1,9 +1,9 @@
 """VTK's legacy files (``.vtk``): points and normals replaced inside the original bytes.
 
-Read are ascii and binary files of versions 1 to 5.1 with polygonal data, unstructured grids, and
-structured grids that are one layer of quadrilaterals.  What stands behind the cells (attributes,
-fields, metadata) is looked into for normals alone; whatever of it is not understood is kept.
-Everything binary is big-endian, as VTK writes it on every machine.
+Read are ascii and binary files of versions 1 to 5.1 with polygonal data or unstructured grids.
+What stands behind the cells (attributes, fields, metadata) is looked into for normals alone;
+whatever of it is not understood is kept.  Everything binary is big-endian, as VTK writes it on
+every machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from msal_cli import errors
 from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import Slots, Strided, number_within
-from msal_cli.codecs.text_slots import Words, line_of
+from msal_cli.codecs.text_slots import TextSlots, Words, line_of
 from msal_cli.storage.regular import Buffer
 
 _CODES = {"signed_char": ">i1", "vtkidtype": ">i4", "float": ">f4", "double": ">f8"}
@@ -31,7 +31,7 @@ _HEADER = re.compile(
     rb"\s*(ASCII|BINARY)[ \t]*\r?\n",
     re.IGNORECASE,
 )
-_POINTS = ("POLYDATA", "UNSTRUCTURED_GRID", "STRUCTURED_GRID")
+_POINTS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = {
     "VERTICES": "vertex",
     "LINES": "line",
@@ -64,21 +64,15 @@ def parse(data: Buffer) -> Layout:
             f"the data set {kind} has no surface of points",
             hint="extract the surface in the program that wrote it",
         )
-    dimensions: list[int] = []
     while words := reader.line():
         keyword = words[0].upper()
-        if keyword == "DIMENSIONS":
-            dimensions = [reader.count_of(words, k, "points") for k in (1, 2, 3)]
-        elif keyword in ("POINT_DATA", "CELL_DATA"):
+        if keyword in ("POINT_DATA", "CELL_DATA"):
             reader.read_attributes(words)
             break
-        else:
-            reader.read_section(words)
+        reader.read_section(words)
     if reader.points is None:
         raise reader.damaged("the file has no POINTS")
-    if kind == "STRUCTURED_GRID":
-        reader.surface.add_layer(dimensions, len(reader.points.values))
-    elif reader.cells is not None:
+    if reader.cells is not None:
         raise reader.damaged("the file has no CELL_TYPES")
     normals = reader.normals
     has_normals = normals is not None and len(normals.values) == len(reader.points.values)
@@ -165,7 +159,7 @@ class _Reader:
         if self._words is not None:
             chosen = self._next_words(3 * count)
             first = np.arange(chosen.start, chosen.stop, 3)
-            return self._words.float_rows(first, unit_length=is_normals)
+            return self._words.float_rows(first, TextSlots, unit_length=is_normals)
         size = np.dtype(code).itemsize
         at = self._next_bytes(3 * size * count)
         places = (0, size, 2 * size)
@@ -222,19 +216,8 @@ class _Reader:
             self._next_words(count)
         elif kind.lower() == "bit":
             self._next_bytes((count + 7) // 8)
-        elif kind.lower() in ("string", "utf8_string"):
-            self._skip_strings(count)
         else:
             self._next_bytes(count * np.dtype(self._code(kind)).itemsize)
-
-    def _skip_strings(self, count: int) -> None:
-        """Skip strings; the first two bits of each say how many bytes its length takes."""
-        for _ in range(count):
-            at = self._next_bytes(1)
-            width = (8, 4, 2, 1)[int(self._data[at]) >> 6]
-            self._next_bytes(width - 1)
-            length = int.from_bytes(self._data[at : at + width].tobytes(), "big")
-            self._next_bytes(length & ((1 << (8 * width - 2)) - 1))
 
     def _code(self, kind: str) -> str:
         code = _CODES.get(kind.lower())
@@ -292,8 +275,6 @@ class _Reader:
             self._skip_paragraph()
         elif keyword == "FIELD":
             self._read_field(words, "")
-        elif keyword.endswith("_COORDINATES") or keyword in ("SPACING", "ORIGIN"):
-            raise errors.UnsupportedError(f"{words[0]} in a data set of points", where=self.where())
         else:
             raise self.damaged(f"{words[0][:40]!r} is no section of a VTK file")
 
@@ -373,11 +354,11 @@ _KINDS = {
     2: "vertex",
     3: "line",
     4: "line",
-    5: "triangle",
+    5: "polygon",
     6: "strip",
     7: "polygon",
-    8: "pixel",
-    9: "quad",
+    8: "polygon",
+    9: "polygon",
     10: "tetra",
     11: "voxel",
     12: "hexahedron",
@@ -385,15 +366,10 @@ _KINDS = {
     14: "pyramid",
     42: "polyhedron",
 }
-_CORNERS = {"triangle": 3, "quad": 4, "pixel": 4}
-"""Surface cells of one size; a pixel has its corners row by row."""
+_CORNERS = {5: ("triangle", 3), 8: ("pixel", 4), 9: ("quad", 4)}
+"""Surface cells of one size."""
 
-_FLAT = (*_CORNERS, "polygon", "strip", "line", "vertex")
-_POLYGONS = (5, 7, 9)
-_PIXEL = np.array([0, 1, 3, 2])
-
-_MAX_RUNS = 1000
-"""Runs of one type that are added one by one, so that all cells keep the order of the file."""
+_FLAT = ("polygon", "strip", "line", "vertex")
 
 
 class Cells:
@@ -410,25 +386,21 @@ class Cells:
 
         Cells that are no surface are counted.
         """
-        wrong = sizes != _CORNERS.get(kind, sizes)
-        if wrong.any():
-            raise errors.damaged(f"a {kind} has {int(sizes[wrong][0])} corners")
         self._counts[kind] += len(sizes)
         if kind == "strip":
             triangles = corners[_strip_triangles(sizes)]
             corners, sizes = triangles.reshape(-1), np.full(len(triangles), 3, dtype=np.int64)
-        elif kind == "pixel":
-            corners = corners.reshape(-1, 4)[:, _PIXEL].reshape(-1)
-        elif kind == "polygon" and not (is_face := sizes >= 3).all():
+        elif kind != "polygon":
+            return
+        elif not (is_face := sizes >= 3).all():
             self._small += int(np.count_nonzero(~is_face))
             corners, sizes = corners[np.repeat(is_face, sizes)], sizes[is_face]
-        elif kind not in _CORNERS and kind != "polygon":
-            return
         self._corners.append(corners)
         self._sizes.append(sizes)
 
     def add_types(self, types: Longs, sizes: Longs, corners: Longs) -> None:
-        """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers."""
+        """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers: polygons in
+        the order of the file, and behind them strips."""
         if len(types) != len(sizes):
             raise errors.damaged("there are not as many types as cells")
         if n_curved := int(np.isin(types, _CURVED).sum()):
@@ -436,37 +408,18 @@ class Cells:
                 f"the file has second-order surface cells ({n_curved} cells)",
                 hint="write it with first-order triangles or quads",
             )
-        names = {
-            value: _KINDS.get(value, f"cell of type {value}") for value in np.unique(types).tolist()
-        }
-        starts = np.flatnonzero(np.diff(types, prepend=-1))
-        if len(starts) <= _MAX_RUNS:
-            ends = np.cumsum(sizes)
-            for start, stop in zip(starts, [*starts[1:], len(types)], strict=False):
-                own = corners[ends[start] - sizes[start] : ends[stop - 1]]
-                self.add(names[int(types[start])], sizes[start:stop], own)
-            return
-        # Types in turns: polygons together in the order of the file, then the others by type.
-        for type in (5, 9):
-            kind = _KINDS[type]
-            if ((types == type) & (sizes != _CORNERS[kind])).any():
-                raise errors.damaged(f"a {kind} has not {_CORNERS[kind]} corners")
-        groups = [("polygon", np.isin(types, _POLYGONS))]
-        groups += [(name, types == one) for one, name in names.items() if one not in _POLYGONS]
-        for kind, chosen in groups:
+        for type, (name, size) in _CORNERS.items():
+            if ((types == type) & (sizes != size)).any():
+                raise errors.damaged(f"a {name} has not {size} corners")
+        # A pixel has its corners row by row.
+        last = np.cumsum(sizes)[types == 8] - 1
+        corners[[last - 1, last]] = corners[[last, last - 1]]
+        kinds: dict[str, list[int]] = {}
+        for type in np.unique(types).tolist():
+            kinds.setdefault(_KINDS.get(type, f"cell of type {type}"), []).append(type)
+        for kind, own in kinds.items():
+            chosen = np.isin(types, own)
             self.add(kind, sizes[chosen], corners[np.repeat(chosen, sizes)])
-
-    def add_layer(self, dimensions: list[int], n_points: int) -> None:
-        """Add the quadrilaterals of a structured grid that is one layer thick."""
-        if len(dimensions) != 3 or dimensions[0] * dimensions[1] * dimensions[2] != n_points:
-            raise errors.damaged("DIMENSIONS and POINTS do not agree")
-        rows = [size for size in dimensions if size > 1]
-        if len(rows) != 2:
-            self._counts["block of cells" if len(rows) == 3 else "row of points"] += 1
-            return
-        at = np.arange(n_points, dtype=np.int64).reshape(rows[1], rows[0])
-        quads = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=-1)
-        self.add("quad", np.full(quads.size // 4, 4, dtype=np.int64), quads.reshape(-1))
 
     def corners(self) -> Longs:
         """The corners (c,) of all polygons, as the file numbers them."""
@@ -483,14 +436,13 @@ class Cells:
     def warnings(self) -> tuple[str, ...]:
         others = {kind: n for kind, n in self._counts.items() if n and kind not in _FLAT}
         listed = ", ".join(f"{n} {kind}" for kind, n in others.items())
-        n_strips = self._counts["strip"]
-        warnings = (
-            listed and f"other cells ({listed}) are kept; their corners move with the surface",
-            n_strips and f"{n_strips} triangle strips are read as triangles, and kept",
-            self._small
-            and f"{self._small} polygons of fewer than three corners are kept and left out",
-        )
-        return tuple(str(warning) for warning in warnings if warning)
+        n_strips, n_small = self._counts["strip"], self._small
+        warnings = {
+            f"other cells ({listed}) are kept; their corners move with the surface": others,
+            f"{n_strips} triangle strips are read as triangles, and kept": n_strips,
+            f"{n_small} polygons of fewer than three corners are kept and left out": n_small,
+        }
+        return tuple(warning for warning, has_some in warnings.items() if has_some)
 
 
 def _strip_triangles(sizes: Longs) -> Longs:

@@ -13,7 +13,7 @@ import re
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs import text_slots
 from msal_cli.codecs.mesh_file import Layout, MeshFile
 from msal_cli.codecs.slots import Change, Slots, to_type
+from msal_cli.codecs.text_slots import Span
 from msal_cli.codecs.vtk import Cells
 from msal_cli.codecs.xml_tree import Element, parse_tree
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, MAX_RATIO
@@ -121,18 +122,11 @@ class Coding:
         if array.attributes.get("format", "ascii") == "ascii":
             words = text_slots.Words(self.data, array.inside, array.text_stop)
             _require_count(len(words), 3 * count, array)
-            rows = words.float_rows(np.arange(0, 3 * count, 3), unit_length=are_normals)
-            return TextNumbers(
-                rows.data,
-                rows.at,
-                values=rows.values,
-                unit_length=are_normals,
-                start=array.inside,
-                stop=array.text_stop,
-            )
+            first, span = np.arange(0, 3 * count, 3), (array.inside, array.text_stop)
+            return words.float_rows(first, TextNumbers, unit_length=are_normals, span=span)
         return EncodedNumbers(self, array, code, count)
 
-    def decode(self, array: Element) -> tuple[Buffer, int, int]:
+    def decode(self, array: Element) -> tuple[Buffer, Span]:
         """The bytes of an array, and between which bytes of the file it and its header are."""
         start, stop, is_raw = self.place(array)
         view = memoryview(self.data).cast("B")[:stop]
@@ -143,7 +137,7 @@ class Coding:
         if not self.compressor:
             content = source.take(counts[0])
             self.expand(len(content), len(content), start)
-            return content, source.first, source.at
+            return content, (source.first, source.at)
         n_blocks, block_bytes, last_bytes = counts
         if n_blocks * width > stop - start:
             raise _cut("blocks are missing", start)
@@ -161,7 +155,7 @@ class Coding:
             )
             for k, size in enumerate(sizes)
         )
-        return content, source.first, source.at
+        return content, (source.first, source.at)
 
 
 def _require_count(there: int, wanted: int, array: Element) -> None:
@@ -176,10 +170,9 @@ def _require_count(there: int, wanted: int, array: Element) -> None:
 
 @dataclass(eq=False)
 class TextNumbers(text_slots.TextSlots):
-    """An array of words between the bytes ``start`` and ``stop``."""
+    """An array of words within the bytes ``span``."""
 
-    start: int
-    stop: int
+    span: Span
 
     def encode(self, values: Floats, is_changed: Flags) -> bytes:
         """The bytes of the array with new values (n, 3)."""
@@ -189,20 +182,20 @@ class TextNumbers(text_slots.TextSlots):
         """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
         assert isinstance(new, TextNumbers)
         data, patches = self._plan(values, is_changed)
-        text_slots.require_replaced(data, new.data[new.start : new.stop], patches)
+        text_slots.require_replaced(data, new.data[slice(*new.span)], patches)
 
     def _plan(self, values: Floats, is_changed: Flags) -> tuple[Bytes, list[text_slots.Patch]]:
         patches = text_slots.plan_patches([Change(self, values, is_changed)])
-        own = [patch._replace(at=patch.at - self.start) for patch in patches]
-        return self.data[self.start : self.stop], own
+        own = [patch._replace(at=patch.at - self.span[0]) for patch in patches]
+        return self.data[slice(*self.span)], own
 
 
 class EncodedNumbers(Slots):
-    """An array that is replaced as a whole, since it may be compressed or written in base64;
-    ``start`` and ``stop`` are as of ``TextNumbers``."""
+    """An array within the bytes ``span`` that is replaced as a whole, since it may be compressed or
+    written in base64."""
 
     def __init__(self, coding: Coding, array: Element, code: str, count: int) -> None:
-        content, self.start, self.stop = coding.decode(array)
+        content, self.span = coding.decode(array)
         _require_count(len(content), 3 * np.dtype(code).itemsize * count, array)
         self.codes = (code,) * 3
         self._rows = np.frombuffer(content, dtype=code).reshape(-1, 3)
@@ -230,8 +223,8 @@ class EncodedNumbers(Slots):
 
     def _pack(self, content: bytes) -> bytes:
         coding = self._coding
-        view = memoryview(coding.data).cast("B")[: self.stop]
-        source = _Source(view, self.start, is_raw=self._is_raw)
+        view = memoryview(coding.data).cast("B")[: self.span[1]]
+        source = _Source(view, self.span[0], is_raw=self._is_raw)
         head = source.take(coding.head_bytes)
         is_split = source.is_split
         if coding.compressor:
@@ -309,31 +302,36 @@ def _cut(message: str, at: int) -> errors.TruncatedError:
     return errors.TruncatedError(message, where=f"byte {at}", hint=errors.EXPORT_AGAIN)
 
 
-Shift = Callable[[int], int]
-"""By how many bytes a place of the input moves, new positions and normals being written."""
+Edit = tuple[Span, bytes]
+"""A place, and what is to stand there."""
 
-Text = Callable[[bytes, Sequence[Floats], Shift], bytes]
-"""``text(old, positions, shift)`` are the bytes that stand for ``old``."""
-
-
-class Dependent(NamedTuple):
-    """Bytes that depend on positions: counts of bytes up to a place, or bounds."""
-
-    start: int
-    stop: int
-    text: Text
+Bound = Callable[[Floats], Any]
 
 
 @dataclass(eq=False, kw_only=True)
 class XmlLayout(Layout):
-    """``dependents`` are what changes with positions, none of it inside an array of theirs."""
+    """What changes with positions beside them, none of it inside an array of theirs.
 
-    dependents: tuple[Dependent, ...]
+    Attributes
+    ----------
+    offsets : where the offset of each appended array stands, and the first byte of the array.
+    base : the byte from which offsets count.
+    bounds : where the least or the largest distance from the origin stands, the number of the
+        array of positions, and which of the two it is.
+    """
+
+    offsets: Sequence[tuple[Span, int]]
+    base: int
+    bounds: Sequence[tuple[Span, int, Bound]]
 
     @property
     def arrays(self) -> list[XmlSlots]:
         """All positions and normals."""
         return [*self.positions, *self.normals]  # type: ignore[list-item]
+
+    def dependents(self) -> list[Span]:
+        """All places but those of arrays that change with positions."""
+        return [span for span, _ in self.offsets] + [span for span, _, _ in self.bounds]
 
 
 class VtkXmlFile(MeshFile):
@@ -345,17 +343,11 @@ class VtkXmlFile(MeshFile):
         super().__init__(data, format, _parse(format, data))
 
     def _write(self, changes: Sequence[Change], vertices: Floats) -> bytes:
-        edits = [
-            (slots.start, slots.stop, slots.encode(values, is_changed))
-            for slots, values, is_changed in changes
+        edits: list[Edit] = [
+            (slots.span, slots.encode(values, is_changed)) for slots, values, is_changed in changes
         ]
-        edits += self._dependent_texts(vertices, _shift_by(edits))
-        pieces: list[Buffer] = []
-        done = 0
-        for start, stop, new in sorted(edits):
-            pieces += [memoryview(self._data)[done:start], new]
-            done = stop
-        return b"".join([*pieces, memoryview(self._data)[done:]])
+        edits += self._dependent_edits(vertices, edits)
+        return text_slots.replace_spans(bytes(self._data), edits)
 
     def _compare(self, result: Bytes, changes: Sequence[Change], vertices: Floats) -> None:
         if not changes:
@@ -367,42 +359,45 @@ class VtkXmlFile(MeshFile):
             there = _parse(self.format, output)
         except errors.MsalError as failure:
             raise errors.InternalError(f"{what} cannot be read: {failure}") from failure
-        ours, theirs = self._layout.arrays, there.arrays
+        ours, theirs, places = self._layout.arrays, there.arrays, there.dependents()
         shapes = [[(type(slots), slots.values.shape) for slots in own] for own in (ours, theirs)]
-        if shapes[0] != shapes[1] or len(there.dependents) != len(self._layout.dependents):
+        if shapes[0] != shapes[1] or len(places) != len(self._layout.dependents()):
             raise errors.InternalError(f"{what} has other arrays")
-        edits, places = [], []
+        edits, spans = [], []
         for slots, values, is_changed in changes:
             new = theirs[next(i for i, own in enumerate(ours) if own is slots)]
             slots.require(new, values, is_changed)
-            edits.append((slots.start, slots.stop, output[new.start : new.stop]))
-            places.append((new.start, new.stop))
-        edits += self._dependent_texts(vertices, _shift_by(edits))
-        places += [(dependent.start, dependent.stop) for dependent in there.dependents]
-        for (_, _, text), (start, stop) in zip(edits, places, strict=True):
-            if output[start:stop] != text:
-                raise errors.InternalError(f"an attribute of {what} is not what it should be")
-        if _rest(self._data, [edit[:2] for edit in edits]) != _rest(output, places):
+            edits.append((slots.span, output[slice(*new.span)]))
+            spans.append(new.span)
+        edits += self._dependent_edits(vertices, edits)
+        spans += places
+        if [output[slice(*span)] for span in spans] != [text for _, text in edits]:
+            raise errors.InternalError(f"an attribute of {what} is not what it should be")
+        before, after = (
+            text_slots.replace_spans(data, [(span, b"") for span in own])
+            for data, own in ((bytes(self._data), [span for span, _ in edits]), (output, spans))
+        )
+        if before != after:
             raise errors.InternalError(f"{what} differs in more than positions and normals")
 
-    def _dependent_texts(self, vertices: Floats, shift: Shift) -> list[tuple[int, int, bytes]]:
-        """What depends on positions, and the bytes that it should have."""
-        positions, view = self._to_file(vertices), memoryview(self._data)
-        return [
-            (start, stop, text(bytes(view[start:stop]), positions, shift))
-            for start, stop, text in self._layout.dependents
-        ]
+    def _dependent_edits(self, vertices: Floats, edits: Sequence[Edit]) -> list[Edit]:
+        """What follows from new positions, and from the sizes of the arrays that are written."""
+        layout, view = self._layout, memoryview(self._data)
 
+        def growth(at: int) -> int:
+            return sum(len(new) - (stop - start) for (start, stop), new in edits if stop <= at)
 
-def _shift_by(edits: Sequence[tuple[int, int, bytes]]) -> Shift:
-    growths = [(stop, len(new) - (stop - start)) for start, stop, new in edits]
-    return lambda at: sum(growth for stop, growth in growths if stop <= at)
-
-
-def _rest(data: Buffer, spans: Sequence[tuple[int, int]]) -> bytes:
-    view = memoryview(data)
-    starts, stops = zip(*sorted(spans), strict=True)
-    return b"".join(view[at:to] for at, to in zip((0, *stops), (*starts, None), strict=True))
+        result = []
+        for span, at in layout.offsets:
+            change = growth(at) - growth(layout.base)
+            new = str(at - layout.base + change).encode() if change else bytes(view[slice(*span)])
+            result.append((span, new))
+        positions = self._to_file(vertices) if layout.bounds else []
+        for span, which, bound in layout.bounds:
+            with np.errstate(over="ignore"):
+                lengths = np.sqrt((positions[which] ** 2).sum(axis=1))
+            result.append((span, repr(float(bound(lengths))).encode()))
+        return result
 
 
 _TYPES = {"vtu": "UnstructuredGrid", "vtp": "PolyData"}
@@ -457,10 +452,19 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
         properties=tuple(dict.fromkeys(name for part in parts for name in part.properties)),
         warnings=tuple(dict.fromkeys(warnings)),
         held=", ".join(filter(None, (part.cells.describe() for part in parts))),
-        dependents=(
-            *_offsets(data, root, coding),
-            *(end for k, part in enumerate(parts) for end in _ranges(data, part.points_array, k)),
-        ),
+        # The offsets of appended arrays move with the size of those in front of them.
+        offsets=[
+            (span, coding.place(array)[0])
+            for array in (root.inner() if coding.compressor else ())
+            if array.attributes.get("format") == "appended"
+            and (span := array.attribute_places(data).get("offset"))
+        ],
+        base=coding.appended_at,
+        bounds=[
+            bound
+            for k, part in enumerate(parts)
+            for bound in _find_bounds(data, part.points_array, k)
+        ],
     )
 
 
@@ -530,49 +534,16 @@ def _lists(group: Element, coding: Coding) -> tuple[Longs, Longs]:
     return sizes, corners[: sizes.sum()]
 
 
-def _offsets(data: Buffer, root: Element, coding: Coding) -> list[Dependent]:
-    """The offsets of appended arrays, which move with the size of those in front of them."""
-    if coding.appended_at < 0 or not coding.compressor:
-        return []
-    base = coding.appended_at
-
-    def shifted(at: int) -> Text:
-        def text(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
-            change = shift(at) - shift(base)
-            return str(at - base + change).encode() if change else old
-
-        return text
-
-    return [
-        Dependent(*place, shifted(coding.place(array)[0]))
-        for array in root.inner()
-        if array.attributes.get("format") == "appended"
-        and (place := array.attribute_places(data).get("offset"))
-    ]
-
-
-def _ranges(data: Buffer, array: Element, which: int) -> list[Dependent]:
+def _find_bounds(data: Buffer, array: Element, which: int) -> list[tuple[Span, int, Bound]]:
     """The smallest and largest distance from the origin, which VTK writes beside points."""
-
-    def distance(reduce: Callable[[Floats], Any]) -> Text:
-        def text(old: bytes, positions: Sequence[Floats], shift: Shift) -> bytes:
-            points = positions[which]
-            with np.errstate(over="ignore"):
-                lengths = np.sqrt((points * points).sum(axis=1))
-            return repr(float(reduce(lengths))).encode()
-
-        return text
-
-    texts = distance(np.min), distance(np.max)
-    found = array.attribute_places(data)
-    places = [found.get(name) for name in ("RangeMin", "RangeMax")]
-    bounds = [Dependent(*at, text) for at, text in zip(places, texts, strict=True) if at]
+    places = array.attribute_places(data)
+    spans = [places.get("RangeMin"), places.get("RangeMax")]
     for key in array.all("InformationKey"):
-        values = list(key.all("Value"))
+        values = [(value.inside, value.stop) for value in key.all("Value")]
         if "L2_NORM" in key.attributes.get("name", "") and len(values) == 2:
-            pairs = zip(values, texts, strict=True)
-            bounds += [Dependent(value.inside, value.stop, text) for value, text in pairs]
-    return bounds
+            spans += values
+    bounds: tuple[Bound, Bound] = (np.min, np.max)
+    return [(span, which, bounds[k % 2]) for k, span in enumerate(spans) if span]
 
 
 def to_vtp(points: Floats, faces: NDArray[np.int32], *, single: bool) -> bytes:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 from xml.parsers import expat
 
+from msal_cli.codecs.text_slots import Span
 from msal_cli.errors import CUT_SHORT, TooLargeError, TruncatedError, UnsupportedError, damaged
 from msal_cli.storage.regular import Buffer
 
@@ -29,9 +30,6 @@ _CUT = (
 )
 _TAG = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
-
-Span = tuple[int, int]
-"""The first byte, and the one behind the last."""
 
 
 @dataclass(slots=True, eq=False)

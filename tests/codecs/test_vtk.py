@@ -103,16 +103,6 @@ def test_unstructured_grids_with_pixels_and_volumes(is_text, version):
 
 
 @ENCODINGS
-def test_a_structured_grid_of_one_layer(is_text):
-    x, y = np.meshgrid(np.arange(3.0), np.arange(4.0))
-    points = np.stack([x, y, x * y], axis=-1).reshape(-1, 3)
-    writer = Writer(is_text, "STRUCTURED_GRID").add("DIMENSIONS 3 4 1").points(points)
-    file, _, _ = patched(writer.data, "a.vtk")
-    assert file.n_polygons == 6
-    assert file.polygons()[0].tolist() == [0, 1, 4, 3]
-
-
-@ENCODINGS
 def test_attributes_stay_and_normals_follow(is_text):
     vertices, faces = grid()
     n, m = len(vertices), len(faces)
@@ -145,23 +135,6 @@ def test_attributes_stay_and_normals_follow(is_text):
         at = output.index(b"NORMALS up float\n") + len(b"NORMALS up float\n")
         assert np.frombuffer(output[at : at + 12], ">f4").tolist() == [1, 0, 0]
         assert output[at + 12 * n :] == writer.data[at + 12 * n :]
-
-
-def test_strings_in_binary_files_are_passed():
-    vertices, faces = grid()
-    writer = Writer(False, "POLYDATA").points(vertices)
-    writer.add(f"POLYGONS {len(faces)} {4 * len(faces)}", counted(faces.tolist()))
-    writer.add("POINT_DATA " + str(len(vertices))).add("FIELD f 2")
-    writer.add(f"names 1 {len(vertices)} string")
-    for k in range(len(vertices)):
-        text = b"x" * (k % 3) if k else b"y" * 100
-        length = bytes([0xC0 | len(text)]) if len(text) < 64 else bytes([0x80, len(text)])
-        writer.data += length + text
-    writer.data += b"\n"
-    writer.add(f"Normals 3 {len(vertices)} float", np.tile([0, 0, 1], (len(vertices), 1)), "float")
-    file = open_mesh(writer.data, "a.vtk")
-    assert file.properties == ("point.names", "point.Normals")
-    assert file.warnings == ()
 
 
 def grid_of(cells, types, points=POINTS) -> bytes:
