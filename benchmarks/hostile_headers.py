@@ -134,7 +134,6 @@ def lies() -> Iterator[Lie]:
     yield lie("four vertices and 1 GB.ply", "E_TOO_LARGE", ply(4, 1), V4, size=GIGABYTE)
     yield lie("four vertices and 100 GB.ply", "E_TOO_LARGE", ply(4, 1), V4, size=10**11)
     text = ply(4, 1, encoding="ascii") + V4_TEXT + b"3 0 1 2\n"
-    yield lie("text and 1 GB of nothing.ply", "E_FORMAT", text, size=GIGABYTE)
     yield lie("index of 10^12.ply", "E_INDEX", text[:-2], b"1000000000000\n")
 
     yield lie("10^12.obj", "E_INDEX", OBJ, b"f 1 2 1000000000000\n")
@@ -145,7 +144,6 @@ def lies() -> Iterator[Lie]:
     yield lie("a line of 10 MB.obj", "E_NO_FACES", b"v 0 0 0 # ", b"a" * 10**7)
     yield lie("10 MB of 'v '.obj", "E_FORMAT", b"v " * (5 * 10**6))
     yield lie("10 MB of 'f 1 1 1'.obj", "E_NO_FACES", b"f 1 1 1\n" * 1_250_000)
-    yield lie("text and 1 GB of nothing.obj", "E_FORMAT", OBJ * 4000, size=GIGABYTE)
     yield lie("100 GB.obj", "E_TOO_LARGE", OBJ, size=10**11)
 
     header = bytes(80)
@@ -183,7 +181,6 @@ def lies() -> Iterator[Lie]:
     yield lie("stride of 2^39.glb", "E_TRUNCATED", glb(scene(view={"byteStride": 2**39})))
 
     yield Lie("a bomb of 10 GB.ply.gz", "E_TOO_LARGE", bomb)
-    yield lie("a member and 1 GB.ply.gz", "E_FORMAT", gzip.compress(text, mtime=0), size=GIGABYTE)
     yield lie("100 GB.ply.gz", "E_TOO_LARGE", b"\x1f\x8b\x08", size=10**11)
     yield lie("10^12 vertices.ply.gz", "E_TRUNCATED", gzip.compress(ply(10**12, 1) + V4, mtime=0))
 

@@ -1,8 +1,8 @@
 """What the size of a file and its first 64 KB tell: counts, a forecast of memory, and lies.
 
-A header may promise more than the disk holds, and a file may have a hole of a hundred gigabytes
-behind a header that is as it should be.  Whatever is refused here the codec would refuse as well,
-once all was read; only very large files with very much behind their mesh are refused here alone.
+A header may promise more than the disk holds.  Whatever is refused here the codec would refuse as
+well, once all was read; only very large files with very much behind their mesh are refused here
+alone.
 
 A forecast decides who may run beside whom, and refuses a file that cannot fit: it is never below
 what was measured, and at most about twice as much.  It explains nothing: whatever is damaged,
@@ -11,7 +11,6 @@ hostile or not understood has no counts, and the reader says what is wrong with 
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -23,7 +22,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 from msal_cli.codecs import ply_header
 from msal_cli.codecs.detection import content_format, format_of_name, refuse_utf16
-from msal_cli.errors import FormatError, MsalError, TooLargeError, TruncatedError
+from msal_cli.errors import MsalError, TooLargeError, TruncatedError
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url
@@ -46,7 +45,6 @@ class Header:
     Attributes
     ----------
     flavour : the format, with ``-ascii`` for a text of a format that has both.
-    is_text : whether the file is text, which has no zero bytes; None where that was not looked at.
     least_bytes, most_bytes : how many bytes the file must and may have; None for no limit.
     vertices, faces : what the header counts, polygons as the file does; None where it does not.
     n_vertices, n_triangles : the same, estimated where the header does not count them.
@@ -54,7 +52,6 @@ class Header:
     """
 
     flavour: str
-    is_text: bool | None = None
     least_bytes: int = 0
     most_bytes: int | None = None
     vertices: int | None = None
@@ -78,7 +75,7 @@ def read_header(
             from msal_cli.codecs.obj import refuse_binary
 
             refuse_binary(head)
-            return Header("obj", is_text=True)
+            return Header("obj")
         if format == "ply":
             return _read_ply(head, size, is_packed)
         if format == "stl":
@@ -116,7 +113,7 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
                 where=f"byte {size}",
                 hint=ply_header.CUT_HINT,
             )
-        return Header(flavour, is_text, most_bytes=most, error=error)
+        return Header(flavour, most_bytes=most, error=error)
     least += is_text
     has_strips = "face" not in counts and "tristrips" in counts
     n_triangles = n_faces
@@ -137,7 +134,7 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
             n_triangles = max(n_faces, _most_triangles(header, face, size - least))
     faces = None if has_strips else n_faces
     shown = n_vertices, faces, n_vertices, n_triangles
-    return Header(flavour, is_text, least, most, *shown, error)
+    return Header(flavour, least, most, *shown, error)
 
 
 def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: int) -> int:
@@ -152,23 +149,24 @@ def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: i
 def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     from msal_cli.codecs import stl
 
-    is_text = stl.is_text(head, size)
-    most, error = (None, None) if is_text else _try(lambda: stl.require_bytes(head, size))
+    most, error = None, None
+    if not stl.is_text(head, size):
+        most, error = _try(lambda: stl.require_bytes(head, size))
     least = stl.wanted_bytes(head)
     count = (least - 84) // 50
     # A text with zeros behind it is forecast as a binary file whose count is not known.
     if b"\0" in head[:1024] or (len(head) >= 84 and size == least):
         if len(head) < 84 or least > _believed(size, is_packed):
-            return Header("stl", is_text, error=error)
+            return Header("stl", error=error)
         # A closed surface has half as many vertices as facets, once its corners are welded.
         counts = 3 * count, count, count // 2, count
-        return Header("stl", is_text, least, most, *counts, error)
+        return Header("stl", least, most, *counts, error)
     n_seen = len(_FACET.findall(head))
     if not n_seen:
-        return Header("stl-ascii", is_text, most_bytes=most, error=error)
+        return Header("stl-ascii", most_bytes=most, error=error)
     # A facet that is cut off at the end of what was read does not count as one.
     n_facets = int(size * n_seen / len(head)) + 1
-    return Header("stl-ascii", is_text, 0, most, None, None, n_facets // 2, n_facets, error)
+    return Header("stl-ascii", 0, most, None, None, n_facets // 2, n_facets, error)
 
 
 def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
@@ -178,7 +176,7 @@ def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
     stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
     is_there = head[:4] == b"glTF" and stop <= len(head)
     counts = _count_scene(head[_GLB_CHUNK:stop], size) if is_there else {}
-    return Header("glb", False, most_bytes=most, error=error, **counts)
+    return Header("glb", most_bytes=most, error=error, **counts)
 
 
 def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:
@@ -243,50 +241,19 @@ def check_beginning(file: BinaryIO, size: int, name: str, format: str | None) ->
     head = file.read(LOOKED_AT)
     said = format.lower().removeprefix(".") if format else format_of_name(name)
     seen = content_format(head, said)
-    wanted = said or seen
-    is_packed = head[:2] == GZIP_MAGIC
     # Another format than the name says is the codec's to explain.
-    if not is_packed and seen not in ("", wanted):
+    if head[:2] == GZIP_MAGIC or seen not in ("", said or seen):
         return
-    is_text = True
-    if not is_packed:
-        header = read_header(wanted, head, size)
-        if header.error is not None:
-            raise header.error
-        if header.is_text is None:
-            return
-        is_text = header.is_text
-        most = header.most_bytes
-        if most is not None and size > 2 * most + MAX_BEHIND:
-            raise TooLargeError(
-                f"the header counts {most:,} bytes at the most, but the file has {size:,}",
-                where=f"byte {most}",
-                hint="cut off what follows, or export the mesh again",
-            )
-    # A text has no zero bytes, which a hole is made of, and compressed data have not many; some at
-    # the end may be carried along.
-    hole = _find_hole(file, size) if is_text else size
-    if size - hole > MAX_BEHIND:
-        raise FormatError(
-            f"a hole full of zeros begins {size - hole:,} bytes before the end",
-            where=f"byte {hole}",
-            hint="the file was not written to its end; copy or export it again",
+    header = read_header(said or seen, head, size)
+    if header.error is not None:
+        raise header.error
+    most = header.most_bytes
+    if most is not None and size > 2 * most + MAX_BEHIND:
+        raise TooLargeError(
+            f"the header counts {most:,} bytes at the most, but the file has {size:,}",
+            where=f"byte {most}",
+            hint="cut off what follows, or export the mesh again",
         )
-
-
-def _find_hole(file: BinaryIO, size: int) -> int:
-    """The first byte of the first hole of a sparse file; ``size`` if it has none that is known."""
-    seek_hole = getattr(os, "SEEK_HOLE", None)
-    if seek_hole is None:
-        return size
-    try:
-        at = os.lseek(file.fileno(), 0, seek_hole)
-        # Believed only if the bytes there are what a hole reads as.
-        return at if at < size and os.pread(file.fileno(), 1, at) == b"\0" else size
-    except OSError as failure:
-        if failure.errno in (errno.EINVAL, errno.ENXIO, errno.ENOTSUP):
-            return size
-        raise
 
 
 BASE_BYTES = 52_000_000
