@@ -18,12 +18,7 @@ import numpy as np
 from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs import mesh_file, text_slots
-from msal_cli.codecs.slots import require_range
-from msal_cli.codecs.threemf_model import (
-    Model,
-    Use,
-    place_of,
-)
+from msal_cli.codecs.threemf_model import Model, Use, place_of
 from msal_cli.codecs.xml_tree import parse_tree
 from msal_cli.codecs.zip_archive import Archive, numbers_of
 from msal_cli.kernels.text import as_bytes
@@ -215,29 +210,29 @@ class ThreeMfFile(mesh_file.MeshFile):
         package = Package(data)
         text = _BETWEEN.join(package.texts.values())
         package.texts.clear()
-
-        super().__init__(text, "3mf", _layout(package, text))
+        positions, faces = [], []
+        begin = n_vertices = 0
+        for model in package.models.values():
+            for mesh in model.meshes.values():
+                if len(mesh.faces):
+                    # In place, because they take more memory than anything else.
+                    mesh.starts += begin
+                    at = mesh.starts.reshape(-1)
+                    positions.append(_Coordinates(as_bytes(text), at, values=mesh.vertices))
+                    faces.append(mesh.faces + n_vertices)
+                    n_vertices += len(mesh.vertices)
+            begin += model.size + len(_BETWEEN)
+        layout = mesh_file.Layout(
+            "binary",
+            "text",
+            tuple(positions),
+            frames=package.frames,
+            properties=package.properties,
+            faces=np.concatenate(faces).astype(np.int32),
+        )
+        super().__init__(text, "3mf", layout)
         self.data = data
         self.package = package
-
-    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with ``vertices`` (n, 3), all of them as the shortest text that is read back as
-        the same float32 or float64, unless ``precision`` is ``same``.
-        """
-        if encoding == "ascii":
-            raise errors.UnsupportedError("3MF has no ascii encoding", hint="leave --encoding away")
-        if precision == "same":
-            return self.replaced(vertices)
-        style = text_slots.SHORTEST_SINGLE if precision == "float32" else text_slots.SHORTEST
-        patches = []
-        for slots, values in zip(self._layout.positions, self._to_file(vertices), strict=True):
-            is_all = np.ones(values.shape, dtype=bool)
-            if style == text_slots.SHORTEST_SINGLE:
-                require_range(values, is_all, ("<f4",) * 3)
-            styles = np.full(values.size, style, dtype=np.uint8)
-            assert isinstance(slots, text_slots.TextSlots)
-            patches.append(slots.make_patch(values, is_all, styles))
-        return self._pack(text_slots.replace_statements(as_bytes(self._data), patches))
 
     def check(self, output: Buffer, vertices: Floats) -> None:
         old = self.package.archive
@@ -291,29 +286,6 @@ class ThreeMfFile(mesh_file.MeshFile):
                 hint="scale the mesh down",
             )
         return result
-
-
-def _layout(package: Package, text: Buffer) -> mesh_file.Layout:
-    data = as_bytes(text)
-    positions, faces = [], []
-    begin = n_vertices = 0
-    for model in package.models.values():
-        for mesh in model.meshes.values():
-            if len(mesh.faces):
-                # In place, because they take more memory than anything else.
-                mesh.starts += begin
-                positions.append(_Coordinates(data, mesh.starts.reshape(-1), values=mesh.vertices))
-                faces.append(mesh.faces + n_vertices)
-                n_vertices += len(mesh.vertices)
-        begin += model.size + len(_BETWEEN)
-    return mesh_file.Layout(
-        "binary",
-        "text",
-        tuple(positions),
-        frames=package.frames,
-        properties=package.properties,
-        faces=np.concatenate(faces).astype(np.int32),
-    )
 
 
 _TYPES_PART = b"""<?xml version="1.0" encoding="UTF-8"?>

@@ -204,16 +204,10 @@ class Model:
         if components := element.find("components"):
             self.components[number] = [self._use(use) for use in components.all("component")]
         meshes = list(element.all("mesh"))
-        if not meshes:
-            return
-        if len(meshes) > 1:
-            raise self._damaged("the object has two meshes", meshes[1])
-        lists: dict[str, Element] = {}
-        for child in meshes[0].children:
-            if child.name in lists:
-                raise self._damaged(f"the mesh has two lists of {child.name}", child)
-            if child.name in ("vertices", "triangles"):
-                lists[child.name] = child
+        children = [child for mesh in meshes for child in mesh.children]
+        lists = {each.name: each for each in children if each.name in ("vertices", "triangles")}
+        if len(meshes) > 1 or sum(each.name in lists for each in children) > len(lists):
+            raise self._damaged("the object has two meshes, or its mesh two equal lists", meshes[0])
         if len(lists) < 2:
             return
         vertices, starts = self._read_vertices(lists["vertices"], number)
