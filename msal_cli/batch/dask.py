@@ -24,7 +24,7 @@ from msal_cli.batch.schedule import Failed, Interrupt, Message, Returned, Starte
 from msal_cli.batch.workers import WorkerPool
 from msal_cli.errors import ResourceError, UsageError, install_hint
 from msal_cli.job.records import Failure
-from msal_cli.storage.atomic import sweep, sweep_after, temporary_name
+from msal_cli.storage.atomic import sweep, temporary_name
 from msal_cli.version import __version__
 
 _CONNECT_S = 10.0
@@ -207,7 +207,7 @@ def denoise_in_child(version: str, payload: bytes) -> bytes:
         common,
         limits=limits,
         retries=retries,
-        on_death=lambda pid, index: sweep_after(pid, folders),
+        on_death=lambda pid, index: sweep(folders, pid),
     )
     pool = WorkerPool(work)
     key, is_over = worker.get_current_task(), threading.Event()

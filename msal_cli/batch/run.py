@@ -32,7 +32,7 @@ from msal_cli.job.records import MeshRecord, MethodUsed
 from msal_cli.job.room import foresee
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings
 from msal_cli.machine import megabytes, usable_cores
-from msal_cli.storage.atomic import sweep, sweep_after
+from msal_cli.storage.atomic import sweep
 from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
@@ -197,7 +197,7 @@ class _BatchRun:
 
     def _run_in_process(self, todo: list[int]) -> None:
         def clean() -> None:
-            sweep_after(os.getpid(), output_folders(self.plan.tasks))
+            sweep(output_folders(self.plan.tasks), os.getpid())
 
         with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
             for index in todo:
@@ -224,7 +224,7 @@ class _BatchRun:
             jobs=self.jobs or self._cores,
             cores=self._cores,
             folders=tuple(self._local_folders()),
-            on_death=lambda pid, index: sweep_after(pid, output_folders([tasks[index]])),
+            on_death=lambda pid, index: sweep(output_folders([tasks[index]]), pid),
             on_loss=lambda index: self._journal.roll_back(index) if self._journal else "",
             limits=self.limits,
             retries=self.retries,

@@ -44,7 +44,7 @@ from msal_cli.job.settings import (
     parse_lock,
 )
 from msal_cli.machine import memory_bytes
-from msal_cli.storage.atomic import sweep_after
+from msal_cli.storage.atomic import sweep
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
@@ -115,7 +115,7 @@ def denoise_set(
         on_event(Progress(index, stage, done, total))
 
     def clean() -> None:
-        sweep_after(os.getpid(), output_folders(plan.tasks))
+        sweep(output_folders(plan.tasks), os.getpid())
 
     run = _SetRun(plan.tasks, settings, on_step, limits)
     limit = limits.memory_bytes

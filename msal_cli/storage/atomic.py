@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
-import logging
 import os
 import platform
 import re
@@ -43,8 +42,6 @@ _STALE_AFTER_S = 24 * 3600.0
 
 # A process that began so much later than a file cannot have made it; clocks are set by less.
 _CLOCK_TOLERANCE_S = 60.0
-
-_log = logging.getLogger("msal.files")
 
 _HINTS = {
     errno.ENOSPC: "the disk is full; free some space and run again",
@@ -261,23 +258,17 @@ def _place(temporary: Path, target: Path) -> bool:
 def flush_folder(folder: Path) -> None:
     """Make the new name durable where the system can; the file itself already is.
 
-    The file is in its place, so a system that cannot do this gets a warning and no failure: the
-    next run compares files by their content, and would find after a power cut what was lost.
+    The file is in its place, so a system that cannot do this is no failure: the next run compares
+    files by their content, and would find after a power cut what was lost.
     """
     if os.name != "posix":
         return
-    try:
+    with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return  # a folder that may be written but not read
-    try:
         try:
             os.fsync(handle)
         finally:
             os.close(handle)
-    except OSError as failure:
-        if failure.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES):
-            _log.warning("the folder %r cannot be synced: %s", str(folder), failure.strerror)
 
 
 # What dead processes left
@@ -288,42 +279,32 @@ def is_own(name: str) -> bool:
     return name.startswith(_OWN_FILES) or _TEMPORARY.fullmatch(name) is not None
 
 
-def sweep(folders: Iterable[str | Path]) -> int:
-    """Remove what dead processes left in these folders (not below them); how many files."""
-
-    def is_stale(match: re.Match[str], path: Path) -> bool:
-        written = path.lstat().st_mtime
-        if match["machine"] == machine_tag():
-            began = start_time(int(match["pid"]))
-            is_late = began is not None and began >= written + _CLOCK_TOLERANCE_S
-            if is_late or not is_alive(int(match["pid"])):
-                return True
-        return time.time() - written > _STALE_AFTER_S
-
-    return sum(_remove_matching(Path(folder), is_stale) for folder in folders)
-
-
-def sweep_after(pid: int, folders: Iterable[str | Path]) -> int:
-    """Remove what process ``pid``, which has ended, left in these folders; how many files."""
-
-    def is_its(match: re.Match[str], path: Path) -> bool:
-        return match["machine"] == machine_tag() and int(match["pid"]) == pid
-
-    return sum(_remove_matching(Path(folder), is_its) for folder in folders)
-
-
-def _remove_matching(folder: Path, is_to_go: Callable[[re.Match[str], Path], bool]) -> int:
+def sweep(folders: Iterable[str | Path], ended: int | None = None) -> int:
+    """Remove what dead processes left in these folders (not below them), or what process ``ended``
+    left, which is known to be dead; how many files."""
     count = 0
-    try:
-        with os.scandir(folder) as entries:
+    for folder in folders:
+        names: list[str] = []
+        with contextlib.suppress(OSError), os.scandir(folder) as entries:
             names = [entry.name for entry in entries if entry.name.startswith(".")]
-    except OSError:
-        return 0
-    for match in filter(None, map(_TEMPORARY.fullmatch, names)):
-        path = folder / match[0]
-        # Another process may be faster, or the file locked; it does no harm.
-        with contextlib.suppress(OSError):
-            if is_to_go(match, path):
-                path.unlink()
-                count += 1
+        for match in filter(None, map(_TEMPORARY.fullmatch, names)):
+            path = Path(folder) / match[0]
+            # Another process may be faster, or the file locked; it does no harm.
+            with contextlib.suppress(OSError):
+                if _is_stale(match, path, ended):
+                    path.unlink()
+                    count += 1
     return count
+
+
+def _is_stale(match: re.Match[str], path: Path, ended: int | None) -> bool:
+    is_here, pid = match["machine"] == machine_tag(), int(match["pid"])
+    if ended is not None:
+        return is_here and pid == ended
+    written = path.lstat().st_mtime
+    if is_here:
+        began = start_time(pid)
+        is_late = began is not None and began >= written + _CLOCK_TOLERANCE_S
+        if is_late or not is_alive(pid):
+            return True
+    return time.time() - written > _STALE_AFTER_S

@@ -272,18 +272,15 @@ def _connect(protocol: str, options: dict[str, Any]) -> Any:
 def _kind(protocol: str) -> Any:
     try:
         import fsspec
-        from fsspec.registry import known_implementations
-    except ImportError:
-        raise UsageError(
-            f"{protocol}:// needs the package fsspec, which is not installed",
-            hint=install_hint(_EXTRA),
-        ) from None
-    try:
+
         return fsspec.get_filesystem_class(protocol)
     except ImportError as failure:
-        advice = known_implementations.get(protocol, {}).get("err") or _one_line(failure)
-        hint = install_hint(_EXTRA) if protocol in ("s3", "s3a", "gs", "gcs") else ""
-        raise UsageError(f"{protocol}:// cannot be used: {advice}", hint=hint) from None
+        # Of a known protocol fsspec says what to install.
+        is_extra = protocol in ("s3", "s3a", "gs", "gcs") or failure.name == "fsspec"
+        raise UsageError(
+            f"{protocol}:// cannot be used: {_one_line(failure)}",
+            hint=install_hint(_EXTRA) if is_extra else "",
+        ) from None
     except ValueError:
         raise UsageError(
             f"the protocol of {protocol}:// is not known",

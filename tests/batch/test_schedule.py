@@ -14,7 +14,7 @@ import pytest
 from msal_cli.batch.schedule import TaskQueue
 from msal_cli.batch.workers import describe_exit
 from msal_cli.machine import is_alive, start_time
-from msal_cli.storage.atomic import MAX_NAME_BYTES, is_own, sweep, sweep_after, temporary_name
+from msal_cli.storage.atomic import MAX_NAME_BYTES, is_own, sweep, temporary_name
 
 
 def order(schedule, at_once=1):
@@ -123,14 +123,14 @@ def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
     touch(tmp_path, *names)
     os.utime(tmp_path / names[1], (0, 0))
     assert sweep([tmp_path]) == 1
-    assert sweep_after(dead, [tmp_path]) == 0
+    assert sweep([tmp_path], dead) == 0
     assert names_in(tmp_path) == names[:1]
 
 
 def test_after_a_worker_only_its_own_go(tmp_path, dead):
     names = [of(dead), of(dead + 1), temporary_name("mine")]
     touch(tmp_path, *names)
-    assert sweep_after(dead, [tmp_path]) == 1
+    assert sweep([tmp_path], dead) == 1
     assert names_in(tmp_path) == sorted(names[1:])
 
 
