@@ -16,9 +16,9 @@ from msal_cli.api import mesh_objects
 from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.errors import UsageError
 from msal_cli.job.pipeline import FileRun
-from msal_cli.job.plain_data import screen_repr
 from msal_cli.job.records import Displacement, MeshRecord, NoiseEstimate
 from msal_cli.job.settings import Assumption, Keep, Preference, Settings, parse
+from msal_cli.record_fields import screen_repr
 
 MeshObject = TypeVar("MeshObject")
 

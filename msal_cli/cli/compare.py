@@ -14,7 +14,7 @@ from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts, resolve_format
 from msal_cli.errors import MsalError, UsageError
-from msal_cli.job.plain_data import as_data
+from msal_cli.record_fields import as_data
 from msal_cli.storage import gzip_streams
 from msal_cli.version import __version__
 

@@ -10,7 +10,7 @@ from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import INPUTS, MESSAGES, STREAM, group, resolve_format
 from msal_cli.errors import UsageError
-from msal_cli.job.plain_data import as_data
+from msal_cli.record_fields import as_data
 
 if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord

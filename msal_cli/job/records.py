@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from msal_cli.errors import MsalError
-from msal_cli.job.plain_data import ScreenRepr
-from msal_cli.record_fields import about, known, required
+from msal_cli.record_fields import ScreenRepr, about, known, required
 from msal_cli.storage.urls import ObjectMark
 
 SCHEMA = "msal.report/1"

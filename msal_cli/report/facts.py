@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from msal_cli.job.display_names import escape_for_display, figure
-from msal_cli.job.plain_data import value_at
 from msal_cli.job.records import (
     DONE,
     ComparisonRecord,
@@ -27,6 +26,7 @@ from msal_cli.job.records import (
     SelfIntersections,
     TileSetPart,
 )
+from msal_cli.record_fields import value_at
 from msal_cli.report.data import Run, Totals, flatten, known_values, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]

@@ -20,7 +20,7 @@ from msal_cli.job.display_names import (
     restore_name,
     shorten_name,
 )
-from msal_cli.job.plain_data import as_data, from_data
+from msal_cli.record_fields import as_data, from_data
 
 
 def test_a_record_survives_json():
