@@ -73,16 +73,14 @@ def _quota_of(folder: Path) -> int | None:
 _PROC = Path("/proc")
 
 
-def available_bytes(
-    proc: Path = _PROC,
-    groups: Path = GROUPS,
-) -> int | None:
+def available_bytes(proc: Path = _PROC, groups: Path = GROUPS) -> int | None:
     """Memory that may be taken without anything being killed or swapped; None if it is not known.
 
     The least of what the machine has left and what every control group leaves.  Cached files
     count as free: the system drops them when memory is needed.
     """
-    limits = [_of_machine(proc / "meminfo")]
+    kilobytes = _entry(proc / "meminfo", "MemAvailable:")
+    limits = [None if kilobytes is None else 1024 * kilobytes]
     limits += [
         _of_group(folder) for folder in group_folders("memory", groups, proc / "self" / "cgroup")
     ]
@@ -108,11 +106,6 @@ def _counter(proc: Path, groups: Path) -> Path | None:
             if _entry(folder / name, "oom_kill") is not None:
                 return folder / name
     return None
-
-
-def _of_machine(meminfo: Path) -> int | None:
-    kilobytes = _entry(meminfo, "MemAvailable:")
-    return None if kilobytes is None else 1024 * kilobytes
 
 
 def _of_group(folder: Path) -> int | None:

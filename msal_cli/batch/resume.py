@@ -21,10 +21,10 @@ from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, manifest_key
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.plain_data import from_data
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.machine import iso_timestamp
+from msal_cli.record_fields import from_data
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.urls import ObjectMark, is_url
@@ -261,11 +261,21 @@ class Journal:
         ``stack`` releases locks and manifests.
         """
         tasks = self._plan.tasks
-        start = start_line(self._plan, self._settings, command)
+        shard = self._plan.shard
+        start = {
+            "kind": "run",
+            "format": manifests.FORMAT,
+            "command": list(command),
+            "shard": shard and [shard.number, shard.count],
+            "version": __version__,
+            "settings": asdict(self._settings),
+            "started": iso_timestamp(time.time_ns()),
+            "pid": os.getpid(),
+            "host": platform.node(),
+            "files": len(tasks),
+        }
         for place in self._plan.folders():
-            self.manifests[place] = opened.get(place) or manifests.open_folder(
-                place, stack, self._plan.shard
-            )
+            self.manifests[place] = opened.get(place) or manifests.open_folder(place, stack, shard)
         todo, restored = self.find_outdated(on_done)
         for manifest in self.manifests.values():
             manifest.open()
@@ -323,16 +333,19 @@ class Journal:
 
     def end(self, *, interrupted: bool) -> None:
         """Record the end of this run where its start is recorded."""
-        line = end_line(time.monotonic() - self._started_s, interrupted=interrupted)
+        line = {
+            "kind": "end",
+            "format": manifests.FORMAT,
+            "finished": iso_timestamp(time.time_ns()),
+            "seconds": round(time.monotonic() - self._started_s, 3),
+            "interrupted": interrupted,
+        }
         for manifest in self._begun:
             manifest.append([line])
 
     def roll_back(self, index: int) -> str:
-        """Undo what a lost worker did in place; why the file must not be tried again, if so."""
-        try:
-            return roll_back(self._plan.tasks[index], self._stats.get(index))
-        except OutputError as error:
-            return error.message
+        """As ``roll_back`` for a task, as its file was when this run began."""
+        return roll_back(self._plan.tasks[index], self._stats.get(index))
 
     def _append(self, indices: Iterable[int], line: Callable[[int, str], dict[str, Any]]) -> None:
         lines: dict[str, list[dict[str, Any]]] = {}
@@ -368,8 +381,6 @@ def roll_back(task: Task, before: FileStat | None) -> str:
     A file that was replaced is put back from its backup.  Without one, a file that is not as it was
     ``before`` the work began may be denoised already: the reason why it must not be tried again is
     returned, and otherwise an empty string.
-
-    Raises OutputError if the original cannot be put back.
     """
     if not task.in_place:
         return ""
@@ -377,7 +388,10 @@ def roll_back(task: Task, before: FileStat | None) -> str:
         backup = backup_path(task)
         is_file = os.path.isfile(backup) and not os.path.islink(backup)
         if is_file and hash_file(str(backup)) not in ("", hash_file(task.input)):
-            restore_backup(task)
+            try:
+                restore_backup(task)
+            except OutputError as error:
+                return error.message
         return ""
     if FileStat.of(task.input) == before:
         return ""
@@ -385,33 +399,6 @@ def roll_back(task: Task, before: FileStat | None) -> str:
 
 
 # Runs and files, as manifests describe them
-
-
-def start_line(plan: Plan, settings: Settings, command: Sequence[str]) -> dict[str, Any]:
-    """The manifest's line for a run of this process that starts now."""
-    return {
-        "kind": "run",
-        "format": manifests.FORMAT,
-        "command": list(command),
-        "shard": None if plan.shard is None else [plan.shard.number, plan.shard.count],
-        "version": __version__,
-        "settings": asdict(settings),
-        "started": iso_timestamp(time.time_ns()),
-        "pid": os.getpid(),
-        "host": platform.node(),
-        "files": len(plan.tasks),
-    }
-
-
-def end_line(seconds: float, *, interrupted: bool) -> dict[str, Any]:
-    """The manifest's line for the end, which is now, of a run that took so long."""
-    return {
-        "kind": "end",
-        "format": manifests.FORMAT,
-        "finished": iso_timestamp(time.time_ns()),
-        "seconds": round(seconds, 3),
-        "interrupted": interrupted,
-    }
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,13 @@ from msal_cli.batch.schedule import (
 )
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.pipeline import denoise_file
-from msal_cli.job.records import MeshRecord, MethodUsed
+from msal_cli.job.pipeline import denoise_file, start_record
+from msal_cli.job.records import MeshRecord
 from msal_cli.job.room import foresee
 from msal_cli.job.settings import NO_LIMITS, Limits, Settings
 from msal_cli.machine import megabytes, usable_cores
 from msal_cli.storage.atomic import sweep
 from msal_cli.storage.urls import is_url
-from msal_cli.version import __version__
 
 if TYPE_CHECKING:
     from msal_cli.batch.manifest import Manifest
@@ -300,14 +299,10 @@ class _BatchRun:
     def _unfinished_record(self, index: int, failed: Failed | None = None) -> MeshRecord:
         """The record of a file that is not done yet, or was lost outside of the pipeline."""
         task = self.plan.tasks[index]
-        return MeshRecord(
-            input=task.input,
-            output=task.output if failed is None else None,
-            status="planned" if failed is None else "failed",
-            version=__version__,
-            method=MethodUsed(self.settings.method, dict(self.settings.parameters)),
-            error=None if failed is None else failed.failure,
-        )
+        record = start_record(task.input, self.settings)
+        if failed is not None:
+            return replace(record, error=failed.failure)
+        return replace(record, status="planned", output=task.output)
 
 
 def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:

@@ -90,17 +90,12 @@ def noise_field(mesh: Mesh) -> records.NoiseEstimate:
 
 def displacement_field(statistics: DistanceStatistics, edge: float) -> records.Displacement:
     """How far vertices moved, ``edge`` being the mean edge length before."""
-    lengths = _length_fields(statistics, edge)
+    lengths = distance_fields(statistics, edge)
     return records.Displacement(**lengths, moved_vertices=statistics.n_moved)
 
 
-def distance_field(statistics: DistanceStatistics, edge: float) -> records.SurfaceDistance:
-    """Distances to a surface, ``edge`` being the mean edge length before."""
-    return records.SurfaceDistance(**_length_fields(statistics, edge))
-
-
-def _length_fields(statistics: DistanceStatistics, edge: float) -> dict[str, float]:
-    """Each in file units and, its name ending in ``_edges``, in mean edge lengths."""
+def distance_fields(statistics: DistanceStatistics, edge: float) -> dict[str, float]:
+    """Each in file units and, its name ending in ``_edges``, in mean edge lengths before."""
     lengths = {name: getattr(statistics, name) for name in ("mean", "rms", "p95", "max")}
     return lengths | {f"{name}_edges": length / edge for name, length in lengths.items()}
 
@@ -185,14 +180,6 @@ def measure(
         "area": area_changed(surface.area_before, surface.area_after),
     }
     return Measured(fields, tuple(warnings), harm)
-
-
-def count_self_intersections(before: Mesh, after: Mesh) -> records.SelfIntersections:
-    """How many pairs of faces intersect before and after, and how many of these are new; the
-    meshes have the same faces."""
-    from msal_cli.analysis.measures import self_intersection_change
-
-    return records.SelfIntersections(*self_intersection_change(before, after))
 
 
 def method_warnings(

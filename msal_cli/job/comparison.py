@@ -19,6 +19,7 @@ from msal_cli.job.records import (
     Failure,
     Reference,
     SelfIntersections,
+    SurfaceDistance,
 )
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
 from msal_cli.mesh import PreparedMesh
@@ -119,8 +120,7 @@ def compare_meshes(
 
     Raises ContentError if one of them is no mesh to compute with.
     """
-    from msal_cli.analysis import surface_distance
-    from msal_cli.analysis.measures import count_self_intersections
+    from msal_cli.analysis import measures, surface_distance
 
     first = prepare_mesh(before, before_name)
     second = prepare_mesh(after, after_name)
@@ -136,13 +136,13 @@ def compare_meshes(
                 "the first of them counts"
             )
         if with_intersections:
-            counts = changes.count_self_intersections(reference, moved)
-            figures["self_intersections"] = counts
+            counts = measures.self_intersection_change(reference, moved)
+            figures["self_intersections"] = SelfIntersections(*counts)
     else:
         moved = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
         warnings = _add_changes(figures, first, second)
         if with_intersections:
-            n_before, n_after = map(count_self_intersections, (reference, moved))
+            n_before, n_after = map(measures.count_self_intersections, (reference, moved))
             figures["self_intersections"] = SelfIntersections(n_before, n_after, None)
     if to_surface:
         step = max(map(surface_distance.sampling_step, (reference, moved)))
@@ -153,8 +153,8 @@ def compare_meshes(
             )
         to_before, to_after, hausdorff = surface_distance.surface_distances(reference, moved)
         figures |= {
-            "distance_to_before": changes.distance_field(to_before, edge),
-            "distance_to_after": changes.distance_field(to_after, edge),
+            "distance_to_before": SurfaceDistance(**changes.distance_fields(to_before, edge)),
+            "distance_to_after": SurfaceDistance(**changes.distance_fields(to_after, edge)),
             "hausdorff": hausdorff,
             "hausdorff_edges": hausdorff / edge,
         }

@@ -19,7 +19,14 @@ from msal_cli import machine
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output, room
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
-from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed, Seconds
+from msal_cli.job.records import (
+    Failure,
+    FieldsFile,
+    MeshRecord,
+    MethodUsed,
+    Seconds,
+    SelfIntersections,
+)
 from msal_cli.job.settings import (
     CHOOSING,
     NO_LIMITS,
@@ -354,8 +361,10 @@ class FileRun:
     def check_intersections(self, ready: PreparedMesh, moved: Floats) -> None:
         """Count faces that intersect each other, if that was requested."""
         if SELF_INTERSECTIONS in self._settings.checks:
-            after = ready.mesh.with_vertices(moved)
-            self.know(self_intersections=changes.count_self_intersections(ready.mesh, after))
+            from msal_cli.analysis.measures import self_intersection_change
+
+            counts = self_intersection_change(ready.mesh, ready.mesh.with_vertices(moved))
+            self.know(self_intersections=SelfIntersections(*counts))
 
     def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
         """A method must return finite positions for the same vertices."""

@@ -296,14 +296,11 @@ def _word_of(words: Any) -> Check:
     return check
 
 
-def _number_from(low: float, high: float, span: str) -> Check:
-    def check(value: Any, label: str, unit: str | None) -> float:
-        number = to_number(value, label)
-        if not low <= number <= high:
-            _refuse(label, value, span)
-        return number
-
-    return check
+def _strength(value: Any, label: str, unit: str | None) -> float:
+    number = to_number(value, label)
+    if not -2.0 <= number <= 2.0:
+        _refuse(label, value, "-2 to 2")
+    return number
 
 
 def _length(value: Any, label: str, unit: str | None) -> str:
@@ -332,7 +329,7 @@ def parse_input_format(value: str, label: str = "--format", unit: str | None = N
 _CHECKS: dict[str, Check | None] = {
     "prefer": _word_of(Preference),
     "keep": _word_of(Keep),
-    "strength": _number_from(-2.0, 2.0, "-2 to 2"),
+    "strength": _strength,
     "assume": _word_of(Assumption),
     "max_move": _length,
     "lock": _locks,
