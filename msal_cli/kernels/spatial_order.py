@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
@@ -145,14 +145,6 @@ def sort_in_space(
     over_ranges(_key_faces, len(faces), faces, keys)
     keys.sort()
     return vertices, _gather_rows(faces, keys), ranks
-
-
-def begins_cell(vertices: Floats, low: Floats, extent: float) -> Flags:
-    """Whether each of the vertices (n, 3) of ``sort_in_space`` is the first in its cell, (n,)."""
-    keys = morton_keys(vertices, low, extent) >> _HIGH
-    is_first = np.ones(len(vertices), dtype=bool)
-    np.not_equal(keys[1:], keys[:-1], out=is_first[1:])
-    return is_first
 
 
 def order_vertices(

@@ -16,13 +16,11 @@ from msal_cli.analysis.measures import measure_enclosure
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.colours import surface_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
-from msal_cli.errors import MsalError
 from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
 from msal_cli.job.room import prepare_mesh
-from msal_cli.kernels import array_files
-from msal_cli.mesh import Mesh, PreparedMesh, validate_arrays
+from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.panels import Legend, Panel, draw_panels
 from msal_cli.view.shading import CREASE_DEG, Image, shade
@@ -33,9 +31,6 @@ SIGNED = "Displacement along the normal"
 DISTANCE = "Distance to the surface before"
 
 NOTHING_MOVED = "Nothing moved"
-
-MIN_VERTICES = 4_000_000
-"""Vertices from which on a mesh whose arrays live in files is thinned for pictures."""
 
 SHARE_WITHIN = 0.99
 """Share of the numbers within the ends of a scale, so that one stray vertex does not pale all."""
@@ -69,7 +64,6 @@ class Scene:
     record : the numbers; None for one mesh.
     colours : one for each mesh, (n, 3) of its vertices or None; empty where none were read.
     notes : what could not be shown of the files, by name.
-    counts : triangles and vertices of each file where the meshes are thinned.
     """
 
     names: tuple[str, ...]
@@ -80,14 +74,6 @@ class Scene:
     record: ComparisonRecord | None = None
     colours: tuple[Image | None, ...] = ()
     notes: tuple[str, ...] = ()
-    counts: tuple[tuple[int, int], ...] = ()
-
-    @property
-    def edge(self) -> float:
-        """The mean edge length of the first file's mesh."""
-        record = self.record
-        known = None if record is None else record.mean_edge_length
-        return self.before.mean_edge_length if known is None else known
 
     def painted(self, at: int) -> Image | None:
         """The file's colours of mesh ``at``; None where it has none."""
@@ -127,8 +113,6 @@ def scene_of(
     Where the faces are not the same, the distance to the surface is measured if ``to_surface``.
     ContentError names a file without a surface to draw.
     """
-    if is_to_be_thinned(before) or (after is not None and is_to_be_thinned(after)):
-        return _thinned_scene(before, after, names)
     first = prepare_mesh(before, names[0])
     if after is None:
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
@@ -148,27 +132,6 @@ def scene_of(
         distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
     scene = Scene(names, first.mesh, there, distances, False, record)
     return _with_colours(scene, (before, after), (first, second))
-
-
-def _thinned_scene(before: Surface, after: Surface | None, names: tuple[str, ...]) -> Scene:
-    """The scene of a part of the vertices, with the numbers of all."""
-    surfaces, record, is_same = [before], None, False
-    if after is not None:
-        surfaces.append(after)
-        record = comparison.compare_meshes(before, after, *names, to_surface=False)
-        is_same = before.has_same_faces(after)
-    thinned: list[Surface] = []
-    for surface, name in zip(surfaces, names, strict=True):
-        if not (is_same and thinned):
-            try:
-                kept, faces = choose_vertices(surface)
-            except MsalError as error:
-                error.path = error.path or name
-                raise
-        thinned.append(thin(surface, kept, faces))
-    counts = tuple((len(surface.faces), len(surface.vertices)) for surface in surfaces)
-    scene = scene_of(thinned[0], thinned[1] if after is not None else None, names)
-    return replace(scene, record=record, counts=counts)
 
 
 def _with_colours(
@@ -232,7 +195,7 @@ def draw_picture(scene: Scene, view: View) -> Image:
     scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:
         return draw_panels(panels)
-    edge = scene.edge
+    edge = scene.before.mean_edge_length
     beyond = float((abs(scene.deviation) > scale.high).mean())
     ends = f"Its ends: 99th percentile, rounded up ({100.0 * beyond:.2g} % lie beyond)"
     if not has_moved(scene):
@@ -257,7 +220,7 @@ def scale_of_scene(scene: Scene) -> Scale | None:
         scene.deviation,
         is_signed=scene.is_signed,
         rounding=_rounding(scene),
-        if_none=scene.edge,
+        if_none=scene.before.mean_edge_length,
     )
 
 
@@ -317,11 +280,7 @@ def count_of_vertices(mesh: Mesh) -> int:
 def _counts(scene: Scene, at: int) -> str:
     """How large a mesh is, the one before or the one after."""
     mesh = scene.after if at and scene.after is not None else scene.before
-    n_drawn = count_of_vertices(mesh)
-    if scene.counts:
-        n_faces, n_vertices = scene.counts[at]
-        return f"{n_faces:,} triangles, {n_vertices:,} vertices ({n_drawn:,} drawn)"
-    return f"{len(mesh.faces):,} triangles, {n_drawn:,} vertices"
+    return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"
 
 
 def _changes(record: ComparisonRecord) -> list[str]:
@@ -432,44 +391,3 @@ def _read_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
     if int(colours.max(initial=0)) < _MIN_BRIGHTNESS:
         return SurfaceColours(None, ("all of its colours are black, and are not shown",))
     return SurfaceColours(colours)
-
-
-# Meshes beyond the memory, thinned: one vertex in each cell of a grid.
-#
-# A picture has far fewer pixels than such a mesh has faces.  The grid is finer than a picture of
-# the usual size, and vertices that stay keep their places.
-
-
-def is_to_be_thinned(surface: Surface) -> bool:
-    """Whether pictures show a part of the vertices only."""
-    return array_files.are_used() and len(surface.vertices) >= MIN_VERTICES
-
-
-def choose_vertices(surface: Surface) -> tuple[Ints, Ints]:
-    """The numbers (k,) of the vertices that stay, and the faces (j, 3) between these: faces whose
-    corners are in three cells.
-
-    ContentError if the surface is none.
-    """
-    from msal_cli.kernels import spatial_order
-    from msal_cli.kernels.welding import repeated_corners
-
-    vertices, faces, (low, high) = validate_arrays(surface.vertices, surface.faces)
-    extent = max(float((high - low).max()), np.finfo(float).tiny)
-    vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces, low, extent)
-    is_first = spatial_order.begins_cell(vertices, low, extent)
-    number = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
-    faces = number[faces]
-    faces = faces[~repeated_corners(faces)]
-    stays = np.flatnonzero(is_first[ranks])
-    kept = np.empty(len(stays), dtype=np.int32)
-    kept[number[ranks[stays]]] = stays
-    return kept, faces
-
-
-def thin(surface: Surface, kept: Ints, faces: Ints) -> Surface:
-    """The surface with the vertices ``kept`` (k,) and ``faces`` (j, 3) between these only."""
-    colours = surface.colours
-    if colours is not None and colours.vertices is not None:
-        colours = replace(colours, vertices=colours.vertices[kept])
-    return Surface(surface.vertices[kept], faces, colours=colours)
