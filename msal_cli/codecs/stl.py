@@ -273,7 +273,7 @@ class StlFile(_FacetFile):
         for first, last in spatial_order.blocks(self.n_polygons, 2 * 9 * vertices.itemsize):
             # The sum makes a plain zero of a negative one.
             old = facets["corners"][first:last].astype(np.float64).reshape(-1, 3) + 0.0
-            new = spatial_order.gather_corners(vertices, self.faces[first:last])
+            new = spatial_order.gather_rows(vertices, self.faces[first:last].reshape(-1))
             yield first, old, new, np.arange(len(old), dtype=np.int32).reshape(-1, 3)
 
     def check(self, output: Buffer, vertices: Floats) -> None:

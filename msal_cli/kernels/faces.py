@@ -28,9 +28,9 @@ from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, side_circles
-from msal_cli.kernels.geometry import VANISHED, mean_edge_length, usable_areas
+from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
-from msal_cli.kernels.vectors import ONE, THREE, TWO, edges_and_normal, longest_row, most_neighbours
+from msal_cli.kernels.vectors import ONE, THREE, TWO, edges_and_normal, longest_row
 
 MAX_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
@@ -179,14 +179,6 @@ def corner_means(values: Floats, faces: Ints) -> Floats32:
     return means
 
 
-def mean_centroid_distance(centroids: Floats, ring_start: Ints, ring: Ints) -> float:
-    """Mean distance of the centroids (m, 3) of neighbours, file units; zero without neighbours.
-
-    Over the pairs of the rows; those of edges are usual.
-    """
-    return mean_edge_length(centroids, ring_start, ring)
-
-
 @compiled
 def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
     """Find rows as ``find_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
@@ -196,7 +188,7 @@ def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
     for face in range(np.uint64(len(seen))):
         seen[face] = none
     most = np.uint64(most)
-    found = np.empty(np.int64(most + most_neighbours(np.uint64(0), none, ring_start)), np.uint32)
+    found = np.empty(np.int64(most + longest_row(np.uint64(0), none, ring_start)), np.uint32)
     filled = np.uint64(start) * most
     for own in range(np.uint64(start), np.uint64(stop)):
         p = THREE * own
@@ -469,14 +461,14 @@ def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, s
     """
     start, stop = np.uint64(start), np.uint64(stop)
     # A patch has one face more than its ring, and as many places again at most.
-    room = np.int64(BLOCK_PATCHES * TWO * (most_neighbours(start, stop, ring_start) + THREE))
+    room = np.int64(BLOCK_PATCHES * TWO * (longest_row(start, stop, ring_start) + THREE))
     x, y, z, squares = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
     counts = np.empty(np.int64(BLOCK_PATCHES), dtype=np.uint64)
     sums = np.empty(np.int64(FOUR * BLOCK_PATCHES))
     for first in range(start, stop, BLOCK_PATCHES):
         last = min(first + BLOCK_PATCHES, stop)
         # All pairs of k normals are each with those up to k / 2 places on; here an even number.
-        half = (most_neighbours(first, last, ring_start) + THREE) // FOUR * TWO
+        half = (longest_row(first, last, ring_start) + THREE) // FOUR * TWO
         filled = _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums)
         _widest(half, filled, x, y, z, squares)
         place = np.uint64(0)

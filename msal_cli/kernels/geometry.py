@@ -48,7 +48,8 @@ def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
     for f in range(start, stop):
         nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
         normals[f, 0], normals[f, 1], normals[f, 2] = nx, ny, nz
-        doubled_areas[f] = doubled
+        if len(doubled_areas):
+            doubled_areas[f] = doubled
 
 
 def face_normals_and_areas(vertices: Floats, faces: Ints) -> tuple[Floats, Floats]:
@@ -71,16 +72,10 @@ def face_normals(vertices: Floats, faces: Ints) -> Floats:
     return face_normals_and_areas(vertices, faces)[0]
 
 
-@compiled
-def _lay_face_normals(start, stop, vertices, faces, rows, column):
-    for f in range(start, stop):
-        nx, ny, nz, _ = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-        rows[f, column], rows[f, column + 1], rows[f, column + 2] = nx, ny, nz
-
-
 def lay_face_normals(vertices: Floats, faces: Ints, rows: Floats32, column: int) -> None:
     """Write unit face normals, zeros for degenerate faces, to ``rows`` (m, k) from a column on."""
-    over_ranges(_lay_face_normals, len(faces), vertices, faces, rows, column)
+    normals = rows[:, column : column + 3]
+    over_ranges(_face_normals, len(faces), vertices, faces, normals, np.empty(0))
 
 
 @compiled
@@ -273,7 +268,8 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
 
 
 def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
-    """Mean length of the unique edges, in file units; zero without edges.
+    """Mean length of the unique edges, in file units; zero without edges.  With the centroids of
+    faces, and rows of their neighbours, it is the mean distance of these.
 
     It is the float64 next to the mean of their lengths as they are computed, in whatever order:
     their sum is a whole number of 2^-1075, which does not depend on the number of threads.
@@ -289,18 +285,19 @@ def mean_edge_length(vertices: Floats, ring_start: Ints, ring: Ints) -> float:
 
 
 @compiled
-def _ring_means(start, stop, values, ring_start, ring, result):
+def _row_sums(start, stop, values, row_start, row, sums):
     for i in range(start, stop):
-        m = ring_start[i + 1] - ring_start[i]
         total = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            total += values[ring[at]]
-        result[i] = total / m if m else values[i]
+        for at in range(row_start[i], row_start[i + 1]):
+            total += values[row[at]]
+        sums[i] = total
 
 
 def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
     """Mean of vertex values (n,) over each one-ring; a vertex's own value where it is empty."""
-    return fill_array(_ring_means, values.shape, values, ring_start, ring)
+    sums = fill_array(_row_sums, len(values), values, ring_start, ring)
+    count = np.diff(ring_start)
+    return np.divide(sums, count, out=values.copy(), where=count > 0)
 
 
 @compiled
@@ -351,36 +348,6 @@ def average_around(values: Floats, ring_start: Ints, ring: Ints, passes: int) ->
         over_ranges(_average_around, len(before), before, ring_start, ring, after)
         before, after = after, before
     return before.reshape(values.shape)
-
-
-@compiled
-def _slide(start, stop, x, normals, free, share, ring_start, ring, result):
-    for i in range(start, stop):
-        m = ring_start[i + 1] - ring_start[i]
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            sx += x[k, 0]
-            sy += x[k, 1]
-            sz += x[k, 2]
-        dx = (sx / m if m else x[i, 0]) - x[i, 0]
-        dy = (sy / m if m else x[i, 1]) - x[i, 1]
-        dz = (sz / m if m else x[i, 2]) - x[i, 2]
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        height = (dx * nx + dz * nz) + dy * ny
-        part = share if free[i] else 0.0
-        result[i, 0] = x[i, 0] + part * (dx - height * nx)
-        result[i, 1] = x[i, 1] + part * (dy - height * ny)
-        result[i, 2] = x[i, 2] + part * (dz - height * nz)
-
-
-def slide(
-    vertices: Floats, normals: Floats, free: Flags, share: float, ring_start: Ints, ring: Ints
-) -> Floats:
-    """Vertices (n, 3) of which those ``free`` (n,) go this share of the way to the mean of their
-    one-ring, across their ``normals`` (n, 3)."""
-    known = vertices, normals, free, share, ring_start, ring
-    return fill_array(_slide, vertices.shape, *known)
 
 
 @compiled
@@ -603,16 +570,7 @@ def surface_figures(before: Floats, after: Floats, faces: Ints) -> Floats:
     return total
 
 
-@compiled
-def _ring_areas(start, stop, face_areas, face_start, incident, areas):
-    for i in range(start, stop):
-        total = 0.0
-        for at in range(face_start[i], face_start[i + 1]):
-            total += face_areas[incident[at]]
-        areas[i] = total
-
-
 def ring_areas(vertices: Floats, faces: Ints, links: Connectivity) -> Floats:
     """Area of the faces around every vertex, (n,), in squared units; they sum to three times it."""
     areas = face_normals_and_areas(vertices, faces)[1]
-    return fill_array(_ring_areas, len(vertices), areas, *links.incidence)
+    return fill_array(_row_sums, len(vertices), areas, *links.incidence)

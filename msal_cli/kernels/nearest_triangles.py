@@ -15,7 +15,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Ints
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.spatial_order import LOW_BITS, gather_corners, morton_keys
+from msal_cli.kernels.spatial_order import LOW_BITS, gather_rows, morton_keys
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO
 
 LEAF = np.uint64(2)
@@ -149,7 +149,7 @@ def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tup
     ``vertices`` (k, 3) and ``faces`` (m, 3) are those of the mesh, m at least 1.
     """
     m = len(faces)
-    corners = gather_corners(vertices, faces).reshape(m, 3, 3)
+    corners = gather_rows(vertices, faces.reshape(-1)).reshape(m, 3, 3)
     centres = corners.mean(axis=1)
     low = centres.min(axis=0)
     extent = float((centres.max(axis=0) - low).max())

@@ -56,7 +56,7 @@ from msal_cli.kernels.near_blocks import (
     list_neighbours,
     normalise,
 )
-from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, most_neighbours
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row
 
 WIDE_RANGES = (0.4, 0.7, 1.2)
 """Ranges s of the differences between unit normals; one more mean has all of them."""
@@ -144,7 +144,7 @@ def describe(
     the corners of ``faces`` in the unit of the face.  Its own of the ``units`` counts over itself
     plus their mean, ``unit``.  Arrays are flat; see ``lay_neighbours``.
     """
-    widest = most_neighbours(start, stop, near_start) + ONE
+    widest = longest_row(start, stop, near_start) + ONE
     listed = np.empty(np.int64(widest * R1), dtype=np.uint32)
     block = np.empty(np.int64(widest * ENTRY), dtype=np.float32)
     counts, scales = np.empty(8, dtype=np.float32), np.empty(8)

@@ -29,7 +29,7 @@ from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
-from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row, most_neighbours, write_unit
+from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row, write_unit
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
@@ -73,7 +73,7 @@ def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, r
     Faces are taken in blocks: the exponents of all, then all powers as vector code, then the sums.
     """
     stop = np.uint64(stop)
-    weight = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, ring_start))))
+    weight = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, ring_start))))
     capacity = np.uint64(len(weight))
     f = np.uint64(start)
     while f < stop:
@@ -165,7 +165,7 @@ def _average_jointly(
     All indices are unsigned, so that none is looked at for its sign.
     """
     stop = np.uint64(stop)
-    weight = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, near_start))))
+    weight = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, near_start))))
     area = np.empty_like(weight)
     capacity = np.uint64(len(weight))
     i = np.uint64(start)
@@ -334,7 +334,7 @@ def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
     All indices are unsigned, so that none is looked at for its sign.
     """
     stop = np.uint64(stop)
-    weights = np.empty(np.int64(max(BLOCK_PAIRS, most_neighbours(start, stop, ring_start))))
+    weights = np.empty(np.int64(max(BLOCK_PAIRS, longest_row(start, stop, ring_start))))
     capacity = np.uint64(len(weights))
     f = np.uint64(start)
     while f < stop:

@@ -27,7 +27,7 @@ _BITS_8, _BITS_16, _BITS_24, _BITS_32, _BITS_40, _BITS_48, _BITS_56 = (
 
 
 @compiled
-def load_eight(buf, at):  # type: ignore[no-untyped-def]
+def load_eight(buf, at):
     """The eight bytes at ``at`` as a word; bytes beyond the end are zeros."""
     u = np.uint64(at)
     if at + 8 <= len(buf):
@@ -48,7 +48,7 @@ def load_eight(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def store_eight(out, at, word):  # type: ignore[no-untyped-def]
+def store_eight(out, at, word):
     """Write a word to the eight bytes at ``at``; bytes beyond the end are left away."""
     u = np.uint64(at)
     if at + 8 <= len(out):
@@ -66,7 +66,7 @@ def store_eight(out, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def count_before(marks):  # type: ignore[no-untyped-def]
+def count_before(marks):
     """How many bytes lie before the first marked one; ``marks`` has the top bits of marked bytes.
 
     Eight where none is marked.
@@ -79,7 +79,7 @@ def count_before(marks):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def count_digits(word):  # type: ignore[no-untyped-def]
+def count_digits(word):
     """How many of the eight bytes are digits before the first that is none."""
     high = np.uint64(0x8080808080808080)
     # A carry from byte to byte comes from one that is no digit, and so harms only later ones.
@@ -89,7 +89,7 @@ def count_digits(word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def parse_digits(word, count):  # type: ignore[no-untyped-def]
+def parse_digits(word, count):
     """The number whose decimal digits are the first ``count`` (1 to 8) bytes."""
     # The first digit is the lowest byte; zeros are put before it.
     word = (word - np.uint64(0x3030303030303030)) << np.uint64(64 - 8 * count)
@@ -101,7 +101,7 @@ def parse_digits(word, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def format_digits(number):  # type: ignore[no-untyped-def]
+def format_digits(number):
     """The word of the eight decimal digits of an int64 below 10**8."""
     high = number // 10_000
     word = np.uint64(high) | np.uint64(number - high * 10_000) << np.uint64(32)
@@ -111,6 +111,10 @@ def format_digits(number):  # type: ignore[no-untyped-def]
     word = tens | (word - tens * np.uint64(10)) << np.uint64(8)
     return word + np.uint64(0x3030303030303030)
 
+
+_NAN, _INF, _INFINITY = (
+    np.uint64(int.from_bytes(word, "little")) for word in (b"nan", b"inf", b"infinity")
+)
 
 EXACT, NOT_A_NUMBER, UNDECIDED = 0, 1, 2
 """What became of a token: its value is exact; it is no number; ``float`` must decide."""
@@ -145,7 +149,7 @@ POWERS = np.array([10**q for q in range(19)], dtype=np.int64)
 
 
 @compiled
-def _product(a, b):  # type: ignore[no-untyped-def]
+def _product(a, b):
     """High and low word of the product of two uint64."""
     low32 = np.uint64(0xFFFFFFFF)
     by32 = np.uint64(32)
@@ -160,7 +164,7 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _bit_length(word):  # type: ignore[no-untyped-def]
+def _bit_length(word):
     """Bits of a uint64 that is not zero."""
     length = 1
     for step in (32, 16, 8, 4, 2, 1):
@@ -171,7 +175,7 @@ def _bit_length(word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def times_power(word, exponent):  # type: ignore[no-untyped-def]
+def times_power(word, exponent):
     """The leading 128 bits of word * 10**exponent, at most two units too small.
 
     Returns high, low and e with value = high:low * 2**e; the top bit or the one below it is set.
@@ -190,7 +194,7 @@ def times_power(word, exponent):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def scale_exactly(mantissa, exponent):  # type: ignore[no-untyped-def]
+def scale_exactly(mantissa, exponent):
     """mantissa * 10**exponent, correctly rounded, and EXACT or UNDECIDED; mantissa is uint64."""
     if mantissa == np.uint64(0):
         return 0.0, EXACT
@@ -220,66 +224,26 @@ def scale_exactly(mantissa, exponent):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _letter(buf, at, stop):  # type: ignore[no-untyped-def]
-    """The byte at ``at`` in lower case, 0 beyond the end."""
-    if at >= stop:
-        return 0
-    c = np.int64(buf[at])
-    if 65 <= c <= 90:
-        c += 32
-    return c
+def _read_word(buf, at, stop):
+    """nan, nan(...), inf or infinity, in any case: value, status and end."""
+    word = load_eight(buf, at) | np.uint64(0x2020202020202020)
+    three = word & np.uint64(0xFFFFFF) if stop - at >= 3 else np.uint64(0)
+    if three == _INF:
+        return np.inf, EXACT, at + (8 if word == _INFINITY and stop - at >= 8 else 3)
+    if three != _NAN:
+        return 0.0, NOT_A_NUMBER, at
+    at += 3
+    if at < stop and buf[at] == 40:
+        closing = at + 1
+        while closing < stop and buf[closing] > 41:
+            closing += 1
+        if closing < stop and buf[closing] == 41:
+            at = closing + 1
+    return np.nan, EXACT, at
 
 
 @compiled
-def _word(buf, at, stop):  # type: ignore[no-untyped-def]
-    """nan, nan(...), inf or infinity: value, status and end."""
-    if _letter(buf, at, stop) == 110:
-        if _letter(buf, at + 1, stop) != 97 or _letter(buf, at + 2, stop) != 110:
-            return 0.0, NOT_A_NUMBER, at
-        at += 3
-        if at < stop and buf[at] == 40:
-            closing = at + 1
-            while closing < stop and buf[closing] > 41:
-                closing += 1
-            if closing < stop and buf[closing] == 41:
-                at = closing + 1
-        return np.nan, EXACT, at
-    for k, c in enumerate((105, 110, 102, 105, 110, 105, 116, 121)):
-        if _letter(buf, at + k, stop) != c:
-            if k >= 3:
-                return np.inf, EXACT, at + 3
-            return 0.0, NOT_A_NUMBER, at
-    return np.inf, EXACT, at + 8
-
-
-@compiled
-def _long(buf, start, stop, decimals):  # type: ignore[no-untyped-def]
-    """Value and status of twenty digits and more, with a point among them, times 10**-decimals.
-
-    The first 19 significant digits bound it from below, the next number of 19 from above: where
-    both are read as the same double, so is everything between.
-    """
-    mantissa = np.uint64(0)
-    n_digits = 0
-    dropped = 0
-    for k in range(start, stop):
-        if buf[k] == 46:
-            continue
-        if n_digits == 19:
-            dropped += 1
-        else:
-            mantissa = mantissa * np.uint64(10) + np.uint64(buf[k] - 48)
-            n_digits += mantissa != np.uint64(0)
-    exponent = dropped - decimals
-    below, status = scale_exactly(mantissa, exponent)
-    if dropped == 0 or status != EXACT:
-        return below, status
-    above, status = scale_exactly(mantissa + np.uint64(1), exponent)
-    return below, EXACT if status == EXACT and below == above else UNDECIDED
-
-
-@compiled
-def read_plain(buf, at):  # type: ignore[no-untyped-def]
+def read_plain(buf, at):
     """``read_number`` for the numbers that nearly all files consist of: value, end, decimals.
 
     Digits with a point or without and perhaps a minus, which make a whole number up to 2**53, so
@@ -318,34 +282,38 @@ def read_plain(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
-    """``read_number`` for every number."""
+def _read_any(buf, start, stop):
+    """``read_number`` for every number.
+
+    The first 19 significant digits bound a longer one from below, the next number of 19 from above:
+    where both are read as the same double, so is everything between.
+    """
     at = start
     negative = False
     if at < stop and (buf[at] == 45 or buf[at] == 43):
         negative = buf[at] == 45
         at += 1
-    first = at
+    first, point = at, np.int64(-1)
     mantissa = np.uint64(0)
-    while at < stop and 48 <= buf[at] <= 57:
-        mantissa = mantissa * np.uint64(10) + np.uint64(buf[at] - 48)
+    dropped = np.int64(0)
+    while at < stop:
+        c = buf[at]
+        if 48 <= c <= 57:
+            if mantissa < np.uint64(10**18):
+                mantissa = mantissa * np.uint64(10) + np.uint64(c - 48)
+            else:
+                dropped += 1
+        elif c == 46 and point < 0:
+            point = at
+        else:
+            break
         at += 1
-    n_digits = at - first
-    decimals = np.int64(0)
-    if at < stop and buf[at] == 46:
-        at += 1
-        point = at
-        while at < stop and 48 <= buf[at] <= 57:
-            mantissa = mantissa * np.uint64(10) + np.uint64(buf[at] - 48)
-            at += 1
-        decimals = at - point
-        n_digits += decimals
-    if n_digits == 0:
-        if at == first and at < stop and _letter(buf, at, stop) in (105, 110):
-            value, status, at = _word(buf, at, stop)
-            return -value if negative else value, status, at, 0
-        return 0.0, NOT_A_NUMBER, at, 0
-    last = at
+    if at - first == (point >= 0):
+        if point >= 0:
+            return 0.0, NOT_A_NUMBER, at, 0
+        value, status, at = _read_word(buf, at, stop)
+        return -value if negative else value, status, at, 0
+    decimals = at - point - 1 if point >= 0 else np.int64(0)
     if at < stop and (buf[at] == 101 or buf[at] == 69):
         at += 1
         exponent_negative = False
@@ -361,15 +329,16 @@ def _read_any(buf, start, stop):  # type: ignore[no-untyped-def]
         if at == exponent_first:
             return 0.0, NOT_A_NUMBER, at, 0
         decimals -= -exponent if exponent_negative else exponent
-    if n_digits > 19:
-        value, status = _long(buf, first, last, decimals)
-    else:
-        value, status = scale_exactly(mantissa, -decimals)
+    value, status = scale_exactly(mantissa, dropped - decimals)
+    if dropped > 0 and status == EXACT:
+        above, status = scale_exactly(mantissa + np.uint64(1), dropped - decimals)
+        if above != value:
+            status = UNDECIDED
     return -value if negative else value, status, at, max(decimals, 0)
 
 
 @compiled
-def read_number(buf, start, stop):  # type: ignore[no-untyped-def]
+def read_number(buf, start, stop):
     """The number that begins at ``start``: value, status, end, decimals.
 
     ``end`` is the first byte that does not belong to it; whether a token may end there is the
@@ -397,14 +366,14 @@ MAX_SHORTEST_WIDTH = 26
 
 
 @compiled
-def _write_eight(number, count, out, at):  # type: ignore[no-untyped-def]
+def _write_eight(number, count, out, at):
     """``_write_digits`` for up to eight digits."""
     store_eight(out, at, format_digits(number * POWERS[8 - count]))
     return at + count
 
 
 @compiled
-def _write_digits(number, count, out, at):  # type: ignore[no-untyped-def]
+def _write_digits(number, count, out, at):
     """Write an int64 with exactly ``count`` digits (up to 24); returns the end.
 
     Up to seven bytes behind the end may be written over.
@@ -421,7 +390,7 @@ def _write_digits(number, count, out, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _n_digits(number):  # type: ignore[no-untyped-def]
+def _n_digits(number):
     """Decimal digits of an int64 from zero up, one for zero."""
     n = 1
     while n < 19 and number >= POWERS[n]:
@@ -430,7 +399,7 @@ def _n_digits(number):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _scaled_fraction(fraction, decimals, is_odd):  # type: ignore[no-untyped-def]
+def _scaled_fraction(fraction, decimals, is_odd):
     """The whole number nearest to fraction * 10**decimals, a half to the even one.
 
     0 <= fraction < 1; ``is_odd`` is 1 where an even result would make the number odd.
@@ -458,7 +427,7 @@ def _scaled_fraction(fraction, decimals, is_odd):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _parts(value):  # type: ignore[no-untyped-def]
+def _parts(value):
     """Integer mantissa (uint64) and exponent e of a finite |value| = mantissa * 2**e."""
     bits = np.float64(value).view(np.uint64)
     biased = np.int64((bits >> np.uint64(52)) & np.uint64(0x7FF))
@@ -469,7 +438,7 @@ def _parts(value):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
+def write_fixed(value, decimals, out, at):
     """Write ``value`` with ``decimals`` (at most 17) digits behind the point; returns the end.
 
     Correctly rounded from the double, ties to the even digit; a result of zero has no sign.
@@ -502,7 +471,7 @@ def write_fixed(value, decimals, out, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _rounded_to(value, n_digits, exponent):  # type: ignore[no-untyped-def]
+def _rounded_to(value, n_digits, exponent):
     """Nearest integer (up to a tie) to value * 10**(n_digits - 1 - exponent), value > 0."""
     mantissa, power = _parts(value)
     high, _, shift = times_power(mantissa, n_digits - 1 - exponent)
@@ -513,7 +482,7 @@ def _rounded_to(value, n_digits, exponent):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _reads_back(mantissa, exponent, value, single):  # type: ignore[no-untyped-def]
+def _reads_back(mantissa, exponent, value, single):
     """Whether mantissa * 10**exponent is read as ``value``: 1, 0, or -1 where it is unsure."""
     back, status = scale_exactly(mantissa, exponent)
     if status != EXACT:
@@ -527,7 +496,7 @@ def _reads_back(mantissa, exponent, value, single):  # type: ignore[no-untyped-d
 
 
 @compiled
-def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
+def write_shortest(value, single, out, at):
     """Write the shortest decimal that is read back as ``value``; returns the end.
 
     15 digits (float32: 6) that read back are, without their last zeros, the shortest there is,
@@ -591,7 +560,7 @@ def write_shortest(value, single, out, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def write_number(value, decimals, out, at):  # type: ignore[no-untyped-def]
+def write_number(value, decimals, out, at):
     """Write ``value`` with that many decimals, SHORTEST or SHORTEST_SINGLE; returns the end.
 
     -1, with nothing written, where Python must do it.  Seven bytes behind the end may be changed.

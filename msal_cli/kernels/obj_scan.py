@@ -20,6 +20,7 @@ from msal_cli.kernels.numbers import (
     parse_digits,
     read_number,
 )
+from msal_cli.kernels.text import read_integer
 
 WHOLE = 0
 """All of the text is read."""
@@ -73,7 +74,7 @@ MTLLIB = np.uint64(int.from_bytes(b"mtllib", "big"))
 
 
 @compiled
-def count_statements(buf):  # type: ignore[no-untyped-def]
+def count_statements(buf):
     """At least as many v, vn and f statements as there are, hardly more in any real file; zeros."""
     # The first and the last byte are looked at as neighbours only.
     n_vertices = n_normals = n_faces = 2
@@ -100,7 +101,7 @@ def count_statements(buf):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def skip_blanks(buf, at):  # type: ignore[no-untyped-def]
+def skip_blanks(buf, at):
     """The next byte that is no blank; a continued line goes on behind its end."""
     while at < len(buf):
         c = buf[at]
@@ -116,7 +117,7 @@ def skip_blanks(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def is_word_end(buf, at):  # type: ignore[no-untyped-def]
+def is_word_end(buf, at):
     """Whether a word ends before ``at``: a blank, the end of a line, or a continuation."""
     if at >= len(buf):
         return True
@@ -129,7 +130,7 @@ def is_word_end(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def skip_word(buf, at):  # type: ignore[no-untyped-def]
+def skip_word(buf, at):
     """The end of the word at ``at``."""
     while True:
         while at < len(buf) and buf[at] > 32 and buf[at] != 92:
@@ -140,13 +141,13 @@ def skip_word(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_statement_end(buf, at):  # type: ignore[no-untyped-def]
+def _is_statement_end(buf, at):
     """Whether no word begins at ``at``, which is no blank: the line ends or a comment begins."""
     return at >= len(buf) or buf[at] == 10 or buf[at] == 13 or buf[at] == 35
 
 
 @compiled
-def _skip_line(buf, at):  # type: ignore[no-untyped-def]
+def _skip_line(buf, at):
     """The end of the line, or of the lines that continue it; ``at`` lies behind a word."""
     is_comment = False
     while at < len(buf):
@@ -163,7 +164,7 @@ def _skip_line(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _skip_comment(buf, at):  # type: ignore[no-untyped-def]
+def _skip_comment(buf, at):
     """The end of the line, whatever precedes it."""
     while at < len(buf) and buf[at] != 10 and buf[at] != 13:
         at += 1
@@ -171,7 +172,7 @@ def _skip_comment(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
+def read_coordinate(buf, at):
     """The number at ``at``, which must be a whole word: value, status, end, decimals.
 
     ``1.#QNAN``, ``-1.#IND`` and ``1.#INF``, as old run-time libraries print them, are NaN.
@@ -185,7 +186,7 @@ def read_coordinate(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _read_three(buf, at):  # type: ignore[no-untyped-def]
+def _read_three(buf, at):
     """The three numbers behind ``at``: values, WHOLE or an error, end, decimals, UNDECIDED or not.
 
     With an error the end is where the wrong word begins.
@@ -207,33 +208,18 @@ def _read_three(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _read_index(buf, at):  # type: ignore[no-untyped-def]
+def _read_index(buf, at):
     """A signed whole number: value (0 where there is none) and end; larger ones are cut down."""
     word = load_eight(buf, at)
     count = count_digits(word)
     if 0 < count < 8:
         return parse_digits(word, count), at + count
-    first = at
-    negative = False
-    if at < len(buf) and (buf[at] == 45 or buf[at] == 43):
-        negative = buf[at] == 45
-        at += 1
-    value = np.int64(0)
-    digits = at
-    while at < len(buf):
-        digit = np.int64(buf[at]) - 48
-        if digit < 0 or digit > 9:
-            break
-        if value < 1 << 40:
-            value = value * 10 + digit
-        at += 1
-    if at == digits:
-        return np.int64(0), first
-    return -value if negative else value, at
+    value, end, _ = read_integer(buf, at, len(buf))
+    return value, end
 
 
 @compiled
-def _resolve_index(number, count):  # type: ignore[no-untyped-def]
+def _resolve_index(number, count):
     """The index, from zero, that a face means by ``number`` behind ``count`` entries; or -1."""
     if number > 0:
         return min(number, 1 << 31) - 1
@@ -243,7 +229,7 @@ def _resolve_index(number, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def pack_word(buf, at, stop):  # type: ignore[no-untyped-def]
+def pack_word(buf, at, stop):
     """The first eight bytes of a keyword as one number."""
     word = np.uint64(0)
     for k in range(at, min(stop, at + 8)):
@@ -252,7 +238,7 @@ def pack_word(buf, at, stop):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untyped-def]
+def note_keyword(buf, at, stop, keywords, n_keywords):
     """Count a keyword in its row (word, times, first byte, size); returns the rows in use."""
     word = np.int64(pack_word(buf, at, stop))
     row = 0
@@ -272,7 +258,7 @@ def note_keyword(buf, at, stop, keywords, n_keywords):  # type: ignore[no-untype
 
 
 @compiled
-def scan(  # type: ignore[no-untyped-def]
+def scan(
     buf,
     state,
     n_faces_wanted,
@@ -355,15 +341,12 @@ def scan(  # type: ignore[no-untyped-def]
                 undecided[n_undecided, 1] = n_normals if is_normal else n_vertices
                 n_undecided += 1
             if is_normal:
-                normals[n_normals, 0] = x
-                normals[n_normals, 1] = y
-                normals[n_normals, 2] = z
+                normals[n_normals, 0], normals[n_normals, 1], normals[n_normals, 2] = x, y, z
                 normal_at[n_normals] = statement
                 normal_decimals[n_normals] = min(most, 255)
                 n_normals += 1
             else:
-                vertices[n_vertices, 0] = x
-                vertices[n_vertices, 1] = y
+                vertices[n_vertices, 0], vertices[n_vertices, 1] = x, y
                 vertices[n_vertices, 2] = z
                 vertex_at[n_vertices] = statement
                 decimals[n_vertices] = min(most, 255)

@@ -29,7 +29,7 @@ from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import ring_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN
-from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row, most_neighbours
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row, sort_few
 
 BLOCK = np.uint64(256)
 """Vertices in a block at most: with 6 neighbours each their heights take 12 KiB."""
@@ -155,7 +155,7 @@ def _filter_rings(
     """
     ring_start, ring = ring_start.view(np.uint32), ring.view(np.uint32)
     stop = np.uint64(stop)
-    widest = most_neighbours(start, stop, ring_start)
+    widest = longest_row(start, stop, ring_start)
     is_bilateral = closeness > 0.0
     # As many rows again as heights: exponents by distance.
     apart = VECTOR * max(BLOCK_EDGES, widest)
@@ -373,22 +373,8 @@ _UNSCALED, _MASS, _EDGE = range(len(SCALINGS))
 
 @compiled
 def _median(values, count):
-    """Median of ``values[:count]``, which are sorted on the way, by Shell's method.
-
-    A one-ring is sorted by insertion in effect; the gaps keep a hub of 50,000 affordable.
-    """
-    gap = 1
-    while gap < count // 3:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for at in range(gap, count):
-            value = values[at]
-            hole = at
-            while hole >= gap and values[hole - gap] > value:
-                values[hole] = values[hole - gap]
-                hole -= gap
-            values[hole] = value
-        gap //= 3
+    """Median of ``values[:count]``, which are sorted on the way."""
+    sort_few(values, count)
     middle = count // 2
     if count % 2:
         return values[middle]

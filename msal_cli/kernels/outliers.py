@@ -13,6 +13,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.patch_fits import MAX_VERTICES, SLOTS, collect_patch, find_tangents
+from msal_cli.kernels.vectors import sort_few
 
 MAX_FACES = 24
 """Faces of a vertex beyond which it is not judged: the poles of a net are no outliers."""
@@ -203,43 +204,13 @@ def _solve(equations, coefficients):
 def _rank(values, count, share, ranking):
     """The value that ``share`` of values[1:count] are below; ``ranking`` is for sorting them."""
     for at in range(1, count):
-        value = values[at]
-        place = at - 1
-        while place > 0 and ranking[place - 1] > value:
-            ranking[place] = ranking[place - 1]
-            place -= 1
-        ranking[place] = value
+        ranking[at - 1] = values[at]
+    sort_few(ranking, count - 1)
     return ranking[np.int64(share * (count - 1))]
 
 
 @compiled
-def _rank_few(values, count, share, below, ranking):
-    """As ``_rank`` for some dozens of values, without branches; ``below`` is for how many are below
-    each."""
-    total = 0.0
-    for at in range(1, count):
-        below[at] = 0
-        total += values[at]
-    if not total < np.inf:
-        return _rank(values, count, share, ranking)
-    for other in range(1, count):
-        value = values[other]
-        for at in range(1, count):
-            below[at] += value < values[at]
-    place = np.int64(share * (count - 1))
-    # Of alike ones all have the same number below, and the greatest up to the place is theirs.
-    most, ranked = -1, 0.0
-    for at in range(1, count):
-        if most < below[at] <= place:
-            most = below[at]
-            ranked = values[at]
-    return ranked
-
-
-@compiled
-def _fit(
-    count, local, weights, rests, below, ranking, terms, equations, coefficients, height, least
-):
+def _fit(count, local, weights, rests, ranking, terms, equations, coefficients, height, least):
     """Fit degree 2 to the points ``local``[:, 1:count] (u, w, height) by weights that get less for
     those far from it; the median of what is left over.
 
@@ -274,7 +245,7 @@ def _fit(
             return -1.0
         for at in range(1, count):
             rests[at] = abs(local[2, at] - _height(local[0, at], local[1, at], coefficients))
-        median = _rank_few(rests, count, 0.5, below, ranking)
+        median = _rank(rests, count, 0.5, ranking)
         width = WIDTH * median + MIN_WIDTH
         for at in range(1, count):
             share = width * width / (width * width + rests[at] * rests[at])
@@ -371,7 +342,6 @@ def _judge(
     normals, outer_normals = np.empty((MAX_FACES, 3)), np.empty((MAX_FACES, 3))
     normal, local = np.empty(3), np.empty((3, MAX_VERTICES))
     weights, rests = np.empty(MAX_VERTICES), np.empty(MAX_VERTICES)
-    below = np.empty(MAX_VERTICES, dtype=np.int64)
     ranking, lengths = np.empty(MAX_LENGTHS), np.empty(MAX_LENGTHS)
     terms, equations = np.empty((MAX_VERTICES, TERMS)), np.empty((TERMS, TERMS + 1))
     coefficients = np.empty(TERMS)
@@ -418,7 +388,7 @@ def _judge(
         now = _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
         for near in range(1, count):
             rests[near] = agreements[found[near]]
-        quiet = _rank_few(rests, count, QUIET, below, ranking)
+        quiet = _rank(rests, count, QUIET, ranking)
         texture = np.sqrt(max(1.0 - quiet, 0.0))
         most = FARTHEST * np.sqrt(square) + ROUGH * now - TEXTURE * texture + MARGIN
         if most <= floor and not is_known:
@@ -460,7 +430,6 @@ def _judge(
             local,
             weights,
             rests,
-            below,
             ranking,
             terms,
             equations,

@@ -39,7 +39,7 @@ FULL = 6
 
 
 @compiled
-def _whole_number(data, at, size, is_signed, big_endian):  # type: ignore[no-untyped-def]
+def _whole_number(data, at, size, is_signed, big_endian):
     value = np.int64(0)
     for k in range(size):
         value = (value << 8) | np.int64(data[at + k if big_endian else at + size - 1 - k])
@@ -50,9 +50,7 @@ def _whole_number(data, at, size, is_signed, big_endian):  # type: ignore[no-unt
 
 
 @compiled
-def walk_binary(  # type: ignore[no-untyped-def]
-    data, at, count, sizes, count_sizes, signed, big_endian, columns, starts, lengths
-):
+def walk_binary(data, at, count, sizes, count_sizes, signed, big_endian, columns, starts, lengths):
     """Find the fields of ``count`` binary records that begin at byte ``at``.
 
     sizes (P,) : bytes of one value of each property.
@@ -86,12 +84,12 @@ def walk_binary(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_token_end(data, at):  # type: ignore[no-untyped-def]
+def _is_token_end(data, at):
     return at >= len(data) or data[np.uint64(at)] == 32 or 9 <= data[np.uint64(at)] <= 13
 
 
 @compiled
-def _next_record(data, at):  # type: ignore[no-untyped-def]
+def _next_record(data, at):
     """The first token of the next line that has one."""
     at = skip_blanks(data, at)
     while at < len(data) and (data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13):
@@ -100,12 +98,12 @@ def _next_record(data, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_line_end(data, at):  # type: ignore[no-untyped-def]
+def _is_line_end(data, at):
     return at >= len(data) or data[np.uint64(at)] == 10 or data[np.uint64(at)] == 13
 
 
 @compiled
-def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # type: ignore[no-untyped-def]
+def walk_text(data, at, count, is_list, columns, starts, stops, lengths):
     """Find the fields of ``count`` ascii records, one to a line; blank lines are skipped.
 
     Parameters as in ``walk_binary``; a list's ``starts`` and ``stops`` are those of its count.
@@ -145,7 +143,7 @@ def walk_text(data, at, count, is_list, columns, starts, stops, lengths):  # typ
 
 
 @compiled
-def _short_number(data, at):  # type: ignore[no-untyped-def]
+def _short_number(data, at):
     """The whole number of at most nine digits at ``at``, and its digits; none for any other."""
     word = load_eight(data, at)
     digits = count_digits(word)
@@ -161,7 +159,7 @@ def _short_number(data, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def read_scalars(data, at, count, columns, groups, values, first_at, decimals):  # type: ignore[no-untyped-def]
+def read_scalars(data, at, count, columns, groups, values, first_at, decimals):
     """Read ``count`` ascii records of scalars that begin at byte ``at``, one to a line.
 
     Parameters
@@ -211,7 +209,7 @@ def read_scalars(data, at, count, columns, groups, values, first_at, decimals): 
 
 
 @compiled
-def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths):  # type: ignore[no-untyped-def]
+def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths):
     """Read the list that is property ``wanted`` of records from byte ``at`` on.
 
     is_list (P,) : which properties are lists; all but the wanted one are passed over.
@@ -256,7 +254,7 @@ def read_lists(data, at, start, count, is_list, wanted, items, n_items, lengths)
 
 
 @compiled
-def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[no-untyped-def]
+def list_tokens(data, stops, lengths, item_starts, item_stops):
     """Places of the items of lists that ``walk_text`` found: ``stops`` of their counts (n,),
     ``lengths`` (n,) -> ``item_starts``, ``item_stops`` (sum of lengths,)."""
     k = 0
@@ -271,7 +269,7 @@ def list_tokens(data, stops, lengths, item_starts, item_stops):  # type: ignore[
 
 
 @compiled
-def read_integers(data, starts, stops, values):  # type: ignore[no-untyped-def]
+def read_integers(data, starts, stops, values):
     """The whole numbers (k,) that are these tokens; returns the first that is none, or -1."""
     for k in range(len(starts)):
         values[k], status = parse_integer(data, starts[k], stops[k])
@@ -281,7 +279,7 @@ def read_integers(data, starts, stops, values):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def gather(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
+def gather(data, starts, sizes, packed):
     """Copy the pieces ``data[starts[i] : starts[i] + sizes[i]]`` one behind another."""
     k = 0
     for i in range(len(starts)):
@@ -292,7 +290,7 @@ def gather(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def scatter(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
+def scatter(data, starts, sizes, packed):
     """The reverse of ``gather``: copy packed pieces to their places in ``data``."""
     k = 0
     for i in range(len(starts)):
@@ -303,7 +301,7 @@ def scatter(data, starts, sizes, packed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def fans(items, lengths, triangles):  # type: ignore[no-untyped-def]
+def fans(items, lengths, triangles):
     """Cut polygons into triangles that share each polygon's first corner.
 
     items (sum of lengths,) -> triangles (t, 3); a polygon of fewer than three corners gives none.
@@ -319,7 +317,7 @@ def fans(items, lengths, triangles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def unroll_strips(items, lengths, triangles):  # type: ignore[no-untyped-def]
+def unroll_strips(items, lengths, triangles):
     """Triangles of strips: -1 restarts a strip, every second triangle is turned round, and
     those that name a vertex twice are dropped.  Returns the number of triangles."""
     first = t = 0

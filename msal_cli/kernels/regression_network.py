@@ -18,7 +18,7 @@ from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.lanes import LANES, choose_greater, fill_lanes, load_lanes, store_lanes
 from msal_cli.kernels.near_blocks import GUIDES, R1
 from msal_cli.kernels.normal_descriptors import CHUNK, FACES, S1, S2, S3, SUMS, lay_inputs
-from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, most_neighbours
+from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row
 
 TILE = np.uint64(4)
 """Outputs that are summed at a time; layers have a multiple of it, filled up with zeros."""
@@ -102,7 +102,7 @@ def predict_normals(
     """
     n_in, n_hidden, n_out = np.uint64(n_in), np.uint64(n_hidden), np.uint64(n_out)
     of = points, units, unit, near_start, near, known, records, statistics, others
-    widest = most_neighbours(start, stop, near_start) + ONE
+    widest = longest_row(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
     block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
     counts, scales = np.empty(8, dtype=np.float32), np.empty(8)
@@ -158,7 +158,7 @@ def collect_inputs(
 ):
     """The inputs (m, n_in) and the vectors (m, 3 k) of all faces, for training."""
     of = points, units, unit, near_start, near, known, records, statistics, others
-    widest = most_neighbours(start, stop, near_start) + ONE
+    widest = longest_row(start, stop, near_start) + ONE
     faces = np.empty(np.int64(widest * R1), dtype=np.uint32)
     block = np.empty(np.int64((CHUNK + ONE) * GUIDES), dtype=np.float32)
     counts, scales = np.empty(8, dtype=np.float32), np.empty(8)

@@ -71,10 +71,10 @@ def _rank(start, stop, keys, first, last, ranks):
 
 
 @compiled
-def _gather(start, stop, rows, keys, first, last, ordered):
-    """The rows in the order of ``keys``, of those from ``first`` to ``last``."""
+def _gather(start, stop, rows, order, first, last, ordered):
+    """The rows that the low halves of ``order`` number, of those from ``first`` to ``last``."""
     for at in range(start, stop):
-        i = np.int64(keys[at] & LOW_BITS)
+        i = np.int64(np.uint64(order[at]) & LOW_BITS)
         if first <= i < last:
             for axis in range(3):
                 ordered[at, axis] = rows[i, axis]
@@ -88,17 +88,6 @@ def _renumber(start, stop, faces, ranks, first, last, renumbered):
             i = faces[f, k]
             if first <= i < last:
                 renumbered[f, k] = ranks[i]
-
-
-@compiled
-def _gather_corners(start, stop, vertices, faces, first, last, corners):
-    """The corners of faces, of vertices from ``first`` to ``last``."""
-    for f in range(start, stop):
-        for k in range(3):
-            i = faces[f, k]
-            if first <= i < last:
-                for axis in range(3):
-                    corners[3 * f + k, axis] = vertices[i, axis]
 
 
 def is_random(faces: Ints) -> bool:
@@ -144,7 +133,7 @@ def sort_in_space(
     keys = np.empty(len(faces), dtype=np.uint64)
     over_ranges(_key_faces, len(faces), faces, keys)
     keys.sort()
-    return vertices, _gather_rows(faces, keys), ranks
+    return vertices, gather_rows(faces, keys), ranks
 
 
 def order_vertices(
@@ -155,28 +144,21 @@ def order_vertices(
 
     ``keys`` are sorted in place.
     """
-    n, m = len(vertices), len(faces)
+    n = len(vertices)
     # No two keys are equal: the order does not depend on how they are sorted.
     keys.sort()
     ranks = np.empty(n, dtype=np.int32)
     for block in blocks(n, ranks.itemsize):
         over_ranges(_rank, n, keys, *block, ranks)
-    renumbered = np.empty((m, 3), dtype=np.int32)
+    renumbered = np.empty_like(faces)
     for block in blocks(n, ranks.itemsize):
-        over_ranges(_renumber, m, faces, ranks, *block, renumbered)
-    return _gather_rows(vertices, keys), renumbered, ranks
+        over_ranges(_renumber, len(faces), faces, ranks, *block, renumbered)
+    return gather_rows(vertices, keys), renumbered, ranks
 
 
-def gather_corners(vertices: Floats, faces: Ints) -> Floats:
-    """The positions (3 m, 3) of the corners of faces (m, 3)."""
-    corners = np.empty((faces.size, 3))
-    for block in blocks(len(vertices), vertices.itemsize * 3):
-        over_ranges(_gather_corners, len(faces), vertices, faces, *block, corners)
-    return corners
-
-
-def _gather_rows(rows: NDArray[Any], keys: NDArray[np.uint64]) -> NDArray[Any]:
-    ordered = np.empty_like(rows)
+def gather_rows(rows: NDArray[Any], order: NDArray[np.uint64] | Ints) -> NDArray[Any]:
+    """The rows (n, 3) that ``order`` (m,) numbers, in the low halves where it is of 64 bits."""
+    ordered = np.empty((len(order), 3), dtype=rows.dtype)
     for block in blocks(len(rows), rows.itemsize * 3):
-        over_ranges(_gather, len(rows), rows, keys, *block, ordered)
+        over_ranges(_gather, len(order), rows, order, *block, ordered)
     return ordered

@@ -30,7 +30,7 @@ ASIDE = 3
 
 
 @compiled
-def _skip_blanks(buf, at):  # type: ignore[no-untyped-def]
+def _skip_blanks(buf, at):
     """The next byte that is no blank; in an OBJ file a continued line goes on behind its end."""
     while at < len(buf):
         c = buf[np.uint64(at)]
@@ -42,7 +42,7 @@ def _skip_blanks(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _skip_number(buf, at):  # type: ignore[no-untyped-def]
+def _skip_number(buf, at):
     """The end of the number at ``at``: a blank, the end of a line, a quote or a backslash."""
     while at < len(buf):
         word = load_eight(buf, at)
@@ -58,7 +58,7 @@ def _skip_number(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def find_numbers(buf, begins, starts):  # type: ignore[no-untyped-def]
+def find_numbers(buf, begins, starts):
     """Where each number of the runs that begin at ``begins`` (q,) begins, (q * width,)."""
     width = len(starts) // max(len(begins), 1)
     for i in range(len(begins)):
@@ -70,7 +70,7 @@ def find_numbers(buf, begins, starts):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def count_decimals(buf, begins, width, used):  # type: ignore[no-untyped-def]
+def count_decimals(buf, begins, width, used):
     """The most decimals (q,) of each run, at most 255; ``1.5e-3`` has four."""
     for i in range(len(begins)):
         end = begins[i]
@@ -83,7 +83,7 @@ def count_decimals(buf, begins, width, used):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_kept(old, new, i):  # type: ignore[no-untyped-def]
+def _is_kept(old, new, i):
     is_kept = True
     for axis in range(new.shape[1]):
         is_kept = is_kept and new[i, axis] == old[i, axis]
@@ -91,7 +91,7 @@ def _is_kept(old, new, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals):  # type: ignore[no-untyped-def]
+def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals):
     """Copy ``buf`` from byte ``done`` to ``out`` from byte ``to``, with numbers replaced.
 
     Parameters
@@ -131,9 +131,7 @@ def replace(buf, done, out, to, first, first_axis, begins, old, new, decimals): 
 
 
 @compiled
-def compare(  # type: ignore[no-untyped-def]
-    a, a_done, b, b_done, first, first_axis, begins, old, new, decimals, tolerances
-):
+def compare(a, a_done, b, b_done, first, first_axis, begins, old, new, decimals, tolerances):
     """Whether ``b`` is ``a`` with only numbers of the runs replaced, as expected.
 
     A number that did not change keeps its bytes; one that did is within ``tolerances[decimals[i]]``

@@ -46,19 +46,19 @@ MAX_SOLIDS = 16
 
 
 @compiled
-def _is_space(c):  # type: ignore[no-untyped-def]
+def _is_space(c):
     return c == 32 or 9 <= c <= 13
 
 
 @compiled
-def _skip_spaces(buf, at):  # type: ignore[no-untyped-def]
+def _skip_spaces(buf, at):
     while at < len(buf) and _is_space(buf[at]):
         at += 1
     return at
 
 
 @compiled
-def _skip_word(buf, at, word):  # type: ignore[no-untyped-def]
+def _skip_word(buf, at, word):
     """The end of ``word``, in any case, if the whole word is at ``at``; else -1."""
     stop = at + _LENGTHS[word]
     if stop > len(buf):
@@ -72,7 +72,7 @@ def _skip_word(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _skip_two_words(buf, at, word):  # type: ignore[no-untyped-def]
+def _skip_two_words(buf, at, word):
     """The end of ``word`` where it is written as two, as in ``end facet``; else -1."""
     middle = skip_token(buf, at)
     tail = _skip_spaces(buf, middle)
@@ -87,14 +87,14 @@ def _skip_two_words(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _is_bare(buf, at, word):  # type: ignore[no-untyped-def]
+def _is_bare(buf, at, word):
     """Whether the outer loop begins at ``at``, where ``word`` or its numbers should be: a facet
     without a normal."""
     return word == NORMAL and _skip_word(buf, at, OUTER) >= 0
 
 
 @compiled
-def _match(buf, at, word):  # type: ignore[no-untyped-def]
+def _match(buf, at, word):
     """The end of ``word`` at ``at``, as it may be written; -1 where another word is there."""
     stop = _skip_word(buf, at, word)
     if stop < 0 and word >= ENDLOOP:
@@ -105,7 +105,7 @@ def _match(buf, at, word):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _skip_remark(buf, end, at):  # type: ignore[no-untyped-def]
+def _skip_remark(buf, end, at):
     """The first word behind words that stand on the line of a statement, which ends at ``end``.
 
     That is ``at``, the next word, where it stands on another line, or is a number or a keyword:
@@ -125,7 +125,7 @@ def _skip_remark(buf, end, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _number(buf, at):  # type: ignore[no-untyped-def]
+def _number(buf, at):
     """The number at ``at``: value, end (-1 for none), decimals.
 
     NaN also for the words that old run-time libraries print (``1.#QNAN``); infinity marks a
@@ -151,7 +151,7 @@ def _number(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def scan(buf, state, run_at, numbers, solid_at, decimals):  # type: ignore[no-untyped-def]
+def scan(buf, state, run_at, numbers, solid_at, decimals):
     """Read facets from ``buf`` (size,) uint8 until the arrays are full or the text ends.
 
     state (N_STATE,) int64 : next byte, facets read, solids read, 1 within a solid, and facets
@@ -247,7 +247,7 @@ _LENGTH_ERROR = 1e-5
 
 
 @compiled
-def check_facets(  # type: ignore[no-untyped-def]
+def check_facets(
     start, stop, old, new, faces, words_before, words, corners_before, normals, corners
 ):
     """The first facet that is not as ``facet_normals.replace_facets`` must leave it, and its fault.
@@ -296,14 +296,14 @@ _NEW, _OLD, _STORED = range(3)
 
 
 @compiled
-def _cross(vertices, a, b, c):  # type: ignore[no-untyped-def]
+def _cross(vertices, a, b, c):
     """Cross product of two edges of a triangle, and its longest edge squared."""
     ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     return nx, ny, nz, longest_square(ux, uy, uz, wx, wy, wz)
 
 
 @compiled
-def _normalise(vectors, lengths):  # type: ignore[no-untyped-def]
+def _normalise(vectors, lengths):
     """Take the roots of the first two rows of lengths, and divide the vectors by their lengths."""
     for row in range(2):
         for at in range(_BLOCK_FACETS):
@@ -315,7 +315,7 @@ def _normalise(vectors, lengths):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def replace_facets(start, stop, old, new, faces, normals, corners, changed):  # type: ignore[no-untyped-def]
+def replace_facets(start, stop, old, new, faces, normals, corners, changed):
     """Write the normals and corners that are others into facets.
 
     normals (m, 3) : as stored; those that ``renew_facet_normals`` says are replaced.

@@ -42,31 +42,38 @@ def as_bytes(buffer: bytes | bytearray | memoryview | Bytes) -> Bytes:
 
 
 @compiled
-def parse_integer(buf, start, stop):  # type: ignore[no-untyped-def]
-    """The int64 value of a whole token and its status; UNDECIDED where it does not fit."""
-    at = start
+def read_integer(buf, at, stop):
+    """A signed whole number: its value, where it ends (``at`` without digits), whether it fits."""
+    first = at
     negative = False
     if at < stop and (buf[at] == 45 or buf[at] == 43):
         negative = buf[at] == 45
         at += 1
-    if at == stop:
-        return np.int64(0), NOT_A_NUMBER
+    digits = at
     value = np.int64(0)
-    status = EXACT
+    fits = True
     while at < stop:
         digit = np.int64(buf[at]) - 48
         if digit < 0 or digit > 9:
-            return np.int64(0), NOT_A_NUMBER
-        if value > 922_337_203_685_477_579:
-            status = UNDECIDED
-        else:
+            break
+        fits = bool(value <= 922_337_203_685_477_579)
+        if fits:
             value = value * 10 + digit
         at += 1
-    return -value if negative else value, status
+    return -value if negative else value, at if at > digits else first, fits
 
 
 @compiled
-def _read_numbers(buf, starts, stops, values, undecided):  # type: ignore[no-untyped-def]
+def parse_integer(buf, start, stop):
+    """The int64 value of a whole token and its status; UNDECIDED where it does not fit."""
+    value, end, fits = read_integer(buf, start, stop)
+    if end == start or end < stop:
+        return np.int64(0), NOT_A_NUMBER
+    return value, EXACT if fits else UNDECIDED
+
+
+@compiled
+def _read_numbers(buf, starts, stops, values, undecided):
     n_undecided = 0
     for i in range(len(starts)):
         value, status, end, _ = read_number(buf, starts[i], stops[i])
@@ -95,7 +102,7 @@ def read_numbers(buf: Bytes, starts: Longs, stops: Longs) -> tuple[Floats, int]:
 
 
 @compiled
-def find_words(buf, start, stop, comment, starts, stops, lines):  # type: ignore[no-untyped-def]
+def find_words(buf, start, stop, comment, starts, stops, lines):
     """Find the words of ``buf[start:stop]``; a byte ``comment`` (-1 for none) hides the rest of its
     line.
 
@@ -129,7 +136,7 @@ def find_words(buf, start, stop, comment, starts, stops, lines):  # type: ignore
 
 
 @compiled
-def _print_numbers(values, first, decimals, out, at, stops):  # type: ignore[no-untyped-def]
+def _print_numbers(values, first, decimals, out, at, stops):
     for i in range(first, len(values)):
         end = write_number(values[i], decimals, out, at)
         if end < 0:
@@ -186,7 +193,7 @@ def print_shortest(values: Floats, single: bool) -> tuple[Bytes, Longs]:
 
 
 @compiled
-def skip_blanks(buf, at):  # type: ignore[no-untyped-def]
+def skip_blanks(buf, at):
     """The first byte from ``at`` on that is no blank, tab, vertical tab or form feed."""
     while at < len(buf):
         c = buf[np.uint64(at)]
@@ -197,7 +204,7 @@ def skip_blanks(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def skip_token(buf, at):  # type: ignore[no-untyped-def]
+def skip_token(buf, at):
     """The end of the token at ``at``: the next blank or line end, or ``at`` itself."""
     while at < len(buf):
         c = buf[np.uint64(at)]
@@ -211,7 +218,7 @@ def skip_token(buf, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _copy(source, start, stop, target, at):  # type: ignore[no-untyped-def]
+def _copy(source, start, stop, target, at):
     """Copy source[start:stop] to target at ``at``; returns the end."""
     for k in range(stop - start):
         target[at + k] = source[start + k]
@@ -219,7 +226,7 @@ def _copy(source, start, stop, target, at):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _splice(buf, starts, stops, text, text_stops, out):  # type: ignore[no-untyped-def]
+def _splice(buf, starts, stops, text, text_stops, out):
     done = at = text_start = 0
     for i in range(len(starts)):
         at = _copy(buf, done, starts[i], out, at)
@@ -239,7 +246,7 @@ def splice(buf: Bytes, starts: Longs, stops: Longs, text: Bytes, text_stops: Lon
 
 
 @compiled
-def is_same(a, a_start, b, b_start, count):  # type: ignore[no-untyped-def]
+def is_same(a, a_start, b, b_start, count):
     """Whether ``count`` bytes of a and b are equal."""
     done = 0
     while done < count:
@@ -261,7 +268,7 @@ _BLOCK = 1 << 14
 
 
 @compiled
-def _format_lines(text, stops, row_stops, prefix, doubled, out):  # type: ignore[no-untyped-def]
+def _format_lines(text, stops, row_stops, prefix, doubled, out):
     to = 0
     start = 0
     token = 0

@@ -142,17 +142,10 @@ def used_vertices(n_vertices: int, faces: Ints) -> Flags:
     return used
 
 
-@compiled
-def _repeated_corners(faces, repeated):
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        repeated[f] = (a == b) | (b == c) | (c == a)
-
-
 def repeated_corners(faces: Ints) -> Flags:
     """(m,) bool, True for every face (m, 3) that names a vertex twice."""
-    repeated = np.empty(len(faces), dtype=bool)
-    _repeated_corners(np.ascontiguousarray(faces), repeated)
+    a, b, c = faces.T
+    repeated: Flags = (a == b) | (b == c) | (c == a)
     return repeated
 
 
@@ -284,7 +277,7 @@ _FACTOR_Z = np.uint64(0x94D049BB133111EB)
 
 
 @compiled
-def _slot(x, y, z, shift):  # type: ignore[no-untyped-def]
+def _slot(x, y, z, shift):
     """The place of a position in a table of ``2 ** (64 - shift)`` places."""
     a = np.float64(x).view(np.uint64)
     b = np.float64(y).view(np.uint64)
@@ -297,9 +290,7 @@ def _slot(x, y, z, shift):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _index_corners(  # type: ignore[no-untyped-def]
-    first, found, corners, shift, part, part_shift, table, vertices, keys, faces
-):
+def _index_corners(first, found, corners, shift, part, part_shift, table, vertices, keys, faces):
     """Number the corners of facets from ``first`` on whose place is in one ``part`` of the table.
 
     table (2^k,) int32 : 0 or one more than a vertex's number; ``shift`` is 64 - k.  A part of it
@@ -374,7 +365,7 @@ def _index_corners(  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _enter(vertices, shift, part, part_shift, table):  # type: ignore[no-untyped-def]
+def _enter(vertices, shift, part, part_shift, table):
     """Enter vertices that are all different into one part of an empty table."""
     mask = len(table) - 1
     for number in range(len(vertices)):

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
-from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
+from msal_cli.kernels.faces import face_centroids, face_rings
+from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.kernels.operators import AnisotropicLaplacian
 from msal_cli.kernels.restoration import restoration
@@ -119,7 +119,7 @@ def fit_to_normals(
     like, areas = face_normals_and_areas(guide, faces)
     centroids = face_centroids(guide, faces)
     across_edges = face_rings(faces, mesh.topology, "edge")
-    unit = mean_centroid_distance(centroids, *across_edges)
+    unit = mean_edge_length(centroids, *across_edges)
     ring_start, ring = face_rings(faces, mesh.topology, "vertex")
     rows = ring_start.astype(np.int64), ring
     normals = face_normals(mesh.vertices, faces)

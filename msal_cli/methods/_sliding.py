@@ -98,14 +98,19 @@ def even_out(mesh: Mesh, passes: int) -> Mesh:
 
 @cached_by_mesh
 def _even_out(mesh: Mesh, passes: int) -> Mesh:
-    from msal_cli.kernels.geometry import slide
-
     links = mesh.topology
     normals = mesh.vertex_normals("uniform", EVEN_MOLLIFY)
     free = links.has_ring & ~links.boundary
     if mesh.fixed_vertices is not None:
         free &= ~mesh.fixed_vertices
     positions = mesh.vertices
+    nx, ny, nz = normals.T
     for _ in range(passes):
-        positions = slide(positions, normals, free, EVEN_STEP, *links.one_ring)
+        moves = apply_umbrella(mesh, positions)
+        moves[~free] = 0.0
+        x, y, z = moves.T
+        heights = (x * nx + z * nz) + y * ny
+        moves -= heights[:, None] * normals
+        moves *= EVEN_STEP
+        positions = positions + moves
     return mesh.with_vertices(positions)

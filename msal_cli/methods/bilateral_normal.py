@@ -41,8 +41,8 @@ import numpy as np
 
 from msal_cli.arrays import Floats
 from msal_cli.kernels.conjugate_gradient import conjugate_gradients
-from msal_cli.kernels.faces import face_centroids, face_rings, mean_centroid_distance
-from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas
+from msal_cli.kernels.faces import face_centroids, face_rings
+from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import bilateral_averages, normal_system
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
@@ -98,7 +98,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
     normals, areas = face_normals_and_areas(mesh.vertices, mesh.faces)
     centroids = face_centroids(mesh.vertices, mesh.faces)
     across_edges = face_rings(mesh.faces, mesh.topology, "edge")
-    unit = mean_centroid_distance(centroids, *across_edges) or mesh.mean_edge_length
+    unit = mean_edge_length(centroids, *across_edges) or mesh.mean_edge_length
     del across_edges
     rows = face_rings(mesh.faces, mesh.topology, parameters.neighbours)
     faces = (normals, areas, centroids, *rows, parameters.closeness * unit, parameters.similarity)

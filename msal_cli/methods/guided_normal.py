@@ -41,8 +41,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.faces import face_centroids, faces_within, mean_centroid_distance, patches
-from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.faces import face_centroids, faces_within, patches
+from msal_cli.kernels.geometry import face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import joint_bilateral
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
@@ -108,12 +108,12 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     # Without neighbours there is no unit, and nothing that it would measure.
     edge_length = mesh.mean_edge_length
     centroids = face_centroids(mesh.vertices, faces)
-    radius = parameters.radius * mean_centroid_distance(centroids, *edges)
+    radius = parameters.radius * mean_edge_length(centroids, *edges)
     near = faces_within(centroids, around.ring_start, around.ring, radius, MAX_NEAR)
 
     def filtered(positions: Floats, on_step: Callable[[], None]) -> Floats:
         centroids = face_centroids(positions, faces)
-        unit = mean_centroid_distance(centroids, *edges)
+        unit = mean_edge_length(centroids, *edges)
         normals, areas = face_normals_and_areas(positions, faces)
         return joint_bilateral(
             normals,

@@ -44,10 +44,9 @@ from msal_cli.kernels.faces import (
     Patches,
     face_centroids,
     faces_within,
-    mean_centroid_distance,
     patches,
 )
-from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.geometry import face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import minimising_normals, pair_weights
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
@@ -133,7 +132,7 @@ def _filtered_normals(
     """
     normals, areas = face_normals_and_areas(vertices, mesh.faces)
     centroids = face_centroids(vertices, mesh.faces)
-    unit = mean_centroid_distance(centroids, around.edge_start, around.edge_ring)
+    unit = mean_edge_length(centroids, around.edge_start, around.edge_ring)
     # Without neighbours there is no unit, and nothing that it would measure.
     eta = parameters.closeness * (unit or mesh.mean_edge_length)
     near = faces_within(centroids, around.ring_start, around.ring, 3.0 * eta, MAX_NEAR)
