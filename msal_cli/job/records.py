@@ -320,7 +320,9 @@ class Planned:
 
     bytes: int | None = known("bytes of the input")
     vertices: int | None = known("vertices, of a text about")
-    seconds: float | None = known("seconds of one core of an idle machine, about")
+    seconds: float | None = known(
+        "seconds of one core of an idle machine, about; null with a method other than al and msal"
+    )
     memory_bytes: int | None = known("memory at the most, bytes")
     scratch_bytes: int | None = known(
         "bytes in files of the scratch folder at the most, where the mesh exceeds the memory; null "

@@ -242,37 +242,8 @@ def to_known_error(error: Exception, name: str) -> MsalError:
 # core of a machine like that of docs/performance.md, with nothing else to do.  They were fitted to
 # the sample meshes and to benchmarks/auto_seconds.py.
 
-# Seconds for any mesh, and per million vertices, from reading to writing.
-_METHOD_S, _METHOD_S_PER_MILLION = 0.05, 0.9
-_ADAPTIVE_S, _ADAPTIVE_S_PER_MILLION = 0.17, 1.6
-_AUTO_S, _AUTO_S_PER_MILLION = 2.2, 28.0
-
-# The filter of ``msal`` alone, by which costs of methods are counted, at their default parameters
-# (those of ``auto.candidates`` are for others), and a cost of what is not listed.
-_FILTER_S_PER_MILLION = 0.13
-_COSTS = {
-    "al": 1.4,
-    "anisotropic_diffusion": 87.0,
-    "bilateral": 1.9,
-    "bilateral_non_iterative": 12.0,
-    "bilateral_normal": 18.0,
-    "guided_normal": 85.0,
-    "hc": 2.3,
-    "hybrid": 7.0,
-    "l0": 190.0,
-    "learned": 115.0,
-    "mean_curvature_flow": 13.0,
-    "msal": 1.1,
-    "normal_diffusion": 28.0,
-    "normal_threshold": 13.0,
-    "scale_dependent_umbrella": 1.4,
-    "static_dynamic": 415.0,
-    "taubin": 2.4,
-    "umbrella": 0.4,
-    "wiener": 10.0,
-    "windowed_sinc": 9.0,
-}
-_USUAL_COST = 20.0
+_SECONDS = {ADAPTIVE: (0.17, 1.6), AUTO: (2.2, 28.0), "al": (0.05, 1.08), "msal": (0.05, 1.04)}
+"""Seconds for any mesh, and per million vertices, from reading to writing."""
 
 _IN_FILES_S_PER_MILLION = 1.0
 """What the disk adds where arrays are in files: about 2 kB are read for each vertex."""
@@ -285,8 +256,8 @@ _PACKED = 3
 
 
 def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) -> MeshRecord:
-    """A record of a file that is planned, with its size and the seconds that it will take; failed
-    where its size and its first 64 KB show that it will fail."""
+    """A record of a file that is planned, with its size and the seconds that it will take where AL
+    and MSAL or a choice do it; failed where its size and its first 64 KB show that it will fail."""
     expected = forecast(task, settings)
     size = input_bytes(task)
     n = expected.vertices
@@ -303,13 +274,13 @@ def foresee(record: MeshRecord, task: Task, settings: Settings, limits: Limits) 
     except MsalError as error:
         return replace(record, status="failed", output=None, error=Failure.of(error))
     seconds = None
-    if n is not None:
-        seconds = _expected_seconds(n, settings)
-        seconds = round(seconds + (_IN_FILES_S_PER_MILLION * n / 1e6 if scratch else 0.0), 2)
+    if n is not None and settings.method in _SECONDS:
+        any_s, s_per_million = _SECONDS[settings.method]
+        seconds = any_s + (s_per_million + (_IN_FILES_S_PER_MILLION if scratch else 0.0)) * n / 1e6
     memory, in_files = expected.memory_bytes, None
     if scratch is not None:
         memory, in_files = scratch.room, scratch.n_bytes
-    planned = Planned(size, n, seconds, memory, in_files)
+    planned = Planned(size, n, seconds and round(seconds, 2), memory, in_files)
     return replace(record, format=expected.format or None, planned=planned)
 
 
@@ -337,13 +308,3 @@ def _check_header(path: str, format: str | None) -> int | None:
         return None
     data, _ = gzip_streams.expand(header.read_input(path, format), path)
     return len(codecs.open_mesh(data, path, format).vertices)
-
-
-def _expected_seconds(n_vertices: int, settings: Settings) -> float:
-    millions = n_vertices / 1e6
-    if settings.method == AUTO:
-        return _AUTO_S + _AUTO_S_PER_MILLION * millions
-    if settings.method == ADAPTIVE:
-        return _ADAPTIVE_S + _ADAPTIVE_S_PER_MILLION * millions
-    filters_s = _COSTS.get(settings.method, _USUAL_COST) * _FILTER_S_PER_MILLION
-    return _METHOD_S + (_METHOD_S_PER_MILLION + filters_s) * millions
