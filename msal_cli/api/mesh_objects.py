@@ -162,11 +162,6 @@ def _fan_triangles(corners: Longs, sizes: Longs) -> Longs:
     return triangles
 
 
-def _own_entries(cells: Longs) -> Longs:
-    """The normal of each triangle's cell (m,) at all its corners (m, 3)."""
-    return np.repeat(cells[:, None], 3, axis=1)
-
-
 def _read_trimesh(mesh: Any) -> MemoryMesh:
     """The mesh; the copy keeps colours, UVs, attributes and metadata, and trimesh makes its normals
     anew."""
@@ -197,12 +192,12 @@ def _read_pyvista(mesh: Any) -> MemoryMesh:
         )
     corners, sizes = _split(np.asarray(mesh.faces, dtype=np.int64))
     triangles = _fan_triangles(corners, sizes)
-    cells = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))
+    # At each corner of a triangle the normal of its cell.
+    of_cells = np.repeat(np.arange(len(sizes)), np.maximum(sizes - 2, 0))[:, None].repeat(3, axis=1)
 
     def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
         copy = mesh.copy(deep=True)
         copy.points = vertices
-        of_cells = _own_entries(cells)
         for data, entries in ((copy.point_data, triangles), (copy.cell_data, of_cells)):
             name = data.active_normals_name
             if name is not None:
@@ -279,7 +274,7 @@ def _read_open3d(mesh: Any) -> MemoryMesh:
     def copy_object(memory: MemoryMesh, vertices: Array) -> Any:
         copy = type(mesh)(mesh)
         copy.vertices = type(mesh.vertices)(vertices)
-        own = _own_entries(np.arange(len(triangles)))
+        own = np.arange(len(triangles))[:, None].repeat(3, axis=1)
         for name, entries in (("vertex_normals", triangles), ("triangle_normals", own)):
             if getattr(mesh, f"has_{name}")():
                 stored = getattr(mesh, name)

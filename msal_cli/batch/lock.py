@@ -94,13 +94,17 @@ class FolderLock(contextlib.AbstractContextManager["FolderLock"]):
     def _lock(self) -> str | None:
         """Lock the file of this run; None, or the owner of its lock."""
         while self._handle is None:
-            handle = _open(self._path, os.O_CREAT)
+            with _explained(self._path):
+                handle = open_own(self._path, os.O_CREAT)
             try:
                 if not _try_lock(handle, self._path):
                     return _describe_owner(handle, self._path)
                 # Its last owner may have removed it while we waited for it.
                 if _has_name(handle, self._path):
-                    _write_owner(handle, self._path)
+                    with _explained(self._path):
+                        os.truncate(handle, 0)
+                        os.lseek(handle, 0, os.SEEK_SET)
+                        os.write(handle, f"{os.getpid()} {platform.node()}\n".encode())
                     self._handle = handle
             finally:
                 if self._handle is None:
@@ -153,25 +157,14 @@ def _lock_files(folder: Path) -> Iterator[tuple[Path, int]]:
             yield folder / name, int(match[2] or 0)
 
 
-def _open(path: Path, flags: int = 0) -> int:
+@contextlib.contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Raise OutputError where the lock file of this name cannot be opened or written."""
     try:
-        return open_own(path, flags)
+        yield
     except OSError as error:
         raise OutputError(
-            f"the lock file {str(path)!r} cannot be opened: {error.strerror}",
-            hint="the output folder must be writable",
-            path=str(path),
-        ) from error
-
-
-def _write_owner(handle: int, path: Path) -> None:
-    try:
-        os.truncate(handle, 0)
-        os.lseek(handle, 0, os.SEEK_SET)
-        os.write(handle, f"{os.getpid()} {platform.node()}\n".encode())
-    except OSError as error:
-        raise OutputError(
-            f"the lock file {str(path)!r} cannot be written: {error.strerror}",
+            f"the lock file {str(path)!r} cannot be used: {error.strerror}",
             hint="the output folder must be writable, and its disk not be full",
             path=str(path),
         ) from None
@@ -187,12 +180,11 @@ def _has_name(handle: int, path: Path) -> bool:
 
 def _find_owner(path: Path) -> str | None:
     """The owner of a lock file; None if it is free."""
-    try:
-        handle = _open(path)
-    except OutputError as error:
-        if isinstance(error.__cause__, FileNotFoundError):
+    with _explained(path):
+        try:
+            handle = open_own(path)
+        except FileNotFoundError:
             return None
-        raise
     try:
         # A shared lock lets others look at the same time.
         is_free = _try_lock(handle, path, is_shared=True)

@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from msal_cli.batch.inputs import DiscoveredInput, resolve
 from msal_cli.errors import InputError, OutputError, UsageError
@@ -286,24 +286,19 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
         if task.in_place:
             continue
         if victim := inputs.get(_identity(task.output)):
-            _refuse_input_as_output(task, victim)
+            what = f"the output of {task.input!r} would overwrite the input {victim!r}"
+            if victim == task.input:
+                what = f"the input {victim!r} would be overwritten by its own output"
+            if Path(task.output) != Path(victim):
+                what += f" (as {task.output!r})"
+            hint = "choose another output; only msal denoise --in-place replaces inputs"
+            raise UsageError(what, hint=hint, path=task.input)
         if not is_url(task.output):
             _refuse_folder_as_output(task, checked)
 
 
 def _identity(name: str) -> tuple[int, int] | str:
     return identify_file(name) or str(resolve(Path(name)))
-
-
-def _refuse_input_as_output(task: Task, victim: str) -> NoReturn:
-    if victim == task.input:
-        what = f"the input {task.input!r} would be overwritten by its own output"
-    else:
-        what = f"the output of {task.input!r} would overwrite the input {victim!r}"
-    if Path(task.output) != Path(victim):
-        what += f" (as {task.output!r})"
-    hint = "choose another output; only msal denoise --in-place replaces inputs"
-    raise UsageError(what, hint=hint, path=task.input)
 
 
 def _refuse_folder_as_output(task: Task, checked: set[Path]) -> None:

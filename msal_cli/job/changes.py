@@ -13,6 +13,7 @@ from msal_cli.job import records
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import DistanceStatistics, Harm
     from msal_cli.arrays import Floats
+    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.mesh import Mesh, PreparedMesh
     from msal_cli.methods import Method
 
@@ -61,6 +62,19 @@ def defect_fields(ready: PreparedMesh, n_merged: int) -> dict[str, Any]:
     return {name: getattr(ready.defects, name) for name in names} | {
         "welded_vertices": ready.defects.welded_vertices + n_merged,
         "mean_edge_length": ready.mesh.mean_edge_length,
+    }
+
+
+def file_fields(mesh_file: MeshFile) -> dict[str, Any]:
+    """Fields of the record: what the file says of itself."""
+    return {
+        "format": mesh_file.format,
+        "encoding": mesh_file.encoding,
+        "precision": mesh_file.precision,
+        "vertices": len(mesh_file.vertices),
+        "corners": mesh_file.n_corners,
+        "faces": mesh_file.n_polygons,
+        "triangles": len(mesh_file.faces),
     }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli.job.changes import defect_fields, noise_field
+from msal_cli.job.changes import defect_fields, file_fields, noise_field
 from msal_cli.job.records import Failure, InfoRecord
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
 
@@ -43,19 +43,14 @@ def inspect_file(
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    from msal_cli.analysis.measures import area_and_volume, enclosure_of
+    from msal_cli.analysis import measures
 
     mesh_file, is_compressed = open_mesh(data, name, format)
     ready = prepare_mesh(mesh_file)
     defects = ready.defects
-    area, volume = area_and_volume(ready.mesh)
-    enclosed = enclosure_of(ready.mesh, defects, area, volume)
+    area, volume = measures.area_and_volume(ready.mesh)
+    enclosed = measures.enclosure_of(ready.mesh, defects, area, volume)
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
-    n_intersections = None
-    if with_intersections:
-        from msal_cli.analysis.measures import count_self_intersections
-
-        n_intersections = count_self_intersections(ready.mesh)
     winding = "consistent"
     if defects.unorientable_parts:
         winding = "not orientable"
@@ -63,15 +58,9 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         winding = "inconsistent"
     return InfoRecord(
         input=name,
-        format=mesh_file.format,
-        encoding=mesh_file.encoding,
-        precision=mesh_file.precision,
+        **file_fields(mesh_file),
         compressed=is_compressed,
         bytes=len(data),
-        vertices=len(mesh_file.vertices),
-        corners=mesh_file.n_corners,
-        faces=mesh_file.n_polygons,
-        triangles=len(mesh_file.faces),
         polygon_sizes=_polygon_sizes(mesh_file),
         closed=defects.boundary_edges == 0,
         winding=winding,
@@ -82,7 +71,9 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         volume=None if defects.volume_objection else enclosed.volume(ready.mesh, volume),
         volume_valid=not defects.volume_objection,
         volume_reason=defects.volume_objection,
-        self_intersections=n_intersections,
+        self_intersections=measures.count_self_intersections(ready.mesh)
+        if with_intersections
+        else None,
         noise_estimate=noise_field(ready.mesh),
         properties=mesh_file.properties,
         references=mesh_file.references,

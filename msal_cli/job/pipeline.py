@@ -200,15 +200,7 @@ class FileRun:
             finally:
                 # A file that cannot be read is known by its hash, too.
                 self.know(input_sha256=digest())
-            self.know(
-                format=mesh_file.format,
-                encoding=mesh_file.encoding,
-                precision=mesh_file.precision,
-                vertices=len(mesh_file.vertices),
-                corners=mesh_file.n_corners,
-                faces=mesh_file.n_polygons,
-                triangles=len(mesh_file.faces),
-            )
+            self.know(**changes.file_fields(mesh_file))
             self.warn(*mesh_file.warnings)
         return mesh_file, is_compressed
 
