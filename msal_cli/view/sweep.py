@@ -22,13 +22,14 @@ from msal_cli.analysis.measures import (
     measure_enclosure,
     measure_surface_change,
 )
-from msal_cli.arrays import Floats
-from msal_cli.codecs.mesh_file import Surface
+from msal_cli.codecs.mesh_file import MeshFile, Surface
 from msal_cli.errors import ContentError, UsageError
 from msal_cli.job.changes import volume_changed
+from msal_cli.job.pipeline import FileRun
 from msal_cli.job.room import prepare_mesh
+from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 from msal_cli.mesh import Mesh, PreparedMesh
-from msal_cli.methods import Method
+from msal_cli.methods import Method, find, names
 from msal_cli.view import pictures
 from msal_cli.view.camera import Camera
 from msal_cli.view.panels import Panel, draw_panels
@@ -41,10 +42,13 @@ USUAL = ("iterations=1,2,4,8", "K=0.25,0.5,0.75,1")
 """What varies along rows and columns where nothing else is given, as in Fig. 6 of the paper;
 a parameter that the method does not have is left out."""
 
-CHOICES = {"plain": (), "auto": ("--auto",)}
-"""What msal itself chooses, and the options of ``msal denoise`` that ask for it."""
+CHOICES = {"plain": (ADAPTIVE, ()), "auto": (AUTO, ("--auto",))}
+"""What msal itself chooses: the method, and the options of ``msal denoise`` that ask for it."""
 
 _SHORT_OPTIONS = {"iterations": "-n", "K": "-K"}
+
+Filter = tuple[Method | None, Mapping[str, Any]]
+"""A method with its parameters; None leaves a mesh as it is."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Cell:
     Attributes
     ----------
     parameters : what differs from cell to cell; of a choice all parameters.
-    command : the command line that makes the mesh.
+    command : the command line that makes the mesh; OUT is the file to write.
     mean_displacement, mean_displacement_edges : in file units and in mean edge lengths.
     volume_change_percent : None where the mesh has no volume.
     mean_angular_error_deg : against the reference; None without one.
@@ -171,25 +175,35 @@ def subject(
     return Subject(name, ready, truth, camera, measure_enclosure(ready))
 
 
-def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh]]:
-    """The numbers and the mesh of each cell, row by row, one after the other."""
+def cells(on: Subject, wanted: Grid) -> Iterator[tuple[Cell, Mesh, Filter]]:
+    """The numbers and the mesh of each cell, row by row, one after the other, and what made it."""
     mesh = on.ready.mesh
     for chosen in wanted.settings():
         parameters = wanted.method.validate({**wanted.fixed, **chosen})
         moved = mesh.with_vertices(wanted.method.denoise(mesh, parameters).vertices)
-        yield _measure(on, moved, chosen, _command(on.name, *_options(wanted, chosen))), moved
+        words = [] if wanted.method.name == "msal" else ["--method", wanted.method.name]
+        for name, value in (*wanted.fixed.items(), *chosen.items()):
+            short = _SHORT_OPTIONS.get(wanted.method.spec(name).name)
+            words += [short, _plain(value)] if short else ["--set", f"{name}={_plain(value)}"]
+        yield _measure(on, moved, chosen, words), moved, (wanted.method, parameters)
 
 
-def choice_cell(on: Subject, choice: str, vertices: Floats) -> tuple[Cell, Mesh]:
-    """The numbers and the mesh of one of ``CHOICES``, which moved the vertices of the file to
-    ``vertices`` (n, 3)."""
-    moved = surface_distance.at_other_positions(on.ready, vertices)
-    cell = _measure(on, moved, {}, _command(on.name, *CHOICES[choice]))
-    return replace(cell, choice=choice), moved
+def choice_cells(on: Subject, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh, Filter]]:
+    """The same of each of ``CHOICES``, for the mesh in an open file."""
+    for choice, (name, words) in CHOICES.items():
+        run = FileRun(on.name, Settings(name))
+        moved = surface_distance.at_other_positions(on.ready, run.move_vertices(mesh_file))
+        used = run.finish(None).method
+        assert used is not None
+        cell = replace(_measure(on, moved, used.parameters, words), choice=choice)
+        yield cell, moved, (find(used.name) if used.name in names() else None, used.parameters)
 
 
-def _measure(on: Subject, moved: Mesh, parameters: dict[str, Any], command: str) -> Cell:
+def _measure(
+    on: Subject, moved: Mesh, parameters: Mapping[str, Any], options: Sequence[str]
+) -> Cell:
     mesh = on.ready.mesh
+    source = on.name if not on.name.startswith("-") else f"./{on.name}"
     change = on.enclosed.change(mesh, moved, measure_surface_change(mesh, moved))
     mean = displacement(mesh, moved).mean
     volume = volume_changed(
@@ -202,8 +216,8 @@ def _measure(on: Subject, moved: Mesh, parameters: dict[str, Any], command: str)
     if on.reference is not None:
         error = measure_surface_change(on.reference, moved).mean_angular_error_deg
     return Cell(
-        parameters=parameters,
-        command=command,
+        parameters=dict(parameters),
+        command=shlex.join(("msal", "denoise", source, "-o", "OUT", *options)),
         mean_displacement=mean,
         mean_displacement_edges=mean / mesh.mean_edge_length,
         volume_change_percent=volume.change_percent,
@@ -215,22 +229,6 @@ def find_nearest(cells: Sequence[Cell]) -> Cell | None:
     """The cell whose result is nearest to the true surface by the estimate; None without one."""
     rated = [(cell.risk_edges, at) for at, cell in enumerate(cells) if cell.risk_edges is not None]
     return cells[min(rated)[1]] if rated else None
-
-
-def _command(name: str, *options: str) -> str:
-    """The command line that makes a cell's mesh; OUT is the file to write."""
-    source = name if not name.startswith("-") else f"./{name}"
-    return shlex.join(("msal", "denoise", source, "-o", "OUT", *options))
-
-
-def _options(wanted: Grid, chosen: Mapping[str, object]) -> list[str]:
-    words = []
-    if wanted.method.name != "msal":
-        words += ["--method", wanted.method.name]
-    for key, value in (*wanted.fixed.items(), *chosen.items()):
-        short = _SHORT_OPTIONS.get(wanted.method.spec(key).name)
-        words += [short, _plain(value)] if short else ["--set", f"{key}={_plain(value)}"]
-    return words
 
 
 def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
