@@ -28,9 +28,6 @@ from msal_cli.report.facts import Fact, Tone
 from msal_cli.view import pages
 from msal_cli.view.pages import asset, content_policy, escape, to_base64
 
-STATIC_ROWS = 100
-"""Rows in the page itself, for readers without scripts."""
-
 _MAX_COMMAND = 20_000
 _MAX_PROBLEMS = 200
 
@@ -70,11 +67,14 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
     worst = facts.worst_first(records)
     order = [numbers[id(record)] for record in worst]
     columns, data = build_table(worst)
-    pictures = [_pictures(gallery.pictures.get(at)) for at in order]
+    pictures = [
+        [None if data is None else to_base64(data) for data in gallery.pictures[at]]
+        if at in gallery.pictures
+        else None
+        for at in order
+    ]
     scripts = ([pages.viewer_script()] if gallery.scenes else []) + [asset(__file__, "report.js")]
     styles = ([pages.viewer_style()] if gallery.scenes else []) + [asset(__file__, "report.css")]
-    n_more = len(records) - STATIC_ROWS
-    beyond = f'<noscript><p class="note">{n_more:,} more need scripts.</p></noscript>'
     sums = totals(records)
     page = Template(asset(__file__, "report.html")).substitute(
         policy=content_policy(scripts, styles),
@@ -92,8 +92,6 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
         scenes=_scenes([(records[at], gallery.scenes[at]) for at in order if at in gallery.scenes]),
         columns=_json(columns),
         heads="".join(map(_head, columns)),
-        static="".join(_static_row(columns, row) for row in data[:STATIC_ROWS]),
-        beyond=beyond if n_more > 0 else "",
         words=escape(facts.ORDER_TEXT),
         scale=gallery.legend if gallery.pictures else "",
         remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in gallery.remarks),
@@ -147,31 +145,6 @@ def _head(column: Column) -> str:
     kind = ' class="figure"' if column["kind"] == "figure" else ""
     note = f"<small>{escape(column['unit'])}</small>" if column["unit"] else ""
     return f'<th scope="col"{kind}>{escape(column["title"])}{note}</th>'
-
-
-def _static_row(columns: Sequence[Column], row: Row) -> str:
-    why = dict(row["details"])
-    cells = []
-    for column, value in zip(columns, row["values"], strict=True):
-        if column["kind"] == "name":
-            cells.append(f'<th scope="row">{escape(value)}</th>')
-        elif column["kind"] == "figure":
-            label = escape(", ".join(filter(None, (column["title"], column["unit"]))))
-            cells.append(f'<td class="figure" data-title="{label}">{figure(value, ",.4g")}</td>')
-        else:
-            # The detail of the column's name explains the word where one points at it.
-            detail = why.get(column["title"], "") if row["kind"] != "failed" else ""
-            title = f' title="{escape(detail)}"' if detail else ""
-            cells.append(f"<td{title}>{escape(value or '')}</td>")
-    if row["kind"] == "failed":
-        n_figures = sum(column["kind"] == "figure" for column in columns)
-        cells[-n_figures:] = [f'<td colspan="{n_figures}">{escape(row["details"][0][1])}</td>']
-    return f'<tr class="{escape(row["kind"])}">{"".join(cells)}</tr>'
-
-
-def _pictures(images: Pictures | None) -> list[str | None] | None:
-    """The pictures of a row for the page's script."""
-    return images and [None if data is None else to_base64(data) for data in images]
 
 
 # Parts of the page
