@@ -99,10 +99,10 @@ class TextSlots(Slots):
     @functools.cached_property
     def used(self) -> Bytes:
         """The most decimals (q,) of the numbers of each run."""
-        from msal_cli.kernels.statements import count_decimals
+        from msal_cli.kernels.statements import find_numbers
 
         used = np.empty(len(self.at), dtype=np.uint8)
-        count_decimals(self.data, self.at + self.skipped, self.width, used)
+        find_numbers(self.data, self.at + self.skipped, self.width, _NONE, used)
         return used
 
     @functools.cached_property
@@ -145,7 +145,7 @@ class TextSlots(Slots):
         is_whole = self.is_whole
         if width > 1 and (is_single or is_whole.any()):
             starts = np.empty(values.size, dtype=np.int64)
-            find_numbers(self.data, self.at + self.skipped, starts)
+            find_numbers(self.data, self.at + self.skipped, width, starts, _NO_BYTES)
             decimals, width = np.repeat(decimals, width), 1
         if is_whole.any():
             decimals = np.where(is_whole, 0, decimals.reshape(values.shape)).astype(np.uint8)
@@ -554,7 +554,7 @@ class Words:
         return np.flatnonzero(first)
 
 
-_NONE = np.zeros(0, dtype=np.int64)
+_NONE, _NO_BYTES = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)
 
 
 def require_indices(indices: Longs, count: int) -> None:

@@ -72,26 +72,14 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
 
 
 @compiled
-def faces_around(
-    i,
-    x,
-    centroids,
-    faces,
-    face_start,
-    incident,
-    square_radius,
-    vertex_mark,
-    face_mark,
-    corners,
-    found,
-    squares,
-):
+def faces_around(i, x, centroids, faces, face_start, incident, square_radius, memory):
     """Faces whose centroids are within the radius of i, and that such faces join to it.
 
-    x positions.  Faces are joined where they share a vertex.  The marks (n,) and (m,) must not
-    hold i; ``corners`` has room for three vertices a face.  Returns the number of faces
-    ``found``, with the squared distances of their centroids in ``squares``.
+    x positions.  Faces are joined where they share a vertex.  Of the ``memory`` the marks (n,) and
+    (m,) must not hold i; ``corners`` has room for three vertices a face.  Returns the number of
+    faces ``found``, with the squared distances of their centroids in ``squares``.
     """
+    vertex_mark, face_mark, corners, found, squares = memory
     vertex_mark[i] = i
     corners[0] = i
     waiting = 1
@@ -264,6 +252,7 @@ def _project(
     corners = np.empty(3 * capacity + 1, dtype=np.int32)
     found = np.empty(capacity, dtype=np.int32)
     squares = np.empty(capacity)
+    memory = vertex_mark, face_mark, corners, found, squares
     s = np.empty(capacity)
     g = np.empty(capacity)
     scratch = np.empty(capacity)
@@ -274,20 +263,8 @@ def _project(
         moves[i, 0] = moves[i, 1] = moves[i, 2] = 0.0
         if not free[i]:
             continue
-        count = faces_around(
-            i,
-            x,
-            centroids,
-            faces,
-            face_start,
-            incident,
-            radius * radius,
-            vertex_mark,
-            face_mark,
-            corners,
-            found,
-            squares,
-        )
+        square = radius * radius
+        count = faces_around(i, x, centroids, faces, face_start, incident, square, memory)
         xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
         least = np.inf
         for at in range(count):

@@ -34,7 +34,7 @@ BLOCK_FACES = 512
 
 
 @compiled
-def _doubled_area_normal(vertices, a, b, c):
+def doubled_area_normal(vertices, a, b, c):
     """Unit normal (zeros if degenerate) and doubled area of one triangle."""
     ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -46,7 +46,7 @@ def _doubled_area_normal(vertices, a, b, c):
 @compiled
 def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
     for f in range(start, stop):
-        nx, ny, nz, doubled = _doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+        nx, ny, nz, doubled = doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
         normals[f, 0], normals[f, 1], normals[f, 2] = nx, ny, nz
         if len(doubled_areas):
             doubled_areas[f] = doubled
@@ -355,8 +355,8 @@ def _entry_sums(old, new, faces, moved, group, old_sums, new_sums, touched):
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         face_moved = moved[a] or moved[b] or moved[c]
-        old_x, old_y, old_z, _ = _doubled_area_normal(old, a, b, c)
-        new_x, new_y, new_z, _ = _doubled_area_normal(new, a, b, c)
+        old_x, old_y, old_z, _ = doubled_area_normal(old, a, b, c)
+        new_x, new_y, new_z, _ = doubled_area_normal(new, a, b, c)
         for corner in range(3):
             g = group[f, corner]
             if face_moved:

@@ -210,13 +210,14 @@ def _rank(values, count, share, ranking):
 
 
 @compiled
-def _fit(count, local, weights, rests, ranking, terms, equations, coefficients, height, least):
+def _fit(count, local, memory, height, least):
     """Fit degree 2 to the points ``local``[:, 1:count] (u, w, height) by weights that get less for
     those far from it; the median of what is left over.
 
     After the first fit it ends with -1 where that is nearer to ``height`` in the middle than
     ``least``.
     """
+    weights, rests, ranking, terms, equations, coefficients = memory
     for at in range(1, count):
         u, w = local[0, at], local[1, at]
         terms[at, 0], terms[at, 1], terms[at, 2] = 1.0, u, w
@@ -345,6 +346,7 @@ def _judge(
     ranking, lengths = np.empty(MAX_LENGTHS), np.empty(MAX_LENGTHS)
     terms, equations = np.empty((MAX_VERTICES, TERMS)), np.empty((TERMS, TERMS + 1))
     coefficients = np.empty(TERMS)
+    memory = weights, rests, ranking, terms, equations, coefficients
     for at in range(start, stop):
         i = chosen[at]
         scores[at] = NOT_JUDGED
@@ -425,18 +427,7 @@ def _judge(
         if not is_known:
             least = np.sqrt(max(EARLY_WAY**2 - along * along, 0.0))
             least = max(least, floor - MARGIN - ALONG * along - ROUGH * now + TEXTURE * texture)
-        noise = _fit(
-            count,
-            local,
-            weights,
-            rests,
-            ranking,
-            terms,
-            equations,
-            coefficients,
-            rise,
-            least,
-        )
+        noise = _fit(count, local, memory, rise, least)
         if noise < 0.0:
             continue
         across = abs(rise - coefficients[0])

@@ -58,28 +58,22 @@ def _skip_number(buf, at):
 
 
 @compiled
-def find_numbers(buf, begins, starts):
-    """Where each number of the runs that begin at ``begins`` (q,) begins, (q * width,)."""
-    width = len(starts) // max(len(begins), 1)
+def find_numbers(buf, begins, width, starts, used):
+    """Where each number of the runs that begin at ``begins`` (q,) begins, (q * width,), and the
+    most decimals (q,) of each run, at most 255; ``1.5e-3`` has four.  Either may be empty."""
     for i in range(len(begins)):
         end = begins[i]
+        most = np.int64(0)
         for axis in range(width):
             start = _skip_blanks(buf, end)
             end = _skip_number(buf, start)
-            starts[width * i + axis] = start
-
-
-@compiled
-def count_decimals(buf, begins, width, used):
-    """The most decimals (q,) of each run, at most 255; ``1.5e-3`` has four."""
-    for i in range(len(begins)):
-        end = begins[i]
-        used[i] = 0
-        for _ in range(width):
-            start = _skip_blanks(buf, end)
-            end = _skip_number(buf, start)
-            _, _, _, decimals = read_number(buf, start, end)
-            used[i] = max(used[i], min(decimals, 255))
+            if len(starts):
+                starts[width * i + axis] = start
+            if len(used):
+                _, _, _, decimals = read_number(buf, start, end)
+                most = max(most, min(decimals, 255))
+        if len(used):
+            used[i] = most
 
 
 @compiled

@@ -136,11 +136,11 @@ def test_what_is_no_integer(word: bytes) -> None:
 )  # fmt: skip
 def test_decimals_used(words: list[bytes], decimals: list[int]) -> None:
     buffer, starts, _ = tokens(words)
-    used = np.empty(len(words), dtype=np.uint8)
-    statements.count_decimals(buffer, starts, 1, used)
+    used, nothing = np.empty(len(words), dtype=np.uint8), np.empty(0, dtype=np.int64)
+    statements.find_numbers(buffer, starts, 1, nothing, used)
     assert used.tolist() == decimals
     if words:
-        statements.count_decimals(buffer, starts[:1], len(words), used[:1])
+        statements.find_numbers(buffer, starts[:1], len(words), nothing, used[:1])
         assert used[0] == max(decimals)
 
 
