@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,7 +14,7 @@ from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts, resolve_format
-from msal_cli.errors import MsalError, UsageError
+from msal_cli.errors import UsageError
 from msal_cli.record_fields import as_data
 from msal_cli.storage import gzip_streams
 from msal_cli.version import __version__
@@ -109,10 +110,7 @@ def command(request: Request) -> int:
     patterns = request.include, request.exclude
     sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
     is_checked = bool(request.checks) or names_field(gates, "self_intersections")
-
-    def compare(before: str, after: str) -> ComparisonRecord:
-        return compare_files(before, after, request.format, with_intersections=is_checked)
-
+    compare = partial(compare_files, format=request.format, with_intersections=is_checked)
     are_folders = [any(file.root for file in side) for side in sides]
     after = others[0]
     if any(are_folders) and are_folders != [True, True]:
@@ -225,13 +223,6 @@ def _conclude(
         if record.error is None or record.error.code != _NO_PARTNER
     ]
     vanished = comparison.list_missing(present, known) if is_all else []
-    unwritten: MsalError | None = None
-    if request.heatmap is not None and not failures:
-        # What was measured is printed, even if the picture fails.
-        try:
-            _write_heatmap(request)
-        except MsalError as error:
-            unwritten = error
     if request.as_json and is_pair:
         console.put_bytes(data.json_bytes(data.plain_record(records[0])))
     elif request.as_json:
@@ -246,8 +237,9 @@ def _conclude(
     console.say_lines(comparison.broken_gates(records))
     for name in vanished:
         console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
-    if unwritten is not None:
-        raise unwritten
+    # What was measured is printed, even if the picture fails.
+    if request.heatmap is not None and not failures:
+        _write_heatmap(request)
     # A pair that cannot be compared weighs more than a broken gate, and that more than a file
     # without a partner.
     is_gate_failed = is_any_broken(records) or bool(vanished)

@@ -3,7 +3,7 @@
 Every command asks ``refuse_target`` before it works.  Names lead to files by links of both kinds,
 and what a file is shows in its content, so neither a name nor a path alone is trusted.
 
-GitHub Actions offers annotations in the log of a step, and a summary of its own.
+GitHub Actions takes annotations from the log of a step.
 """
 
 from __future__ import annotations
@@ -62,8 +62,6 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             raise UsageError(
                 "a report needs the name of a file", hint="--json prints records to standard output"
             )
-        if is_step_summary(name):
-            continue
         if _suffix(name) not in _WRITERS:
             raise UsageError(
                 f"unknown report format: {name!r}", hint=f"known are {', '.join(_WRITERS)}"
@@ -119,9 +117,6 @@ def write(
             with progress.picture_bar(quiet=quiet) as on_file:
                 pictures = build_gallery(records, backup=backup, on_file=on_file)
         try:
-            if is_step_summary(name):
-                _append_to_summary(name, run, records)
-                continue
             module, function = _WRITERS[_suffix(name)]
             render = getattr(import_module(f"msal_cli.report.{module}"), function)
             options: dict[str, Any] = {}
@@ -204,11 +199,6 @@ def refuse_target(
         )
 
 
-_SUMMARY = "GITHUB_STEP_SUMMARY"
-# A summary of more than 1 MiB is refused as a whole.
-_MAX_SUMMARY_BYTES = 1_000_000
-
-
 def annotate(records: Sequence[MeshRecord]) -> None:
     """Mark the worst files that failed or broke a gate, if this runs in GitHub Actions."""
     if os.environ.get("GITHUB_ACTIONS") != "true":
@@ -224,27 +214,3 @@ def annotate(records: Sequence[MeshRecord]) -> None:
     # The runner reads both streams; standard output is for data.
     for command in list_annotations(records, here):
         console.say(command)
-
-
-def is_step_summary(name: str) -> bool:
-    """Whether a report of this name is the summary of the step, which has no suffix."""
-    summary = os.environ.get(_SUMMARY)
-    return bool(summary) and os.path.realpath(name) == os.path.realpath(str(summary))
-
-
-def _append_to_summary(name: str, run: Run, records: Sequence[MeshRecord]) -> None:
-    """Add to what earlier commands of the step have put there as much as fits; OutputError."""
-    from msal_cli.report import markdown
-
-    try:
-        size = Path(name).stat().st_size
-    except OSError:
-        size = 0
-    data = markdown.render(run, records, max_bytes=max(0, _MAX_SUMMARY_BYTES - size))
-    try:
-        with Path(name).open("ab") as file:
-            file.write(b"\n" + data if file.tell() else data)
-    except OSError as error:
-        raise OutputError(
-            f"the summary {name!r} cannot be written: {error.strerror}", path=name
-        ) from None

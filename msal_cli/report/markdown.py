@@ -42,11 +42,11 @@ _MARKUP = re.compile(
 )
 
 
-def render(run: Run, records: Sequence[MeshRecord], *, max_bytes: int = MAX_BYTES) -> bytes:
-    """The report as UTF-8, in at most ``max_bytes`` (or what the page takes without rows)."""
+def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
+    """The report as UTF-8, in at most ``MAX_BYTES`` (or what the page takes without rows)."""
     sums = totals(records)
     parts = [_heading(run, sums), _totals(run, records, sums), _settings(run)]
-    left = max_bytes - sum(len(part.encode()) for part in parts)
+    left = MAX_BYTES - sum(len(part.encode()) for part in parts)
     worst = facts.worst_first(records)
     for table in facts.problem_tables(worst):
         codes: Counter[str] = Counter()

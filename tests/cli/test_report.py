@@ -13,7 +13,6 @@ from msal_cli.batch.lock import FolderLock
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.shard import Shard
 from msal_cli.cli import report_files as reports
-from msal_cli.errors import OutputError, UsageError
 from msal_cli.report.html import EMPTY_GALLERY
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
 from tests.files import tree
@@ -176,29 +175,6 @@ def test_what_is_a_run_and_what_is_none(done, words, status, said):
     one = ran("report", *words)
     assert one.exit_code == status and said in one.stderr
     assert before.items() <= tree(done.parent, has_own=True).items()
-
-
-def test_the_summary_of_a_step_has_no_suffix_and_is_added_to(tmp_path, monkeypatch):
-    summary = tmp_path / "step_summary_1"
-    summary.write_text("# earlier\n")
-    with pytest.raises(UsageError, match="unknown report format"):
-        reports.check([str(summary)], [])
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
-    reports.check([str(summary)], [])
-    reports.write([str(summary), str(tmp_path / "r.md")], RUN, [written()])
-    assert summary.read_text() == "# earlier\n\n" + (tmp_path / "r.md").read_text()
-
-
-def test_a_summary_does_not_grow_beyond_what_github_takes(tmp_path, monkeypatch):
-    summary = tmp_path / "step_summary_1"
-    summary.write_text("x" * 995_000)
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
-    reports.write([str(summary)], RUN, [written(f"{at}.ply") for at in range(500)])
-    assert summary.stat().st_size <= 1_000_001
-    summary = tmp_path / "no" / "summary"
-    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
-    with pytest.raises(OutputError, match="summary"):
-        reports.write([str(summary)], RUN, [written()])
 
 
 def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatch):
