@@ -12,20 +12,35 @@ import functools
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import ContentError, TooLargeError
-
-if TYPE_CHECKING:
-    from msal_cli.kernels.connectivity import Connectivity
-
+from msal_cli.kernels import array_files, geometry
+from msal_cli.kernels.connectivity import (
+    Connectivity,
+    connectivity,
+    count_components,
+    faces_to_flip,
+)
+from msal_cli.kernels.parallel import at_once, is_worth_it
+from msal_cli.kernels.welding import (
+    duplicate_faces,
+    first_alike,
+    repeated_corners,
+    scatter,
+    used_vertices,
+    widest_gap,
+)
 
 MAX_FACES = (2**31 - 1) // 6
 """Triangles beyond which the places in the one-rings might not fit 32 bits: 357,913,941."""
+
+LARGE_VERTICES = 500_000
+"""Vertices below which caches hold what is looked at, in whatever order."""
 
 _LANES = 64
 """Vertices that are compared with others at once."""
@@ -54,15 +69,11 @@ class Mesh:
     @functools.cached_property
     def topology(self) -> Connectivity:
         """Neighbourhoods of vertices and counts of edges."""
-        from msal_cli.kernels.connectivity import connectivity
-
         return connectivity(len(self.vertices), self.faces)
 
     @functools.cached_property
     def mean_edge_length(self) -> float:
         """Mean length of the unique edges, file units."""
-        from msal_cli.kernels import geometry
-
         return geometry.mean_edge_length(self.vertices, *self.topology.one_ring)
 
     def vertex_normals(self, weighting: str = "uniform", mollify: int = 0) -> Floats:
@@ -71,8 +82,6 @@ class Mesh:
         ``weighting`` is ``"uniform"`` or ``"area"``; see ``kernels.geometry.vertex_normals``.  They
         are computed once and shared: do not write to them.
         """
-        from msal_cli.kernels import geometry
-
         known = self._cached_normals
         if (weighting, mollify) not in known:
             done = [passes for kind, passes in known if kind == weighting and passes < mollify]
@@ -100,10 +109,8 @@ class Mesh:
     @functools.cached_property
     def flat_faces(self) -> int:
         """How many faces have no normal."""
-        from msal_cli.kernels.geometry import normals_and_flat_faces
-
         # Nearly every method asks for these normals next, and all are measured along them.
-        self.__dict__["_left_normals"], flat = normals_and_flat_faces(
+        self.__dict__["_left_normals"], flat = geometry.normals_and_flat_faces(
             self.vertices, self.faces, "uniform"
         )
         return flat
@@ -216,8 +223,6 @@ class PreparedMesh:
 
         A vertex whose mesh vertex did not move, or that has none, keeps ``original``'s very value.
         """
-        from msal_cli.kernels.welding import scatter
-
         mesh = self.mesh
         return scatter(
             mesh.vertices, vertices, mesh.topology.has_ring, self.vertex_map, self.origin, original
@@ -227,8 +232,6 @@ class PreparedMesh:
         """Largest distance between file positions (n_file, 3) that were one point before."""
         if self.vertex_map is None or not self.defects.welded_vertices:
             return 0.0
-        from msal_cli.kernels.welding import widest_gap
-
         return widest_gap(vertices, self.vertex_map, len(self.mesh.vertices))
 
 
@@ -244,22 +247,15 @@ def prepare_mesh(vertices: Floats, faces: Ints, *, are_distinct: bool = False) -
     Raises ContentError with code ``E_NO_FACES``, ``E_INDEX``, ``E_NONFINITE`` or ``E_RANGE``;
     TooLargeError for more than ``MAX_FACES`` triangles.
     """
-    from msal_cli.kernels import array_files, spatial_order
-    from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip
-    from msal_cli.kernels.parallel import at_once, is_worth_it
-    from msal_cli.kernels.welding import (
-        duplicate_faces,
-        first_alike,
-        repeated_corners,
-        used_vertices,
-    )
-
     vertices, faces, (low, high) = validate_arrays(vertices, faces)
     n_file = len(vertices)
     ranks = None
-    if n_file >= spatial_order.MIN_VERTICES and spatial_order.is_random(faces):
-        extent = _require_extent(low, high)
-        vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces, low, extent)
+    if n_file >= LARGE_VERTICES:
+        from msal_cli.kernels import spatial_order
+
+        if spatial_order.is_random(faces):
+            extent = _require_extent(low, high)
+            vertices, faces, ranks = spatial_order.sort_in_space(vertices, faces, low, extent)
     used = used_vertices(n_file, faces)
     first, n_welded = np.empty(0, dtype=np.int32), 0
     links = None

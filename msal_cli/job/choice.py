@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from msal_cli import methods
 from msal_cli.auto import NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_length
@@ -48,8 +49,6 @@ def looks_at_mesh(settings: Settings) -> bool:
 
 def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None]) -> Preparation:
     """What ``settings`` mean for one mesh; ``on_step(done, total)`` is called while choosing."""
-    from msal_cli import methods
-
     if settings.min_noise is not None:
         from msal_cli.analysis.noise_estimate import estimate_noise
 
@@ -105,15 +104,16 @@ def choose(
 ) -> Preparation:
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
     the family of equation (2) where they are None, with what to ``assume``."""
-    from msal_cli import methods
-    from msal_cli.auto import adaptive, search
-
     auto_seconds = None
     if wishes is None:
+        from msal_cli.auto import adaptive
+
         choice = adaptive.choose_adaptive(mesh, on_step, assume)
         auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
         wishes = {} if assume is None else {"assume": assume}
     else:
+        from msal_cli.auto import search
+
         choice = search.choose_method(mesh, Wishes(**wishes), on_step)
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
@@ -151,7 +151,6 @@ def soften_choice(
 
     ``choice`` is the first one, before anything was milder.
     """
-    from msal_cli import methods
     from msal_cli.analysis.noise_estimate import estimate_noise
     from msal_cli.auto.candidates import wiener_al
 

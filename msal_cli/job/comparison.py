@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from msal_cli.analysis import measures, surface_distance
+from msal_cli.codecs import header
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import MsalError
 from msal_cli.job import changes
@@ -22,6 +24,7 @@ from msal_cli.job.records import (
     SurfaceDistance,
 )
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
+from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import PreparedMesh
 from msal_cli.version import __version__
 
@@ -40,8 +43,6 @@ HEATMAP_QUANTILE = 0.99
 
 def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
     """The mesh file at ``path``; MsalError, which names the path, if it cannot be read."""
-    from msal_cli.codecs import header
-
     try:
         return open_mesh(header.read_input(path, format), path, format)[0]
     except MsalError as error:
@@ -120,8 +121,6 @@ def compare_meshes(
 
     Raises ContentError if one of them is no mesh to compute with.
     """
-    from msal_cli.analysis import measures, surface_distance
-
     first = prepare_mesh(before, before_name)
     second = prepare_mesh(after, after_name)
     reference, edge = first.mesh, first.mesh.mean_edge_length
@@ -180,8 +179,6 @@ def _add_changes(
 ) -> list[str]:
     """Add what changed to the ``figures`` of a record, and return warnings; ``other`` is a mesh
     with the faces of ``first``, or a prepared one with its own."""
-    from msal_cli.analysis import measures
-
     before, defects = first.mesh, first.defects
     objection = defects.volume_objection
     if isinstance(other, PreparedMesh):
@@ -233,9 +230,6 @@ def deviations(before: Surface, after: Surface) -> Floats:
 
     A vertex that no face uses counts like any other.
     """
-    from msal_cli.analysis import surface_distance
-    from msal_cli.kernels.geometry import distances
-
     if before.has_same_faces(after):
         return distances(before.vertices, after.vertices)
     reference = prepare_mesh(before)

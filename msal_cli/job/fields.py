@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from msal_cli.analysis import colour_maps as colours
+from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
+from msal_cli.analysis.noise_estimate import estimate_regions
+from msal_cli.codecs import ply_write
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import FieldsFile
+from msal_cli.storage import atomic
+from msal_cli.storage.regular import open_regular
+from msal_cli.storage.urls import is_url
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -87,9 +94,6 @@ def compute(
     without one, or where it pulls nothing back, lambda is sigma / max sigma.  Vertices that no face
     uses have 0.  Outward is away from the solid, also where its surface is inside out.
     """
-    from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
-    from msal_cli.analysis.noise_estimate import estimate_regions
-
     mesh = ready.mesh
     normals = mesh.vertex_normals(
         parameters.get("normals", "uniform"), parameters.get("mollify", 1)
@@ -123,9 +127,6 @@ def build_file(
 
     ``vertices`` (n, 3) are the new positions, ``values`` (n,) by name, one at least.
     """
-    from msal_cli.analysis import colour_maps as colours
-    from msal_cli.codecs import ply_write
-
     name, shown = next(iter(values.items()))
     kind = KINDS[name]
     is_signed = kind.map == "diverging"
@@ -149,10 +150,6 @@ def build_file(
 
 def write_file(data: Buffer, described: FieldsFile, sources: Sources) -> None:
     """Write a file of fields; OutputError if it would replace a file that is none."""
-    from msal_cli.storage import atomic
-    from msal_cli.storage.regular import open_regular
-    from msal_cli.storage.urls import is_url
-
     path = described.path
     head = None
     try:

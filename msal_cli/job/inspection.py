@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from msal_cli.analysis import measures
+from msal_cli.codecs import header
 from msal_cli.job.changes import defect_fields, file_fields, noise_field
 from msal_cli.job.records import Failure, InfoRecord
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
@@ -30,8 +32,6 @@ def inspect_file(
     ``with_intersections`` counts the faces that intersect each other, which takes longer than all
     the rest.
     """
-    from msal_cli.codecs import header
-
     try:
         if data is not None:
             return _inspect(data, path, format, with_intersections)
@@ -43,8 +43,6 @@ def inspect_file(
 
 
 def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bool) -> InfoRecord:
-    from msal_cli.analysis import measures
-
     mesh_file, is_compressed = open_mesh(data, name, format)
     ready = prepare_mesh(mesh_file)
     defects = ready.defects

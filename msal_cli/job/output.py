@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from msal_cli import codecs
+from msal_cli.codecs import detection
 from msal_cli.errors import InternalError, LossError, MsalError, OutputError, UnsupportedError
+from msal_cli.job.room import open_mesh, prepare_mesh
 from msal_cli.job.settings import Settings, Task, is_mesh_name, suffix
+from msal_cli.storage import atomic, gzip_streams
+from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
     from msal_cli.analysis.added_noise import AddedNoise
@@ -58,8 +63,6 @@ def build_output(
     Raises LossError if ``settings`` are strict and another format would lose something, and
     InternalError if the output does not hold what it should.
     """
-    from msal_cli.storage import gzip_streams
-
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
     # ``--to``, else the output name's, else the input's.
     named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
@@ -99,8 +102,6 @@ def build_output(
 
 def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats) -> None:
     """Read a re-encoded or converted file back before it is trusted."""
-    from msal_cli import codecs
-
     try:
         again = codecs.open_mesh(bytes(output), f"output.{target}", target)
     except MsalError as error:
@@ -121,8 +122,6 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
 
 def make_folder_of(path: str) -> None:
     """Make the folder that a file is to be written to, if it is not there; stores have none."""
-    from msal_cli.storage.urls import is_url
-
     if is_url(path):
         return
     folder = os.path.dirname(path) or os.curdir
@@ -137,8 +136,6 @@ def make_folder_of(path: str) -> None:
 
 def keep_backup(task: Task, data: Buffer) -> None:
     """Write the original beside the file that is about to be replaced."""
-    from msal_cli.storage import atomic, gzip_streams
-
     backup = task.input + str(task.backup)
     if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
         return
@@ -158,8 +155,6 @@ def write_output(
 
     ``sources`` limit the permission bits, see ``atomic.write_whole``.
     """
-    from msal_cli.storage import atomic
-
     make_folder_of(path)
     if companions:
         from msal_cli.codecs.gltf import write_companions
@@ -178,9 +173,6 @@ def add_noise_to_file(
 
     ``target`` is the output's name, which must be of the same format; ``-`` has none.
     """
-    from msal_cli.codecs import detection
-    from msal_cli.job.room import open_mesh
-
     mesh_file, is_compressed = open_mesh(data, name, format)
     wanted = detection.format_of_name(target)
     if wanted and wanted != mesh_file.format:
@@ -210,7 +202,6 @@ def add_noise_to_file(
 def move_by_noise(surface: Surface, noise: AddedNoise) -> tuple[Floats, float]:
     """Positions (n, 3) of a surface's vertices with noise, and its mean edge length."""
     from msal_cli.analysis.added_noise import add_noise
-    from msal_cli.job.room import prepare_mesh
 
     ready = prepare_mesh(surface)
     weights = None

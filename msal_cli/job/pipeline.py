@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from msal_cli import machine
+from msal_cli.codecs import header
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output, room
 from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
@@ -36,6 +37,7 @@ from msal_cli.job.settings import (
     Task,
 )
 from msal_cli.kernels import array_files
+from msal_cli.storage import atomic, gzip_streams
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -175,8 +177,6 @@ class FileRun:
 
     def read(self, task: Task) -> Buffer:
         """The bytes of the input, unless its header shows that it is no mesh."""
-        from msal_cli.codecs import header
-
         with self.stage("read"):
             size = task.input_mark.size if task.input_mark is not None else None
             return header.read_input(task.input, self._settings.format, size)
@@ -189,8 +189,6 @@ class FileRun:
 
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
-        from msal_cli.storage import gzip_streams
-
         with self.stage("read"):
             machine.give_back_large_arrays()
             digest = gzip_streams.sha256_meanwhile(data)
@@ -208,8 +206,6 @@ class FileRun:
         self, mesh_file: MeshFile, vertices: Floats, output_path: str | None, source: output.Source
     ) -> output.Output:
         """The output file with new positions (n, 3)."""
-        from msal_cli.storage import gzip_streams
-
         with self.stage("write"):
             made = output.build_output(mesh_file, vertices, self._settings, output_path, source)
             self.warn(*made.losses)
@@ -225,8 +221,6 @@ class FileRun:
 
     def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:
         """Write the output and what belongs to it; ``data`` are the bytes of the input."""
-        from msal_cli.storage import atomic
-
         with self.stage("write"):
             if task.in_place and task.backup:
                 output.keep_backup(task, data)

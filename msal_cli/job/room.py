@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msal_cli import machine
+from msal_cli import codecs, machine
 from msal_cli.codecs import header
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
@@ -33,6 +33,7 @@ from msal_cli.job.settings import (
 )
 from msal_cli.kernels import array_files
 from msal_cli.machine import megabytes
+from msal_cli.storage import gzip_streams
 from msal_cli.storage.regular import LOOKED_AT, large_files_allowed, open_regular
 from msal_cli.storage.urls import is_url
 
@@ -201,9 +202,6 @@ def _is_in_memory(folder: str) -> bool:
 
 def open_mesh(data: Buffer, name: str, format: str | None = None) -> tuple[MeshFile, bool]:
     """The mesh file in ``data``, and whether gzip compressed it."""
-    from msal_cli import codecs
-    from msal_cli.storage import gzip_streams
-
     plain, is_compressed = gzip_streams.expand(data, name)
     return codecs.open_mesh(plain, name, format), is_compressed
 
@@ -295,9 +293,6 @@ def input_bytes(task: Task) -> int | None:
 def _check_header(path: str, format: str | None) -> int | None:
     """Raise what the reader of a local file would, as far as it is known without all of it; a file
     as small as a header is read as a whole, and its vertices are returned."""
-    from msal_cli import codecs
-    from msal_cli.storage import gzip_streams
-
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size

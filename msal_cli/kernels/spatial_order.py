@@ -16,9 +16,6 @@ from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
-MIN_VERTICES = 500_000
-"""Vertices below which caches hold what is looked at."""
-
 BLOCK_BYTES = 1 << 27
 """Of an array that is read here and there, what is read in one pass over the places."""
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from msal_cli import mesh
 from msal_cli.kernels import spatial_order
 from msal_cli.kernels.connectivity import (
     averaging_ring,
@@ -207,7 +208,7 @@ def volume_of(ready):
 
 @pytest.fixture
 def renumbers_all(monkeypatch):
-    monkeypatch.setattr(spatial_order, "MIN_VERTICES", 1)
+    monkeypatch.setattr(mesh, "LARGE_VERTICES", 1)
     # Several blocks, so that a row may belong to any of them.
     monkeypatch.setattr(spatial_order, "BLOCK_BYTES", 1000)
     monkeypatch.setattr(spatial_order, "is_random", lambda faces: True)
