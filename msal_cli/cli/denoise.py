@@ -420,10 +420,6 @@ class _Session:
 
             records = with_gates(self._gates, records)
             is_broken = is_any_broken(records)
-            for record in records:
-                for gate in record.gates:
-                    if gate.broken:
-                        _log.info("%s: broke %s: %s", record.input, gate.expression, gate.reason)
         self._print(run, records)
         try:
             if is_dry and request.reports:
@@ -586,19 +582,10 @@ def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredI
 
 def log_record(record: MeshRecord) -> None:
     """One line of the log per file; a failure is printed elsewhere, so it is no warning here."""
-    if record.error is not None:
-        place = f"{record.error.where}: " if record.error.where else ""
-        why = f"{record.error.code}: {place}{record.error.message}"
-        _log.info("%s: failed: %s", record.input, why)
-        return
-    seconds = record.seconds.total if record.seconds is not None else 0.0
-    _log.info("%s: %s in %.3f s -> %s", record.input, record.status, seconds, record.output)
-    if record.choice is not None:
-        _log.info("%s: %s", record.input, record.choice.reason)
-    if record.left_alone is not None:
-        _log.info("%s: left as it is: %s", record.input, record.left_alone)
-    for warning in record.warnings:
-        _log.info("%s: %s", record.input, warning)
+    if _log.isEnabledFor(logging.INFO):
+        from msal_cli.report.text import file_text
+
+        _log.info("%s: %s", record.input, file_text(record))
 
 
 def describe_machine() -> dict[str, str]:

@@ -35,7 +35,7 @@ log = logging.getLogger("msal")
 
 _SIZE = 240, 180
 _POSTER = 480, 320
-_SHADES = 24
+_SHADES = 32
 _STANDARD_RANGE = 0.5
 # Below this, in mean edge lengths, nothing moved but the last digits.
 _ROUNDING_EDGES = 1e-9
@@ -189,15 +189,12 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 def _draw_legend(reach: float) -> str:
     """The elements that say what the colours of deviations mean."""
-    table = colours.colour_table("diverging")
-    size = 100 / _SHADES
-    rects = []
-    for at in range(_SHADES):
-        shade = table[round(at * (len(table) - 1) / (_SHADES - 1))]
-        colour = "".join(f"{int(part):02x}" for part in shade)
-        rects.append(
-            f'<rect x="{at * size:.3f}" width="{size + 0.2:.3f}" height="10" fill="#{colour}"/>'
-        )
+    shades = colours.colour_table("diverging")[:: 256 // _SHADES]
+    size = 100 / len(shades)
+    rects = [
+        f'<rect x="{at * size:.3f}" width="{size + 0.2:.3f}" height="10" fill="rgb{tuple(shade)}"/>'
+        for at, shade in enumerate(shades.tolist())
+    ]
     return (
         '<div class="scale"><span>Deviation, along the normals, the same scale for all files:'
         f"</span><span>\N{MINUS SIGN}{reach:g} (inwards)</span>"

@@ -91,7 +91,11 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
         histograms=_histograms(records),
         scenes=_scenes([(records[at], gallery.scenes[at]) for at in order if at in gallery.scenes]),
         columns=_json(columns),
-        heads="".join(map(_head, columns)),
+        heads="".join(
+            f'<th scope="col"{" class=figure" if column["kind"] == "figure" else ""}>'
+            f"{escape(column['title'])}<small>{escape(column['unit'])}</small></th>"
+            for column in columns
+        ),
         words=escape(facts.ORDER_TEXT),
         scale=gallery.legend if gallery.pictures else "",
         remarks="".join(f'<p class="note">{escape(remark)}</p>' for remark in gallery.remarks),
@@ -141,12 +145,6 @@ def _round(value: float | None) -> float | None:
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
-def _head(column: Column) -> str:
-    kind = ' class="figure"' if column["kind"] == "figure" else ""
-    note = f"<small>{escape(column['unit'])}</small>" if column["unit"] else ""
-    return f'<th scope="col"{kind}>{escape(column["title"])}{note}</th>'
-
-
 # Parts of the page
 
 
@@ -171,12 +169,12 @@ def _totals(run: Run, sums: Totals) -> str:
         *facts.count_states(sums),
     ]
     if sums.vertices:
-        tiles.append(Fact("vertices denoised", _short(sums.vertices)))
+        tiles.append(Fact("vertices denoised", f"{sums.vertices:,}"))
     if run.seconds > 0.0:
         tiles.append(Fact("wall time", facts.seconds_text(run.seconds)))
         if sums.vertices:
             rate = float(f"{sums.vertices / run.seconds:.3g}")
-            tiles.append(Fact("vertices a second", _short(rate)))
+            tiles.append(Fact("vertices a second", f"{rate:,.0f}"))
     return "".join(
         f'<div class="tile {_KINDS.get(tile.tone, "")}"><b>{escape(tile.text)}</b>'
         f"<span>{escape(tile.word)}</span></div>"
@@ -210,15 +208,13 @@ def _scenes(scenes: Sequence[tuple[MeshRecord, str]]) -> str:
     title = "The worst file in 3D" if len(scenes) == 1 else f"The worst {len(scenes)} in 3D"
     cards = []
     for record, elements in scenes:
-        parts = [facts.gate_values(gate) for gate in facts.list_broken(record)]
-        if record.displacement is not None:
-            parts.append(f"moved at most {record.displacement.max_edges:.3g} mean edge lengths")
-        if record.volume is not None and record.volume.valid:
-            inside_out = ", inside out" if record.inside_out else ""
-            parts.append(f"volume {facts.percent_text(record.volume.change_percent)}{inside_out}")
-        caption = escape("; ".join(parts))
+        caption = "; ".join(
+            fact.text if fact.word == "gate" else f"{fact.word} {fact.text}"
+            for fact in facts.list_facts(record)
+            if fact.word == "moved" or (fact.word == "gate" and fact.tone == "bad")
+        )
         cards.append(
-            f'<article class="card"><h3>{_name(record)}</h3><p class="note">{caption}</p>'
+            f'<article class="card"><h3>{_name(record)}</h3><p class="note">{escape(caption)}</p>'
             f"{elements}</article>"
         )
     return f'<section><h2>{title}</h2><div class="cards">{"".join(cards)}</div></section>'
@@ -251,13 +247,6 @@ def _json(data: Any) -> str:
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
-
-
-def _short(number: float) -> str:
-    """A large number in few signs: ``718,940``, ``12.3 M``."""
-    if number < 1e6:
-        return f"{number:,.0f}"
-    return f"{number / 1e6:.3g} M" if number < 999.5e6 else f"{number / 1e9:.3g} G"
 
 
 # Histograms as SVG: how one figure is spread over the files of a run
