@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli import errors
-from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
+from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
 from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons, require_finite_result
 from msal_cli.codecs.slots import Change, require_range
@@ -105,14 +105,6 @@ class _ObjLayout(Layout):
     face_normals: Ints | None
 
 
-def _renew_normals(
-    faces: Ints, face_normals: Ints, stored: Floats, old: Floats, new: Floats
-) -> list[tuple[Floats, Flags]]:
-    from msal_cli.kernels.geometry import regroup_normals
-
-    return [regroup_normals(old, new, faces, face_normals, stored)]
-
-
 class ObjFile(MeshFile):
     """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes.
 
@@ -156,31 +148,74 @@ class ObjFile(MeshFile):
 
     def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
         """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""
-        from msal_cli.kernels.shared_normals import find_misfits, find_users
-
-        layout, faces = self._layout, self.faces
-        if layout.face_normals is None:
+        layout = self._layout
+        if layout.face_normals is None or np.array_equal(layout.face_normals, self.faces):
             return ()
         old, stored = layout.positions[0].values, layout.normals[0].values
-        users = find_users(old, faces, layout.face_normals, len(stored))
-        if users is None:
-            return ()
         [(normals, _)] = self._new_normals(vertices)
-        limit = math.radians(MISFIT_DEG)
-        misfits = find_misfits(users, old, vertices, faces, stored, normals, limit)
+        *faces, n_normals = find_misfits(
+            self.faces, layout.face_normals, (old, stored), (vertices, normals)
+        )
         n_faces = len(layout.sizes)
         face = np.repeat(np.arange(n_faces), layout.sizes - 2)
-        n_before = len(np.unique(face[misfits.faces_before]))
-        n_after = len(np.unique(face[misfits.faces_after]))
+        n_before, n_after = (len(np.unique(face[some])) for some in faces)
         if n_after <= n_before:
             return ()
         before, after = (f"{100.0 * count / n_faces:.1f} %" for count in (n_before, n_after))
         return (
-            f"{_counted(int(misfits.entries.sum()), 'vn is', 'vn are')} shared by faces that turned"
+            f"{_counted(n_normals, 'vn is', 'vn are')} shared by faces that turned"
             f" apart: {n_after} of {n_faces} faces ({after}) are now more than {MISFIT_DEG:.0f}"
             f" degrees off their vn ({before} before); let the program that reads the file compute"
             " normals, or write PLY (--to ply), which has one for each vertex",
         )
+
+
+def find_misfits(
+    faces: Ints, face_normals: Ints, old: tuple[Floats, Floats], new: tuple[Floats, Floats]
+) -> tuple[Longs, Longs, int]:
+    """Faces that are far from a normal which they share with other faces at other places.
+
+    A normal at one place is the mean of the faces around it, and fits as well as it can.
+
+    Parameters
+    ----------
+    faces, face_normals : (m, 3), the vertex of each corner and its normal, -1 for none.
+    old, new : vertices (n, 3) and normals (g, 3), of any length, before and after a move.
+
+    Returns the numbers of these faces before and after, and the number of such normals after.
+    """
+    from msal_cli.kernels.geometry import face_normals as unit_normals
+
+    corner = np.flatnonzero(face_normals >= 0)
+    entry = face_normals.reshape(-1)[corner]
+    last = np.zeros(len(old[1]), dtype=np.int64)
+    last[entry] = corner
+    other = last[entry]
+    vertex, other_vertex = (faces.reshape(-1)[of] for of in (corner, other))
+    is_apart = (corner // 3 != other // 3) & (vertex != other_vertex)
+    is_apart[is_apart] = (old[0][vertex[is_apart]] != old[0][other_vertex[is_apart]]).any(axis=1)
+    if not is_apart.any():
+        return corner[:0], corner[:0], 0
+    is_shared = np.bincount(entry, is_apart, len(old[1]))[entry] > 0
+    # Of a face that has one normal for its corners one is enough.
+    is_shared &= (corner % 3 == 0) | (face_normals[corner // 3, 0] != entry)
+    face, entry = corner[is_shared] // 3, entry[is_shared]
+
+    def cosines(vertices: Floats, normals: Floats) -> Floats:
+        unit = unit_normals(vertices, faces)[face]
+        with np.errstate(all="ignore"):
+            scaled = normals / np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
+            scaled /= np.sqrt((scaled * scaled).sum(axis=1, keepdims=True))
+        # NaN, which is not below a limit, for faces without area.
+        found = np.einsum("ij,ij->i", unit, scaled[entry])
+        return np.where(unit.any(axis=1), found, np.nan)
+
+    before, after = cosines(*old), cosines(*new)
+    # A file may store all normals of a part inwards, which is kept.
+    sense = np.where(np.bincount(entry, np.nan_to_num(before)) < 0.0, -1.0, 1.0)[entry]
+    limit = math.cos(math.radians(MISFIT_DEG))
+    is_off = after * sense < limit
+    return face[before * sense < limit], face[is_off], len(np.unique(entry[is_off]))
 
 
 read = ObjFile
@@ -213,11 +248,10 @@ class _Rows(NamedTuple):
     def first(self, n_rows: int) -> _Rows:
         return _Rows(self.values[:n_rows], self.at[:n_rows], self.decimals[:n_rows])
 
-
-def _make_slots(kind: type[Statements], buf: Bytes, rows: _Rows, skipped: int) -> Statements:
-    slots = kind(buf, rows.at, values=rows.values, skipped=skipped)
-    slots.used = rows.decimals
-    return slots
+    def slots(self, kind: type[Statements], buf: Bytes, skipped: int) -> Statements:
+        slots = kind(buf, self.at, values=self.values, skipped=skipped)
+        slots.used = self.decimals
+        return slots
 
 
 def _empty_rows(n_rows: int) -> _Rows:
@@ -334,7 +368,7 @@ class _Reader:
         layout = _ObjLayout(
             "ascii",
             "text",
-            (_make_slots(_Positions, buf, positions, 1),),
+            (positions.slots(_Positions, buf, 1),),
             corners,
             sizes,
             faces=faces,
@@ -346,12 +380,16 @@ class _Reader:
         corner_normals = self._corner_normals[:n_corners]
         corner_normals[corner_normals >= n_normals] = -1
         if n_normals and (corner_normals >= 0).any():
-            values = normals.values
+            from msal_cli.kernels.geometry import regroup_normals
+
+            stored = normals.values
             entries = layout.face_normals = cut_polygons(corner_normals, sizes)
-            slots = _make_slots(Statements, buf, normals, 2)
+            slots = normals.slots(Statements, buf, 2)
             slots.unit_length, slots.significant = True, _NO_LIMIT
             layout.normals = (slots,)
-            layout.renew_normals = functools.partial(_renew_normals, faces, entries, values)
+            layout.renew_normals = lambda old, new: [
+                regroup_normals(old, new, faces, entries, stored)
+            ]
         return layout
 
     def _walk_pieces(self) -> bool:
@@ -466,9 +504,7 @@ class _Reader:
         if result == scan.BAD_INDEX:
             return _bad_index_error(shown, f"{place}, {next_face}", int(state[scan.VERTICES]))
         if self._is_last_line(at) and _BEGUN.fullmatch(word) is not None:
-            return errors.TruncatedError(
-                "the last line breaks off", where=place, hint="copy or export the file again"
-            )
+            return errors.cut_short("the last line breaks off", place)
         hint = "correct the line, or export the file again"
         if result in (scan.BAD_NUMBER, scan.FEW_NUMBERS):
             is_normal = statement == b"vn"
@@ -501,21 +537,18 @@ class _Reader:
         last_short = int(state[scan.LAST_SHORT_AT])
         if state[scan.SHORT] and self._is_last_line(last_short):
             # A face that lost its last corners and its line end did not lose them on purpose.
-            raise errors.TruncatedError(
+            raise errors.cut_short(
                 "the last line breaks off: its face has fewer than three corners",
-                where=self._place(last_short),
-                hint="copy or export the file again",
+                self._place(last_short),
             )
         if not n_vertices or not len(sizes):
             raise _no_faces_error(n_vertices, int(state[scan.SHORT]), keywords)
         finite = np.isfinite(positions.values)
         if not finite.all():
             bad = int(np.argmin(finite.all(axis=1)))
-            raise errors.ContentError(
+            raise errors.not_finite(
                 f"the position {tuple(positions.values[bad].tolist())} is not finite",
-                where=f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
-                hint="remove the vertex and its faces, or export the file again",
-                code="E_NONFINITE",
+                f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
             )
         if state[scan.LARGEST_VERTEX] >= n_vertices:
             raise self._missing_vertex_error(corners, sizes, n_vertices)
@@ -621,7 +654,7 @@ def _counted(number: int, one: str, many: str) -> str:
 def refuse_binary(data: Buffer) -> None:
     """Raise unless the beginning of ``data`` can be the text of an OBJ file."""
     if not len(data):
-        raise errors.TruncatedError("the file is empty", hint="copy or export it again")
+        raise errors.cut_short("the file is empty")
     head = bytes(memoryview(data)[:_LOOKED_AT])
     # Old systems end a text with this mark; it is kept as a line that is no statement.
     control = _CONTROL.search(head.rstrip(b"\x1a\r\n") if len(data) <= _LOOKED_AT else head)
@@ -650,17 +683,10 @@ def _no_faces_error(
         hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
     else:
         hint = "check that this is an OBJ file"
-    return errors.ContentError(
-        f"the file has {'no faces' if n_vertices else 'no vertices'}",
-        hint=hint,
-        code="E_NO_FACES",
-    )
+    return errors.no_faces(f"the file has {'no faces' if n_vertices else 'no vertices'}", hint=hint)
 
 
 def _bad_index_error(number: str, where: str, n_vertices: int) -> errors.ContentError:
-    return errors.ContentError(
-        f"a face names vertex {number}, but there are {n_vertices} vertices",
-        where=where,
-        hint="the file is cut off or was put together wrongly; export it again",
-        code="E_INDEX",
+    return errors.bad_index(
+        f"a face names vertex {number}, but there are {n_vertices} vertices", where
     )
