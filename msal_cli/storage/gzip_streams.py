@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
 
-from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, TruncatedError
+from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, cut_short
 from msal_cli.storage import regular
 from msal_cli.storage.urls import is_url
 
@@ -118,7 +118,7 @@ def expand(data: regular.Buffer, name: str) -> tuple[regular.Buffer, bool]:
         if not is_gzip_name(name):
             return data, False
         if not view:
-            raise TruncatedError("the file is empty", hint="copy or export it again")
+            raise cut_short("the file is empty")
         raise FormatError(
             "the name ends in .gz but the content is not gzip",
             where="byte 0",
@@ -164,10 +164,9 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
         while not member.eof:
             part = data[position : position + piece]
             if not part:
-                raise TruncatedError(
+                raise cut_short(
                     f"the compressed data end after {position} bytes, in the middle",
-                    where=f"byte {position}",
-                    hint="the file was cut short; copy it again",
+                    f"byte {position}",
                 )
             # A bomb is known by its first pieces.
             allowed = max(ALWAYS_EXPANDED, MAX_RATIO * (position + len(part)))

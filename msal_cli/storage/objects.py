@@ -32,7 +32,6 @@ _OBJECT_STORES = re.compile("s3a?|gs|gcs|az|abfss?|adl|oss|memory|https?")
 # a store that cannot be reached costs minutes a file.
 _TRIES_AROUND_BOTOCORE = 2
 
-_PIECE_BYTES = 1 << 20
 _MAX_THREADS = 16
 _MAX_REMOVED = 1000
 
@@ -56,8 +55,6 @@ def read_whole(url: str, size: int | None = None) -> bytes:
     """
     with _errors(url, "the object cannot be read"):
         system, path = _open(url)
-        if urls.split(url)[0] in urls.WEB:
-            return _read_from_web(system, path)
         if size is None or size < 0:
             known = _mark(system, path)
             size = known.size if known is not None else 0
@@ -86,23 +83,6 @@ def _errors(url: str, message: str, *, is_output: bool = False) -> Iterator[None
         raise OutputError(f"{message}: {reason}", path=url, hint=hint) from None
 
 
-def _read_from_web(system: Any, path: str) -> bytes:
-    """What a web server sends, in one request.
-
-    It is counted as it comes: a server may send another size than it says, without end, or
-    compressed so that a little becomes very much.
-    """
-    pieces, size = [], 0
-    # Without blocks it is one stream.
-    with system.open(path, "rb", block_size=0) as stream:
-        while piece := stream.read(_PIECE_BYTES):
-            pieces.append(piece)
-            size += len(piece)
-            if size > largest_bytes():
-                raise too_large(size)
-    return b"".join(pieces)
-
-
 def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     """At most ``length`` bytes of an object's beginning, and its size; two requests.
 
@@ -114,14 +94,9 @@ def read_beginning(url: str, length: int) -> tuple[bytes, int]:
     data = b""
     with _errors(url, "the object cannot be read"):
         system, path = _open(url)
-        if urls.split(url)[0] in urls.WEB:
-            # A server may send all of it, whatever range is requested, and in small pieces.
-            with system.open(path, "rb", block_size=0) as stream:
-                while len(data) < length and (piece := stream.read(length - len(data))):
-                    data += piece
-        elif there.size:
-            # A range of nothing is an error to some stores.
-            data = system.cat_file(path, start=0, end=length)
+        if there.size:
+            # A range of nothing is an error to some stores; a web server may send all of it.
+            data = system.cat_file(path, start=0, end=length)[:length]
     return data, max(there.size, len(data))
 
 

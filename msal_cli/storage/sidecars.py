@@ -89,14 +89,11 @@ def carry(
             continue
         library = source_folder / relative
         if _is_within(library, source_folder):
-            waiting.extend(_from(reference, name) for name in _textures(library))
+            # A name in a library is relative to the library.
+            folder = reference.replace("\\", "/").rpartition("/")[0]
+            place = "" if folder in ("", ".") else f"{folder}/"
+            waiting += [name if _is_absolute(name) else place + name for name in _textures(library)]
     return tuple(note for note in notes if note)
-
-
-def _from(library: str, name: str) -> str:
-    """A texture's name relative to the mesh; in the library it is relative to the library."""
-    folder = library.replace("\\", "/").rpartition("/")[0]
-    return name if folder in ("", ".") or _is_absolute(name) else f"{folder}/{name}"
 
 
 def _is_absolute(reference: str) -> bool:
@@ -207,10 +204,6 @@ def _textures(library: Path) -> list[str]:
             text = stream.read(MAX_MATERIAL_BYTES)
     except OSError:
         return []
-    lines = re.sub(rb"\\\r?\n", b" ", text).splitlines()
-    return [name for line in lines if (name := _texture(line))]
-
-
-def _texture(line: bytes) -> str:
-    match = _TEXTURE.match(line)
-    return match[1].strip(b' "\t').decode("utf-8", "surrogateescape") if match else ""
+    found = map(_TEXTURE.match, re.sub(rb"\\\r?\n", b" ", text).splitlines())
+    names = (match[1].strip(b' "\t').decode("utf-8", "surrogateescape") for match in found if match)
+    return [name for name in names if name]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import gzip
+import functools
 import http.server
 import re
 import sys
@@ -169,83 +168,25 @@ def test_marks_are_made_of_what_the_store_tells(info, tag):
     assert remote._mark_of(info) == tag
 
 
-class TestBounds:
-    """No object, whatever a store or a server says or sends, is read without end."""
+def test_a_large_object_is_not_asked_for(monkeypatch):
+    monkeypatch.setattr(regular, "memory_bytes", lambda: 8 << 20)
+    write_whole("memory://b/a.ply", bytes(5 << 20))
+    system = type(remote._open("memory://b/a.ply")[0])
+    monkeypatch.setattr(system, "cat_file", lambda *words, **more: pytest.fail("it is read"))
+    with pytest.raises(TooLargeError):
+        read_whole("memory://b/a.ply")
+    with pytest.raises(TooLargeError):
+        read_whole("memory://b/a.ply", 5 << 20)
 
-    @pytest.fixture(autouse=True)
-    def little_memory(self, monkeypatch):
-        monkeypatch.setattr(regular, "memory_bytes", lambda: 8 << 20)
 
-    @pytest.fixture
-    def server(self):
-        """A web server whose answer is ``server.answer(handler)``; counts the bytes sent."""
-
-        class Handler(http.server.BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
-
-            def do_HEAD(self):
-                self.send_response(200)
-                self.send_header("Content-Length", "10")
-                self.end_headers()
-
-            def do_GET(self):
-                self.send_response(200)
-                self.close_connection = True
-                with contextlib.suppress(OSError):
-                    self.server.answer(self)
-
-            def log_message(self, *words):
-                pass
-
-        one = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        one.daemon_threads = True
-        one.url = f"http://127.0.0.1:{one.server_port}/a.ply"
-        threading.Thread(target=one.serve_forever, daemon=True).start()
-        yield one
-        one.shutdown()
-        one.server_close()
-
-    def test_a_large_object_is_not_asked_for(self, monkeypatch):
-        write_whole("memory://b/a.ply", bytes(5 << 20))
-        system = type(remote._open("memory://b/a.ply")[0])
-        monkeypatch.setattr(system, "cat_file", lambda *words, **more: pytest.fail("it is read"))
-        with pytest.raises(TooLargeError):
-            read_whole("memory://b/a.ply")
-        with pytest.raises(TooLargeError):
-            read_whole("memory://b/a.ply", 5 << 20)
-
-    @pytest.mark.parametrize("is_bomb", [True, False])
-    def test_a_server_that_sends_what_it_has(self, server, is_bomb):
-        pytest.importorskip("aiohttp")
-        data = bytes(range(256)) * 8192
-        sent = gzip.compress(bytes(16 << 20)) if is_bomb else data
-
-        def answer(handler):
-            if is_bomb:
-                handler.send_header("Content-Encoding", "gzip")
-            handler.send_header("Content-Length", str(len(sent)))
-            handler.end_headers()
-            handler.wfile.write(sent)
-
-        server.answer = answer
-        if is_bomb:
-            with pytest.raises(TooLargeError):
-                read_whole(server.url)
-        else:
-            assert read_whole(server.url) == data == header.read_input(server.url)
-
-    def test_a_server_that_never_ends(self, server):
-        pytest.importorskip("aiohttp")
-        sent = 0
-
-        def answer(handler):
-            nonlocal sent
-            handler.end_headers()
-            while True:
-                sent += handler.wfile.write(bytes(1 << 16))
-
-        server.answer = answer
-        with pytest.raises(TooLargeError):
-            read_whole(server.url)
-        assert sent < 64 << 20
-        assert remote.read_beginning(server.url, 100) == (bytes(100), 100)
+def test_a_web_server_is_read(tmp_path):
+    pytest.importorskip("aiohttp")
+    data = bytes(range(256)) * 8192
+    (tmp_path / "a.ply").write_bytes(data)
+    answer = functools.partial(http.server.SimpleHTTPRequestHandler, directory=tmp_path)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), answer) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_port}/a.ply"
+        assert read_whole(url) == data == header.read_input(url)
+        assert remote.read_beginning(url, 100) == (data[:100], len(data))
+        server.shutdown()

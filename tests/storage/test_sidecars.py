@@ -150,8 +150,9 @@ def test_materials_that_are_no_files_of_the_folder(scene, tmp_path, kind):
         *((line, "") for line in (b"newmtl map_Kd", b"# map_Kd a.png")),
     ],
 )  # fmt: skip
-def test_texture_lines(line, name):
-    assert sidecars._texture(line) == name
+def test_texture_lines(line, name, tmp_path):
+    (tmp_path / "a.mtl").write_bytes(line)
+    assert sidecars._textures(tmp_path / "a.mtl") == [name] * bool(name)
 
 
 def test_files_of_any_size_are_not_copied(scene, monkeypatch):
