@@ -40,54 +40,92 @@ _ORIGIN_TYPE = (
 _ROOT = "_rels/.rels"
 
 
-class Package:
-    """A 3MF file taken apart.
+_BETWEEN = b"\0"
+"""Between the texts of model parts, which have no such byte."""
+
+
+class _Coordinates(text_slots.TextSlots):
+    """The positions of a mesh.
+
+    A new number has as many decimals as are usual in the mesh, as the old one has, or as 1e-7 of
+    the mesh's extent asks for, whichever is most.
+    """
+
+    def own_decimals(self, values: Floats) -> Bytes:
+        from msal_cli.kernels.numbers import MAX_DECIMALS
+
+        needed = text_slots.extent_decimals(self.values) or 0
+        largest = float(np.abs(values[values != self.values]).max(initial=0.0))
+        whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
+        most = min(text_slots.SIGNIFICANT_DIGITS - whole, MAX_DECIMALS)
+        if needed > most or most < 0:
+            return np.full(values.size, text_slots.SHORTEST, dtype=np.uint8)
+        least = min(max(text_slots.usual_decimals(self.used), needed), most)
+        return np.clip(self.used, least, most).astype(np.uint8)
+
+
+class ThreeMfFile(mesh_file.MeshFile):
+    """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
+
+    ``vertices`` are those of every mesh, one behind the other.  With several meshes they are in the
+    frame of the build, since two may coincide in their own; with one, in its own.
+
+    Its numbers lie in the texts of the model parts, one behind the other.
 
     Attributes
     ----------
     archive : the zip archive.
     models : its model parts by the names of their members, the root first.
-    texts : the content of these members.
-    frames : the frame (4, 4) in the build of each mesh with triangles, in the order of ``models``;
-        empty where all of them stay in their own.
     is_signed : whether a digital signature holds its bytes.
-    properties : as in ``mesh_file.MeshFile``.
     """
 
     def __init__(self, data: Buffer) -> None:
         self.archive = Archive(data)
         self.is_signed = False
         self.models: dict[str, Model] = {}
-        self.texts: dict[str, bytes] = {}
+        self._texts: dict[str, bytes] = {}
         self._load(min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data))))
         placed, has_instances = self._find_frames()
-        meshes = [
-            (mesh, placed.get((name, number), np.eye(4)))
-            for name, model in self.models.items()
-            for number, mesh in model.meshes.items()
-            if len(mesh.faces)
-        ]
-        if not meshes:
-            raise errors.ContentError(
-                "the file has no triangles",
-                code="E_NO_FACES",
-                hint="msal denoises surfaces; this file has none",
-            )
+        text = _BETWEEN.join(self._texts.values())
+        self._texts.clear()
+        positions, faces, frames = [], [], []
+        begin = n_vertices = 0
+        for name, model in self.models.items():
+            for number, mesh in model.meshes.items():
+                if len(mesh.faces):
+                    # In place, because they take more memory than anything else.
+                    mesh.starts += begin
+                    at = mesh.starts.reshape(-1)
+                    positions.append(_Coordinates(as_bytes(text), at, values=mesh.vertices))
+                    faces.append(mesh.faces + n_vertices)
+                    frames.append(placed.get((name, number), np.eye(4)))
+                    n_vertices += len(mesh.vertices)
+            begin += model.size + len(_BETWEEN)
+        if not faces:
+            raise errors.no_faces("the file has no triangles")
         unit = next(iter(self.models.values())).unit
         properties = (
-            f"{len(meshes)} parts" if len(meshes) > 1 else "",
+            f"{len(faces)} parts" if len(faces) > 1 else "",
             f"unit {unit}" if unit != "millimeter" else "",
             "instances" if has_instances else "",
-            mesh_file.PLACEMENT if len(meshes) == 1 and mesh_file.is_placed(meshes[0][1]) else "",
+            mesh_file.PLACEMENT if len(faces) == 1 and mesh_file.is_placed(frames[0]) else "",
             *(word for model in self.models.values() for word in model.words),
         )
-        self.properties = tuple(dict.fromkeys(filter(None, properties)))
-        is_framed = len(meshes) > 1 and all(
+        is_framed = len(faces) > 1 and all(
             mesh_file.is_usable(frame)
-            and np.isfinite(mesh_file.transform(mesh.vertices, frame)).all()
-            for mesh, frame in meshes
+            and np.isfinite(mesh_file.transform(slots.values, frame)).all()
+            for slots, frame in zip(positions, frames, strict=True)
         )
-        self.frames = tuple(frame for _, frame in meshes) if is_framed else ()
+        layout = mesh_file.Layout(
+            "binary",
+            "text",
+            tuple(positions),
+            frames=tuple(frames) if is_framed else (),
+            properties=tuple(dict.fromkeys(filter(None, properties))),
+            faces=np.concatenate(faces).astype(np.int32),
+        )
+        super().__init__(text, "3mf", layout)
+        self.data = data
 
     def _member(self, path: str, where: str) -> zipfile.ZipInfo:
         member = self.archive.find(path)
@@ -124,7 +162,7 @@ class Package:
             member = waiting.popleft()
             if member.filename in self.models:
                 continue
-            text = self.texts[member.filename] = self.archive.content(member, room)
+            text = self._texts[member.filename] = self.archive.content(member, room)
             room -= len(text)
             model = self.models[member.filename] = Model(text, member.filename)
             for use in itertools.chain(model.items, *model.components.values()):
@@ -142,7 +180,7 @@ class Package:
                 )
 
     def _missing(self, name: str, use: Use, what: str) -> errors.FormatError:
-        where = place_of(self.texts[name], name, use.at)
+        where = place_of(self._texts[name], name, use.at)
         return errors.damaged(f"{what} is not in the package", where)
 
     def _find_frames(self) -> tuple[dict[tuple[str, int], Floats], bool]:
@@ -172,74 +210,12 @@ class Package:
             waiting.extend((own, part, frames[key]) for part in parts)
         return frames, has_instances
 
-
-_BETWEEN = b"\0"
-"""Between the texts of model parts, which have no such byte."""
-
-
-class _Coordinates(text_slots.TextSlots):
-    """The positions of a mesh.
-
-    A new number has as many decimals as are usual in the mesh, as the old one has, or as 1e-7 of
-    the mesh's extent asks for, whichever is most.
-    """
-
-    def own_decimals(self, values: Floats) -> Bytes:
-        from msal_cli.kernels.numbers import MAX_DECIMALS
-
-        needed = text_slots.extent_decimals(self.values) or 0
-        largest = float(np.abs(values[values != self.values]).max(initial=0.0))
-        whole = math.ceil(math.log10(largest)) if largest > 1.0 else 0
-        most = min(text_slots.SIGNIFICANT_DIGITS - whole, MAX_DECIMALS)
-        if needed > most or most < 0:
-            return np.full(values.size, text_slots.SHORTEST, dtype=np.uint8)
-        least = min(max(text_slots.usual_decimals(self.used), needed), most)
-        return np.clip(self.used, least, most).astype(np.uint8)
-
-
-class ThreeMfFile(mesh_file.MeshFile):
-    """An opened 3MF file; see ``codecs.mesh_file.MeshFile``.
-
-    ``vertices`` are those of every mesh, one behind the other.  With several meshes they are in the
-    frame of the build, since two may coincide in their own; with one, in its own.
-
-    Its numbers lie in the texts of the model parts, one behind the other.
-    """
-
-    def __init__(self, data: Buffer) -> None:
-        package = Package(data)
-        text = _BETWEEN.join(package.texts.values())
-        package.texts.clear()
-        positions, faces = [], []
-        begin = n_vertices = 0
-        for model in package.models.values():
-            for mesh in model.meshes.values():
-                if len(mesh.faces):
-                    # In place, because they take more memory than anything else.
-                    mesh.starts += begin
-                    at = mesh.starts.reshape(-1)
-                    positions.append(_Coordinates(as_bytes(text), at, values=mesh.vertices))
-                    faces.append(mesh.faces + n_vertices)
-                    n_vertices += len(mesh.vertices)
-            begin += model.size + len(_BETWEEN)
-        layout = mesh_file.Layout(
-            "binary",
-            "text",
-            tuple(positions),
-            frames=package.frames,
-            properties=package.properties,
-            faces=np.concatenate(faces).astype(np.int32),
-        )
-        super().__init__(text, "3mf", layout)
-        self.data = data
-        self.package = package
-
     def check(self, output: Buffer, vertices: Floats) -> None:
-        old = self.package.archive
+        old = self.archive
         texts, changed = [], {}
         try:
             new = Archive(output)
-            for name in self.package.models:
+            for name in self.models:
                 before, after = old.find(name), new.find(name)
                 assert before is not None
                 if after is None:
@@ -258,19 +234,19 @@ class ThreeMfFile(mesh_file.MeshFile):
         super().check(_BETWEEN.join(texts), vertices)
 
     def _pack(self, content: Buffer) -> bytes:
-        stale = [word for model in self.package.models.values() for word in model.stale]
-        if self.package.is_signed:
+        stale = [word for model in self.models.values() for word in model.stale]
+        if self.is_signed:
             stale.append("a digital signature")
         if stale:
             raise errors.UnsupportedError(
                 f"the file has {stale[0]}, which would no longer fit a surface that moved",
                 hint="export it as a plain mesh, or convert it with --to",
             )
-        names = list(self.package.models)
+        names = list(self.models)
         if len(names) == 1:
-            return self.package.archive.replace({names[0]: content})
+            return self.archive.replace({names[0]: content})
         pairs = zip(bytes(self._data).split(_BETWEEN), bytes(content).split(_BETWEEN), strict=True)
-        return self.package.archive.replace(
+        return self.archive.replace(
             {name: new for name, (old, new) in zip(names, pairs, strict=True) if new != old}
         )
 

@@ -172,7 +172,7 @@ def test_parts_of_equal_numbers_stay_apart():
         (part,) = scene.geometry.values()
         expected = {
             len(mesh.vertices): mesh.vertices
-            for model in threemf.ThreeMfFile(output).package.models.values()
+            for model in threemf.ThreeMfFile(output).models.values()
             for mesh in model.meshes.values()
         }
         assert np.allclose(part.vertices, expected[len(part.vertices)])
