@@ -151,3 +151,21 @@ def install_hint(extra: str) -> str:
 
 def damaged(message: str, where: str = "") -> FormatError:
     return FormatError(message, where=where, hint=EXPORT_AGAIN)
+
+
+def cut_short(message: str, where: str = "") -> TruncatedError:
+    return TruncatedError(message, where=where, hint=CUT_SHORT)
+
+
+def bad_index(message: str, where: str) -> ContentError:
+    return ContentError(message, where=where, hint=EXPORT_AGAIN, code="E_INDEX")
+
+
+def not_finite(message: str, where: str) -> ContentError:
+    hint = "remove the vertex and its faces, or export the file again"
+    return ContentError(message, where=where, hint=hint, code="E_NONFINITE")
+
+
+def no_faces(message: str, where: str = "", hint: str = "") -> ContentError:
+    hint = hint or "msal denoises surfaces; this file has none"
+    return ContentError(message, where=where, hint=hint, code="E_NO_FACES")

@@ -105,7 +105,11 @@ def convert(
         raise UnsupportedError(
             f"{to} has no {encoding} encoding", hint=f"it has: {', '.join(encodings)}"
         )
-    single = _is_single(mesh_file, to, encoding, precision)
+    only_single = to in _SINGLE and encoding == "binary"
+    if precision == "float64" and only_single:
+        raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
+    is_same = precision == "same" and mesh_file.precision == "float32"
+    single = only_single or is_same or precision == "float32"
     mesh, losses = _mesh(mesh_file, vertices, to)
     if single and mesh_file.precision != "float32" and len(vertices):
         # The loss of digits, where it is one: float32 far from the origin ruins a scan.
@@ -115,15 +119,6 @@ def convert(
         if mesh_file.precision == "float64" or step > 1e-6 * extent:
             losses.append(f"digits (float32 rounds positions to {step:.1g} units)")
     return _write(mesh, to, encoding, single), tuple(losses)
-
-
-def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
-    only_single = to in _SINGLE and encoding == "binary"
-    if precision == "float64" and only_single:
-        raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
-    if precision == "same":
-        return only_single or mesh_file.precision == "float32"
-    return precision == "float32"
 
 
 def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:

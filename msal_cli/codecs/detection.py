@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, cut_short
 from msal_cli.storage.gzip_streams import is_gzip_name
 from msal_cli.storage.regular import LOOKED_AT, Buffer
 
@@ -122,7 +122,7 @@ def resolve_format(data: Buffer, name: str, format: str | None) -> str:
     refuse_utf16(data)
     wanted = _wanted(data, name, format)
     if not len(data):
-        raise TruncatedError("the file is empty", hint="copy or export it again")
+        raise cut_short("the file is empty")
     found = content_format(data, wanted)
     _refuse_unread(found, name)
     if found and found != wanted and (wanted in OWN_FORMATS or found != "obj"):

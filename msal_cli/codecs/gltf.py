@@ -179,10 +179,9 @@ def expected_bytes(head: memoryview, total: int) -> int:
             f"glTF version {version} is not read", hint="convert it to version 2"
         )
     if length > total or _HEAD + size > length:
-        raise errors.TruncatedError(
+        raise errors.cut_short(
             f"the file should have {max(length, _HEAD + size)} bytes but has {total}",
-            where=f"byte {total}",
-            hint=errors.CUT_SHORT,
+            f"byte {total}",
         )
     gltf_scene.require_short(size, "JSON chunk")
     return int(length)
@@ -214,10 +213,9 @@ class GlbFile(SceneFile):
             size, kind = struct.unpack_from("<II", rest)
             size *= kind == _BINARY
             if 8 + size > length:
-                raise errors.TruncatedError(
+                raise errors.cut_short(
                     f"the binary chunk should have {size} bytes but has {length - 8}",
-                    where=f"byte {_HEAD + len(text) + length}",
-                    hint=errors.CUT_SHORT,
+                    f"byte {_HEAD + len(text) + length}",
                 )
         is_inside = "uri" not in (gltf_scene.as_dicts(content.get("buffers")) or [{}])[0]
         places = {0: (8 * (size > 0), size)} if is_inside else {}
@@ -398,10 +396,8 @@ class GltfFile(SceneFile):
         else:
             span = start, len(content)
         if span[1] < declared:
-            raise errors.TruncatedError(
-                f"the buffer {uri[:40]!r} should have {declared:,} bytes but has {span[1]:,}",
-                where=where,
-                hint=errors.CUT_SHORT,
+            raise errors.cut_short(
+                f"the buffer {uri[:40]!r} should have {declared:,} bytes but has {span[1]:,}", where
             )
         self.spans[number] = span
         return content or b""

@@ -286,20 +286,11 @@ class Scene:
                 room -= n_corners
                 corners = np.arange(count) if indices is None else indices.rows(self.data)[:, 0]
                 if n_corners and (highest := int(corners.max())) >= count:
-                    raise errors.ContentError(
-                        f"a face names vertex {highest} of {count}",
-                        code="E_INDEX",
-                        where=where,
-                        hint=errors.EXPORT_AGAIN,
-                    )
+                    raise errors.bad_index(f"a face names vertex {highest} of {count}", where)
                 part.triangles[source] = _triangles(corners.astype(np.int32), source[0])
         self._refuse_overlaps(size)
         if not any(len(faces) for part in self.parts.values() for faces in part.triangles.values()):
-            raise errors.ContentError(
-                "the file has no triangles",
-                code="E_NO_FACES",
-                hint="msal denoises surfaces; this file has none",
-            )
+            raise errors.no_faces("the file has no triangles")
 
     def _find_part(self, mesh: int, primitive: dict[str, Any], where: str) -> Part | None:
         """The part over the positions of a primitive; None if the primitive is no surface."""

@@ -22,7 +22,7 @@ from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 from msal_cli.codecs import ply_header
 from msal_cli.codecs.detection import content_format, format_of_name, refuse_utf16
-from msal_cli.errors import MsalError, TooLargeError, TruncatedError
+from msal_cli.errors import MsalError, TooLargeError, cut_short
 from msal_cli.storage.gzip_streams import ALWAYS_EXPANDED, GZIP_MAGIC, MAX_RATIO, read_whole
 from msal_cli.storage.regular import LOOKED_AT, Buffer, largest_bytes, open_regular, too_large
 from msal_cli.storage.urls import is_url
@@ -108,10 +108,9 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
     least, most = header.byte_range()
     if least + is_text > _believed(size, is_packed):
         if error is None and least > size:
-            error = TruncatedError(
+            error = cut_short(
                 f"the header counts {least:,} bytes at the least, but the file has {size:,}",
-                where=f"byte {size}",
-                hint=ply_header.CUT_HINT,
+                f"byte {size}",
             )
         return Header(flavour, most_bytes=most, error=error)
     least += is_text

@@ -27,7 +27,7 @@ from msal_cli.codecs.slots import (
     overwrite,
     require_range,
 )
-from msal_cli.errors import ContentError, InternalError, UnsupportedError
+from msal_cli.errors import InternalError, UnsupportedError, no_faces, not_finite
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
@@ -192,11 +192,8 @@ def require_finite(
     is_finite = np.isfinite(vertices).all(axis=1)
     if not is_finite.all():
         vertex = int(np.argmin(is_finite))
-        raise ContentError(
-            f"vertex {vertex} has a coordinate that is not a finite number",
-            where=where(vertex),
-            hint="remove such vertices, or export the scan again",
-            code="E_NONFINITE",
+        raise not_finite(
+            f"vertex {vertex} has a coordinate that is not a finite number", where(vertex)
         )
 
 
@@ -270,9 +267,8 @@ class MeshFile(Surface):
     def _cut_faces(self) -> Ints:
         layout = self._layout
         if not len(layout.sizes):
-            raise ContentError(
+            raise no_faces(
                 f"the file has no surface faces; it holds {layout.held or 'nothing'}",
-                code="E_NO_FACES",
                 hint="msal denoises surfaces; extract the surface of a volume mesh first",
             )
         require_finite(self.vertices)

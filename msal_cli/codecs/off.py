@@ -20,7 +20,7 @@ from msal_cli.arrays import Longs
 from msal_cli.codecs.mesh_file import Layout
 from msal_cli.codecs.slots import number_within
 from msal_cli.codecs.text_slots import TextSlots, Words, require_indices
-from msal_cli.errors import EXPORT_AGAIN, FormatError, TruncatedError, UnsupportedError
+from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, damaged
 from msal_cli.storage.regular import Buffer
 
 _HEADER = re.compile(
@@ -67,7 +67,7 @@ def parse(data: Buffer) -> Layout:
     wrong = (sizes < 0) | (lengths[n_vertices:] < sizes + 1)
     if wrong.any():
         where = words.where(int(first[int(np.argmax(wrong))]))
-        raise FormatError("a face has fewer corners than it says", where=where, hint=EXPORT_AGAIN)
+        raise damaged("a face has fewer corners than it says", where)
     corners = words.integers(np.repeat(first + 1, sizes) + number_within(sizes))
     require_indices(corners, n_vertices)
     positions = words.float_rows(at, TextSlots)
@@ -76,7 +76,7 @@ def parse(data: Buffer) -> Layout:
         # MeshLab writes NCOFF, and colours of four numbers first; all others CNOFF, normals first.
         first_normal = 7 if kinds.startswith(b"NC") else 3
         if n_extra < first_normal:
-            raise FormatError("a NOFF file without normals", hint=EXPORT_AGAIN)
+            raise damaged("a NOFF file without normals")
         normals = (words.float_rows(at + first_normal, TextSlots, unit_length=True),)
     is_there = {
         "point.normals": has_normals,

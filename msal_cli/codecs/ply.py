@@ -28,7 +28,14 @@ from msal_cli.codecs import mesh_file, ply_header
 from msal_cli.codecs.ply_body import Section, find_sections
 from msal_cli.codecs.slots import Slots, require_range
 from msal_cli.codecs.text_slots import plan_patches, replace_statements
-from msal_cli.errors import ContentError, FormatError, InputError, TooLargeError
+from msal_cli.errors import (
+    ContentError,
+    FormatError,
+    InputError,
+    TooLargeError,
+    bad_index,
+    no_faces,
+)
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
@@ -80,11 +87,10 @@ def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
     triangles = pairs.reshape(-1, 3)
     triangles = triangles[triangles[:, 0] >= 0]
     if not len(triangles):
-        raise ContentError(
+        raise no_faces(
             "no three samples of the range grid are neighbours",
-            where=f"element {GRID}",
-            hint="the scan has no surface; check num_rows and num_cols",
-            code="E_NO_FACES",
+            f"element {GRID}",
+            "the scan has no surface; check num_rows and num_cols",
         )
     squares = _squares(vertices, triangles, np.roll(triangles, 1, axis=1))
     with np.errstate(over="ignore"):
@@ -259,16 +265,15 @@ def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vert
 
 def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
     if faces is None or not faces.element.count:
-        return ContentError(
+        return no_faces(
             f"the file has {n_vertices} vertices but no faces: it is a point cloud",
             hint="make a surface of the points first (for example by Poisson reconstruction)",
-            code="E_NO_FACES",
         )
     message, hint = "no face has three corners or more", ""
     if not corner_list(faces.element):
         message = "the faces have no list 'vertex_indices' or 'vertex_index'"
         hint = "export the mesh with its faces' corners under one of these names"
-    return ContentError(message, where="element face", hint=hint, code="E_NO_FACES")
+    return no_faces(message, "element face", hint)
 
 
 def _read_corners(
@@ -297,12 +302,10 @@ def _read_corners(
         if is_wrong.any():
             item = int(np.argmax(is_wrong))
             record = record_of(item)
-            raise ContentError(
+            raise bad_index(
                 f"{section.element.name} {record} names vertex {items.reshape(-1)[item].item()}, "
                 f"but the vertices go from 0 to {n_vertices - 1}",
-                where=section.where(record),
-                hint="the file is damaged or was written with wrong indices; export it again",
-                code="E_INDEX",
+                section.where(record),
             )
     return corners, lengths
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
-from msal_cli.codecs.ply_header import CUT_HINT, NORMAL, POSITION, Element, Header
+from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
-from msal_cli.errors import FormatError, TruncatedError
+from msal_cli.errors import FormatError, cut_short
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
@@ -280,11 +280,10 @@ def _find_tokens(part: Part, kept: Sequence[str]) -> tuple[Places, int]:
         )
     place = f"{element.name} {records}, line {line_of(data, stop)}"
     if status == CUT or (status == TOO_FEW and stop == len(data)):
-        raise TruncatedError(
+        raise cut_short(
             f"the file ends within element '{element.name}': {element.count - records} of "
             f"{element.count} lines are missing or not whole",
-            where=place,
-            hint=CUT_HINT,
+            place,
         )
     if status == BAD_COUNT:
         raise FormatError(
@@ -423,10 +422,9 @@ def _records(part: Part, wanted: Sequence[str]) -> Section:
             return fixed
     elif not counts:
         n_bytes = len(data) - at
-        raise TruncatedError(
+        raise cut_short(
             f"the file ends within element '{element.name}': {size - n_bytes} bytes are missing",
-            where=part.where(n_bytes // stride),
-            hint=CUT_HINT,
+            part.where(n_bytes // stride),
         )
     return _varied(part, wanted)
 
@@ -464,10 +462,9 @@ def _varied(part: Part, wanted: Sequence[str]) -> Section:
         )
     if status == CUT:
         missing = int(items) * int(size) - (len(data) - int(stop))
-        raise TruncatedError(
+        raise cut_short(
             f"the file ends within element '{element.name}': {place} of {element.count} needs at "
             f"least {missing} more bytes",
-            where=place,
-            hint=CUT_HINT,
+            place,
         )
     return Varied(**vars(part), stop=stop, columns=columns, starts=starts, lengths=lengths)

@@ -16,8 +16,6 @@ from msal_cli.codecs.detection import BYTE_ORDER_MARK
 POSITION = ("x", "y", "z")
 NORMAL = ("nx", "ny", "nz")
 
-CUT_HINT = "the file was cut short or its header counts are wrong; copy or export it again"
-
 MAX_BYTES = 65_536
 """Longest header that is read; a file without an end to its header is not searched further."""
 
@@ -163,7 +161,7 @@ def _first_line_end(head: bytes) -> bytes:
     if match:
         return match.group(1)
     if b"ply\r".startswith(head):
-        raise errors.TruncatedError("the file ends within its first line", hint=errors.CUT_SHORT)
+        raise errors.cut_short("the file ends within its first line")
     raise errors.FormatError(
         "the file does not begin with a line 'ply'",
         where="line 1",
@@ -190,11 +188,7 @@ def _split(head: bytes, newline: bytes, whole: bool) -> tuple[list[bytes], int]:
             return lines, len(head) if stop < 0 else at
     place = f"line {len(lines)}"
     if whole and len(lines) < MAX_LINES:
-        raise errors.TruncatedError(
-            "the file ends within its header: there is no 'end_header'",
-            where=place,
-            hint=errors.CUT_SHORT,
-        )
+        raise errors.cut_short("the file ends within its header: there is no 'end_header'", place)
     limit = f"{MAX_LINES} lines" if len(lines) >= MAX_LINES else f"{MAX_BYTES} bytes"
     raise errors.TooLargeError(
         f"the header has no 'end_header' within its first {limit}",

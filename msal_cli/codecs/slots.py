@@ -104,6 +104,10 @@ _CHUNK = 1 << 20
 class RecordSlots(Slots):
     """An array whose numbers have a place and a size of their own in binary data.
 
+    ``write`` stores values (n, k) where a mask (n, k) says so, and ``restore`` the file's own
+    bytes: 64-bit whole numbers need not fit a double.  Both get bytes from ``origin`` of the file
+    on.
+
     Attributes
     ----------
     data : (size,) uint8, the file.
@@ -113,23 +117,8 @@ class RecordSlots(Slots):
 
     data: Bytes
 
-    @property
-    def span(self) -> tuple[int, int]:
-        raise NotImplementedError
-
     def read(self, data: Bytes, origin: int = 0) -> Floats:
         """The numbers (n, k) that ``data``, from byte ``origin`` of the file on, holds."""
-        raise NotImplementedError
-
-    def write(self, out: Bytes, values: Floats, where: Flags, origin: int = 0) -> None:
-        """Store ``values`` (n, k) where ``where`` (n, k)."""
-        raise NotImplementedError
-
-    def restore(self, out: Bytes, where: Flags, origin: int = 0) -> None:
-        """Store the file's own bytes where ``where`` (n, k).
-
-        Bytes, not values: 64-bit whole numbers need not fit a double.
-        """
         raise NotImplementedError
 
     def parts(self) -> Iterator[tuple[RecordSlots, slice]]:

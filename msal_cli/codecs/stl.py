@@ -117,11 +117,7 @@ def is_text(head: bytes, size: int) -> bool:
 def _check_count(n_facets: int, n_trailing: int = 0) -> None:
     if not n_facets:
         more = f"; {n_trailing} bytes follow that it does not count" if n_trailing else ""
-        raise errors.ContentError(
-            f"the file has no facets{more}",
-            code="E_NO_FACES",
-            hint="export the mesh again" if more else "msal denoises surfaces; this file has none",
-        )
+        raise errors.no_faces(f"the file has no facets{more}")
     if n_facets > MAX_FACETS:
         raise errors.TooLargeError(
             f"{n_facets} facets are more than the {MAX_FACETS} whose corners can be numbered",
@@ -130,11 +126,9 @@ def _check_count(n_facets: int, n_trailing: int = 0) -> None:
 
 
 def _not_finite(facet: int, corner: int, line: int | None = None) -> errors.ContentError:
-    return errors.ContentError(
+    return errors.not_finite(
         "a position is not finite",
-        code="E_NONFINITE",
-        where=f"facet {facet}, corner {corner}" + (f", line {line}" if line else ""),
-        hint="remove the facet, or export the scan again",
+        f"facet {facet}, corner {corner}" + (f", line {line}" if line else ""),
     )
 
 
@@ -391,11 +385,7 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> erro
         and any(w.encode().startswith(token.lower()) for w in (wanted, *others.get(word, ())))
     )
     if status == stl_facets.CUT or (at + len(token) == len(buf) and is_begun):
-        return errors.TruncatedError(
-            f"the text ends within a solid, after {facet} whole facets",
-            where=where,
-            hint=errors.CUT_SHORT,
-        )
+        return errors.cut_short(f"the text ends within a solid, after {facet} whole facets", where)
     message, hint = f"expected '{wanted}', found {text!r}", errors.EXPORT_AGAIN
     if status == stl_facets.OUTSIDE:
         message = f"expected 'solid', found {text!r}"

@@ -19,15 +19,7 @@ import numpy as np
 
 from msal_cli.arrays import Bytes, Flags, Floats, Longs
 from msal_cli.codecs.slots import Change, Slots, is_same
-from msal_cli.errors import (
-    CUT_SHORT,
-    EXPORT_AGAIN,
-    ContentError,
-    FormatError,
-    InternalError,
-    TruncatedError,
-    damaged,
-)
+from msal_cli.errors import EXPORT_AGAIN, FormatError, InternalError, bad_index, cut_short, damaged
 from msal_cli.storage.regular import Buffer
 
 SHORTEST = 18
@@ -515,11 +507,7 @@ class Words:
     def require(self, stop: int, what: str) -> None:
         """Raise TruncatedError unless there are ``stop`` words."""
         if stop > len(self):
-            raise TruncatedError(
-                f"the file ends before all {what} are there",
-                where=self.where(len(self)),
-                hint=CUT_SHORT,
-            )
+            raise cut_short(f"the file ends before all {what} are there", self.where(len(self)))
 
     def count(self, i: int, what: str) -> int:
         """The word as a number of things, at least 0."""
@@ -561,9 +549,7 @@ def require_indices(indices: Longs, count: int) -> None:
     """Raise ContentError (``E_INDEX``) for an index that is not from 0 to ``count`` - 1."""
     wrong = (indices < 0) | (indices >= count)
     if wrong.any():
-        raise ContentError(
+        raise bad_index(
             f"a face names a vertex that is not among the {count}",
-            code="E_INDEX",
-            where=f"corner {int(np.argmax(wrong))} of all faces",
-            hint=EXPORT_AGAIN,
+            f"corner {int(np.argmax(wrong))} of all faces",
         )

@@ -215,21 +215,16 @@ class Model:
         wrong = faces.max(axis=1, initial=0) >= len(vertices)
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise errors.ContentError(
+            raise errors.bad_index(
                 f"a triangle names vertex {int(faces[row].max())} of {len(vertices)}",
-                code="E_INDEX",
-                where=f"{self._where(meshes[0].stop)}, object {number}, triangle {row}",
-                hint=errors.EXPORT_AGAIN,
+                f"{self._where(meshes[0].stop)}, object {number}, triangle {row}",
             )
         self.meshes[number] = ThreeMfMesh(vertices, starts, faces)
 
     def _read_vertices(self, element: Element, number: int) -> tuple[Floats, Longs]:
         def not_finite(at: int, row: int) -> errors.ContentError:
-            return errors.ContentError(
-                "a position is not finite",
-                code="E_NONFINITE",
-                where=f"{self._where(at)}, object {number}, vertex {row}",
-                hint="remove the vertex, or export the mesh again",
+            return errors.not_finite(
+                "a position is not finite", f"{self._where(at)}, object {number}, vertex {row}"
             )
 
         if span := self._lists.get(element.start):

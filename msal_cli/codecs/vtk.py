@@ -239,10 +239,8 @@ class _Reader:
     def _next_bytes(self, count: int) -> int:
         at = self._at
         if at + count > len(self._data):
-            raise errors.TruncatedError(
-                f"{at + count - len(self._data):,} bytes are missing",
-                where=f"byte {len(self._data)}",
-                hint=errors.CUT_SHORT,
+            raise errors.cut_short(
+                f"{at + count - len(self._data):,} bytes are missing", f"byte {len(self._data)}"
             )
         self._at += count
         return at

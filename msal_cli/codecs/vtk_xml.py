@@ -427,9 +427,7 @@ def _parse(format: str, data: Buffer) -> XmlLayout:
     pieces = list(grid.all("Piece")) if grid is not None else []
     parts = [part for part in (_Piece(piece, coding) for piece in pieces) if part.n_points]
     if not parts:
-        raise errors.ContentError(
-            "the file has no points", code="E_NO_FACES", hint="check the program that writes it"
-        )
+        raise errors.no_faces("the file has no points")
     starts = np.cumsum([0, *(part.n_points for part in parts)])
     corners = [part.cells.corners() + start for part, start in zip(parts, starts, strict=False)]
     normals = [part.normals for part in parts if part.normals is not None]

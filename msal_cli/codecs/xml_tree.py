@@ -14,7 +14,7 @@ from itertools import accumulate
 from xml.parsers import expat
 
 from msal_cli.codecs.text_slots import Span
-from msal_cli.errors import CUT_SHORT, TooLargeError, TruncatedError, UnsupportedError, damaged
+from msal_cli.errors import TooLargeError, UnsupportedError, cut_short, damaged
 from msal_cli.storage.regular import Buffer
 
 MAX_ELEMENTS = 1_000_000
@@ -173,7 +173,7 @@ def parse_tree(
         where = f"{of_name}line {line}"
         reason = expat.errors.messages[failure.code]
         if reason in _CUT:
-            raise TruncatedError("the XML ends early", where=where, hint=CUT_SHORT) from None
+            raise cut_short("the XML ends early", where) from None
         raise damaged(f"it is not well-formed XML: {reason}", where) from None
     except (LookupError, ValueError) as failure:
         raise UnsupportedError(

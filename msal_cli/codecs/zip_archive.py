@@ -31,7 +31,6 @@ _LEVEL = 5
 """Of deflate: on a million faces 0.4 % larger than level 6, in 0.6 of its time."""
 
 _IS_ENCRYPTED, _HAS_DESCRIPTOR = 1, 8
-_DAMAGED = "the archive is damaged; copy or export it again"
 _REPACK = "pack it again as a plain zip archive"
 
 _Places = dict[str, tuple[int, str]]
@@ -48,12 +47,10 @@ class Archive:
         self._data = memoryview(data).cast("B")
         file = io.BytesIO(data)
         if self._data[:4] not in (_LOCAL, _END):
-            raise errors.FormatError("the file is not a zip archive", where="byte 0", hint=_DAMAGED)
+            raise errors.damaged("the file is not a zip archive", "byte 0")
         if not zipfile.is_zipfile(file):
             where = f"byte {len(self._data)}"
-            raise errors.TruncatedError(
-                "the archive has no end record", where=where, hint=errors.CUT_SHORT
-            )
+            raise errors.cut_short("the archive has no end record", where)
         with _errors("central directory"):
             self._zip = zipfile.ZipFile(file)
         self._central_at = self._zip.start_dir
@@ -66,9 +63,7 @@ class Archive:
         self._end_at = self._find_end(at)
         self._members = {_key(member.filename): member for member in self._zip.infolist()}
         if len(self._members) < len(self._zip.infolist()):
-            raise errors.FormatError(
-                "two members have one name", where="central directory", hint=_DAMAGED
-            )
+            raise errors.damaged("two members have one name", "central directory")
         # By what lies behind one another: each member ends where the next one begins.
         ordered = sorted(self._members.values(), key=lambda member: member.header_offset)
         self._stops: dict[str, int] = {}
@@ -76,10 +71,9 @@ class Archive:
         for member, stop in zip(ordered, [*behind, self._central_at], strict=False):
             self._stops[member.filename] = stop
             if self._data_at(member) + member.compress_size > stop:
-                raise errors.FormatError(
+                raise errors.damaged(
                     f"{member.filename} reaches into what follows it",
-                    where=f"byte {member.header_offset}",
-                    hint=_DAMAGED,
+                    f"byte {member.header_offset}",
                 )
         self._ordered = ordered
 
@@ -88,18 +82,12 @@ class Archive:
         if self._data[at : at + 4] == _END_64:
             at += 12 + self._value((at + 4, "<Q")) + _LOCATOR_SIZE
         if self._data[at : at + 4] != _END or at + _END_SIZE > len(self._data):
-            raise errors.FormatError(
-                "no end record follows the directory", where=f"byte {at}", hint=_DAMAGED
-            )
+            raise errors.damaged("no end record follows the directory", f"byte {at}")
         disk, first_disk, here, count = struct.unpack_from("<4H", self._data, at + 4)
         if at == self._behind_entries and (disk or first_disk or here != count):
             raise errors.UnsupportedError("the archive is split into several files", hint=_REPACK)
         if at + _END_SIZE + struct.unpack_from("<H", self._data, at + 20)[0] != len(self._data):
-            raise errors.TruncatedError(
-                "the comment of the archive is cut",
-                where=f"byte {len(self._data)}",
-                hint=errors.CUT_SHORT,
-            )
+            raise errors.cut_short("the comment of the archive is cut", f"byte {len(self._data)}")
         return at
 
     def find(self, name: str) -> ZipInfo | None:
@@ -128,18 +116,15 @@ class Archive:
         places, numbers = self._places(member.header_offset), numbers_of(member)
         is_in_header = not member.flag_bits & _HAS_DESCRIPTOR
         if is_in_header and any(self._value(places[word]) != numbers[word] for word in numbers):
-            raise errors.FormatError(
+            raise errors.damaged(
                 f"{member.filename} has other sizes in its local header",
-                where=f"byte {member.header_offset}",
-                hint=_DAMAGED,
+                f"byte {member.header_offset}",
             )
         # Without a limit all that is compressed would be expanded before it is counted.
         with _errors(member.filename), self._zip.open(member) as file:
             content = file.read(member.file_size + 1)
         if len(content) != member.file_size:
-            raise errors.FormatError(
-                "it has another size than it should", where=member.filename, hint=_DAMAGED
-            )
+            raise errors.damaged("it has another size than it should", member.filename)
         return content
 
     def packed(self, member: ZipInfo) -> memoryview:
@@ -187,9 +172,7 @@ class Archive:
     def _data_at(self, member: ZipInfo) -> int:
         at = member.header_offset
         if at + _LOCAL_SIZE > self._central_at or self._data[at : at + 4] != _LOCAL:
-            raise errors.FormatError(
-                f"{member.filename} has no local header", where=f"byte {at}", hint=_DAMAGED
-            )
+            raise errors.damaged(f"{member.filename} has no local header", f"byte {at}")
         return int(at + _LOCAL_SIZE + sum(struct.unpack_from("<2H", self._data, at + 26)))
 
     def _places(self, at: int, offset: int = 0) -> _Places:
@@ -261,7 +244,7 @@ def _errors(where: str) -> Iterator[None]:
         ) from None
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, struct.error):
         message = "the archive contradicts itself, or a checksum is wrong"
-        raise errors.FormatError(message, where=where, hint=_DAMAGED) from None
+        raise errors.damaged(message, where) from None
 
 
 def _key(name: str) -> str:
