@@ -32,20 +32,11 @@ class Volume:
     ``reason`` says why it is not ``valid`` (open, ...), and then it has no figures.
     """
 
-    before: float | None = required(
-        "enclosed volume before, whichever side the normals point to, cubed file units; null "
-        "if it is not valid, as the next three"
-    )
-    after: float | None = required(
-        "enclosed volume after, negative if the surface passed through itself"
-    )
+    before: float | None = required("enclosed volume before, cubed file units; null if not valid")
+    after: float | None = required("the same after; negative if the surface passed through itself")
     change: float | None = required("after - before")
-    change_percent: float | None = required(
-        "change in percent of |before|; null if nothing is enclosed before"
-    )
-    valid: bool = required(
-        "whether the volume means anything: the surface is closed and orientable"
-    )
+    change_percent: float | None = required("change in % of |before|; null if nothing is enclosed")
+    valid: bool = required("whether it means anything: the surface is closed and orientable")
     reason: str = required("why it does not; empty if it does")
 
     def __post_init__(self) -> None:
@@ -98,9 +89,7 @@ class NoiseReading:
     """One way to explain the roughness of a mesh."""
 
     kind: str = required("noise or texture")
-    level_edges: float = required(
-        "noise that there is then, mean edge lengths; 0 if all of it is texture"
-    )
+    level_edges: float = required("noise in that case, mean edge lengths; 0 if all is texture")
     probability: float = required("probability, 0 to 1")
 
 
@@ -111,21 +100,12 @@ class NoiseEstimate:
     Records of earlier versions have the first two fields only, or none from ``kind`` on.
     """
 
-    mean_edges: float = required(
-        "standard deviation along the direction: the normals, an axis, or each coordinate "
-        "where it is isotropic; mean edge lengths"
-    )
+    mean_edges: float = required("standard deviation along its direction, mean edge lengths")
     file_units: float = required("the same in file units")
-    low_edges: float | None = known(
-        "lower end of an interval for it, as if all that may be texture were, mean edge lengths"
-    )
+    low_edges: float | None = known("lower end of an interval for it, mean edge lengths")
     high_edges: float | None = known("upper end of the interval, mean edge lengths")
-    clean_edges: float | None = known(
-        "the level for the surface without the noise, whose edges are shorter, in mean edge lengths"
-    )
-    rms_edges: float | None = known(
-        "root mean square with single spikes, which the level leaves out, mean edge lengths"
-    )
+    clean_edges: float | None = known("the level in mean edges of the surface without the noise")
+    rms_edges: float | None = known("root mean square with single spikes, mean edge lengths")
     tail: float | None = known(
         "share of the vertices, 0 to 1, that stand out from the others around them as one in 100 "
         "does with Gaussian noise; 0.02 and more is impulsive noise"
@@ -142,22 +122,14 @@ class NoiseEstimate:
     )
     rings: int | None = known("over how many rings neighbours share it, 0 (not at all) to 4")
     direction: str | None = known("normals, isotropic or axis")
-    axis: tuple[float, float, float] | None = known(
-        "unit vector of the axis, up to its sign; null for none"
-    )
-    step_edges: float | None = known(
-        "step of the depths or height of the terraces, 0 for none, mean edge lengths"
-    )
+    axis: tuple[float, float, float] | None = known("its unit vector, up to the sign")
+    step_edges: float | None = known("step of depths or terraces, mean edge lengths")
     outliers: float | None = known("share of the vertices that lie far off, 0 to 1")
     confidence: float | None = known("how sure the kind is, 0 to 1; below 0.5 a guess")
     basis: str | None = known("what the kind rests on, in words")
     words: str | None = known("what the noise is like, in words; empty for none")
-    unsure: bool | None = known(
-        "whether it may be noise or texture: neither has a probability of 0.9"
-    )
-    readings: tuple[NoiseReading, ...] = known(
-        "the ways to explain the roughness, the most probable first", ()
-    )
+    unsure: bool | None = known("whether neither noise nor texture has a probability of 0.9")
+    readings: tuple[NoiseReading, ...] = known("the explanations, the most probable first", ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,21 +156,12 @@ class ChoiceMade:
     """Why ``method`` was chosen; lengths are in mean edge lengths."""
 
     reason: str = required("in one sentence: the noise, the surface, the method")
-    surface: str | None = required(
-        "machined, organic, textured or clean, as it seems; null where it was not looked at"
-    )
+    surface: str | None = required("machined, organic, textured or clean; null if not looked at")
     noise_edges: float = required("noise that the choice was made for, mean edge lengths")
-    risk_edges: float | None = required(
-        "estimated error of the result (null if none was estimated), mean edge lengths"
-    )
+    risk_edges: float | None = required("estimated error, mean edge lengths; null if not estimated")
     tried: int = required("candidates that were looked at")
-    runners_up: tuple[RunnerUp, ...] = required(
-        "the next best candidates, best first, at most three"
-    )
-    wishes: dict[str, Any] = required(
-        "what was wished for: prefer, keep, strength, assume; without --auto only "
-        "assume, or nothing"
-    )
+    runners_up: tuple[RunnerUp, ...] = required("at most three next best, best first")
+    wishes: dict[str, Any] = required("what was wished for; without --auto only assume, or nothing")
     repeat: tuple[str, ...] = required("options of msal denoise that do the same without --auto")
     among: str = known(
         "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
@@ -217,9 +180,7 @@ class Seconds:
 
     read: float = known("reading and parsing", 0.0)
     connectivity: float = known("welding, connectivity, defects and plain vertex normals", 0.0)
-    choose: float = known(
-        "choosing method and parameters, with --auto; whether to, with --min-noise", 0.0
-    )
+    choose: float = known("choosing, and deciding by --min-noise whether to denoise", 0.0)
     normals: float = known("mollified normals, and what else a method adds to them", 0.0)
     sweeps: float = known("the sweeps of the method", 0.0)
     measure: float = known("volume, displacement and the other measures", 0.0)
@@ -249,9 +210,7 @@ class GateResult:
     expression: str = required("what breaks the gate, as it was given")
     broken: bool = required("true if it is so for this file, or cannot be decided")
     decided: bool = required("false if a value is not known on which it depends")
-    values: dict[str, float | None] = required(
-        "values of the names in the expression, in the units of their fields"
-    )
+    values: dict[str, float | None] = required("values of its names, in the units of their fields")
     reason: str = required("those values in words, or why the gate could not be decided")
 
 
@@ -262,9 +221,7 @@ class SelfIntersections:
 
     before: int = required("pairs of faces that intersect before")
     after: int = required("pairs of faces that intersect after")
-    created: int | None = required(
-        "pairs that intersect after and did not before; null where the faces are not the same"
-    )
+    created: int | None = required("pairs that intersect only after; null if faces differ")
 
 
 _MEAN_ANGLE = (
@@ -279,21 +236,14 @@ class Reference:
     ``ComparisonRecord`` whose ``before`` is the reference."""
 
     path: str = required("path of the reference")
-    correspondence: Literal["vertices", "surface"] | None = known(
-        "as in a ComparisonRecord: vertices or surface"
-    )
+    correspondence: Literal["vertices", "surface"] | None = known("as in a ComparisonRecord")
     mean_edge_length: float | None = known("mean length of the edges of the reference, file units")
     mean_angular_error_deg: float | None = known(_MEAN_ANGLE)
     max_angular_error_deg: float | None = known("largest such angle, degrees")
-    vertex_error_percent: float | None = known(
-        "mean distance from the reference's vertices (where faces do not correspond, from its "
-        "surface) in percent of its mean edge length"
-    )
+    vertex_error_percent: float | None = known("as in a ComparisonRecord")
     displacement: Displacement | None = known("how far vertices are from the reference's")
     flipped_faces: int | None = known("faces whose normal is more than 90 degrees off")
-    volume_change_percent: float | None = known(
-        "how much the volume is off, in percent; null if the volume means nothing"
-    )
+    volume_change_percent: float | None = known("volume error, percent; null if it means nothing")
     area_change_percent: float | None = known("how much the area is off, in percent")
     hausdorff: float | None = known("Hausdorff distance as in a ComparisonRecord, file units")
     hausdorff_edges: float | None = known("the same in mean edge lengths")
@@ -320,14 +270,9 @@ class Planned:
 
     bytes: int | None = known("bytes of the input")
     vertices: int | None = known("vertices, of a text about")
-    seconds: float | None = known(
-        "seconds of one core of an idle machine, about; null with a method other than al and msal"
-    )
+    seconds: float | None = known("seconds of an idle core; null with methods but al and msal")
     memory_bytes: int | None = known("memory at the most, bytes")
-    scratch_bytes: int | None = known(
-        "bytes in files of the scratch folder at the most, where the mesh exceeds the memory; null "
-        "where it fits"
-    )
+    scratch_bytes: int | None = known("bytes in scratch files at the most; null where it fits")
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,26 +281,13 @@ class TileSetPart:
     place of the file count once."""
 
     files: int = required("files of the set that could be read")
-    neighbours: tuple[str, ...] = required(
-        "files, by their relative paths, that share border vertices with this one"
-    )
+    neighbours: tuple[str, ...] = required("relative paths of files that share border vertices")
     shared_vertices: int = required("border vertices that other files have, too")
-    welded_vertices: int = required(
-        "of these, those for which the position of another file was taken, which stores fewer "
-        "digits"
-    )
-    largest_weld: float = required(
-        "largest distance before between vertices of this file and others that are one, file units"
-    )
-    unmatched_vertices: int = required(
-        "border vertices that lie at the border of another file but are no vertices of it"
-    )
-    fixed_border_vertices: int = required(
-        "border vertices that were held in their place because a file that failed may share them"
-    )
-    low: tuple[float, float, float] | None = known(
-        "least coordinates of its border vertices before, file units; null if it has none"
-    )
+    welded_vertices: int = required("of these, those that took another file's position")
+    largest_weld: float = required("largest distance before of those that are one, file units")
+    unmatched_vertices: int = required("border vertices at the border of a file without them")
+    fixed_border_vertices: int = required("border vertices held for a file that failed")
+    low: tuple[float, float, float] | None = known("least coordinates of its border; null if none")
     high: tuple[float, float, float] | None = known("greatest coordinates of them")
 
 
@@ -378,10 +310,7 @@ class MeshRecord(ScreenRepr):
     format: str | None = known("format of the input")
     encoding: str | None = known("ascii, binary_little_endian, binary_big_endian or binary")
     precision: str | None = known("how the input stores positions: float32, float64 or text")
-    vertices: int | None = known(
-        "vertices in the file; of an STL, which stores corners of facets only, the vertices that "
-        "they are after welding"
-    )
+    vertices: int | None = known("vertices in the file, of an STL after welding")
     corners: int | None = known("corners that an STL stores, null for files that have vertices")
     faces: int | None = known("faces as the file counts them: a quad is one")
     triangles: int | None = known("faces after polygons and strips were cut into triangles")
@@ -389,50 +318,25 @@ class MeshRecord(ScreenRepr):
     boundary_edges: int | None = known("edges of one face; 0 for a closed surface")
     non_manifold_edges: int | None = known("edges of more than two faces")
     inconsistent_edges: int | None = known("edges whose two faces are wound in opposite senses")
-    degenerate_faces: int | None = known(
-        "triangles without area; kept in the file, not computed with"
-    )
+    degenerate_faces: int | None = known("triangles without area; kept, not computed with")
     duplicate_faces: int | None = known("triangles that repeat another; kept, not computed with")
     unreferenced_vertices: int | None = known("vertices of no face; they stay where they are")
-    welded_vertices: int | None = known(
-        "vertices merged with one at the same place for the computation"
-    )
-    seam_gap: float | None = known(
-        "largest distance afterwards between vertices that were at one place"
-    )
-    tile_gap: float | None = known(
-        "of a tile set, largest distance between the new positions, as written, of border vertices "
-        "that this file shares with others, file units; null without --tile-set"
-    )
-    tile_set: TileSetPart | None = known(
-        "what the file shares with others of its tile set; null without --tile-set"
-    )
+    welded_vertices: int | None = known("vertices merged with one at the same place to compute")
+    seam_gap: float | None = known("largest distance after between vertices at one place before")
+    tile_gap: float | None = known("largest distance between new positions of a border vertex")
+    tile_set: TileSetPart | None = known("what it shares with others of its tile set")
     mean_edge_length: float | None = known("mean length of the edges before, file units")
-    inside_out: bool | None = known(
-        "true if the surface is closed and its normals, or those of a part, point inwards; an "
-        "open one has no inside"
-    )
+    inside_out: bool | None = known("true if normals of a closed surface, or a part, point inwards")
     volume: Volume | None = known("enclosed volume")
     area: Area | None = known("surface area")
     displacement: Displacement | None = known("how far the vertices moved")
     normal_change: NormalChange | None = known("how far the face normals turned")
     flipped_faces: int | None = known("faces whose normal turned by more than 90 degrees")
-    clamped_vertices: int | None = known(
-        "vertices whose way --max-move cut; null without that option; vertices at one place are one"
-    )
-    locked_vertices: int | None = known(
-        "vertices that --lock pinned; null without that option; vertices at one place are one"
-    )
-    despiked: int | None = known(
-        "outlier vertices that were brought back to the surface before the method ran; null where "
-        "they were not looked for"
-    )
-    self_intersections: SelfIntersections | None = known(
-        "pairs of faces that intersect each other; null without --check or a gate that names them"
-    )
-    noise_estimate: NoiseEstimate | None = known(
-        "noise of the input, estimated; without the outliers brought back"
-    )
+    clamped_vertices: int | None = known("vertices that --max-move stopped; null without it")
+    locked_vertices: int | None = known("vertices that --lock pinned; null without it")
+    despiked: int | None = known("outliers brought back first; null where not looked for")
+    self_intersections: SelfIntersections | None = known("intersecting faces; null if not counted")
+    noise_estimate: NoiseEstimate | None = known("noise of the input without its outliers")
     left_alone: str | None = known("why --min-noise left the mesh as it is; null if it did not")
     method: MethodUsed | None = known("method and parameters, given or chosen")
     choice: ChoiceMade | None = known("why that method was chosen; null where it was given")
@@ -441,12 +345,8 @@ class MeshRecord(ScreenRepr):
     planned: Planned | None = known("of a dry run, what the file will take (below)")
     input_sha256: str | None = known("SHA-256 of the input's bytes, hexadecimal")
     output_sha256: str | None = known("SHA-256 of the output's bytes, hexadecimal")
-    input_object: ObjectMark | None = known(
-        "size and entity tag of an input that is an object in a store"
-    )
-    output_object: ObjectMark | None = known(
-        "size and entity tag of an output that is an object in a store"
-    )
+    input_object: ObjectMark | None = known("size and entity tag of an input in a store")
+    output_object: ObjectMark | None = known("size and entity tag of an output in a store")
     sidecars: tuple[str, ...] = known("what was done about files that the input refers to", ())
     fields: FieldsFile | None = known("the file of --fields beside the output")
     reference: Reference | None = known("the output against the mesh that --reference names")
@@ -456,14 +356,8 @@ class MeshRecord(ScreenRepr):
         "W_VOLUME_CHANGE, W_AREA_CHANGE, W_LARGE_MOVES",
         (),
     )
-    gates: tuple[GateResult, ...] = known(
-        "what became of each gate; empty if there was none, or no output", ()
-    )
-    remembered: bool = known(
-        "true if the file failed in an earlier run with the same content, settings and version, "
-        "and was not tried again",
-        False,
-    )
+    gates: tuple[GateResult, ...] = known("what became of each gate, if there is an output", ())
+    remembered: bool = known("true if it failed so before, and was not tried again", False)
     error: Failure | None = known("why the file failed; null if it did not")
 
 
@@ -500,20 +394,13 @@ class InfoRecord:
     )
     area: float | None = known("surface area, squared file units")
     inside_out: bool | None = None
-    volume: float | None = known(
-        "enclosed volume, whichever side the normals point to, cubed file units; null if it is "
-        "not valid"
-    )
+    volume: float | None = known("enclosed volume, cubed file units; null if not valid")
     volume_valid: bool | None = known("whether the volume means anything")
     volume_reason: str = known("why it does not; empty if it does", "")
     mean_edge_length: float | None = known("mean length of the edges, file units")
-    self_intersections: int | None = known(
-        "pairs of faces that intersect each other; null without --check"
-    )
+    self_intersections: int | None = known("pairs of faces that intersect; null if not counted")
     noise_estimate: NoiseEstimate | None = known("noise, estimated")
-    properties: tuple[str, ...] = known(
-        "what else the file holds, which denoising carries along", ()
-    )
+    properties: tuple[str, ...] = known("what else the file holds and denoising keeps", ())
     references: tuple[str, ...] = known("other files that this one names", ())
     warnings: tuple[str, ...] = known("what a user should know although the file could be read", ())
     error: Failure | None = known("why the file could not be read; null if it could")
@@ -550,16 +437,10 @@ class ComparisonRecord(ScreenRepr):
     )
     displacement: Displacement | None = known("how far corresponding vertices are apart")
     flipped_faces: int | None = None
-    volume_change_percent: float | None = known(
-        "change of the enclosed volume in percent of |before|; null if the volume means nothing, "
-        "see volume"
-    )
+    volume_change_percent: float | None = known("change in % of |before|; null if it means nothing")
     area_change_percent: float | None = known("change of area in percent of the area before")
-    inside_out_before: bool | None = known(
-        "true if the surface before is closed and its normals, or those of a part, point inwards; "
-        "an open one has no inside"
-    )
-    inside_out_after: bool | None = known("the same of the surface after")
+    inside_out_before: bool | None = known("whether the surface before is inside out")
+    inside_out_after: bool | None = known("whether the surface after is inside out")
     volume: Volume | None = None
     area: Area | None = None
     hausdorff: float | None = known(
@@ -567,20 +448,10 @@ class ComparisonRecord(ScreenRepr):
         "other, whichever is further, file units"
     )
     hausdorff_edges: float | None = known("the same in mean edge lengths")
-    distance_to_before: SurfaceDistance | None = known(
-        "from the vertices after to the surface before"
-    )
-    distance_to_after: SurfaceDistance | None = known(
-        "from the vertices before to the surface after"
-    )
-    seam_gap: float | None = known(
-        "largest distance after between vertices that are at one place before"
-    )
-    self_intersections: SelfIntersections | None = known(
-        "pairs of faces that intersect each other; null without --check or a gate that names them"
-    )
-    warnings: tuple[str, ...] = known(
-        "what a user should know although the files were compared", ()
-    )
+    distance_to_before: SurfaceDistance | None = known("vertices after to surface before")
+    distance_to_after: SurfaceDistance | None = known("vertices before to surface after")
+    seam_gap: float | None = known("largest distance after between vertices at one place before")
+    self_intersections: SelfIntersections | None = known("intersecting faces; null if not counted")
+    warnings: tuple[str, ...] = known("what a user should know although they were compared", ())
     gates: tuple[GateResult, ...] = known("what became of each gate; empty if there was none", ())
     error: Failure | None = known("why the files were not compared; null if they were")
