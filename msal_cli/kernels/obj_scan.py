@@ -15,9 +15,6 @@ from msal_cli.kernels.numbers import (
     EXACT,
     NOT_A_NUMBER,
     UNDECIDED,
-    count_digits,
-    load_eight,
-    parse_digits,
     read_number,
 )
 from msal_cli.kernels.text import read_integer
@@ -208,17 +205,6 @@ def _read_three(buf, at):
 
 
 @compiled
-def _read_index(buf, at):
-    """A signed whole number: value (0 where there is none) and end; larger ones are cut down."""
-    word = load_eight(buf, at)
-    count = count_digits(word)
-    if 0 < count < 8:
-        return parse_digits(word, count), at + count
-    value, end, _ = read_integer(buf, at, len(buf))
-    return value, end
-
-
-@compiled
 def _resolve_index(number, count):
     """The index, from zero, that a face means by ``number`` behind ``count`` entries; or -1."""
     if number > 0:
@@ -394,14 +380,14 @@ def scan(
                     result = FULL
                     break
                 word = at
-                number, at = _read_index(buf, at)
+                number, at, _ = read_integer(buf, at, len(buf))
                 if at == word:
                     result = BAD_CORNER
                     break
                 normal = np.int64(-1)
                 if at < len(buf) and buf[at] == 47:
                     begin = at + 1
-                    number_t, at = _read_index(buf, begin)
+                    number_t, at, _ = read_integer(buf, begin, len(buf))
                     if at > begin:
                         if number_t > state[LARGEST_TEXTURE]:
                             state[LARGEST_TEXTURE] = number_t
@@ -409,7 +395,7 @@ def scan(
                             state[BEFORE_FIRST] += 1
                     if at < len(buf) and buf[at] == 47:
                         begin = at + 1
-                        number_n, at = _read_index(buf, begin)
+                        number_n, at, _ = read_integer(buf, begin, len(buf))
                         if at > begin:
                             if number_n > state[LARGEST_NORMAL]:
                                 state[LARGEST_NORMAL] = number_n

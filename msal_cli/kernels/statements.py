@@ -71,7 +71,7 @@ def find_numbers(buf, begins, width, starts, used):
                 starts[width * i + axis] = start
             if len(used):
                 _, _, _, decimals = read_number(buf, start, end)
-                most = max(most, min(decimals, 255))
+                most = max(most, min(decimals, np.int64(255)))
         if len(used):
             used[i] = most
 
