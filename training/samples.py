@@ -240,9 +240,11 @@ def _start(
 ) -> NoisyMesh:
     noise = draw_estimate(mesh, true_vertices, generator)
     is_named = bool(generator.random() < (NAMED_SHARE if is_white else MISNAMED_SHARE))
+    is_uneven = False
     if generator.random() < ESTIMATED_SHARE:
-        noise, is_named = resolve_noise(mesh, 0.0)
-    return NoisyMesh(Cascade(mesh, "free", noise, is_named), truth, mesh.vertices)
+        noise, is_named, is_uneven = resolve_noise(mesh, 0.0)
+    cascade = Cascade(mesh, "free", noise, is_named, is_uneven)
+    return NoisyMesh(cascade, truth, mesh.vertices)
 
 
 def draw_estimate(mesh: Mesh, true_vertices: Floats, generator: Generator) -> float | None:

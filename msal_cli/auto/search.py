@@ -212,7 +212,7 @@ class _Search:
         """
         # Doubt about texture does not reduce the level of noise that is not drawn.
         edge = self.mesh.mean_edge_length
-        self.level = max(self.level, self.noise.mean_edges * self.wished * edge)
+        self.level = max(self.level, self.noise.of_noisy_part * self.wished * edge)
         self.model = self.model.at_level(self.level)
         study = self._trials()
         members = (ROBUST_LEARNED, FARTHER, *LINEAR)
@@ -220,7 +220,7 @@ class _Search:
         pilots = [ROBUST_LEARNED]
         if surface == TEXTURED:
             pilots.append(LINEAR[0])
-        elif surface == ORGANIC:
+        elif surface == ORGANIC and not self.noise.is_uneven:
             pilots = [FARTHER]
         mirrors = [
             study.simulate(members, study.result(pilot).vertices, MIRRORED) for pilot in pilots

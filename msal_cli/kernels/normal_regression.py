@@ -47,6 +47,10 @@ STATISTICS = 5
 ROOT_3 = 3.0**0.5
 """The edge of equilateral triangles over the distance of their centroids."""
 
+QUIET, MOST_QUIET = 0.14, 0.98
+"""The third of the STATISTICS up to which a face of an uneven mesh is quiet, about a third of the
+level; and the part of the faces up to which those are left out."""
+
 SAMPLED = 1 << 15
 """Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
 
@@ -174,12 +178,15 @@ class Evidence:
     ----------
     noise : standard deviation, mean edge lengths; None where it is not known.
     is_white : whether that is white noise along the normals.
+    is_uneven : whether much of the mesh has none of it, and does not count for what the whole mesh
+        is like.
     normals : (m, 3 OTHERS) normals that other filters give, beside each other; zero for none.
     statistics : (m, STATISTICS) of the surroundings of each face.
     """
 
     noise: float | None
     is_white: bool
+    is_uneven: bool
     normals: Floats32
     statistics: Floats32
 
@@ -349,6 +356,10 @@ def _find_globals(known: Floats32, records: Floats32, evidence: Evidence) -> Flo
     planes, of scatter and ripples; the level of the noise, whether it is known, and as white."""
     step = max(len(known) // SAMPLED, 1)
     known, records = known[::step], records[::step]
+    if evidence.is_uneven:
+        is_loud = evidence.statistics[::step, 2] > QUIET
+        if is_loud.mean() > 1.0 - MOST_QUIET:
+            known, records = known[is_loud], records[is_loud]
     own, narrow, wide = records[:, :3], known[:, :3], records[:, 8:11]
     of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
     of += [known[:, OWN_NUMBERS + DEVIATION], *records[:, 7::4].T]

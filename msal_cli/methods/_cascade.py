@@ -75,19 +75,27 @@ DOUBT = 0.01
 class Cascade:
     """The stages of one mesh: descriptors of where it is, and vertices that fit new normals.
 
-    ``noise`` is that of the mesh, mean edge lengths; None where it is not known.  ``is_white`` says
-    that it is white noise along the normals.
+    Parameters
+    ----------
+    noise : of the mesh, mean edge lengths; None where it is not known.
+    is_white : whether it is white noise along the normals.
+    is_uneven : whether parts of the mesh have hardly any of it.
     """
 
     def __init__(
-        self, mesh: Mesh, boundary: str, noise: float | None, is_white: bool = False
+        self,
+        mesh: Mesh,
+        boundary: str,
+        noise: float | None,
+        is_white: bool = False,
+        is_uneven: bool = False,
     ) -> None:
         self.mesh = mesh
         self.free = free_vertices(mesh, boundary)
         self._ripples: Floats | None = measure_ripples(
             mesh.vertices, mesh.vertex_normals(), mesh.topology
         )
-        self.evidence = gather_evidence(mesh, noise, is_white, self._ripples)
+        self.evidence = gather_evidence(mesh, noise, is_white, is_uneven, self._ripples)
         mesh.release_normals()
         self._describer: NormalDescriber | None = None
 
@@ -249,9 +257,10 @@ AROUND, NEAR = 6, 2
 """Passes by which powers, and by which shares, are averaged around a vertex."""
 
 
-def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool, ripples: Floats) -> Evidence:
-    """The evidence for ``mesh`` and its ``ripples`` (n, 4); ``noise`` in mean edge lengths, None
-    where it is not known."""
+def gather_evidence(
+    mesh: Mesh, noise: float | None, is_white: bool, is_uneven: bool, ripples: Floats
+) -> Evidence:
+    """The evidence for ``mesh`` and its ``ripples`` (n, 4); see ``Cascade``."""
     level = max(_guess_level(mesh) if noise is None else noise, MIN_LEVEL)
     unit = level * mesh.mean_edge_length
     parameters = RestorationParameters()
@@ -264,7 +273,8 @@ def gather_evidence(mesh: Mesh, noise: float | None, is_white: bool, ripples: Fl
     normals = np.empty((len(mesh.faces), 3 * len(outcomes)), dtype=np.float32)
     for place, outcome in enumerate(outcomes):
         lay_face_normals(outcome, mesh.faces, normals, 3 * place)
-    return Evidence(noise, is_white, normals, _measure_surroundings(mesh, ripples, restored, unit))
+    statistics = _measure_surroundings(mesh, ripples, restored, unit)
+    return Evidence(noise, is_white, is_uneven, normals, statistics)
 
 
 def _ignore(done: int, total: int) -> None:

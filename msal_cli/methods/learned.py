@@ -12,7 +12,8 @@ faces near it, and makes
 - numbers: which part of the weight lies within each range, how the normals and the positions
   scatter here and around, how rough the surface is when umbrellas are applied once, twice and three
   times, and how that compares with white noise of the level in the surroundings, which part of what
-  the sweeps took is shape; the same over the whole mesh, the ``noise``, and whether it is white.
+  the sweeps took is shape; the same over the whole mesh, or over where the noise is if much has
+  hardly any; the ``noise``, and whether it is white.
 
 A network of two hidden layers gives every vector a coefficient; the combination, normalised, is the
 new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted as in
@@ -94,9 +95,9 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     stages = parameters.iterations
     if not stages:
         return Result(positions, seconds={"normals": 0.0, "sweeps": 0.0})
-    noise, is_white = resolve_noise(mesh, parameters.noise)
+    noise, is_white, is_uneven = resolve_noise(mesh, parameters.noise)
     is_returned = is_white if parameters.texture == "auto" else parameters.texture == "returned"
-    cascade = Cascade(mesh, parameters.boundary, noise, is_returned)
+    cascade = Cascade(mesh, parameters.boundary, noise, is_returned, is_uneven)
     normals: Floats | None = None
     timer.start_sweeps()
     networks = load_networks()
@@ -120,23 +121,25 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     return timer.finish(positions)
 
 
-def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool]:
-    """The level in mean edge lengths, ``given`` or else estimated, and whether the noise is white.
+def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool, bool]:
+    """The level in mean edge lengths, ``given`` or else estimated, whether the noise is white, and
+    whether much of the mesh has hardly any.
 
     No level where none says what is wrong: on staircases, and where the estimate finds hardly any
     noise of an unknown kind.  Where it is unsure it is taken for noise: who names the method wants
-    that.  Noise that is given, and a trace of it on a clean mesh, is taken for white.
+    that.  Noise that is given, and a trace of it on a clean mesh, is taken for white unless it is
+    uneven.
     """
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
 
-    if given:
-        return given, True
     estimate = estimate_noise(mesh)
     level = estimate.assume(NOISE, mesh.mean_edge_length)
-    kind = level.character.kind
+    kind, is_uneven = level.character.kind, level.is_uneven
+    if given:
+        return given, not is_uneven, is_uneven
     if kind == "staircase":
-        return None, False
+        return None, False, False
     if estimate.is_negligible:
-        return level.mean_edges, True
+        return level.mean_edges, True, False
     is_open = kind == "unknown" and level.mean_edges < MIN_KNOWN
-    return None if is_open else level.mean_edges, kind == "white"
+    return None if is_open else level.of_noisy_part, kind == "white", is_uneven

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import itertools
 
 import numpy as np
@@ -45,13 +47,14 @@ def evidence_of(mesh):
         turned /= np.linalg.norm(turned, axis=1)[:, None]
         normals[:, 3 * place : 3 * place + 3] = turned
     statistics = draw.random((len(own), STATISTICS)).astype(np.float32)
-    return Evidence(0.1, True, normals, statistics)
+    return Evidence(0.1, True, False, normals, statistics)
 
 
 def same_evidence(mesh):
     """Evidence that says nothing beyond the normals of the mesh."""
     own = face_normals_and_areas(mesh.vertices, mesh.faces)[0].astype(np.float32)
-    return Evidence(0.1, True, np.tile(own, OTHERS), np.zeros((len(own), STATISTICS), np.float32))
+    zeros = np.zeros((len(own), STATISTICS), dtype=np.float32)
+    return Evidence(0.1, True, False, np.tile(own, OTHERS), zeros)
 
 
 def described(mesh, earlier=None, make_evidence=same_evidence):
@@ -105,6 +108,25 @@ def test_evidence_stands_behind_the_own_vectors_and_numbers(scan):
     others = given.normals.reshape(-1, OTHERS, 3)
     assert (descriptors.collect()[1][:, VECTORS : VECTORS + OTHERS] == others).all()
     assert (numbers_of(descriptors)[:, NUMBERS:] == given.statistics).all()
+
+
+def test_faces_without_noise_do_not_count_where_it_is_uneven(scan):
+    vertices, faces = torus(40, 20)
+    far = np.concatenate([scan.vertices, vertices + 10.0])
+    both = prepare_mesh(far, np.concatenate([scan.faces, faces + len(scan.vertices)])).mesh
+
+    def with_power(mesh, is_uneven):
+        statistics = np.zeros((len(mesh.faces), STATISTICS), dtype=np.float32)
+        statistics[: len(scan.faces), 2] = 0.5
+        return dataclasses.replace(same_evidence(mesh), is_uneven=is_uneven, statistics=statistics)
+
+    def globals_of(mesh, is_uneven):
+        make = functools.partial(with_power, is_uneven=is_uneven)
+        return described(mesh, make_evidence=make)[0].globals
+
+    alone = globals_of(scan, False)
+    assert np.allclose(globals_of(both, True), alone, atol=1e-5)
+    assert np.abs(globals_of(both, False) - alone).max() > 0.05
 
 
 def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):

@@ -141,19 +141,25 @@ def test_shape_beyond_white_noise_comes_back_and_noise_does_not():
         assert _cascade.return_texture(scan, flat, given) is flat
 
 
-def test_the_noise_is_estimated_but_on_staircases(monkeypatch):
+def test_the_noise_is_estimated_by_its_kind(monkeypatch):
     true = smooth()
     noisy = true.with_vertices(add_noise(true, AddedNoise("gaussian-normal", 0.2)))
     level = estimate_noise(noisy)
-    assert resolve_noise(noisy, 0.0) == (level.mean_edges, True)
-    assert resolve_noise(noisy, 0.07) == (0.07, True)
-    stairs = dataclasses.replace(level.character, kind="staircase")
-    monkeypatch.setattr(
-        "msal_cli.analysis.noise_estimate.estimate_noise",
-        lambda mesh: dataclasses.replace(level, character=stairs),
-    )
-    assert resolve_noise(noisy, 0.0) == (None, False)
+    assert resolve_noise(noisy, 0.0) == (level.mean_edges, True, False)
+    assert resolve_noise(noisy, 0.07) == (0.07, True, False)
+
+    def say(kind, **changes):
+        character = dataclasses.replace(level.character, kind=kind)
+        said = dataclasses.replace(level, character=character, **changes)
+        place = "msal_cli.analysis.noise_estimate.estimate_noise"
+        monkeypatch.setattr(place, lambda mesh: said)
+
+    say("staircase")
+    assert resolve_noise(noisy, 0.0) == (None, False, False)
     assert np.isfinite(run(noisy)).all()
+    say("uneven", mean_edges=0.1, lowest=0.01, highest=0.4)
+    assert resolve_noise(noisy, 0.0) == (pytest.approx(0.2), False, True)
+    assert resolve_noise(noisy, 0.07) == (0.07, False, True)
 
 
 def test_texture_is_returned_for_white_noise_or_when_it_is_asked_for():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -217,6 +218,12 @@ class NoiseLevel:
     def is_uneven(self) -> bool:
         """Whether some regions have noise that others have not."""
         return are_uneven(self.lowest, self.highest)
+
+    @property
+    def of_noisy_part(self) -> float:
+        """The level where there is noise, mean edge lengths: between that of all and the highest
+        where some regions have hardly any."""
+        return math.sqrt(self.mean_edges * self.highest) if self.is_uneven else self.mean_edges
 
 
 def are_spikes(rms: float, tail: float) -> bool:
