@@ -140,7 +140,7 @@ def tried(name: str) -> Array:
     on = sweep.subject(noisy, f"{name}_noisy.ply", clean, f"{name}_clean.ply", view)
     wanted = sweep.grid(methods.find("msal"), "iterations=2,4", "K=0.25,0.5,1", {})
     made = sweep.cells(on, wanted)
-    done = [(cell, sweep.draw_grid(on, mesh, view)) for cell, mesh, _ in made]
+    done = [(cell, pictures.panel(mesh, on.camera, view)) for cell, mesh, _ in made]
     return sweep.sheet(on, wanted, done, view)
 
 

@@ -6,8 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.cli import console
@@ -24,9 +23,6 @@ _FORMAT = "{desc} {percentage:3.0f} %|{bar}| {n_fmt}/{total_fmt} [{elapsed}<{rem
 # What takes less time gets no bar (seconds).
 _DELAY_S = 0.4
 _BETWEEN_S = 0.1
-
-# A file of this size gets one at once: reading it alone takes longer.
-_LARGE_BYTES = 8 << 20
 
 _LOG_EVERY_S = 5.0
 """Seconds between two lines of a log on many files."""
@@ -64,9 +60,9 @@ class Silent:
 class StageLine(Silent):
     """A line for one mesh: the stage that it is at, and how many sweeps are done."""
 
-    def __init__(self, name: str, *, is_large: bool = False) -> None:
+    def __init__(self, name: str) -> None:
         self._name = _shorten(name)
-        self._wakes = time.monotonic() + (0.0 if is_large else _DELAY_S)
+        self._wakes = time.monotonic() + _DELAY_S
         self._bar = _make_bar(total=1, bar_format="{desc}", delay=_DELAY_S)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
@@ -165,12 +161,7 @@ def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
         return Log(tasks)
     if is_set:
         return StageLine(f"{len(tasks):,} files as one")
-    if len(tasks) > 1:
-        return FileBar(tasks)
-    size = 0
-    with suppress(OSError, ValueError):
-        size = Path(tasks[0].input).stat().st_size
-    return StageLine(tasks[0].relative, is_large=size >= _LARGE_BYTES)
+    return FileBar(tasks) if len(tasks) > 1 else StageLine(tasks[0].relative)
 
 
 def stream_bar(name: str, *, quiet: bool) -> Silent:

@@ -74,7 +74,7 @@ def command(request: Request) -> int:
     from msal_cli.job.comparison import open_mesh_file, open_surface, surface_of
     from msal_cli.job.room import room_for_files
     from msal_cli.storage import atomic
-    from msal_cli.view import sweep
+    from msal_cli.view import pictures, sweep
     from msal_cli.view.panels import png_bytes
 
     source, output, reference = request.source, request.output, request.reference
@@ -101,7 +101,7 @@ def command(request: Request) -> int:
         truth = None if reference is None else open_surface(reference, format)
         on = sweep.subject(surface_of(mesh_file), source, truth, reference or "", view)
         for cell, mesh, filter in chain(sweep.cells(on, grid), sweep.choice_cells(on, mesh_file)):
-            done.append((cell, sweep.draw_grid(on, mesh, view)))
+            done.append((cell, pictures.panel(mesh, on.camera, view)))
             filters.append(filter)
             if not request.as_json and not request.quiet:
                 numbers = ", ".join(sweep.describe_numbers(cell))

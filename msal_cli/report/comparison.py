@@ -12,7 +12,7 @@ from typing import Any
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import figure
-from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference
+from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference, SurfaceDistance
 from msal_cli.record_fields import value_at
 from msal_cli.report import facts
 from msal_cli.report.data import parse_json, read_json, read_record
@@ -98,40 +98,46 @@ def _pair_name(record: ComparisonRecord) -> str:
 
 
 def _facts(record: ComparisonRecord) -> Iterator[Fact]:
-    yield Fact("mean edge before", figure(record.mean_edge_length, ".6g", unknown="-"))
-    if record.correspondence == "surface":
-        yield Fact("compared", "surfaces only: the faces are not the same")
-    if record.mean_angular_error_deg is not None:
-        largest = record.max_angular_error_deg or 0.0
-        yield Fact(
-            "normal angle", f"mean {record.mean_angular_error_deg:.4g}, max {largest:.4g} degrees"
-        )
-    if record.vertex_error_percent is not None:
-        yield Fact("vertex error", f"{record.vertex_error_percent:.4g} % of the mean edge")
-    for title, distance in (
+    angles = (record.mean_angular_error_deg, record.max_angular_error_deg)
+    is_surface = record.correspondence == "surface"
+    distances = (
         ("displacement", record.displacement),
         ("after to before", record.distance_to_before),
         ("before to after", record.distance_to_after),
+    )
+    volume, pairs = record.volume, record.self_intersections
+    change = "" if volume is None else f"- {volume.reason}"
+    if volume is not None and volume.change is not None:
+        change = f"{figure(volume.change_percent, '+.4g', ' %', '-')} ({volume.change:+.4g})"
+    for word, text in (
+        ("mean edge before", figure(record.mean_edge_length, ".6g", unknown="-")),
+        ("compared", "surfaces only: the faces are not the same" if is_surface else ""),
+        ("normal angle", _join("mean {:.4g}, max {:.4g} degrees", *angles)),
+        ("vertex error", figure(record.vertex_error_percent, ".4g", " % of the mean edge")),
+        *((title, _distance_text(lengths)) for title, lengths in distances),
+        ("Hausdorff", _join("{:.4g} ({:.4g} e)", record.hausdorff, record.hausdorff_edges)),
+        ("volume", change),
+        ("area", figure(record.area_change_percent, "+.4g", " %", "-")),
+        ("flipped faces", figure(record.flipped_faces, ",")),
+        ("intersecting", "" if pairs is None else facts.self_intersections_text(pairs)),
     ):
-        if distance is not None:
-            parts = (
-                f"{word} {getattr(distance, word):.4g} ({getattr(distance, f'{word}_edges'):.4g} e)"
-                for word in ("mean", "rms", "p95", "max")
-            )
-            yield Fact(title, ", ".join(parts))
-    if record.hausdorff is not None and record.hausdorff_edges is not None:
-        yield Fact("Hausdorff", f"{record.hausdorff:.4g} ({record.hausdorff_edges:.4g} e)")
-    volume = record.volume
-    if volume is not None:
-        change = figure(volume.change_percent, "+.4g", " %", "-")
-        known = f"{change} ({figure(volume.change, '+.4g')})"
-        yield Fact("volume", f"- {volume.reason}" if volume.change is None else known)
-    yield Fact("area", figure(record.area_change_percent, "+.4g", " %", "-"))
-    if record.flipped_faces is not None:
-        yield Fact("flipped faces", f"{record.flipped_faces:,}")
-    if record.self_intersections is not None:
-        yield Fact("intersecting", facts.self_intersections_text(record.self_intersections))
+        if text:
+            yield Fact(word, text)
     yield from (Fact("warning", text, "bad") for text in record.warnings)
+
+
+def _join(form: str, *values: float | None) -> str:
+    return "" if None in values else form.format(*values)
+
+
+def _distance_text(distance: SurfaceDistance | None) -> str:
+    if distance is None:
+        return ""
+    parts = (
+        f"{word} {getattr(distance, word):.4g} ({getattr(distance, f'{word}_edges'):.4g} e)"
+        for word in ("mean", "rms", "p95", "max")
+    )
+    return ", ".join(parts)
 
 
 # Baseline

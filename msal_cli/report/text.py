@@ -264,60 +264,46 @@ def describe_info(record: InfoRecord) -> list[Line]:
 
 
 def _info_facts(record: InfoRecord) -> Iterator[Fact]:
-    storage = [part for part in (record.format, record.encoding, record.precision) if part]
-    size = f"{record.bytes:,} bytes" if record.bytes is not None else ""
-    yield Fact("format", ", ".join([*storage, *(["gzip"] if record.compressed else []), size]))
-    beside = f" (of {record.corners:,} corners)" if record.corners is not None else ""
-    yield Fact("vertices", _count_text(record.vertices) + beside)
+    storage = (
+        *(record.format, record.encoding, record.precision, "gzip" if record.compressed else ""),
+        figure(record.bytes, ",", " bytes"),
+    )
     sizes = sorted(record.polygon_sizes.items(), key=lambda item: (len(item[0]), item[0]))
     parts = [
         format_count(count, _SHAPES[size]) if size in _SHAPES else f"{count:,} with {size} corners"
         for size, count in sizes
     ]
-    yield Fact("faces", _count_text(record.faces) + (f" ({', '.join(parts)})" if parts else ""))
-    yield Fact("components", _count_text(record.components))
-    surface = "closed"
-    if not record.closed:
-        surface = f"open, {format_count(record.boundary_edges, 'boundary edge')}"
-    if record.non_manifold_edges:
-        surface += f", {format_count(record.non_manifold_edges, 'non-manifold edge')}"
-    yield Fact("surface", surface)
-    yield Fact("winding", (record.winding or "-") + (", inside out" if record.inside_out else ""))
-    for word, count, unit in (
-        ("degenerate", record.degenerate_faces, ("face",)),
-        ("duplicate", record.duplicate_faces, ("face",)),
-        ("unreferenced", record.unreferenced_vertices, ("vertex", "vertices")),
-        ("welded", record.welded_vertices, ("vertex", "vertices")),
+    low, high = record.bounds or ((), ())
+    extent = (f"{b - a:.6g}" for a, b in zip(low, high, strict=True))
+    volume = record.volume if record.volume_valid else None
+    noise = record.noise_estimate
+    level, *details = [""] if noise is None else facts.noise_texts(noise, record)
+    pairs = ("pair of faces", "pairs of faces")
+    for word, text in (
+        ("format", ", ".join(filter(None, storage))),
+        ("vertices", figure(record.vertices, ",")),
+        ("corners", figure(record.corners, ",")),
+        ("faces", figure(record.faces, ",") + (f" ({', '.join(parts)})" if parts else "")),
+        ("components", figure(record.components, ",")),
+        ("surface", "closed" if record.closed else "open"),
+        ("winding", record.winding),
+        ("defects", facts.defects_text(record) or "none"),
+        ("welded", format_count(record.welded_vertices, "vertex")),
+        ("intersecting", format_count(record.self_intersections, *pairs)),
+        ("from", ", ".join(f"{x:.9g}" for x in low)),
+        ("to", ", ".join(f"{x:.9g}" for x in high)),
+        ("size", " x ".join(extent)),
+        ("area", figure(record.area, ".6g")),
+        ("volume", figure(volume, ".6g", unknown=f"- {record.volume_reason}")),
+        ("mean edge", figure(record.mean_edge_length, ".6g")),
+        ("noise estimate", level),
+        *(("", text) for text in details),
+        ("carried along", ", ".join(record.properties) or "nothing else"),
+        ("refers to", ", ".join(record.references)),
     ):
-        yield Fact(word, format_count(count, *unit) or "-")
-    if record.self_intersections is not None:
-        pairs = format_count(record.self_intersections, "pair of faces", "pairs of faces")
-        yield Fact("intersecting", pairs)
-    if record.bounds is not None:
-        low, high = record.bounds
-        yield Fact("from", ", ".join(f"{x:.9g}" for x in low))
-        yield Fact("to", ", ".join(f"{x:.9g}" for x in high))
-        yield Fact("size", " x ".join(f"{b - a:.6g}" for a, b in zip(low, high, strict=True)))
-    yield Fact("area", figure(record.area, ".6g", unknown="-"))
-    if record.volume_valid and record.volume is not None:
-        yield Fact(
-            "volume", f"{record.volume:.6g}" + (" (inside out)" if record.inside_out else "")
-        )
-    else:
-        yield Fact("volume", f"- {record.volume_reason}".rstrip())
-    yield Fact("mean edge", figure(record.mean_edge_length, ".6g", unknown="-"))
-    if record.noise_estimate is not None:
-        level, *details = facts.noise_texts(record.noise_estimate, record)
-        yield Fact("noise estimate", level)
-        yield from (Fact("", text) for text in details)
-    yield Fact("carried along", ", ".join(record.properties) or "nothing else")
-    if record.references:
-        yield Fact("refers to", ", ".join(record.references))
+        if text:
+            yield Fact(word, text)
     yield from (Fact("warning", text, "bad") for text in record.warnings)
-
-
-def _count_text(number: int | None) -> str:
-    return figure(number, ",", unknown="-")
 
 
 class InfoTable:

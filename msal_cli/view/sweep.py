@@ -97,23 +97,6 @@ class Grid:
             yield dict(zip(self.axes, values, strict=True))
 
 
-def _parse_axis(method: Method, text: str, option: str) -> tuple[str, tuple[Any, ...]]:
-    """The parameter and the values in ``NAME=VALUE,VALUE,...``; UsageError for another form, an
-    unknown parameter, or a value that is not allowed or is there twice."""
-    name, sign, listed = text.partition("=")
-    words = [word.strip() for word in listed.split(",")]
-    if not sign or not all(words):
-        raise UsageError(
-            f"{option} {text}: not of the form NAME=VALUE,VALUE,...",
-            hint=f"for example {option} iterations=1,2,4,8",
-        )
-    spec = method.spec(name.strip())
-    values = tuple(spec.validate(word) for word in words)
-    if len(set(values)) < len(values):
-        raise UsageError(f"{option} {text}: a value is there twice", hint="give each value once")
-    return spec.name, values
-
-
 def grid(
     method: Method, rows: str | None, columns: str | None, fixed: Mapping[str, object]
 ) -> Grid:
@@ -129,16 +112,30 @@ def grid(
                 f"{method.name} has neither iterations nor K, which vary by default",
                 hint=f"say what does with --columns; see `msal methods {method.name}`",
             )
-    given = [(columns, "--columns"), (rows, "--rows")]
-    texts = [(text, option) for text, option in given if text is not None]
-    axes = [_parse_axis(method, text, option) for text, option in texts]
-    names = [*(name for name, _ in axes), *(method.spec(name).name for name in fixed)]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"{name} is set in two places", hint="let it vary or set it, not both")
-    if math.prod(len(values) for _, values in axes) > MAX_CELLS:
+    axes: dict[str, tuple[Any, ...]] = {}
+    taken = {method.spec(name).name for name in fixed}
+    for text, option in ((rows, "--rows"), (columns, "--columns")):
+        if text is None:
+            continue
+        name, sign, listed = text.partition("=")
+        words = [word.strip() for word in listed.split(",")]
+        if not sign or not all(words):
+            raise UsageError(
+                f"{option} {text}: not of the form NAME=VALUE,VALUE,...",
+                hint=f"for example {option} iterations=1,2,4,8",
+            )
+        spec = method.spec(name.strip())
+        if spec.name in taken:
+            hint = "let it vary or set it, not both"
+            raise UsageError(f"{spec.name} is set in two places", hint=hint)
+        taken.add(spec.name)
+        axes[spec.name] = tuple(spec.validate(word) for word in words)
+        if len(set(axes[spec.name])) < len(words):
+            hint = "give each value once"
+            raise UsageError(f"{option} {text}: a value is there twice", hint=hint)
+    if math.prod(map(len, axes.values())) > MAX_CELLS:
         raise UsageError(f"that makes more than {MAX_CELLS} cells", hint="try fewer values")
-    wanted = Grid(method, fixed, dict(axes[::-1]))
+    wanted = Grid(method, fixed, axes)
     for chosen in wanted.settings():
         method.validate({**fixed, **chosen})
     return wanted
@@ -231,11 +228,6 @@ def find_nearest(cells: Sequence[Cell]) -> Cell | None:
     return cells[min(rated)[1]] if rated else None
 
 
-def draw_grid(on: Subject, mesh: Mesh, view: View) -> Image:
-    """(h, w, 3) uint8: a mesh of the grid, or the input, seen by the one camera."""
-    return pictures.panel(mesh, on.camera, view)
-
-
 def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: View) -> Image:
     """(H, W, 3) uint8: at the left the input, the choices and the reference, then the grid with its
     numbers.  ``done`` has the cells of the grid and those of choices."""
@@ -243,18 +235,22 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
     nearest = find_nearest([cell for cell, _ in done])
     errors = [cell.mean_angular_error_deg for cell, _ in done]
     least = min((error for error in errors if error is not None), default=None)
-    sides: list[Panel] = [(draw_grid(on, on.ready.mesh, view), title, ["input"])]
+    sides: list[Panel] = [(pictures.panel(on.ready.mesh, on.camera, view), title, ["input"])]
     cells: list[Panel] = []
     for cell, image in done:
         # What comes after OUT; the rest is the same for all and is in the footer.
         options = cell.command.partition(" -o OUT ")[2].replace(" -", "  -")
         lines = [*describe_numbers(cell), *filter(None, [options])]
-        panel = image, _title(cell, least, nearest), lines
-        (sides if cell.choice else cells).append(panel)
+        words = ", ".join(f"{name} = {_plain(value)}" for name, value in cell.parameters.items())
+        words = {"plain": "plain command", "auto": "--auto"}.get(cell.choice, words)
+        is_least = least is not None and cell.mean_angular_error_deg == least
+        notes = ["least error"] * is_least + ["nearest by risk"] * (cell is nearest)
+        words += f" ({', '.join(notes)})" if notes else ""
+        (sides if cell.choice else cells).append((image, words, lines))
     if on.reference is not None:
         error = measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
-        sides.append((draw_grid(on, on.reference, view), "reference", [words]))
+        sides.append((pictures.panel(on.reference, on.camera, view), "reference", [words]))
     empty: Panel = (np.full_like(sides[0][0], LIGHT.background), "", [])
     width = len([*wanted.axes.values()][-1])
     panels: list[Panel] = []
@@ -275,14 +271,6 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
 def _plain(value: object) -> str:
     """A value as people write it: 1, not 1.0."""
     return str(value).removesuffix(".0")
-
-
-def _title(cell: Cell, least: float | None, nearest: Cell | None) -> str:
-    words = ", ".join(f"{name} = {_plain(value)}" for name, value in cell.parameters.items())
-    words = {"plain": "plain command", "auto": "--auto"}.get(cell.choice, words)
-    notes = ["least error"] if least is not None and cell.mean_angular_error_deg == least else []
-    notes += ["nearest by risk"] if cell is nearest else []
-    return words + (f" ({', '.join(notes)})" if notes else "")
 
 
 def describe_numbers(cell: Cell) -> list[str]:

@@ -42,7 +42,7 @@ def test_one_is_singular(tmp_path):
     path = tmp_path / "line.off"
     path.write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n2 0 0\n5 5 5\n3 0 1 2\n")
     text = msal("info", path).stdout
-    for words in ("1 (1 triangle)", "1 face\n", "1 vertex\n"):
+    for words in ("1 (1 triangle)", "1 degenerate face", "1 unreferenced vertex\n"):
         assert words in text
     assert "1 triangle\n" in msal("compare", path, path).stdout
 
