@@ -156,7 +156,8 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
     Raises OutputError where the folder cannot be used, or its disk is full.
     """
     if scratch is None:
-        yield
+        with array_files.kept_memory():
+            yield
         return
     try:
         smallest = min(_MAX_IN_MEMORY, scratch.n_bytes // _SMALL_SHARE)

@@ -1,7 +1,8 @@
-"""Large arrays in files without a name, so that the system moves them in and out of memory.
+"""Memory of large arrays: kept for the next ones, or in files without a name, so that the system
+moves them in and out of memory.
 
 numpy asks an allocator of ours (NEP 49, ``kernel_build/array_files.c``) for the memory of its
-arrays, and so do kernels for theirs.  That of a large one is a mapped file of a scratch
+arrays, and so do kernels for theirs.  In files, that of a large one is a mapped file of a scratch
 folder that no other user can open, whose space is taken at once, and which ends with its array or
 the process.
 The functions that compute are the same, and so are the bytes.
@@ -26,6 +27,7 @@ _SET_HANDLER = 304
 
 _lock = threading.Lock()
 _users = 0
+_keepers = 0
 
 
 class Scratch(NamedTuple):
@@ -77,6 +79,32 @@ def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
             _users -= 1
             if not _users:
                 open_library().msal_use_array_files(-1, ctypes.c_size_t(0))
+
+
+@contextmanager
+def kept_memory() -> Iterator[None]:
+    """Have large arrays, which are made in this thread and by kernels, take memory of those that
+    have ended: what the system gives has to be cleared first, and it may take long to find.
+
+    With the arrays it is no more than these have taken, and at the end it is given back.
+    """
+    global _keepers
+    if not can_use_files():
+        yield
+        return
+    with _lock:
+        _keepers += 1
+        if _keepers == 1:
+            open_library().msal_keep_memory(1)
+    before = _set_handler()(_handler())
+    try:
+        yield
+    finally:
+        _set_handler()(before)
+        with _lock:
+            _keepers -= 1
+            if not _keepers:
+                open_library().msal_keep_memory(0)
 
 
 def count_scratch() -> Scratch:
