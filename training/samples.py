@@ -98,7 +98,12 @@ class NoisyMesh:
     weight: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.weight = (self.mean_angle(self.cascade.scanned) + CLEAN_ANGLE) ** -BALANCE
+        self.weight = (self.mean_angle(self.scanned) + CLEAN_ANGLE) ** -BALANCE
+
+    @property
+    def scanned(self) -> Floats:
+        """The normals (m, 3) of the scan."""
+        return face_normals(self.cascade.mesh.vertices, self.cascade.mesh.faces)
 
     def mean_angle(self, normals: Floats) -> float:
         """Mean angle, radians, between normals (m, 3) and the true ones where these are known."""
@@ -273,7 +278,7 @@ def collect_samples(
     inputs, targets, weights = [], [], []
     n_vectors = 0
     for one in meshes:
-        known = np.flatnonzero(one.truth.any(axis=1) & one.cascade.scanned.any(axis=1))
+        known = np.flatnonzero(one.truth.any(axis=1) & one.scanned.any(axis=1))
         chosen = np.sort(generator.permutation(known)[:per_mesh])
         descriptors = one.describe()
         n_vectors = descriptors.n_vectors

@@ -32,4 +32,4 @@ def _load_and_record(kernel: Kernel, arg_types: tuple[library.ArgType, ...]) -> 
         return compiled
 
 
-library.load = _load_and_record  # type: ignore[assignment]
+library.load = _load_and_record

@@ -20,9 +20,6 @@ from msal_cli.kernels.parallel import over_ranges
 CHUNK = 4096
 """Rows that are summed up together: sums over chunks do not depend on how threads share them."""
 
-OnIteration = Callable[[int, float], object]
-"""Called as ``on_iteration(done, residual)`` after every iteration; what it raises ends the run."""
-
 
 class SymmetricMatrix(Protocol):
     """A symmetric positive definite matrix (n, n), known by its diagonal and its products."""
@@ -115,7 +112,7 @@ def conjugate_gradients(
     unit: float,
     most_iterations: int,
     held: Flags | None = None,
-    on_iteration: OnIteration | None = None,
+    on_iteration: Callable[[], object] = lambda: None,
 ) -> Floats:
     """X (n, 3) of A X = ``right`` from ``start`` (both (n, 3), neither is changed).
 
@@ -130,6 +127,7 @@ def conjugate_gradients(
     most_iterations : the run ends here at the latest.
     held : (n,) bool, True for rows whose X is given by ``start`` and stays: the other rows are
         solved with them as data.  Rows whose diagonal is not positive stay as well.
+    on_iteration : called after every iteration; what it raises ends the run.
     """
     diagonal = np.asarray(matrix.diagonal, dtype=np.float64)
     n = len(diagonal)
@@ -139,7 +137,7 @@ def conjugate_gradients(
     weights = np.where(usable, diagonal, 0.0)
     inverse = np.where(usable, 1.0 / np.where(usable, diagonal, 1.0), 0.0)
     sums = np.zeros(-(-n // CHUNK))
-    total_weight = _total(weights)
+    total_weight = float(weights.sum())
 
     x = np.array(start, dtype=np.float64, order="C")
     q = np.empty_like(x)
@@ -148,29 +146,20 @@ def conjugate_gradients(
     p = np.zeros_like(x)
     goal = tolerance * unit
 
-    square = _total(inverse * (r * r).sum(axis=1))
+    # In one thread and over one array, numpy's pairwise sum has a fixed order.
+    square = float((inverse * (r * r).sum(axis=1)).sum())
     previous = 0.0
-    done = 0
-    while _measure(square, total_weight) > goal and done < most_iterations:
+    for done in range(most_iterations if total_weight > 0.0 else 0):
+        if not np.sqrt(square / total_weight) > goal:
+            break
         over_ranges(_turn, n, square / previous if done else 0.0, r, inverse, p)
         matrix.times(p, q)
         over_ranges(_dot, n, p, q, sums)
-        curvature = _total(sums)
+        curvature = float(sums.sum())
         if not curvature > 0.0:  # rounding, or A is not positive definite: no way down from here
             break
         previous = square
         over_ranges(_step, n, square / curvature, p, q, inverse, x, r, sums)
-        square = _total(sums)
-        done += 1
-        if on_iteration is not None:
-            on_iteration(done, _measure(square, total_weight))
+        square = float(sums.sum())
+        on_iteration()
     return x
-
-
-def _measure(square: float, total_weight: float) -> float:
-    return float(np.sqrt(square / total_weight)) if total_weight > 0.0 else 0.0
-
-
-def _total(values: Floats) -> float:
-    # In one thread and over one array, numpy's pairwise sum has a fixed order.
-    return float(values.sum())

@@ -247,7 +247,7 @@ class ImplicitMeanCurvature:
             unit=self.mean_edge_length,
             most_iterations=MAX_ITERATIONS,
             held=~self.free,
-            on_iteration=lambda *_: self.on_iteration(),
+            on_iteration=self.on_iteration,
         )
         return Step(moves)
 

@@ -45,7 +45,7 @@ _SIZES_PER_CLASS = 3  # powers of two
 
 
 def near_pairs(triangles: Floats) -> Iterator[tuple[Longs, Longs]]:
-    """Longs of every two of the ``triangles`` (n, 3, 3) whose boxes have a point in common.
+    """Numbers of every two of the ``triangles`` (n, 3, 3) whose boxes have a point in common.
 
     Yields arrays i, j of the same length, each pair once; which is i, and the order, is the same on
     every run.

@@ -20,7 +20,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from msal_cli.errors import InternalError
 
@@ -48,15 +48,6 @@ _C_TYPES: dict[str, Any] = {
 }
 
 
-class Compiled(Protocol):
-    """What this module needs to know of a kernel."""
-
-    @property
-    def name(self) -> str: ...
-
-    def __hash__(self) -> int: ...
-
-
 class Entry(NamedTuple):
     """What the table says of a kernel for one combination of argument types."""
 
@@ -66,8 +57,8 @@ class Entry(NamedTuple):
     source_hash: str
 
 
-def load(kernel: Compiled, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
-    """The machine code of a kernel for these argument types, as a function.
+def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
+    """The machine code of a ``Kernel`` for these argument types, as a function.
 
     Raises
     ------
@@ -77,7 +68,13 @@ def load(kernel: Compiled, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]
     text = signature(kernel.name, arg_types)
     entry = _entries().get(text)
     if entry is None:
-        raise _not_listed(text) if TABLE.exists() else _missing("is not installed")
+        if not TABLE.exists():
+            raise _missing("is not installed")
+        raise InternalError(
+            f"the kernel library has no {text}",
+            hint="please report this line; developers: add the signature to "
+            f"kernel_build/signatures.txt and run {_REBUILD}",
+        )
     if entry.source_hash:
         from msal_cli.kernels.source_hash import source_hash
 
@@ -155,14 +152,6 @@ def level_suffix(library: ctypes.CDLL) -> str:
             hint=f"build all levels of processor: {_REBUILD} --all-levels",
         )
     return suffix
-
-
-def _not_listed(text: str) -> InternalError:
-    return InternalError(
-        f"the kernel library has no {text}",
-        hint="please report this line; developers: add the signature to "
-        f"kernel_build/signatures.txt and run {_REBUILD}",
-    )
 
 
 def _missing(what: str) -> InternalError:

@@ -18,7 +18,6 @@ import functools
 import hashlib
 import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ import numpy as np
 from msal_cli.arrays import Floats, Floats32
 from msal_cli.errors import InternalError
 from msal_cli.kernels.faces import corner_means, face_rings
-from msal_cli.kernels.geometry import average_around, face_normals, lay_face_normals, ring_means
+from msal_cli.kernels.geometry import average_around, lay_face_normals, ring_means
 from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
@@ -40,7 +39,7 @@ from msal_cli.kernels.normal_regression import (
 )
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
-from msal_cli.kernels.vertex_update import untangle, update_vertices
+from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
 from msal_cli.methods._restoration import (
     RestorationParameters,
@@ -99,11 +98,6 @@ class Cascade:
         mesh.release_normals()
         self._describer: NormalDescriber | None = None
 
-    @property
-    def scanned(self) -> Floats:
-        """The normals (m, 3) of the scan."""
-        return face_normals(self.mesh.vertices, self.mesh.faces)
-
     def describe(self, positions: Floats, earlier: Floats | None) -> Descriptors:
         """The descriptors of all faces with the vertices at ``positions`` (n, 3), at first those of
         the scan.
@@ -127,22 +121,10 @@ class Cascade:
         """Give the memory of the descriptors back; the next ones take it again."""
         self._describer = None
 
-    def fit(
-        self,
-        positions: Floats,
-        normals: Floats,
-        passes: int,
-        on_pass: Callable[[], object] | None = None,
-    ) -> Floats:
+    def fit(self, positions: Floats, normals: Floats, passes: int) -> Floats:
         """Positions (n, 3) that fit the normals (m, 3) better, after ``passes`` passes."""
         mesh = self.mesh
-        return update_vertices(
-            positions, normals, mesh.faces, mesh.topology, self.free, passes, on_pass
-        )
-
-    def untangle(self, positions: Floats, normals: Floats) -> Floats:
-        """Positions (n, 3) without the thin and folded faces that cannot take their normals."""
-        return untangle(positions, normals, self.mesh.faces, self.mesh.topology, self.free)
+        return update_vertices(positions, normals, mesh.faces, mesh.topology, self.free, passes)
 
 
 def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:

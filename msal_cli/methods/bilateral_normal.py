@@ -112,7 +112,7 @@ def _filtered_normals(mesh: Mesh, parameters: Parameters, passes: Passes) -> Flo
         tolerance=TOLERANCE * fidelity,
         unit=1.0,
         most_iterations=MAX_ITERATIONS,
-        on_iteration=lambda done, residual: passes.on_step(),
+        on_iteration=passes.on_step,
     )
     passes.count_pass()
     length = np.sqrt((solved * solved).sum(axis=1))[:, None]

@@ -114,7 +114,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
             unit=edge_length,
             most_iterations=MAX_ITERATIONS,
             held=fixed,
-            on_iteration=lambda *_: on_step(),  # noqa: B023
+            on_iteration=on_step,
         )
         on_sweep(step + 1, parameters.iterations)
     if parameters.iterations:

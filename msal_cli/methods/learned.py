@@ -45,6 +45,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
+from msal_cli.kernels.vertex_update import untangle
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._cascade import Cascade, load_networks, return_texture
@@ -115,7 +116,7 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         on_sweep(done, stages)
     assert normals is not None
     positions = undo_sliding(mesh, positions, parameters.sliding, parameters.boundary)
-    positions = cascade.untangle(positions, normals)
+    positions = untangle(positions, normals, mesh.faces, mesh.topology, cascade.free)
     if noise and is_returned:
         positions = return_texture(mesh, positions, noise)
     return timer.finish(positions)

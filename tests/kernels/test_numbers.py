@@ -1,4 +1,4 @@
-"""Numbers by themselves: medians, ranks, quantiles, clusters, exponentials and linear systems."""
+"""Numbers by themselves: medians, ranks, quantiles, clusters and exponentials."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy import special
 
 from msal_cli.kernels import elementary, quantiles
-from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
@@ -127,43 +126,3 @@ def test_it_is_that_of_the_library(pairs):
     y, x = np.array(pairs).T
     expected = np.arctan2(y, x)
     assert np.abs(angles_of(y, x) - expected).max() <= 4e-16 * np.pi
-
-
-def row_matrix(dense):
-    """A dense symmetric matrix as rows, with its zeros left out."""
-    rest = dense - np.diag(np.diag(dense))
-    rows, columns = np.nonzero(rest)
-    row_start = np.zeros(len(dense) + 1, dtype=np.int32)
-    np.cumsum(np.bincount(rows, minlength=len(dense)), out=row_start[1:])
-    return RowMatrix(
-        np.diag(dense).copy(), row_start, columns.astype(np.int32), rest[rows, columns]
-    )
-
-
-def spd(rng, n, spread=1.0):
-    """A random sparse symmetric positive definite matrix; rows scaled over ``spread`` decades."""
-    half = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.3)
-    scale = 10.0 ** rng.uniform(-spread / 2, spread / 2, n)
-    return scale[:, None] * (half @ half.T + np.eye(n)) * scale
-
-
-def test_the_residual_is_the_true_one():
-    rng = np.random.default_rng(3)
-    dense = spd(rng, 25, 2.0)
-    right = rng.normal(size=(25, 3))
-    reported = []
-    goal = {"tolerance": 1e-10, "unit": 1.0, "most_iterations": 7}
-    goal["on_iteration"] = lambda *at: reported.append(at)
-    found = conjugate_gradients(row_matrix(dense), right, np.zeros((25, 3)), **goal)
-    rest = right - dense @ found
-    d = np.diag(dense)
-    expected = np.sqrt((rest**2 / d[:, None]).sum() / d.sum())
-    assert [done for done, _ in reported] == [1, 2, 3, 4, 5, 6, 7]
-    assert reported[-1][1] == pytest.approx(expected, rel=1e-9)
-
-
-def test_an_empty_row_stays():
-    dense = np.diag([2.0, 0.0, 4.0])
-    goal = {"tolerance": 1e-10, "unit": 1.0, "most_iterations": 9}
-    found = conjugate_gradients(row_matrix(dense), np.ones((3, 3)), np.full((3, 3), 7.0), **goal)
-    assert np.allclose(found[:, 0], [0.5, 7.0, 0.25])

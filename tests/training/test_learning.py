@@ -108,7 +108,7 @@ def test_training_lowers_the_error_and_repeats_bit_for_bit(samples, monkeypatch)
         assert (layer[0] == same[0]).all()
         assert (layer[1] == same[1]).all()
     # What was trained on standardised inputs is what the kernel gives for raw ones.
-    before = np.mean([mesh.mean_angle(mesh.cascade.scanned) for mesh in meshes])
+    before = np.mean([mesh.mean_angle(mesh.scanned) for mesh in meshes])
     for mesh in meshes:
         mesh.advance(network)
     assert np.mean([mesh.mean_angle(mesh.earlier) for mesh in meshes]) < before
