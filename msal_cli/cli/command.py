@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.cli import config, console
-from msal_cli.cli.logs import log_to_console
 from msal_cli.cli.options import MESSAGES, OptionGroup
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ class Command(click.Command):
         """Run the command with its ``Request``, as much of the log shown as it asks for."""
         assert self.callback is not None
         verbosity = -1 if ctx.params.get("quiet") else ctx.params.get("verbose", 0)
-        with log_to_console(verbosity):
+        with console.log_to_console(verbosity):
             return ctx.invoke(self.callback, Request(**ctx.params, context=ctx))
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:

@@ -223,23 +223,25 @@ def _conclude(
         if record.error is None or record.error.code != _NO_PARTNER
     ]
     vanished = comparison.list_missing(present, known) if is_all else []
-    if request.as_json and is_pair:
-        console.put_bytes(data.json_bytes(data.plain_record(records[0])))
-    elif request.as_json:
-        console.put_json(ComparisonRecord.schema, records=[as_data(record) for record in records])
-    elif not is_pair:
-        console.put_lines(comparison.comparison_table(records, width=console.width(sys.stdout)))
-    elif not failures:
-        console.put_lines(comparison.describe_comparison(records[0]))
-    if request.as_json or is_pair:
-        for record in failures:
-            _say_failure(record)
-    console.say_lines(comparison.broken_gates(records))
-    for name in vanished:
-        console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
-    # What was measured is printed, even if the picture fails.
-    if request.heatmap is not None and not failures:
-        _write_heatmap(request)
+    try:
+        if request.as_json and is_pair:
+            console.put_bytes(data.json_bytes(data.plain_record(records[0])))
+        elif request.as_json:
+            console.put_json(ComparisonRecord.schema, records=list(map(as_data, records)))
+        elif not is_pair:
+            console.put_lines(comparison.comparison_table(records, width=console.width(sys.stdout)))
+        elif not failures:
+            console.put_lines(comparison.describe_comparison(records[0]))
+        if request.as_json or is_pair:
+            for record in failures:
+                _say_failure(record)
+        console.say_lines(comparison.broken_gates(records))
+        for name in vanished:
+            console.say(f"{file_name(name)}: in the baseline, and not here", "bad")
+    finally:
+        # Each is there, even if the other fails.
+        if request.heatmap is not None and not failures:
+            _write_heatmap(request)
     # A pair that cannot be compared weighs more than a broken gate, and that more than a file
     # without a partner.
     is_gate_failed = is_any_broken(records) or bool(vanished)

@@ -1,4 +1,5 @@
-"""What msal says, data to standard output and words to standard error; and its exit statuses.
+"""What msal says, data to standard output, words and the log to standard error; and its exit
+statuses.
 
 | 0 | every selected file is written or up to date |
 | 1 | fatal: the only file failed, all failed, given up after --max-failures, the output cannot be
@@ -16,6 +17,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import time
@@ -172,6 +174,72 @@ def _colour(text: str, tone: str, stream: TextIO | None) -> str:
         return text
     return click.style(text, **_STYLES[tone])
 
+
+# The log: warnings, the steps with -v, everything with -vv
+
+_logger = logging.getLogger("msal")
+_LEVELS = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
+_TRACE = "Traceback (most recent call last)"
+
+
+@contextmanager
+def log_to_console(verbosity: int) -> Iterator[None]:
+    """Send the log to standard error while the block runs.
+
+    ``verbosity`` is -1 for errors only, 0 for warnings, 1 for the steps, 2 for everything, with
+    times.
+    """
+    handler = _ConsoleHandler(verbosity)
+    _logger.setLevel(handler.level)
+    _logger.propagate = False
+    _logger.addHandler(handler)
+    try:
+        yield
+    except (MsalError, click.ClickException, click.exceptions.Exit, BrokenPipeError):
+        raise
+    except Exception:
+        # Only here is the handler still in place; ``main`` prints the one line for users.
+        _logger.exception("internal error")
+        raise
+    finally:
+        _logger.removeHandler(handler)
+
+
+class _ConsoleHandler(logging.Handler):
+    """Log records as lines on standard error."""
+
+    def __init__(self, verbosity: int) -> None:
+        super().__init__(_LEVELS.get(verbosity, logging.DEBUG))
+        self._with_traces = verbosity > 0
+        time = "%(asctime)s " if verbosity > 1 else ""
+        self.setFormatter(_SafeFormatter(f"{time}msal: %(level)s: %(message)s"))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = self.format(record)
+        # The failure itself is reported with the file that it belongs to.
+        if self._with_traces or _TRACE not in text:
+            say(text)
+
+
+class _SafeFormatter(logging.Formatter):
+    """No name of a file breaks a line, reaches the terminal or makes an entry of its own."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - Python's name
+        record.message = _escape(record.message)
+        record.level = record.levelname.lower()
+        return super().formatMessage(record)
+
+    def formatException(self, ei: Any) -> str:  # noqa: N802 - Python's name
+        return _escape(super().formatException(ei))
+
+
+def _escape(text: str) -> str:
+    # Traces, also those that workers send, are the only messages of several lines.
+    lines = text.split("\n") if _TRACE in text else [text]
+    return "\n".join(map(escape_for_display, lines))
+
+
+# Exit statuses
 
 SUCCESS = 0
 FATAL = 1

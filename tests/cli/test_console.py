@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from msal_cli.batch.schedule import Finished, Progress, Started
-from msal_cli.cli import console, logs, progress
+from msal_cli.cli import console, progress
 from msal_cli.cli import console as talk
 from msal_cli.errors import ContentError, OutputError
 from msal_cli.job.settings import Task
@@ -121,7 +121,7 @@ def speak():
     + [(2, ["detail", "step", "careful", "Traceback"])],
 )
 def test_what_is_said(capsys, verbosity, heard):
-    with logs.log_to_console(verbosity):
+    with console.log_to_console(verbosity):
         speak()
     said = capsys.readouterr().err.splitlines()
     assert len(said) == len(heard)
@@ -130,7 +130,7 @@ def test_what_is_said(capsys, verbosity, heard):
 
 def test_an_exception_is_traced_with_v_only(capsys):
     for verbosity in (0, 2):
-        with pytest.raises(ZeroDivisionError), logs.log_to_console(verbosity):
+        with pytest.raises(ZeroDivisionError), console.log_to_console(verbosity):
             1 / 0  # noqa: B018
     said = capsys.readouterr().err
     assert said.count("ZeroDivisionError: division by zero") == 1
@@ -139,7 +139,7 @@ def test_an_exception_is_traced_with_v_only(capsys):
 
 @pytest.mark.parametrize("name", HOSTILE_NAMES)
 def test_a_name_is_no_entry_and_no_escape(capsys, name):
-    with logs.log_to_console(1):
+    with console.log_to_console(1):
         logging.getLogger("msal.denoise").info("%s: written", name)
         try:
             raise ValueError(name)
