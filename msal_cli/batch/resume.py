@@ -443,22 +443,9 @@ RunHistory = tuple[list[RunEntry], list[FileRow]]
 """All runs that manifests know of, in their order, and the newest row of every file."""
 
 
-def read_place(place: str) -> RunHistory | None:
-    """What all manifests in a folder, or a folder of a store, say; None if there is none.
-
-    A file that a run began and did not finish has a record that is ``planned``.
-    Raises OutputError if a manifest cannot be read.
-    """
-    views = manifests.read_views(place)
-    return _history(views, place) if views else None
-
-
-def read_file(path: Path) -> RunHistory:
-    """What one manifest of a folder says; OutputError if it cannot be read."""
-    return _history([manifests.read_view(path)], str(path.parent))
-
-
-def _history(views: Sequence[LogView], place: str) -> RunHistory:
+def read_history(views: Sequence[LogView], place: str) -> RunHistory:
+    """What manifests of a place say; a file that a run began and did not finish has a record that
+    is ``planned``."""
     runs = [run for view in views for run in _parse_runs(view)]
     rows = [_row(entry, place) for entry in manifests.merge_entries(views).values()]
     return sorted(runs, key=lambda run: run.at), rows

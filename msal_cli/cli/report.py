@@ -128,8 +128,7 @@ def _summarize(names: Sequence[str]) -> _Summary:
     UsageError for a name without a file, a folder or a manifest in it; FormatError for a file that
     is neither a manifest nor a report; OutputError or InputError where a file cannot be read.
     """
-    from msal_cli.batch import resume
-    from msal_cli.batch.manifest import list_manifests
+    from msal_cli.batch import manifest, resume
 
     rows: list[FileRow] = []
     runs: list[RunEntry] = []
@@ -138,15 +137,16 @@ def _summarize(names: Sequence[str]) -> _Summary:
     for name in dict.fromkeys(names):
         path = Path(name)
         if is_url(name) or path.is_dir():
-            history = resume.read_place(name)
-            if history is None:
+            views = manifest.read_views(name)
+            if not views:
                 raise UsageError(
                     f"there is no manifest in the folder {name!r}",
                     hint="name the output folder of msal denoise (with --in-place the input)",
                     path=name,
                 )
+            history = resume.read_history(views, name)
             remarks += _missing_parts(history[0], name)
-            paths += [] if is_url(name) else map(str, list_manifests(name))
+            paths += [] if is_url(name) else map(str, manifest.list_manifests(name))
         elif path.is_file():
             history = _read_file(path)
             paths.append(name)
@@ -198,7 +198,7 @@ def _all_shards(run: RunEntry) -> list[str]:
 
 
 def _read_file(path: Path) -> RunHistory:
-    from msal_cli.batch import resume
+    from msal_cli.batch import manifest, resume
     from msal_cli.report.data import read_json, read_lines
 
     name = str(path)
@@ -208,7 +208,7 @@ def _read_file(path: Path) -> RunHistory:
     runs: list[RunEntry] = []
     if path.suffix.lower() == ".jsonl":
         if b'"kind":' in data.lstrip()[:10]:
-            return resume.read_file(path)
+            return resume.read_history([manifest.read_view(path)], str(path.parent))
         records = read_lines(data, name)
     elif path.suffix.lower() == ".json":
         run, records = read_json(data, name)

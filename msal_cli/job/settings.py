@@ -39,9 +39,6 @@ CHOOSING = (ADAPTIVE, AUTO)
 NEGLIGIBLE = "auto"
 """In place of a least noise: as the estimate judges it."""
 
-DEFAULT_METHOD = "msal"
-"""Has the parameters that are given without a method."""
-
 DEFAULT_BACKUP = ".orig"
 """What is added to the name of an original that is replaced in place."""
 
@@ -397,7 +394,7 @@ def _choose_method(
     else:
         from msal_cli import methods
 
-        found = methods.find(method or DEFAULT_METHOD)
+        found = methods.find(method or "msal")
         return found.name, resolve_parameters(found, assignments)
     if assignments:
         raise UsageError(
