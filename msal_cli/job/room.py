@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -139,6 +137,8 @@ def find_scratch(
         )
     free = n_bytes
     with suppress(OSError):  # using the folder says why not
+        import shutil
+
         free = shutil.disk_usage(folder).free
     if free < n_bytes:
         raise OutputError(
@@ -179,6 +179,8 @@ def use_scratch(scratch: Scratch | None) -> Iterator[None]:
 def _folder_of(output: str | None) -> str:
     """The folder of an output, or the next above that is there; else that for temporary files."""
     if output is None or is_url(output):
+        import tempfile
+
         return tempfile.gettempdir()
     folder = Path(output).absolute().parent
     while not folder.is_dir() and folder != folder.parent:
