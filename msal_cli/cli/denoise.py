@@ -527,22 +527,6 @@ def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:
     return (truth,) * len(names)
 
 
-def _refuse_taken_names(plan: Plan) -> None:
-    """Refuse files of fields that would replace each other, an input or an output; UsageError."""
-    from msal_cli.job.fields import path_beside
-
-    taken = {path for task in plan.tasks for path in (task.input, task.output)}
-    for task in plan.tasks:
-        path = path_beside(task.output)
-        if path in taken:
-            raise UsageError(
-                f"the fields of {task.input!r} would be written to {path!r}, which is taken",
-                hint="rename one of the files, or run them into two output folders",
-                path=task.input,
-            )
-        taken.add(path)
-
-
 def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
     """What decides the bytes of the outputs; UsageError for what no method or format knows."""
     given = {**vars(request), "method": AUTO if request.auto else request.method}
@@ -576,7 +560,18 @@ def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredI
         is_set=request.tile_set,
     )
     if settings.fields:
-        _refuse_taken_names(everything)
+        from msal_cli.job.fields import path_beside
+
+        taken = {path for task in everything.tasks for path in (task.input, task.output)}
+        for task in everything.tasks:
+            path = path_beside(task.output)
+            if path in taken:
+                raise UsageError(
+                    f"the fields of {task.input!r} would be written to {path!r}, which is taken",
+                    hint="rename one of the files, or run them into two output folders",
+                    path=task.input,
+                )
+            taken.add(path)
     return everything
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import click
 
@@ -72,18 +72,18 @@ def command(request: Request) -> int:
     # Checked before a large folder is read.
     report_files.check(outputs, (), csv_columns)
     gates = parse_gates(request.fail_on, MeshRecord, request.unit)
-    account = _summarize(request.runs)
-    done = [record for record in account.records if record.error is None and record.output]
+    run, found, remarks, paths = _summarize(request.runs)
+    done = [record for record in found if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
-    run, records = account.run, tuple(with_gates(gates, account.records))
+    records = with_gates(gates, found)
     meshes = [path for record in records for path in (record.input, record.output) if path]
-    report_files.check(outputs, [*account.paths, *meshes])
+    report_files.check(outputs, [*paths, *meshes])
     if not quiet:
         say_summary(run, records, verbose=request.verbose > 0)
     elif request.fail_on:
         console.say_lines(text.list_problems(records, False, "Broken gates"))
-    for remark in account.remarks:
+    for remark in remarks:
         console.say(remark, "bad")
     is_checked = request.check or bool(gates)
     if is_checked:
@@ -99,27 +99,15 @@ def command(request: Request) -> int:
     n_lost = sum(record.status in ("failed", "planned") for record in records)
     is_broken = is_any_broken(records)
     status = console.status_of_files(len(records), n_lost, is_gate_failed=is_broken)
-    return console.worst_status(status, console.SOME_FAILED) if account.remarks else status
+    return console.worst_status(status, console.SOME_FAILED) if remarks else status
 
 
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
 
 
-class _Summary(NamedTuple):
-    """What earlier runs did.
-
-    ``remarks`` say in words what is missing or still going on.  ``paths`` are the files that it was
-    read from.
-    """
-
-    run: Run
-    records: list[MeshRecord]
-    remarks: list[str]
-    paths: list[str]
-
-
-def _summarize(names: Sequence[str]) -> _Summary:
-    """What the runs did that these output folders, manifests and reports are about.
+def _summarize(names: Sequence[str]) -> tuple[Run, list[MeshRecord], list[str], list[str]]:
+    """The run and the records of these output folders, manifests and reports; remarks on what is
+    missing or still going on; and the paths of the files that were read.
 
     Of several records of a file, distinguished by the paths of its input and output, the newest
     counts.  The run is the newest one; its times span all runs of the same version and settings,
@@ -164,7 +152,7 @@ def _summarize(names: Sequence[str]) -> _Summary:
     records = _newest_records(rows)
     is_finished = not remarks and all(record.status != "planned" for record in records)
     run = _combine(runs, is_finished) if runs else _unknown_run(rows, is_finished)
-    return _Summary(run, records, remarks, paths)
+    return run, records, remarks, paths
 
 
 def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:

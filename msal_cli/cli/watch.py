@@ -323,7 +323,9 @@ class Inbox:
         complete: list[tuple[int, DiscoveredInput]] = []
         for file in files:
             stat = FileStat.of(file.path)
-            if stat is None or is_unfinished_name(os.path.basename(file.path)):
+            name = os.path.basename(file.path).lower()
+            # Programs give such names to files that they still write.
+            if stat is None or name.startswith("~") or name.endswith(_UNFINISHED_ENDS):
                 continue
             before, since = self._known.get(file.path, (None, now))
             if before != stat:
@@ -352,8 +354,3 @@ class Inbox:
             return ()
         self._is_listable = True
         return found
-
-
-def is_unfinished_name(name: str) -> bool:
-    """Whether programs give such a name to files that they still write."""
-    return name.startswith("~") or name.lower().endswith(_UNFINISHED_ENDS)

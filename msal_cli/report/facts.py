@@ -22,9 +22,7 @@ from msal_cli.job.records import (
     InfoRecord,
     MeshRecord,
     NoiseEstimate,
-    Reference,
     SelfIntersections,
-    TileSetPart,
 )
 from msal_cli.record_fields import value_at
 from msal_cli.report.data import Run, Totals, flatten, known_values, plain
@@ -76,7 +74,13 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
     if record.error is not None:
         yield Fact("reason", failure_text(record.error), "bad", ATTENTION)
         yield Fact("what to do", record.error.hint)
-    yield Fact("mesh", mesh_text(record))
+    counts = (
+        vertices_text(record.vertices, record.corners),
+        format_count(record.faces, "face"),
+        format_count(record.components, "component"),
+        defects_text(record),
+    )
+    yield Fact("mesh", ", ".join(filter(None, counts)))
     stored = (record.format, record.encoding, record.precision)
     yield Fact("stored as", " ".join(filter(None, stored)), level=DETAIL)
     if record.noise_estimate is not None:
@@ -129,7 +133,7 @@ def _changes(record: MeshRecord) -> Iterator[str]:
     if record.flipped_faces:
         yield format_count(record.flipped_faces, "flipped face")
     if record.despiked:
-        yield despiked_text(record.despiked)
+        yield f"{format_count(record.despiked, 'outlier vertex')} brought back"
     for count, word in (
         (record.clamped_vertices, "cut to the longest move"),
         (record.locked_vertices, "locked"),
@@ -158,7 +162,16 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
     if reference is not None and reference.error is not None:
         yield Fact("reference", failure_text(reference.error), "bad", ATTENTION)
     elif reference is not None:
-        yield Fact("reference", f"{_reference_text(reference)} ({file_name(reference.path)})")
+        parts = (
+            (
+                "normals",
+                figure(reference.mean_angular_error_deg, ".2f", " degrees off (mean)"),
+            ),
+            ("vertices", figure(reference.vertex_error_percent, ".3g", " % of the mean edge")),
+            ("Hausdorff", figure(reference.hausdorff_edges, ".3g", " mean edge lengths")),
+        )
+        text = ", ".join(f"{word} {text}" for word, text in parts if text) or "not known"
+        yield Fact("reference", f"{text} ({file_name(reference.path)})")
         for warning in reference.warnings:
             yield Fact("warning", warning, "bad", ATTENTION)
     for gate in record.gates:
@@ -455,16 +468,6 @@ def gate_text(gate: GateResult) -> str:
     return f"{word}{gate_values(gate)}"
 
 
-def mesh_text(record: MeshRecord) -> str:
-    counts = (
-        vertices_text(record.vertices, record.corners),
-        format_count(record.faces, "face"),
-        format_count(record.components, "component"),
-        defects_text(record),
-    )
-    return ", ".join(filter(None, counts))
-
-
 def vertices_text(vertices: int | None, corners: int | None) -> str:
     """``6,720 vertices (of 40,320 corners)``: corners where the file stores these (STL); they alone
     where the vertices are not known."""
@@ -489,23 +492,10 @@ def defects_text(record: MeshRecord | InfoRecord) -> str:
     return ", ".join(texts + ["inside out"] * bool(record.inside_out))
 
 
-def despiked_text(despiked: int) -> str:
-    return format_count(despiked, "outlier vertex") + " brought back"
-
-
 def self_intersections_text(pairs: SelfIntersections) -> str:
     """``164 -> 145 pairs of faces, 101 of them new``."""
     new = "" if pairs.created is None else f", {pairs.created:,} of them new"
     return f"{pairs.before:,} -> {pairs.after:,} pairs of faces{new}"
-
-
-def _reference_text(reference: Reference) -> str:
-    parts = (
-        ("normals", figure(reference.mean_angular_error_deg, ".2f", " degrees off in the mean")),
-        ("vertices", figure(reference.vertex_error_percent, ".3g", " % of the mean edge length")),
-        ("Hausdorff", figure(reference.hausdorff_edges, ".3g", " mean edge lengths")),
-    )
-    return ", ".join(f"{word} {text}" for word, text in parts if text) or "not known"
 
 
 def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[str]:
@@ -586,11 +576,3 @@ def tile_set_text(records: Sequence[MeshRecord]) -> str:
     if n_fixed := sum(part.fixed_border_vertices for part in parts):
         texts.append(f"{format_count(n_fixed, 'border vertex')} held fixed")
     return "; ".join(texts)
-
-
-def touches_text(part: TileSetPart) -> str:
-    """What a file of a tile set shares with others: ``touches b.ply, c.ply: 60 vertices``."""
-    if not part.neighbours:
-        return "touches no other file"
-    names = ", ".join(part.neighbours)
-    return f"touches {names}: {format_count(part.shared_vertices, 'vertex')}"

@@ -67,9 +67,11 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         else:
             ending = "" if record.planned is None else f": {_planned_text(record.planned)}"
             yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
-            if record.tile_set is not None:
+            if (part := record.tile_set) is not None:
+                shared = format_count(part.shared_vertices, "vertex")
+                touches = f"{', '.join(part.neighbours)}: {shared}"
                 counts = facts.vertices_text(record.vertices, record.corners)
-                yield Line(f"  {counts}, {facts.touches_text(record.tile_set)}")
+                yield Line(f"  {counts}, touches {touches if part.neighbours else 'no other file'}")
 
 
 def outlook(records: Sequence[MeshRecord], n_cores: int) -> Line:
