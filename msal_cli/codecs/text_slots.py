@@ -91,7 +91,7 @@ class TextSlots(Slots):
     @functools.cached_property
     def used(self) -> Bytes:
         """The most decimals (q,) of the numbers of each run."""
-        from msal_cli.kernels.statements import find_numbers
+        from msal_cli.kernels.text import find_numbers
 
         used = np.empty(len(self.at), dtype=np.uint8)
         find_numbers(self.data, self.at + self.skipped, self.width, _NONE, used)
@@ -131,7 +131,7 @@ class TextSlots(Slots):
     ) -> Patch:
         """What writes new ``values`` (n, k) where they changed, with ``decimals`` (q,); with a run
         for each number if ``is_single``."""
-        from msal_cli.kernels.statements import find_numbers
+        from msal_cli.kernels.text import find_numbers
 
         starts, width = self.at + self.skipped, self.width
         is_whole = self.is_whole
@@ -250,7 +250,7 @@ def _is_interleaved(places: Sequence[Longs]) -> bool:
 
 
 class _Block(NamedTuple):
-    """Runs one behind the other: see ``kernels.statements.replace``."""
+    """Runs one behind the other: see ``kernels.text.replace``."""
 
     begins: Longs
     old: Floats
@@ -285,8 +285,7 @@ def replace_statements(data: Bytes, patches: Sequence[Patch]) -> memoryview:
 def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | None:
     """Write a piece to ``out`` from byte ``to`` on; returns its end, or None where a number that
     is replaced lies behind the piece."""
-    from msal_cli.kernels.statements import replace
-    from msal_cli.kernels.text import format_shortest
+    from msal_cli.kernels.text import format_shortest, replace
 
     done = piece.start
     for block in _blocks(piece.patches):
@@ -332,29 +331,29 @@ def require_replaced(data: Bytes, result: Bytes, patches: Sequence[Patch]) -> No
 def _find_fault(data: Bytes, piece: _Piece, result: Bytes, start: int) -> InternalError | None:
     """What is wrong with ``result`` from byte ``start`` on, which should be a piece; None if
     nothing is."""
-    from msal_cli.kernels import statements
+    from msal_cli.kernels import text
 
     tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), [0.0, 0.0])
     more = "the output differs from the input in more than positions and normals"
     done, result_done = piece.start, start
     for block in _blocks(piece.patches):
         row = axis = 0
-        status = statements.ASIDE
-        while status == statements.ASIDE:
-            status, done, result_done, row, axis = statements.compare(
+        status = text.ASIDE
+        while status == text.ASIDE:
+            status, done, result_done, row, axis = text.compare(
                 data, done, result, result_done, row, axis, *block, tolerances
             )
-            if status == statements.ASIDE:
+            if status == text.ASIDE:
                 token = _NUMBER.findall(result[result_done : result_done + 64].tobytes())[0]
                 expected = float(block.new[row, axis])
                 slack = tolerances[block.decimals[row]] + 4.5e-16 * abs(expected)
                 if not abs(float(token) - expected) <= slack:
-                    status = statements.WRONG_VALUE
+                    status = text.WRONG_VALUE
                 result_done, axis = result_done + len(token), axis + 1
         where = f"near byte {done}"
-        if status == statements.WRONG_VALUE:
+        if status == text.WRONG_VALUE:
             return InternalError("the output holds another number than it should", where=where)
-        if status == statements.DIFFERENT:
+        if status == text.DIFFERENT:
             return InternalError(more, where=where)
     if done > piece.stop or not is_same(data[done : piece.stop], result[result_done:]):
         return InternalError(more)

@@ -16,11 +16,15 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import hashlib
 import os
 import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from msal_cli.errors import InternalError
 
@@ -75,14 +79,11 @@ def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
             hint="please report this line; developers: add the signature to "
             f"kernel_build/signatures.txt and run {_REBUILD}",
         )
-    if entry.source_hash:
-        from msal_cli.kernels.source_hash import source_hash
-
-        if source_hash(kernel) != entry.source_hash:
-            raise InternalError(
-                f"the kernel library does not have {kernel.name} as its source is now",
-                hint=f"build it: {_REBUILD} (numba is needed: pip install -e '.[dev]')",
-            )
+    if entry.source_hash and source_hash(kernel) != entry.source_hash:
+        raise InternalError(
+            f"the kernel library does not have {kernel.name} as its source is now",
+            hint=f"build it: {_REBUILD} (numba is needed: pip install -e '.[dev]')",
+        )
     return bind(open_library(), entry, arg_types)
 
 
@@ -227,3 +228,50 @@ def _structure(names: tuple[str, ...]) -> Any:
     ]
     # Code without a result still clears the place where it would be.
     return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})
+
+
+# Sources
+
+
+@functools.cache
+def source_hash(kernel: Any) -> str:
+    """A hash of the byte code and constants of a ``Kernel`` and of all kernels that it calls."""
+    parts: list[Any] = []
+    waiting, seen = [kernel], {id(kernel)}
+    while waiting:
+        one = waiting.pop()
+        code, known = one.function.__code__, one.function.__globals__
+        # Names of attributes are among these too; to hash too much does no harm.
+        values = {name: known[name] for name in _names(code) if name in known}
+        parts.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
+        for value in values.values():
+            if isinstance(value, type(kernel)) and id(value) not in seen:
+                seen.add(id(value))
+                waiting.append(value)
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+def _names(code: types.CodeType) -> list[str]:
+    """The names of globals, and of attributes, in the order in which the code has them."""
+    names = list(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            names += _names(constant)
+    return names
+
+
+def _plain_code(code: types.CodeType) -> tuple[Any, ...]:
+    constants = [
+        _plain_code(one) if isinstance(one, types.CodeType) else _plain(one)
+        for one in code.co_consts
+    ]
+    return code.co_code, constants, code.co_names, code.co_varnames, code.co_flags
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+    if value is None or isinstance(value, bool | int | float | str | bytes | tuple | np.generic):
+        # The type counts too: 1, 1.0 and True are compiled differently.
+        return type(value).__name__, repr(value)
+    return getattr(value, "__name__", type(value).__name__)

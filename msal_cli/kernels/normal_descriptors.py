@@ -28,7 +28,6 @@ from msal_cli.kernels.lanes import (
     root,
     store_lanes,
 )
-from msal_cli.kernels.local_frames import find_axes, turn_axis
 from msal_cli.kernels.near_blocks import (
     ENTRY,
     FOUR,
@@ -50,11 +49,13 @@ from msal_cli.kernels.near_blocks import (
     add_scatter,
     add_skews,
     add_tensor,
+    find_axes,
     fit_plane,
     lay_guides,
     lay_neighbours,
     list_neighbours,
     normalise,
+    turn_axis,
 )
 from msal_cli.kernels.vectors import ONE, THREE, TWO, ZERO, longest_row
 

@@ -47,9 +47,8 @@ from msal_cli.methods._restoration import (
     fit_to_normals,
     restore,
 )
-from msal_cli.methods._rings import ring_of
 from msal_cli.methods._sliding import measure_second_umbrella
-from msal_cli.methods._sweeps import anisotropic_laplacian, free_vertices
+from msal_cli.methods._sweeps import anisotropic_laplacian, free_vertices, ring_of
 
 WEIGHTS = Path(__file__).parent / "weights"
 """The folder of the trained weights."""

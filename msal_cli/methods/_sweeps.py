@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats
+from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.kernels.operators import (
     DEVIATIONS,
     WEIGHTS,
@@ -160,11 +161,33 @@ class ScaleParameters(ScheduledParameters):
     )
 
 
+@dataclass(frozen=True)
+class ScheduledRingParameters(ScaleParameters):
+    """Parameters of an operator of equation (2) that averages over one-rings."""
+
+    boundary: str = fields.rim()
+
+
 def free_vertices(mesh: Mesh, boundary: str) -> NDArray[np.bool_]:
     """Which vertices (n,) may move, for the parameter ``boundary``; fixed vertices may not."""
     edge = mesh.topology.boundary
     free: NDArray[np.bool_] = ~edge if boundary == "fixed" else np.ones_like(edge)
     return free if mesh.fixed_vertices is None else free & ~mesh.fixed_vertices
+
+
+def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
+    """Rows to average over, (n + 1,) and (...,), for the parameter ``boundary``.
+
+    The rows of fixed vertices are empty: a vertex without neighbours does not move.
+    """
+    starts, ring = averaging_ring(mesh.faces, mesh.topology, boundary)
+    if mesh.fixed_vertices is None:
+        return starts, ring
+    counts = np.diff(starts)
+    kept = ring[np.repeat(~mesh.fixed_vertices, counts)]
+    counts[mesh.fixed_vertices] = 0
+    starts = np.concatenate([np.zeros(1, counts.dtype), np.cumsum(counts, dtype=counts.dtype)])
+    return starts, kept
 
 
 def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> AnisotropicLaplacian:

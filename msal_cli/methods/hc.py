@@ -27,7 +27,7 @@ from msal_cli.kernels.umbrellas import hc_sweep
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
-from msal_cli.methods._rings import ring_of
+from msal_cli.methods._sweeps import ring_of
 
 BYTES_PER_FACE = 10
 

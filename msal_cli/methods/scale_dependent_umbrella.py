@@ -28,8 +28,7 @@ from msal_cli.kernels.umbrellas import ScaleDependentUmbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result
-from msal_cli.methods._rings import ScheduledRingParameters, ring_of
-from msal_cli.methods._sweeps import run
+from msal_cli.methods._sweeps import ScheduledRingParameters, ring_of, run
 
 
 @dataclass(frozen=True)

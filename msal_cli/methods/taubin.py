@@ -31,7 +31,7 @@ from msal_cli.kernels.umbrellas import Umbrella
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
-from msal_cli.methods._rings import ring_of
+from msal_cli.methods._sweeps import ring_of
 
 LARGEST_PASS_BAND = 1.0
 """Noise has its middle frequency at 1: with a pass band beyond it most of it would grow."""

@@ -10,7 +10,7 @@ import pytest
 from kernel_build.signatures import arg_types_of, kernel_of, listed
 from kernel_build.written import written_arguments
 from msal_cli.kernels.compiled import Kernel, compiled
-from msal_cli.kernels.source_hash import source_hash
+from msal_cli.kernels.library import source_hash
 from tests.kernel_build import some_kernels as some
 
 

@@ -17,8 +17,8 @@ from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import connectivity
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import normals_and_flat_faces, surface_figures
+from msal_cli.kernels.library import source_hash
 from msal_cli.kernels.parallel import MIN_COUNT, at_once, is_worth_it
-from msal_cli.kernels.source_hash import source_hash
 from tests.shapes import grid, noisy, torus
 
 LINE = "quantiles._count(u8[::1], i8[::1])"

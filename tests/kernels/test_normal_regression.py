@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from msal_cli.kernels import (
-    local_frames,
     near_blocks,
     normal_descriptors,
     normal_regression,
@@ -73,7 +72,6 @@ def all_kernels():
     """The kernels that the descriptors and the network are made of."""
     for module in (
         near_blocks,
-        local_frames,
         normal_descriptors,
         regression_network,
         small_vectors,

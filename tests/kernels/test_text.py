@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from msal_cli.kernels import statements, text
+from msal_cli.kernels import text
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -137,10 +137,10 @@ def test_what_is_no_integer(word: bytes) -> None:
 def test_decimals_used(words: list[bytes], decimals: list[int]) -> None:
     buffer, starts, _ = tokens(words)
     used, nothing = np.empty(len(words), dtype=np.uint8), np.empty(0, dtype=np.int64)
-    statements.find_numbers(buffer, starts, 1, nothing, used)
+    text.find_numbers(buffer, starts, 1, nothing, used)
     assert used.tolist() == decimals
     if words:
-        statements.find_numbers(buffer, starts[:1], len(words), nothing, used[:1])
+        text.find_numbers(buffer, starts[:1], len(words), nothing, used[:1])
         assert used[0] == max(decimals)
 
 
