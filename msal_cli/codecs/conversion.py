@@ -89,8 +89,7 @@ def convert(
     """
     to = to.lower().removeprefix(".")
     if to == mesh_file.format:
-        encode = getattr(mesh_file, "encoded")  # noqa: B009 - not part of the protocol
-        return encode(vertices, encoding, precision), ()
+        return mesh_file.encoded(vertices, encoding, precision), ()
     if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf import SceneFile, repack
 

@@ -69,6 +69,7 @@ def read_header(
     ``is_packed`` is set where the file is compressed, so that its size is a guess; ``beside`` are
     the bytes of other files that hold a part of it.
     """
+    view = memoryview(head)
     try:
         refuse_utf16(head)
         if format == "obj":
@@ -81,7 +82,13 @@ def read_header(
         if format == "stl":
             return _read_stl(head, size, is_packed)
         if format == "glb":
-            return _read_glb(head, size, is_packed)
+            from msal_cli.codecs.gltf import expected_bytes
+
+            most, error = _try(lambda: size if is_packed else expected_bytes(view, size))
+            stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
+            is_there = head[:4] == b"glTF" and stop <= len(head)
+            counts = _count_scene(head[_GLB_CHUNK:stop], size) if is_there else {}
+            return Header("glb", most_bytes=most, error=error, **counts)
         if format == "gltf" and beside:
             return Header("glb", **_count_scene(head, size + beside))
         is_vtk_text = format == "vtk" and _VTK_TEXT.match(head)
@@ -125,24 +132,17 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         # Most of its samples may be empty; a vertex has two triangles.
         n_triangles = 2 * min(counts["range_grid"], n_vertices)
     elif not is_text and (face := header.find("face")) is not None:
+        item_bytes = sum(int(prop.code[1]) for prop in face.properties if prop.is_list)
+        others = [prop for each in header.elements if each is not face for prop in each.properties]
         if is_packed:
             # Triangles, as nearly all scans are.
-            items = (int(prop.code[1]) for prop in face.properties if prop.is_list)
-            least += n_faces * 3 * sum(items)
-        else:
-            n_triangles = max(n_faces, _most_triangles(header, face, size - least))
+            least += n_faces * 3 * item_bytes
+        elif item_bytes and not any(prop.is_list for prop in others):
+            # All list items are corners of polygons.
+            n_triangles = max(n_faces, (size - least) // item_bytes - 2 * n_faces)
     faces = None if has_strips else n_faces
     shown = n_vertices, faces, n_vertices, n_triangles
     return Header(flavour, least, most, *shown, error)
-
-
-def _most_triangles(header: ply_header.Header, face: ply_header.Element, rest: int) -> int:
-    """The triangles that the polygons can be cut into, if all list items are their corners."""
-    items = [int(prop.code[1]) for prop in face.properties if prop.is_list]
-    others = (element.properties for element in header.elements if element is not face)
-    if not items or any(prop.is_list for properties in others for prop in properties):
-        return 0
-    return max(0, rest // sum(items) - 2 * face.count)
 
 
 def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
@@ -166,16 +166,6 @@ def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:
     # A facet that is cut off at the end of what was read does not count as one.
     n_facets = int(size * n_seen / len(head)) + 1
     return Header("stl-ascii", 0, most, None, None, n_facets // 2, n_facets, error)
-
-
-def _read_glb(head: bytes, size: int, is_packed: bool) -> Header:
-    from msal_cli.codecs import gltf
-
-    most, error = _try(lambda: size if is_packed else gltf.expected_bytes(memoryview(head), size))
-    stop = _GLB_CHUNK + int.from_bytes(head[12:16], "little")
-    is_there = head[:4] == b"glTF" and stop <= len(head)
-    counts = _count_scene(head[_GLB_CHUNK:stop], size) if is_there else {}
-    return Header("glb", most_bytes=most, error=error, **counts)
 
 
 def _try(read: Callable[[], _T]) -> tuple[_T | None, MsalError | None]:

@@ -112,7 +112,7 @@ def _find_lines(
 ) -> tuple[Longs, Longs, int]:
     """The first word of each vertex and face from word ``start`` on, how many words it has, and how
     many lines follow."""
-    lines = words.first_of_lines()
+    lines = np.flatnonzero(np.diff(words.lines, prepend=-1))
     lines = lines[lines >= start]
     if len(words) > start and (not len(lines) or lines[0] != start):
         raise FormatError("the first vertex stands on the line of the counts", where=words.where(0))

@@ -48,22 +48,6 @@ _FIRST, _SECOND = [[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]
 """The triangles of four corners along the diagonal of the first, and of the second corner."""
 
 
-def grid_shape(header: ply_header.Header, grid: ply_header.Element) -> tuple[int, int]:
-    """Rows and columns of the grid; FormatError where the header does not give them."""
-    words = [header.infos.get(name, "") for name in ("num_rows", "num_cols")]
-    if all(word.isdecimal() and len(word) < 10 for word in words):
-        rows, columns = map(int, words)
-        if rows * columns == grid.count:
-            return rows, columns
-    shown = " and ".join(word[:30] or "missing" for word in words)
-    raise FormatError(
-        f"num_rows and num_cols of the range grid of {grid.count} samples are {shown}",
-        where="header",
-        hint="write 'obj_info num_rows R' and 'obj_info num_cols C' below the format line; "
-        f"R times C are {grid.count}",
-    )
-
-
 def triangulate_grid(samples: Ints, vertices: Floats) -> Ints:
     """Triangles (m, 3) between neighbours.
 
@@ -250,7 +234,17 @@ def find_surface(
 
 
 def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vertices: int) -> Ints:
-    shape = grid_shape(header, section.element)
+    count = section.element.count
+    words = [header.infos.get(info, "") for info in ("num_rows", "num_cols")]
+    shape = [int(word) for word in words if word.isdecimal() and len(word) < 10]
+    if len(shape) < 2 or shape[0] * shape[1] != count:
+        shown = " and ".join(word[:30] or "missing" for word in words)
+        raise FormatError(
+            f"num_rows and num_cols of the range grid of {count} samples are {shown}",
+            where="header",
+            hint="write 'obj_info num_rows R' and 'obj_info num_cols C' below the format line; "
+            f"R times C are {count}",
+        )
     lengths = section.items(name)[1]
     if (lengths > 1).any():
         raise FormatError(
@@ -258,7 +252,7 @@ def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vert
             where=section.where(int(np.argmax(lengths > 1))),
             hint="each sample is a list of no vertex or one",
         )
-    samples = np.full(section.element.count, -1, dtype=np.int32)
+    samples = np.full(count, -1, dtype=np.int32)
     samples[lengths > 0] = _read_corners(section, name, n_vertices)[0]
     return samples.reshape(shape)
 

@@ -289,10 +289,6 @@ def with_fields(
             columns.append((name, "<f4", values.astype(np.float32)))
     is_triangulated = mesh_file.n_polygons == len(mesh_file.faces)
     corners, sizes = corners_of(mesh_file.faces if is_triangulated else mesh_file.polygons())
-    return write_ply(columns, corners, sizes, [_printable(comment) for comment in comments])
-
-
-def _printable(comment: str) -> str:
-    text = comment.encode("ascii", "backslashreplace").decode()
-    text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
-    return text[:_MAX_COMMENT]
+    texts = (comment.encode("ascii", "backslashreplace").decode() for comment in comments)
+    shown = ("".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text) for text in texts)
+    return write_ply(columns, corners, sizes, [text[:_MAX_COMMENT] for text in shown])

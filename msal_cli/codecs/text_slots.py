@@ -231,7 +231,11 @@ def plan_patches(changes: Sequence[Change], *, have_own: bool = True) -> list[Pa
     """
     own = [slots.own_decimals(values) for slots, values, _ in changes]
     has_own = have_own and all(decimals is not None for decimals in own)
-    has_own = has_own and not _is_interleaved([slots.at for slots, _, _ in changes])
+    if has_own and len(changes) > 1:
+        places = [slots.at for slots, _, _ in changes]
+        owners = np.repeat(np.arange(len(places)), [len(at) for at in places])
+        turns = np.diff(owners[np.argsort(np.concatenate(places), kind="stable")])
+        has_own = 1 + int(np.count_nonzero(turns)) <= MAX_TURNS
     is_single = any(slots.width == 1 or slots.is_whole.any() for slots, _, _ in changes)
     patches = []
     for (slots, values, is_changed), decimals in zip(changes, own, strict=True):
@@ -239,14 +243,6 @@ def plan_patches(changes: Sequence[Change], *, have_own: bool = True) -> list[Pa
             decimals = np.full(len(slots.at), slots.decimals, dtype=np.uint8)
         patches.append(slots.make_patch(values, is_changed, decimals, is_single=is_single))
     return patches
-
-
-def _is_interleaved(places: Sequence[Longs]) -> bool:
-    if len(places) == 1:
-        return False
-    owners = np.repeat(np.arange(len(places)), [len(at) for at in places])
-    order = np.argsort(np.concatenate(places), kind="stable")
-    return 1 + int(np.count_nonzero(np.diff(owners[order]))) > MAX_TURNS
 
 
 class _Block(NamedTuple):
@@ -533,12 +529,6 @@ class Words:
         chosen = (first[:, None] + np.arange(3)).reshape(-1)
         values = parse_floats(self.data, self.starts[chosen], self.stops[chosen]).reshape(-1, 3)
         return kind(self.data, self.starts[first], values=values, **more)
-
-    def first_of_lines(self) -> Longs:
-        """The first word of each line that has one."""
-        first = np.ones(len(self), dtype=bool)
-        first[1:] = self.lines[1:] != self.lines[:-1]
-        return np.flatnonzero(first)
 
 
 _NONE, _NO_BYTES = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.uint8)

@@ -386,8 +386,13 @@ class Cells:
         """
         self._counts[kind] += len(sizes)
         if kind == "strip":
-            triangles = corners[_strip_triangles(sizes)]
-            corners, sizes = triangles.reshape(-1), np.full(len(triangles), 3, dtype=np.int64)
+            n_triangles = np.maximum(sizes - 2, 0)
+            inside = number_within(n_triangles)
+            at = np.repeat(np.cumsum(sizes) - sizes, n_triangles) + inside
+            # Every second triangle is turned, so that all face one way.
+            odd = inside % 2
+            corners = corners[np.stack([at + odd, at + 1 - odd, at + 2], axis=1)].reshape(-1)
+            sizes = np.full(len(at), 3, dtype=np.int64)
         elif kind != "polygon":
             return
         elif not (is_face := sizes >= 3).all():
@@ -441,15 +446,3 @@ class Cells:
             f"{n_small} polygons of fewer than three corners are kept and left out": n_small,
         }
         return tuple(warning for warning, has_some in warnings.items() if has_some)
-
-
-def _strip_triangles(sizes: Longs) -> Longs:
-    """The triangles (m, 3) of strips of ``sizes`` (p,) as places among their corners.
-
-    Each triangle of a strip is turned like the first.
-    """
-    n_triangles = np.maximum(sizes - 2, 0)
-    first = np.repeat(np.cumsum(sizes) - sizes, n_triangles)
-    inside = number_within(n_triangles)
-    odd, at = inside % 2, first + inside
-    return np.stack([at + odd, at + 1 - odd, at + 2], axis=1)

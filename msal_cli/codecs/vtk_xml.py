@@ -142,7 +142,8 @@ class Coding:
         if n_blocks * width > stop - start:
             raise _cut("blocks are missing", start)
         sizes = np.frombuffer(source.take(n_blocks * width), dtype=self.header).tolist()
-        source.begin_data()
+        # Compressed data are a piece of base64 of their own.
+        source.left = b""
         packed = sum(sizes)
         total = (n_blocks - 1) * block_bytes + (last_bytes or block_bytes) if n_blocks else 0
         self.expand(total, packed, start)
@@ -262,8 +263,8 @@ def _expanded(block: bytes, size: int, compressor: str, at: int) -> bytes:
 class _Source:
     """Bytes taken one behind the other, raw or from base64, whose header may be a piece of its own.
 
-    ``first`` is where they begin, ``at`` the byte behind what was taken, and ``is_split`` whether
-    base64 ended within them.
+    ``first`` is where they begin, ``at`` the byte behind what was taken, ``left`` what was decoded
+    behind it, and ``is_split`` whether base64 ended within them.
     """
 
     def __init__(self, view: memoryview, at: int, *, is_raw: bool) -> None:
@@ -273,29 +274,25 @@ class _Source:
         self.is_split = False
         self._view = view
         self._is_raw = is_raw
-        self._left = b""
+        self.left = b""
 
     def take(self, size: int) -> bytes:
-        missing = size - len(self._left)
+        missing = size - len(self.left)
         n_bytes = missing if self._is_raw else 4 * -(-missing // 3)
         if size < 0 or self.at + max(n_bytes, 0) > len(self._view):
             raise _cut(_TOO_SHORT, len(self._view))
         if missing > 0:
             piece = bytes(self._view[self.at : self.at + n_bytes])
             try:
-                self._left += piece if self._is_raw else base64.b64decode(piece, validate=True)
+                self.left += piece if self._is_raw else base64.b64decode(piece, validate=True)
             except binascii.Error:
                 raise errors.damaged("an array is not base64", f"byte {self.at}") from None
             self.at += n_bytes
             self.is_split |= not self._is_raw and piece.endswith(b"=")
-        if len(self._left) < size:
+        if len(self.left) < size:
             raise _cut(_TOO_SHORT, self.at)
-        result, self._left = self._left[:size], self._left[size:]
+        result, self.left = self.left[:size], self.left[size:]
         return result
-
-    def begin_data(self) -> None:
-        """Compressed data are a piece of base64 of their own."""
-        self._left = b""
 
 
 def _cut(message: str, at: int) -> errors.TruncatedError:

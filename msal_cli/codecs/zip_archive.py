@@ -166,7 +166,13 @@ class Archive:
             raise errors.TooLargeError(
                 "the archive would have more than 4 GB", hint="cut the mesh into parts"
             )
-        self._move_end(tail, shift)
+        # The offset of the directory in the end records.
+        at, end_at = (k - self._central_at for k in (self._behind_entries, self._end_at))
+        ends = [(at + 48, "<Q"), (end_at - _LOCATOR_SIZE + 8, "<Q")] if at < end_at else []
+        if struct.unpack_from("<L", tail, end_at + 16)[0] != _SEE_EXTRA:
+            ends.append((end_at + 16, "<L"))
+        for place, code in ends:
+            struct.pack_into(code, tail, place, struct.unpack_from(code, tail, place)[0] + shift)
         return b"".join([*pieces, tail])
 
     def _data_at(self, member: ZipInfo) -> int:
@@ -217,15 +223,6 @@ class Archive:
                 where = f"byte {data_at + member.compress_size}"
                 raise errors.FormatError(f"{member.filename} has no data descriptor", where=where)
         return [head, packed, tail]
-
-    def _move_end(self, tail: bytearray, shift: int) -> None:
-        """Move the directory's offset in the end records of ``tail`` by ``shift``."""
-        at, end_at = (k - self._central_at for k in (self._behind_entries, self._end_at))
-        places = [(at + 48, "<Q"), (end_at - _LOCATOR_SIZE + 8, "<Q")] if at < end_at else []
-        if struct.unpack_from("<L", tail, end_at + 16)[0] != _SEE_EXTRA:
-            places.append((end_at + 16, "<L"))
-        for place, code in places:
-            struct.pack_into(code, tail, place, struct.unpack_from(code, tail, place)[0] + shift)
 
 
 def numbers_of(member: ZipInfo) -> Numbers:

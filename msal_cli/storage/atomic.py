@@ -163,8 +163,15 @@ def _choose_mode(target: Path, sources: Sources) -> tuple[int, bool]:
     group = _group_of_new_file(target.parent)
     widest = 0o777
     for source in sources:
-        if not (isinstance(source, str) and is_url(source)):
-            widest &= _source_bits(source, group)
+        if isinstance(source, str) and is_url(source):
+            continue
+        try:
+            status = os.stat(source)
+        except OSError:
+            # It may be gone meanwhile.
+            widest &= 0o600
+        else:
+            widest &= _bits_for_group(status, group) if stat.S_ISREG(status.st_mode) else 0o777
     try:
         present = target.stat()
     except FileNotFoundError:
@@ -175,15 +182,6 @@ def _choose_mode(target: Path, sources: Sources) -> tuple[int, bool]:
         # Moving a file onto /dev/null would destroy the device.
         raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
     return widest & _bits_for_group(present, group), not target.is_symlink()
-
-
-def _source_bits(source: str | os.PathLike[str] | int, group: int | None) -> int:
-    try:
-        status = os.stat(source)
-    except OSError:
-        # It may be gone meanwhile.
-        return 0o600
-    return _bits_for_group(status, group) if stat.S_ISREG(status.st_mode) else 0o777
 
 
 def _bits_for_group(status: os.stat_result, group: int | None) -> int:

@@ -149,7 +149,8 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
     while position < size:
         begin = bytes(data[position : position + 2])
         # Zero bytes behind the last member are padding (tape blocks), as for gzip itself.
-        if position and begin[0] == 0 and not _has_content(data, position):
+        rest = range(position, size, _MAX_PIECE) if position and begin[0] == 0 else ()
+        if rest and not any(bytes(data[at : at + _MAX_PIECE]).strip(b"\0") for at in rest):
             break
         if position and begin not in (GZIP_MAGIC, GZIP_MAGIC[:1]):
             raise FormatError(
@@ -190,13 +191,6 @@ def _expand_pieces(data: memoryview) -> Iterator[bytes]:
             yield text
             position += len(part) - len(member.unused_data)
             piece = min(2 * piece, _MAX_PIECE)
-
-
-def _has_content(data: memoryview, at: int) -> bool:
-    """Whether a byte from ``at`` on is not zero; a piece at a time, since there may be
-    gigabytes."""
-    firsts = range(at, len(data), _MAX_PIECE)
-    return any(bytes(data[first : first + _MAX_PIECE]).strip(b"\0") for first in firsts)
 
 
 def compress(data: regular.Buffer) -> regular.Buffer:
