@@ -210,9 +210,8 @@ def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
     return f"{steps} MB" if unit == 10**6 else f"{steps / 100:.2f} GB"
 
 
-_MMAP_THRESHOLD = -3
-_TRIM_THRESHOLD = -1
-_ARENA_MAX = -8
+# Of ``mallopt``.
+_MMAP_THRESHOLD, _TRIM_THRESHOLD, _ARENA_MAX = -3, -1, -8
 
 MMAP_BYTES = 2 << 20
 """Arrays from this size on go back to the system as soon as they are let go of."""
@@ -230,7 +229,8 @@ def give_back_large_arrays() -> None:
     being given back.  Where the C library is another, or the environment says how it shall keep
     memory, nothing is done.
     """
-    if not sys.platform.startswith("linux") or any(name in os.environ for name in _OWN_WORDS):
+    is_told = any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ)
+    if is_told or not sys.platform.startswith("linux"):
         return
     import ctypes
 
@@ -242,14 +242,6 @@ def give_back_large_arrays() -> None:
     mallopt(_TRIM_THRESHOLD, KEPT_BYTES)
     # Threads come and go, and each would leave memory of its own behind.
     mallopt(_ARENA_MAX, 1)
-
-
-_OWN_WORDS = (
-    "MALLOC_MMAP_THRESHOLD_",
-    "MALLOC_TRIM_THRESHOLD_",
-    "MALLOC_ARENA_MAX",
-    "GLIBC_TUNABLES",
-)
 
 
 # Other processes

@@ -7,30 +7,11 @@ from dataclasses import dataclass
 from typing import Literal, TypedDict, cast
 
 MethodName = Literal[
-    "adaptive",
-    "auto",
-    "al",
-    "anisotropic_diffusion",
-    "bilateral",
-    "bilateral_non_iterative",
-    "bilateral_normal",
-    "blend",
-    "guided_normal",
-    "hc",
-    "hybrid",
-    "l0",
-    "learned",
-    "mean_curvature_flow",
-    "msal",
-    "normal_diffusion",
-    "normal_threshold",
-    "scale_dependent_umbrella",
-    "static_dynamic",
-    "taubin",
-    "umbrella",
-    "wiener",
-    "windowed_sinc",
-]
+    "adaptive", "auto", "al", "anisotropic_diffusion", "bilateral", "bilateral_non_iterative",
+    "bilateral_normal", "blend", "guided_normal", "hc", "hybrid", "l0", "learned",
+    "mean_curvature_flow", "msal", "normal_diffusion", "normal_threshold",
+    "scale_dependent_umbrella", "static_dynamic", "taubin", "umbrella", "wiener", "windowed_sinc",
+]  # fmt: skip
 """``adaptive`` and ``auto`` choose; the others are methods (``list_methods``)."""
 
 

@@ -80,16 +80,11 @@ class TestWithoutLocks:
     def no_locks(self, monkeypatch):
         monkeypatch.setattr(lock, "_flock", unsupported)
 
-    def test_a_living_holder_counts(self, tmp_path, caplog):
-        with FolderLock(str(tmp_path)):
-            with pytest.raises(UsageError, match=str(os.getpid())):
-                FolderLock(str(tmp_path))
-            assert "cannot be locked" in caplog.text
-
     @pytest.mark.parametrize("text", ["", "x", "2147480000 HOST", "-1 HOST", "1 other-machine"])
-    def test_others_do_not(self, tmp_path, text):
+    def test_the_word_of_others_does_not_count(self, tmp_path, text, caplog):
         (tmp_path / NAME).write_text(text.replace("HOST", socket.gethostname()))
         FolderLock(str(tmp_path)).release()
+        assert "cannot be locked" in caplog.text
 
 
 def test_a_folder_that_cannot_be_written_is_an_output_error(tmp_path):
@@ -130,6 +125,7 @@ class TestShards:
     @pytest.mark.parametrize(
         ("first", "second"),
         [
+            (None, None),
             (None, Shard(1, 4)),
             (Shard(1, 4), None),
             (Shard(1, 4), Shard(1, 4)),
