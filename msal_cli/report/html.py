@@ -10,9 +10,7 @@ here, and load nothing.  What comes from outside, names of files mostly, is esca
 
 from __future__ import annotations
 
-import bisect
 import html
-import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -20,10 +18,10 @@ from dataclasses import dataclass, field
 from string import Template
 from typing import Any, NamedTuple
 
-from msal_cli.job.display_names import escape_for_display, figure
-from msal_cli.job.records import DONE, MeshRecord
+from msal_cli.job.display_names import escape_for_display
+from msal_cli.job.records import MeshRecord
 from msal_cli.report import facts
-from msal_cli.report.data import Run, Totals, known_values, plain, totals
+from msal_cli.report.data import Run, Totals, plain, totals
 from msal_cli.report.facts import Fact, Tone
 from msal_cli.view import pages
 from msal_cli.view.pages import asset, content_policy, escape, to_base64
@@ -88,7 +86,6 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
             for fact in facts.total_facts(records, sums)
         ),
         problems=_problems(worst),
-        histograms=_histograms(records),
         scenes=_scenes([(records[at], gallery.scenes[at]) for at in order if at in gallery.scenes]),
         columns=_json(columns),
         heads="".join(
@@ -169,12 +166,12 @@ def _totals(run: Run, sums: Totals) -> str:
         *facts.count_states(sums),
     ]
     if sums.vertices:
-        tiles.append(Fact("vertices denoised", f"{sums.vertices:,}"))
+        tiles.append(Fact("vertices denoised", _count_text(sums.vertices)))
     if run.seconds > 0.0:
         tiles.append(Fact("wall time", facts.seconds_text(run.seconds)))
         if sums.vertices:
             rate = float(f"{sums.vertices / run.seconds:.3g}")
-            tiles.append(Fact("vertices a second", f"{rate:,.0f}"))
+            tiles.append(Fact("vertices a second", _count_text(rate)))
     return "".join(
         f'<div class="tile {_KINDS.get(tile.tone, "")}"><b>{escape(tile.text)}</b>'
         f"<span>{escape(tile.word)}</span></div>"
@@ -237,6 +234,10 @@ def _settings(run: Run) -> str:
     return f'{head}<div class="grid">{"".join(parts)}</div>'
 
 
+def _count_text(number: float) -> str:
+    return f"{number:,.0f}" if number < 1e7 else f"{number / 1e6:,.1f} M"
+
+
 def _name(record: MeshRecord) -> str:
     return html.escape(facts.file_name(record.input))
 
@@ -247,93 +248,3 @@ def _json(data: Any) -> str:
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
-
-
-# Histograms as SVG: how one figure is spread over the files of a run
-
-N_BINS = 16
-"""Bars between the ends of the axis."""
-
-_BEYOND = 0.02
-"""Share of the values that may lie beyond each end, so that a few do not squeeze all the others."""
-
-_WIDTH, _HEIGHT = 360, 170
-_LEFT, _RIGHT, _TOP, _FLOOR = 34, 352, 14, 144
-
-
-def _histograms(records: Sequence[MeshRecord]) -> str:
-    done = [record for record in records if record.status in DONE]
-    parts = []
-    for title, note, values, form in (
-        ("Volume change", "closed files", known_values(records, "volume.change_percent"), "+.3g"),
-        ("Largest displacement", "mean edge lengths",
-         known_values(records, "displacement.max_edges"), ".3g"),
-        ("Time for a file", "seconds", known_values(done, "seconds.total"), ".3g"),
-    ):  # fmt: skip
-        if drawn := draw_histogram(title, values, form, " %" if "+" in form else ""):
-            caption = f"<figcaption><b>{title}</b> <span>{note}</span></figcaption>"
-            parts.append(f'<figure class="histogram">{caption}{drawn}</figure>')
-    inner = "".join(parts)
-    return f'<section class="histograms" aria-label="Histograms">{inner}</section>' if parts else ""
-
-
-def bin_values(ranked: Sequence[float]) -> tuple[list[float], list[int]]:
-    """The edges of equal steps, and how many values lie below the first, between each two and
-    from the last on.
-
-    ``ranked`` are finite, in rising order, and at least one.
-    """
-    beyond = round(_BEYOND * (len(ranked) - 1))
-    low, high = ranked[beyond], ranked[-1 - beyond]
-    if low == high:
-        pad = abs(low) * 0.05 or 0.5
-        low, high = low - pad, high + pad
-    shares = [at / N_BINS for at in range(N_BINS + 1)]
-    edges = [low * (1.0 - share) + high * share for share in shares]
-    below = [bisect.bisect_left(ranked, edge) for edge in edges[:-1]]
-    below = [0, *below, bisect.bisect_right(ranked, high), len(ranked)]
-    return edges, [b - a for a, b in itertools.pairwise(below)]
-
-
-def draw_histogram(title: str, values: Sequence[float], form: str, unit: str = "") -> str:
-    """An SVG element with its description; ``form`` and ``unit`` say how a value is written.
-
-    What is not finite is left out.
-    """
-    ranked = sorted(filter(math.isfinite, values))
-    if not ranked:
-        return ""
-
-    def text(value: float) -> str:
-        return html.escape(figure(value, form, unit))
-
-    edges, counts = bin_values(ranked)
-    low, median, high = (text(ranked[at]) for at in (0, len(ranked) // 2, -1))
-    label = f"{html.escape(title)}: {len(ranked):,} files from {low} to {high}, median {median}"
-    slot = (_RIGHT - _LEFT) / len(counts)
-    places = [f"{text(a)} to {text(b)}" for a, b in itertools.pairwise(edges)]
-    places = [f"below {text(edges[0])}", *places, f"above {text(edges[-1])}"]
-    parts = []
-    for at, count in enumerate(counts):
-        if count:
-            # A single file among thousands must still be seen.
-            height = max(2.0, (_FLOOR - _TOP) * count / max(counts))
-            kind = "bar" if 0 < at < len(counts) - 1 else "out"
-            parts.append(
-                f'<rect class="{kind}" x="{_LEFT + slot * at + 0.75:.2f}" '
-                f'y="{_FLOOR - height:.2f}" width="{slot - 1.5:.2f}" height="{height:.2f}">'
-                f"<title>{facts.format_count(count, 'file')}, {places[at]}</title></rect>"
-            )
-    for kind, y, number in (("rule", _TOP, max(counts)), ("axis", _FLOOR, 0)):
-        parts.append(
-            f'<line class="{kind}" x1="{_LEFT}" x2="{_RIGHT}" y1="{y}" y2="{y}"/>'
-            f'<text x="{_LEFT - 5}" y="{y + 4}" text-anchor="end">{number:,}</text>'
-        )
-    for at, anchor in ((0, "start"), (N_BINS // 2, "middle"), (N_BINS, "end")):
-        x = _LEFT + slot * (at + 1)
-        parts.append(
-            f'<line class="axis" x1="{x:.2f}" x2="{x:.2f}" y1="{_FLOOR}" y2="{_FLOOR + 4}"/>'
-            f'<text x="{x:.2f}" y="{_FLOOR + 17}" text-anchor="{anchor}">{text(edges[at])}</text>'
-        )
-    inner = "".join(parts)
-    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">{inner}</svg>'

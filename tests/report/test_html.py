@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
-from xml.etree import ElementTree as Xml
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import given
 
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.report import html as as_html
@@ -59,16 +57,3 @@ def test_pictures_stand_in_the_order_of_the_rows():
 def test_two_thousand_files_are_a_small_page():
     records = [written(f"scans/{at}.ply") for at in range(2_000)]
     assert len(as_html.render(RUN, records)) < 1_200_000
-
-
-# Histograms
-
-
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=50))
-@example([-1.7e308, 0.0, 1.7e308])
-@example([5e-324, 0.0])
-def test_a_histogram_counts_every_value(values):
-    edges, counts = as_html.bin_values(sorted(values))
-    assert sum(counts) == len(values)
-    assert len(edges) == len(counts) - 1 and sorted(edges) == edges
-    Xml.fromstring(as_html.draw_histogram("title", values, ".3g"))

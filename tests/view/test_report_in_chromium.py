@@ -110,6 +110,20 @@ def test_the_table_is_sorted_by_keys(page):
     assert page.run(f"{th}") is None
 
 
+def test_histograms_count_every_file_with_a_figure(page):
+    titles = page.run("[...document.querySelectorAll('.histogram b')].map((e) => e.textContent)")
+    assert titles == ["Volume change", "Largest displacement", "Time for a file"]
+    counts = page.run(
+        "[...document.querySelectorAll('.histogram .bars')].map((bars) => [...bars.children]"
+        ".reduce((sum, bar) => sum + parseInt(bar.title), 0))"
+    )
+    assert counts == [3 + N_MORE] * 3
+    heights = page.run(
+        "[...document.querySelectorAll('.bars i')].map((bar) => bar.offsetHeight).filter(Boolean)"
+    )
+    assert len(heights) == 3 and min(heights) > 50
+
+
 def test_it_finds_names_reasons_and_gates(page):
     find(page, "scan11.ply")
     assert names(page) == ["scan11.ply"] and count(page) == "1–1 of 1"

@@ -184,6 +184,42 @@
   at("tools").hidden = rows.length < 2;
   show();
 
+  // --- histograms: how a figure is spread over the files
+
+  const BINS = 16;
+  const BEYOND = 0.02; // share of the values beyond each end, so that a few do not squeeze all others
+
+  function histogram(title, note, name, unit) {
+    const at = columns.findIndex((column) => column.title === name && column.unit === unit);
+    const values = rows.map((row) => row.values[at] ?? null).filter((value) => value !== null).sort((a, b) => a - b);
+    if (!values.length) return [];
+    const beyond = Math.round(BEYOND * (values.length - 1));
+    let [low, high] = [values[beyond], values[values.length - 1 - beyond]];
+    if (low === high) [low, high] = [-1, 1].map((sign) => low + sign * (Math.abs(low) / 20 || 0.5));
+    const edges = Array.from({ length: BINS + 1 }, (_, k) => low * (1 - k / BINS) + high * (k / BINS));
+    const counts = new Array(BINS + 2).fill(0);
+    for (const value of values) counts[value > high ? BINS + 1 : edges.filter((edge, k) => k < BINS && edge <= value).length]++;
+    const most = Math.max(...counts);
+    const text = (value) => figure(value, columns[at]) + (unit === "%" ? " %" : "");
+    const places = [`below ${text(low)}`, ...edges.slice(1).map((edge, k) => `${text(edges[k])} to ${text(edge)}`), `above ${text(high)}`];
+    const bars = counts.map((count, k) => {
+      const bar = element("i", { class: k % (BINS + 1) ? "bar" : "out", title: `${count.toLocaleString("en")} of ${values.length.toLocaleString("en")} files, ${places[k]}` });
+      bar.style.height = count ? `max(2px, ${(100 * count) / most}%)` : "0";
+      return bar;
+    });
+    const label = `${title}: from ${text(values[0])} to ${text(values[values.length - 1])}, median ${text(values[values.length >> 1])}`;
+    const caption = element("figcaption", {}, element("b", {}, title), " ", element("span", {}, `${note}; tallest bar: ${most.toLocaleString("en")}`));
+    const ends = [low, edges[BINS / 2], high].map((value) => element("span", {}, text(value)));
+    return [element("figure", { class: "histogram" }, caption, element("div", { class: "bars", role: "img", "aria-label": label }, ...bars), element("div", {}, ...ends))];
+  }
+
+  if (rows.length > 1)
+    at("histograms").append(
+      ...histogram("Volume change", "closed files", "Volume", "%"),
+      ...histogram("Largest displacement", "mean edge lengths", "Max move", "edges"),
+      ...histogram("Time for a file", "seconds", "Time", "s"),
+    );
+
   // --- light and dark; without the button the page follows the system
 
   at("theme").hidden = false;
