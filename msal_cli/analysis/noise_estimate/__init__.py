@@ -153,7 +153,7 @@ noise along an axis has 1.0 to 1.5, range scans with uneven rows 4."""
 FLOOR_SHARE, MIN_FLOOR, MAX_FLOOR, SURE_FLOOR = 0.05, 0.03, 2.5, 0.97
 """Noise has at least the last probability where fits over two rings leave ``MIN_FLOOR`` mean edge
 lengths and more at all places but a twentieth, and fits over six rings at half of them hardly more
-than that: ``MAX_FLOOR`` times at most.  Clean meshes of 1,000 vertices and more have 4.0 and
+than that: ``MAX_FLOOR`` times at most.  Clean meshes of 1,000 vertices and more have 3.7 and
 more."""
 
 SHARED_KINDS = ("correlated", "view", "uneven")
