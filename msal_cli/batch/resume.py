@@ -216,7 +216,7 @@ class _FreshnessCheck:
                 hint="look at it, and give --fresh to denoise it as it is now",
             )
             return FileState(index, MeshRecord(input=task.input, status="failed", error=failure))
-        backup = str(backup_path(task))
+        backup = task.backup_path
         if not os.path.lexists(backup):
             return FileState(index)
         if not stat.S_ISREG(os.lstat(backup).st_mode):
@@ -357,14 +357,9 @@ class Journal:
             self.manifests[place].append(new_lines)
 
 
-def backup_path(task: Task) -> Path:
-    """Where an in-place task keeps the original."""
-    return Path(task.input + (task.backup or ""))
-
-
 def restore_backup(task: Task) -> None:
     """Put the original back from its backup, whole or not at all; OutputError if that fails."""
-    backup = backup_path(task)
+    backup = task.backup_path
     try:
         with open_regular(backup) as file:
             write_whole(task.input, [file.read()], sources=[backup])
@@ -385,9 +380,9 @@ def roll_back(task: Task, before: FileStat | None) -> str:
     if not task.in_place:
         return ""
     if task.backup:
-        backup = backup_path(task)
+        backup = task.backup_path
         is_file = os.path.isfile(backup) and not os.path.islink(backup)
-        if is_file and hash_file(str(backup)) not in ("", hash_file(task.input)):
+        if is_file and hash_file(backup) not in ("", hash_file(task.input)):
             try:
                 restore_backup(task)
             except OutputError as error:

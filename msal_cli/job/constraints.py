@@ -102,13 +102,13 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
             f"the property {name!r} is not finite",
             code="E_NONFINITE",
             where=f"vertex {int(np.argmin(finite))}",
-            hint="mend it, or denoise without --weights",
+            hint="mend it, or denoise without weights",
         )
     largest = float(values.max(initial=0.0))
     if largest <= 0.0:
         raise ContentError(
             f"the property {name!r} is nowhere above 0, so that no vertex is to be trusted",
-            hint="choose another property, or denoise without --weights",
+            hint="choose other weights, or denoise without",
         )
     return _spread_largest(ready, np.clip(values / largest, 0.0, 1.0))
 

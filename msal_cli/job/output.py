@@ -136,7 +136,7 @@ def make_folder_of(path: str) -> None:
 
 def keep_backup(task: Task, data: Buffer) -> None:
     """Write the original beside the file that is about to be replaced."""
-    backup = task.input + str(task.backup)
+    backup = task.backup_path
     if not os.path.lexists(backup) and atomic.write_new(backup, [data], sources=[task.input]):
         return
     # A link could lead to the very file that is to be replaced.

@@ -1,4 +1,5 @@
-"""Settings and limits of one file, and what is known before it is read: names and forecasts."""
+"""Settings and limits of one file, what users may write for them, and what is known before it is
+read: names and forecasts."""
 
 from __future__ import annotations
 
@@ -144,6 +145,14 @@ class Task:
     input_mark: ObjectMark | None = None
     manifest_dir: str | None = None
 
+    @property
+    def backup_path(self) -> str:
+        """Where the original is kept."""
+        return self.input + (self.backup or "")
+
+
+# Lengths and locks
+
 
 METRES = {
     "nm": (1, 10**9),
@@ -271,6 +280,9 @@ def parse_lock(text: str, option: str = "--lock") -> Lock | None:
             hint=f"as in {option} 'confidence < 0.2'; msal info lists a file's properties",
         )
     return Lock(match[1], match[2], float(match[3]))
+
+
+# Settings from options and arguments
 
 
 Check = Callable[[Any, str, str | None], Any]
@@ -487,6 +499,9 @@ def to_number(value: Any, label: str) -> float:
 def to_texts(texts: str | Sequence[str]) -> tuple[str, ...]:
     """The texts where one may stand for a sequence."""
     return (texts,) if isinstance(texts, str) else tuple(texts)
+
+
+# Names and forecasts
 
 
 def is_mesh_name(name: str) -> bool:
