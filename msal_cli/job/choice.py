@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from msal_cli import methods
 from msal_cli.auto import NONE, Wishes
 from msal_cli.job.records import ChoiceMade, MethodUsed, RunnerUp
 from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_length
@@ -49,6 +48,8 @@ def looks_at_mesh(settings: Settings) -> bool:
 
 def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None]) -> Preparation:
     """What ``settings`` mean for one mesh; ``on_step(done, total)`` is called while choosing."""
+    from msal_cli import methods
+
     if settings.min_noise is not None:
         from msal_cli.analysis.noise_estimate import estimate_noise
 
@@ -104,6 +105,8 @@ def choose(
 ) -> Preparation:
     """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
     the family of equation (2) where they are None, with what to ``assume``."""
+    from msal_cli import methods
+
     auto_seconds = None
     if wishes is None:
         from msal_cli.auto import adaptive
@@ -151,6 +154,7 @@ def soften_choice(
 
     ``choice`` is the first one, before anything was milder.
     """
+    from msal_cli import methods
     from msal_cli.analysis.noise_estimate import estimate_noise
     from msal_cli.auto.candidates import wiener_al
 
