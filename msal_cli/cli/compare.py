@@ -55,9 +55,6 @@ more:
 more:
 --tolerance PERCENT
     With --baseline: by how much of what it was a figure may be worse, such as 2%. [default: 1%]
---ignore-missing
-    Of folders: leave out files that only one of them has, and figures of the baseline whose files
-    are not there.
 """,
     ),
     group(
@@ -118,8 +115,6 @@ def command(request: Request) -> int:
             "A and B are files and folders",
             hint="give files, or two folders whose files have the same relative paths",
         )
-    if request.ignore_missing and not any(are_folders):
-        raise UsageError("--ignore-missing is for folders", hint="leave it out for files")
     if heatmap is not None:
         if any(are_folders) or len(others) > 1:
             raise UsageError("--heatmap is for two files", hint="compare them one by one")
@@ -133,8 +128,6 @@ def command(request: Request) -> int:
         is_pair = len(pairs) == 1
         return _conclude(request, gates, earlier, pairs, is_pair=is_pair, is_all=not is_pair)
     first, second = ({file.relative: file.path for file in side} for side in sides)
-    if request.ignore_missing:
-        first, second = _drop_missing({before: first, after: second})
     records = {}
     for name in dict.fromkeys((*first, *second)):
         missing = before if name not in first else after if name not in second else None
@@ -148,23 +141,8 @@ def command(request: Request) -> int:
             failure = Failure(_NO_PARTNER, f"there is no {name!r} in {missing!r}")
             records[name] = ComparisonRecord(*paths, version=__version__, error=failure)
     # Files that were left out on purpose are not missed.
-    is_all = not any(patterns) and not request.ignore_missing
+    is_all = not any(patterns)
     return _conclude(request, gates, earlier, records, is_all=is_all)
-
-
-def _drop_missing(sides: Mapping[str, dict[str, str]]) -> list[dict[str, str]]:
-    """The files of both folders that have a partner; the number of the others is reported."""
-    from msal_cli.batch.inputs import NothingMatched
-
-    (before, first), (after, second) = sides.items()
-    shared = first.keys() & second.keys()
-    if not shared:
-        raise NothingMatched(f"no file of {before!r} has the relative path of one of {after!r}")
-    for folder, side in sides.items():
-        if n_left := len(side) - len(shared):
-            files = "file has" if n_left == 1 else "files have"
-            console.say(f"{n_left:,} {files} no partner, only in {folder}: left out")
-    return [{name: side[name] for name in side if name in shared} for side in (first, second)]
 
 
 def _write_heatmap(request: Request) -> None:

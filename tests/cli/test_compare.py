@@ -120,23 +120,3 @@ def test_a_missing_partner_does_not_hide_a_broken_baseline(moved):
     # What cannot be read weighs more.
     folder_of(new, a=b"ply")
     assert msal(*given).exit_code == 3
-
-
-def test_missing_partners_are_ignored_on_demand(moved):
-    truth, new, known = moved
-    (new / "c.ply").unlink()
-    given = ("compare", truth, new, "--ignore-missing")
-    made = msal(*given, "--baseline", known)
-    assert (made.exit_code, made.stderr) == (
-        0,
-        f"2 files have no partner, only in {truth}: left out\n",
-    )
-    assert "2 compared;" in made.stdout
-    assert len(json.loads(msal(*given, "--json").stdout)["records"]) == 2
-    folder_of(new, b=scan(0.06))
-    assert msal(*given, "--baseline", known).exit_code == 4
-    for name in ("a", "b"):
-        (new / f"{name}.ply").unlink()
-    folder_of(new, z=scan(0.0))
-    assert msal(*given).exit_code == 5
-    assert msal("compare", truth / "a.ply", new / "z.ply", "--ignore-missing").exit_code == 2

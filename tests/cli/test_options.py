@@ -199,7 +199,6 @@ compare a.ply b.ply --heatmap b.ply |
 compare a.ply b.ply --heatmap heat.obj |
 compare a.ply b.ply --heatmap . |
 compare a.ply b.ply --tolerance 2% | --baseline
-compare a.ply b.ply --ignore-missing | folders
 1 compare a.ply b.ply --baseline none.json | none.json
 
 info - in |
