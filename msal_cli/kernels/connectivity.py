@@ -57,17 +57,6 @@ def index_rows(count: int, keys: Ints, per_row: int = 1, per_column: int = 0) ->
 
 
 @compiled
-def _neighbours_in_face(faces, f, i):
-    """The vertex after i and the vertex before i in face f."""
-    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    if a == i:
-        return b, c
-    if b == i:
-        return c, a
-    return a, b
-
-
-@compiled
 def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
     """Fill the rings of vertices whose faces close one circle or several, wound one way.
 
@@ -107,7 +96,10 @@ def _open_ring(faces, face_start, incident, i, row, slot, ring, uses):
     """
     filled = row
     for at in range(face_start[i], face_start[i + 1]):
-        after, before = _neighbours_in_face(faces, incident[at], i)
+        f = incident[at]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        after = b if a == i else (c if b == i else a)
+        before = c if a == i else (a if b == i else b)
         # Positions only grow, so a slot at or above the row's start belongs to this row.
         for side in range(2):
             k = after if side == 0 else before

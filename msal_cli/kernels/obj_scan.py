@@ -161,14 +161,6 @@ def _skip_line(buf, at):
 
 
 @compiled
-def _skip_comment(buf, at):
-    """The end of the line, whatever precedes it."""
-    while at < len(buf) and buf[at] != 10 and buf[at] != 13:
-        at += 1
-    return at
-
-
-@compiled
 def read_coordinate(buf, at):
     """The number at ``at``, which must be a whole word: value, status, end, decimals.
 
@@ -294,7 +286,8 @@ def scan(
         statement = at
         first = buf[at]
         if first == 35:
-            at = _skip_comment(buf, at)
+            while at < len(buf) and buf[at] != 10 and buf[at] != 13:
+                at += 1
             continue
         second = buf[at + 1] if first == 118 and at + 1 < len(buf) else np.uint8(32)
         is_normal = second == 110 and is_word_end(buf, at + 2)

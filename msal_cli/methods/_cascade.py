@@ -246,7 +246,7 @@ def gather_evidence(
     unit = level * mesh.mean_edge_length
     parameters = RestorationParameters()
     laplacian = anisotropic_laplacian(mesh, parameters)
-    restored = restore(mesh, laplacian, parameters, unit, _ignore)
+    restored = restore(mesh, laplacian, parameters, unit, lambda done, total: None)
     outcomes = [fit_to_normals(mesh, parameters, restored.positions, unit), restored.smooth]
     rings = ring_of(mesh, "curve")
     terms = [sinc_coefficients(pass_band, iterations) for iterations, pass_band in SINCS]
@@ -256,10 +256,6 @@ def gather_evidence(
         lay_face_normals(outcome, mesh.faces, normals, 3 * place)
     statistics = _measure_surroundings(mesh, ripples, restored, unit)
     return Evidence(noise, is_white, is_uneven, normals, statistics)
-
-
-def _ignore(done: int, total: int) -> None:
-    """Take no notice of progress."""
 
 
 def _guess_level(mesh: Mesh) -> float:

@@ -44,7 +44,6 @@ import numpy as np
 from msal_cli.arrays import Flags, Floats
 from msal_cli.kernels.bilateral import normal_spread, step_towards_planes
 from msal_cli.kernels.geometry import ring_means, vertex_normals
-from msal_cli.kernels.operators import Operator
 from msal_cli.kernels.quantiles import clusters
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.umbrellas import Umbrella
@@ -113,7 +112,16 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     first = min(parameters.presmooth, total)
     laplacian = anisotropic_laplacian(mesh, parameters)
     timer.start_sweeps()
-    x, sharp = _presmooth(mesh, laplacian, first, parameters.K, total, on_sweep)
+    start, plain = mesh.vertices, Schedule()
+    x = run_sweeps(start, laplacian, plain, first, lambda done, _: on_sweep(done, total)).vertices
+    # Nothing new is done, but a long run must stay interruptible.
+    sharp = run_sweeps(
+        start,
+        laplacian,
+        Schedule(decay=parameters.K, quantile=1.0),
+        first,
+        lambda *_: on_sweep(first, total),
+    ).vertices
     cluster, feature = _find_features(mesh, x, parameters)
     x[feature] = sharp[feature]
     free = free_vertices(mesh, parameters.boundary)
@@ -121,18 +129,6 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
         x = x + _compute_moves(mesh, x, feature, free, parameters.K**sweep, parameters)
         on_sweep(first + sweep + 1, total)
     return timer.finish(x, {"cluster": cluster, "feature": feature.astype(np.float64)})
-
-
-def _presmooth(
-    mesh: Mesh, laplacian: Operator, sweeps: int, K: float, total: int, on_sweep: OnSweep
-) -> tuple[Floats, Floats]:
-    """Positions (n, 3) after ``sweeps`` of AL, and after as many of MSAL."""
-    start = mesh.vertices
-    plain = run_sweeps(start, laplacian, Schedule(), sweeps, lambda done, _: on_sweep(done, total))
-    # Nothing new is done, but a long run must stay interruptible.
-    multiscale = Schedule(decay=K, quantile=1.0)
-    sharp = run_sweeps(start, laplacian, multiscale, sweeps, lambda *_: on_sweep(sweeps, total))
-    return plain.vertices, sharp.vertices
 
 
 def _find_features(mesh: Mesh, positions: Floats, parameters: Parameters) -> tuple[Floats, Flags]:
