@@ -101,6 +101,7 @@ def command(request: Request) -> int:
 
     from msal_cli.cli.report_files import REPORT, refuse_target
     from msal_cli.job.room import room_for_files
+    from msal_cli.report.comparison import list_facts
     from msal_cli.storage import atomic
     from msal_cli.view import pages, pictures
     from msal_cli.view.panels import png_bytes
@@ -124,7 +125,11 @@ def command(request: Request) -> int:
             for note in scene.notes:
                 console.say(f"msal: {escape_for_display(note)}", "warn")
         if kind == "html":
-            data = pages.page_of(scene, view, shlex.join(("msal", *request.context.obj)))
+            command = shlex.join(("msal", *request.context.obj))
+            found = [] if scene.record is None else list_facts(scene.record)
+            # Warnings are among the notes of the page.
+            facts = [(fact.word, fact.text) for fact in found if fact.word != "warning"]
+            data = pages.page_of(scene, view, command, facts)
         else:
             data = png_bytes(pictures.draw_picture(scene, view))
     if output == STREAM:

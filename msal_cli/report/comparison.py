@@ -63,7 +63,7 @@ def describe_comparison(record: ComparisonRecord) -> list[Line]:
             ("after", record.after, after, record.faces_after),
         )
     ]
-    return [*lines, *facts.fact_lines(_facts(record), 18)]
+    return [*lines, *facts.fact_lines(list_facts(record), 18)]
 
 
 def comparison_table(records: Sequence[ComparisonRecord], *, width: int = 100) -> Iterator[Line]:
@@ -97,7 +97,8 @@ def _pair_name(record: ComparisonRecord) -> str:
     return f"{file_name(record.before)} and {file_name(record.after)}"
 
 
-def _facts(record: ComparisonRecord) -> Iterator[Fact]:
+def list_facts(record: ComparisonRecord) -> Iterator[Fact]:
+    """What is between two meshes, in words; warnings at the end."""
     angles = (record.mean_angular_error_deg, record.max_angular_error_deg)
     is_surface = record.correspondence == "surface"
     distances = (

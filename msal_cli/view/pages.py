@@ -26,27 +26,11 @@ from msal_cli.view.panels import jpeg_bytes
 from msal_cli.view.pictures import Scene, View
 from msal_cli.view.scene import EncodedScene, encode_scene
 
-Rows = list[tuple[str, ...]]
-"""A table of figures: a name and values in each row; a row without a name has the heads."""
-
-_MINUS = "\N{MINUS SIGN}"
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LONG = 23
 _SIDES = "blue inwards, orange outwards"
-_SHORT = 20
 _SPLIT_KEYS = (
     "drag the line; <kbd>[</kbd> <kbd>]</kbd>; arrows on the line; <kbd>1</kbd> before, "
     "<kbd>2</kbd> half, <kbd>3</kbd> after"
-)
-
-# What differs between two meshes: name, field of the record, format and unit.
-_CHANGES = (
-    ("Volume", "volume_change_percent", "+.3g", " %"),
-    ("Area", "area_change_percent", "+.3g", " %"),
-    ("Mean normal angle", "mean_angular_error_deg", ".3g", "°"),
-    ("Largest normal angle", "max_angular_error_deg", ".3g", "°"),
-    ("Flipped faces", "flipped_faces", ",", ""),
-    ("Vertex error", "vertex_error_percent", ".3g", " % of e"),
-    ("Hausdorff distance", "hausdorff", ".3g", ""),
 )
 
 STILL_SIZE = 560
@@ -55,11 +39,12 @@ STILL_SIZE = 560
 _SCRIPTS = ("decoding.js", "camera.js", "drawing.js", "viewer.js")
 
 
-def page_of(scene: Scene, view: View, command: str) -> bytes:
+def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, str]] = ()) -> bytes:
     """The page of a scene, seen at the start as in ``view``; large meshes are decimated.
 
-    ``command`` is what made the page, for its readers.  A picture of the scene is in the page too,
-    for where there is no WebGL and for print.
+    ``command`` is what made the page, for its readers, and ``facts`` are words and texts on what is
+    between two meshes.  A picture of the scene is in the page too, for where there is no WebGL and
+    for print.
     """
     scale = pictures.scale_of_scene(scene)
     still = pictures.draw_picture(scene, replace(view, size=min(view.size, STILL_SIZE)))
@@ -84,6 +69,9 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
         (has_deviation, "Deviation", "<kbd>d</kbd>"),
         (any(own is not None for own in colours), "Colours of the file", "<kbd>c</kbd>"),
     )
+    names = ("mesh",) if scene.after is None else ("before", "after")
+    rows = [(name, pictures.counts_text(scene, at)) for at, name in enumerate(names)]
+    rows += facts or [("mean edge", figure(scene.before.mean_edge_length, ".6g"))]
     notes = [*_notes(scene, view, drawn), f"Made by: {command}"]
     page = Template(asset(__file__, "page.html")).substitute(
         policy=content_policy([code], [looks]),
@@ -100,7 +88,13 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
             deviation_note=_SIDES if scene.is_signed else "",
             is_flat=view.shading == "flat",
         ),
-        numbers="\n".join(_table(heading, rows) for heading, rows in figures_of(scene)),
+        numbers="\n".join(
+            f'<tr><th scope="row">{escape(word.capitalize())}</th>'
+            f"<td{' class=long' if max(map(len, parts)) > _LONG else ''}>"
+            f"{'<br>'.join(map(escape, parts))}</td></tr>"
+            for word, text in rows
+            if (parts := text.split(", "))
+        ),
         notes="\n".join(f'<p class="note">{escape(note)}</p>' for note in notes),
         keys="".join(
             f'<tr><th scope="row">{name}</th><td>{text}</td></tr>\n'
@@ -110,67 +104,6 @@ def page_of(scene: Scene, view: View, command: str) -> bytes:
         script=code,
     )
     return page.encode("utf-8")
-
-
-def figures_of(scene: Scene) -> list[tuple[str, Rows]]:
-    """Tables of numbers for beside a scene: a heading, and rows of a name and values; lengths in
-    file units, and in mean edge lengths (e)."""
-    record, mesh = scene.record, scene.before
-    if record is None:
-        rows: Rows = [
-            ("Vertices", f"{pictures.count_of_vertices(mesh):,}"),
-            ("Triangles", f"{len(mesh.faces):,}"),
-            ("Mean edge length", _number(mesh.mean_edge_length, ".3g")),
-        ]
-        return [("Mesh", rows)]
-    found = []
-    for heading, distance in (
-        ("Displacement", record.displacement),
-        ("Distance, after to before", record.distance_to_before),
-        ("Distance, before to after", record.distance_to_after),
-    ):
-        if distance is not None:
-            rows = [("", "file units", "e")]
-            for title, word in (
-                ("Mean", "mean"),
-                ("RMS", "rms"),
-                ("95 %", "p95"),
-                ("Maximum", "max"),
-            ):
-                lengths = (getattr(distance, name) for name in (word, f"{word}_edges"))
-                rows.append((title, *(_number(length, ".3g") for length in lengths)))
-            found.append((heading, rows))
-    changes: Rows = [
-        (name, text)
-        for name, path, form, unit in _CHANGES
-        if (text := _number(getattr(record, path), form, unit))
-    ]
-    if record.volume is not None and record.volume_change_percent is None:
-        changes.insert(0, ("Volume", "unknown"))
-    sizes: Rows = []
-    for name, before, after in (
-        ("Vertices", record.vertices_before, record.vertices_after),
-        ("Triangles", record.faces_before, record.faces_after),
-    ):
-        counts = [f"{count:,}" for count in dict.fromkeys((before, after)) if count is not None]
-        sizes.append((name, " \N{RIGHTWARDS ARROW} ".join(counts)))
-    sizes.append(("Mean edge length, e", _number(record.mean_edge_length, ".3g")))
-    return [*found, ("Change", changes), ("Meshes", sizes)]
-
-
-def _table(heading: str, rows: Sequence[tuple[str, ...]]) -> str:
-    lines = []
-    for name, *values in rows:
-        if name:
-            # A short value stays on its line.
-            kinds = [" class=long" if len(value) > _SHORT else "" for value in values]
-            texts = zip(kinds, map(escape, values), strict=True)
-            cells = "".join(f"<td{kind}>{text}</td>" for kind, text in texts)
-            lines.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
-        else:
-            heads = "".join(f"<th>{escape(value)}</th>" for value in values)
-            lines.append(f"<tr><td></td>{heads}</tr>")
-    return f"<section><h2>{escape(heading)}</h2><table>{''.join(lines)}</table></section>"
 
 
 def _notes(scene: Scene, view: View, drawn: EncodedScene) -> Iterator[str]:
@@ -195,15 +128,6 @@ def _notes(scene: Scene, view: View, drawn: EncodedScene) -> Iterator[str]:
             yield f"No volume: {scene.record.volume.reason}."
     if view.shows_file_colours:
         yield from (f"{note}." for note in scene.notes)
-
-
-def _number(value: float | None, form: str, unit: str = "") -> str:
-    """A number as people write it: ``−1.2·10⁻⁵``."""
-    text = figure(value, form)
-    if "e" in text:
-        digits, exponent = text.split("e")
-        text = f"{digits}·10{str(int(exponent)).translate(_RAISED)}"
-    return f"{text.replace('-', _MINUS)}{unit}" if text else ""
 
 
 # Parts of pages

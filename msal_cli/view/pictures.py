@@ -187,10 +187,10 @@ def draw_picture(scene: Scene, view: View) -> Image:
 
     titles = titles_of(scene.names)
     record = scene.record
-    panels: list[Panel] = [(image(scene.before, 0), titles[0], [_counts(scene, 0)])]
+    panels: list[Panel] = [(image(scene.before, 0), titles[0], [counts_text(scene, 0)])]
     if scene.after is None or record is None:
         return draw_panels(panels)
-    lines = [_counts(scene, 1), *_changes(record)]
+    lines = [counts_text(scene, 1), *_changes(record)]
     panels.append((image(scene.after, 1), titles[1], lines))
     scale = scale_of_scene(scene) if view.shows_deviation else None
     if scene.deviation is None or scale is None:
@@ -277,7 +277,7 @@ def count_of_vertices(mesh: Mesh) -> int:
     return int(mesh.topology.has_ring.sum())
 
 
-def _counts(scene: Scene, at: int) -> str:
+def counts_text(scene: Scene, at: int) -> str:
     """How large a mesh is, the one before or the one after."""
     mesh = scene.after if at and scene.after is not None else scene.before
     return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"

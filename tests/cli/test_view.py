@@ -57,7 +57,7 @@ def test_a_page_holds_both_meshes_and_a_picture(scans):
     assert made.exit_code == 0, made.stderr
     page = (scans / "p.html").read_text("utf-8")
     assert page.startswith("<!") and "data:image/jpeg;base64," in page
-    for word in ("a.ply", "b.ply", "576", "Displacement", "normal angle", "Mean edge length, e"):
+    for word in ("a.ply", "b.ply", "576", "Displacement", "Normal angle", "Mean edge before"):
         assert word in page
     msal("view", scans / "a.ply", "-o", scans / "one.HTML", "--size", "80")
     assert len((scans / "one.HTML").read_bytes()) < len(page)
