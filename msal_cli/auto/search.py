@@ -96,8 +96,8 @@ weights are halved, and that filter has the rest: mirrored, such noise looks lik
 WEAK = 0.1
 """White noise in mean edge lengths below which a range scan may have more that neighbours share."""
 
-_RUNS = 5
-"""Runs of a candidate in a search: its own, two probes, two simulations."""
+_RUNS = 4
+"""Runs of a candidate in a search: its own, two probes, a simulation."""
 
 THOUSANDTHS = 1000
 """Steps of weights."""
@@ -198,9 +198,8 @@ class _Search:
             is_gaussian = self.model.is_gaussian and not self.noise.is_impulsive
             if is_gaussian and self._doubt > 0.0:
                 judges.append((study.by_stein(usable, first, PROBES), self._doubt))
-            again = study.simulate(usable, first)
-            weights = self._best(_risks([*judges, (again, 1.0)]))
-            first = study.positions(usable, weights)
+            if judges:
+                first = study.positions(usable, self._best(_risks(judges)))
         judges.append((study.simulate(usable, first), 1.0))
         return self._choice(study, usable, judges, surface)
 
