@@ -26,6 +26,9 @@ _PASSWORD = re.compile(r"(://[^/@\s:]*):[^/\s]*@")
 _QUERY = re.compile(r"(https?://[^?\s]*)\?\S*", re.IGNORECASE)
 _ODD = {"": "%2F", ".": "%2E", "..": "%2E%2E"}
 
+# Windows takes these for devices, whatever suffix follows.
+_DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])( *\.| *$)", re.IGNORECASE)
+
 
 @dataclass(frozen=True, slots=True)
 class ObjectMark:
@@ -144,8 +147,21 @@ def escape_name(relative: str, *, is_local: bool) -> str:
     a file (``is_local``) so does what no file name of this system may hold.
     """
     parts = [_ODD.get(part, part) for part in relative.split("/")]
-    is_windows = os.name == "nt"
-    odd = '\0\\:*?"<>|' if is_windows else "\0"
-    return "/".join(parts).translate(
-        {c: f"%{c:02X}" for c in (*map(ord, odd), *range(32 * is_windows))} if is_local else {}
-    )
+    if is_local:
+        parts = [_escape_part(part) for part in parts]
+    return "/".join(parts)
+
+
+def _escape_part(part: str) -> str:
+    if os.name != "nt":
+        return part.replace("\0", "%00")
+    if _DEVICES.match(part):
+        part = _escape(part[0]) + part[1:]
+    # Windows drops dots and spaces at the end, so that two names would be one.
+    if part[-1:] in (".", " "):
+        part = part[:-1] + _escape(part[-1])
+    return "".join(_escape(c) if c in '\0\\:*?"<>|' or c < " " else c for c in part)
+
+
+def _escape(character: str) -> str:
+    return f"%{ord(character):02X}"
