@@ -178,7 +178,7 @@ def _mollify(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
         sx = sy = sz = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
+            k = np.uint64(ring[at])
             sx += normals[k, 0]
             sy += normals[k, 1]
             sz += normals[k, 2]
