@@ -272,15 +272,10 @@ def titles_of(names: tuple[str, ...]) -> tuple[str, ...]:
     return names if len(set(bare)) < len(bare) else bare
 
 
-def count_of_vertices(mesh: Mesh) -> int:
-    """How many vertices the faces use."""
-    return int(mesh.topology.has_ring.sum())
-
-
 def counts_text(scene: Scene, at: int) -> str:
-    """How large a mesh is, the one before or the one after."""
+    """How large a mesh is, the one before or the one after: faces, and vertices that they use."""
     mesh = scene.after if at and scene.after is not None else scene.before
-    return f"{len(mesh.faces):,} triangles, {count_of_vertices(mesh):,} vertices"
+    return f"{len(mesh.faces):,} triangles, {mesh.topology.has_ring.sum():,} vertices"
 
 
 def _changes(record: ComparisonRecord) -> list[str]:
