@@ -2,7 +2,7 @@
 
 A *token* is a run of bytes ``buf[start:stop]``; lists of tokens are two (k,) int64 arrays,
 ascending and disjoint.  ``buf`` is a (size,) uint8 array; ``as_bytes`` makes one that every kernel
-here takes without being compiled a second time.  Every value is exact: see ``digits``.
+here takes without being compiled a second time.  Every value is exact: see ``numbers``.
 """
 
 from __future__ import annotations

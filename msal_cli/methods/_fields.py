@@ -50,6 +50,24 @@ def iterations(default: int, help: str, more: str = "smoother") -> Any:
     return passes(default, help, more, symbol="n")
 
 
+def vertex_passes(
+    default: int,
+    help: str = "passes that fit the vertices to the filtered normals",
+    more: str = "faces closer to their normals, vertices farther from the scan",
+) -> Any:
+    """The parameter ``vertex_iterations``."""
+    return passes(default, help, more)
+
+
+def mollify(
+    default: int = 1,
+    help: str = "passes that average the normals over the one-ring before the first sweep",
+    more: str = "smoother normals: flatter flats under heavy noise, softer edges",
+) -> Any:
+    """The parameter ``mollify``."""
+    return passes(default, help, more, high=100)
+
+
 def share(
     default: float, help: str, more: str, *, symbol: str = "", above: float | None = None
 ) -> Any:

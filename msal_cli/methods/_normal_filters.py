@@ -25,11 +25,7 @@ class NormalFilterParameters:
         "passes over the face normals; 0 returns the mesh as it is",
         "smoother normals, larger flat pieces",
     )
-    vertex_iterations: int = fields.passes(
-        10,
-        "passes that fit the vertices to the filtered normals",
-        "faces closer to their normals, vertices farther from the scan",
-    )
+    vertex_iterations: int = fields.vertex_passes(10)
     neighbours: str = fields.parameter(
         "vertex",
         "the neighbours of a face: those that share a vertex with it, or an edge",

@@ -32,12 +32,7 @@ class RestorationParameters(NormalParameters):
         "plain sweeps at the beginning; 0 returns the mesh as it is",
         "smoother under strong noise, hardly else",
     )
-    mollify: int = fields.passes(
-        2,
-        "passes that average the normals over the one-ring before the first sweep",
-        "smoother normals: flatter flats under heavy noise, softer edges",
-        high=100,
-    )
+    mollify: int = fields.mollify(2)
     noise: float = fields.noise(of="")
     caution: float = fields.caution(0.75, of="")
     normal_iterations: int = fields.passes(
@@ -68,11 +63,7 @@ class RestorationParameters(NormalParameters):
         "share of the scan's normals in those that are filtered, beside those of the result",
         "positions closer to the scan, and finer texture; less is smoother",
     )
-    vertex_iterations: int = fields.passes(
-        2,
-        "passes that fit the vertices to the filtered normals",
-        "faces closer to their normals",
-    )
+    vertex_iterations: int = fields.vertex_passes(2, more="faces closer to their normals")
 
 
 @dataclass(frozen=True, eq=False)

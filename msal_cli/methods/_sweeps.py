@@ -38,12 +38,7 @@ class NormalParameters:
         "sweeps over all vertices",
         "smoother; under the multiscale schedule many sweeps lead back to the input",
     )
-    mollify: int = fields.passes(
-        1,
-        "passes that average the normals over the one-ring before the first sweep",
-        "smoother normals: flatter flats under heavy noise, softer edges",
-        high=100,
-    )
+    mollify: int = fields.mollify()
     normals: str = fields.parameter(
         "uniform",
         "how face normals count in a vertex normal: alike, or by face area",
@@ -148,11 +143,10 @@ class ScheduledParameters(ScheduleTraits):
 class ScaleParameters(ScheduledParameters):
     """Parameters of a method whose normals serve only sigma of eq. (4), and so the fidelity."""
 
-    mollify: int = fields.passes(
+    mollify: int = fields.mollify(
         1,
         "multiscale schedule: passes that average the normals along which sigma is measured",
         "a lambda that follows the noise less",
-        high=100,
     )
     normals: str = fields.parameter(
         "uniform",

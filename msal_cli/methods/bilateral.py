@@ -52,12 +52,10 @@ class Parameters(ScheduledParameters):
         "sweeps over all vertices; 3 in Huang and Ascher, up to 5 in Fleishman et al.",
         "smoother; under the multiscale schedule many sweeps lead back to the input",
     )
-    mollify: int = fields.passes(
+    mollify: int = fields.mollify(
         1,
         "one_ring, and the sigma of the multiscale schedule: passes that average the normals over "
         "the one-ring before the first sweep",
-        "smoother normals: flatter flats under heavy noise, softer edges",
-        high=100,
     )
     variant: str = fields.parameter(
         "one_ring",

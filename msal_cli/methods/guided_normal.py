@@ -90,10 +90,8 @@ class Parameters:
         unit="mean distances of neighbouring centroids",
         more="smoother, and slower; thin features are lost",
     )
-    vertex_iterations: int = fields.passes(
-        10,
-        "passes that fit the vertices to the normals, after each filtering",
-        "faces closer to their normals, vertices farther from the scan",
+    vertex_iterations: int = fields.vertex_passes(
+        10, "passes that fit the vertices to the normals, after each filtering"
     )
     boundary: str = fields.boundary("free")
     sliding: str = fields.sliding()

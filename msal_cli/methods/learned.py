@@ -74,10 +74,8 @@ class Parameters:
         symbol="n",
         high=100,
     )
-    vertex_iterations: int = fields.passes(
-        20,
-        "passes that fit the scanned vertices to the normals of the last stage",
-        "faces closer to their normals, vertices farther from the scan",
+    vertex_iterations: int = fields.vertex_passes(
+        20, "passes that fit the scanned vertices to the normals of the last stage"
     )
     noise: float = fields.noise(of="")
     boundary: str = fields.boundary("free")

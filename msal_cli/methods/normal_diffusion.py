@@ -62,10 +62,8 @@ class Parameters:
         "steps of diffusion in each round",
         "smoother normals, larger flat pieces",
     )
-    vertex_iterations: int = fields.passes(
-        7,
-        "passes that fit the vertices to the diffused normals in each round",
-        "faces closer to their normals, vertices farther from the scan",
+    vertex_iterations: int = fields.vertex_passes(
+        7, "passes that fit the vertices to the diffused normals in each round"
     )
     similarity: float = fields.parameter(
         0.0,

@@ -49,11 +49,7 @@ class Parameters(NormalFilterParameters):
         below=1.0,
         more="sharper edges, and more noise taken for edges",
     )
-    vertex_iterations: int = fields.passes(
-        50,
-        "passes that fit the vertices to the filtered normals",
-        "faces closer to their normals, vertices farther from the scan",
-    )
+    vertex_iterations: int = fields.vertex_passes(50)
 
 
 def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:

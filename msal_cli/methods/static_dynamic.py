@@ -114,10 +114,8 @@ class Parameters:
         unit="degrees",
         more="faster, less smooth",
     )
-    vertex_iterations: int = fields.passes(
-        10,
-        "passes that fit the vertices to the normals, after each filtering",
-        "faces closer to their normals, vertices farther from the scan",
+    vertex_iterations: int = fields.vertex_passes(
+        10, "passes that fit the vertices to the normals, after each filtering"
     )
     boundary: str = fields.boundary("free")
     sliding: str = fields.sliding()
