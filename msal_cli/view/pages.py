@@ -108,10 +108,8 @@ def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, s
 
 def _notes(scene: Scene, view: View, drawn: EncodedScene) -> Iterator[str]:
     """What a reader has to know of the picture and of the meshes."""
-    if drawn.is_decimated:
-        counts = f"{drawn.drawn_faces:,} of {drawn.faces:,} faces"
-        if drawn.after_faces is not None:
-            counts += f", and {drawn.drawn_after_faces:,} of {drawn.after_faces:,} after"
+    if any(n_all != n_drawn for n_all, n_drawn in drawn.counts):
+        counts = " and ".join(f"{n_drawn:,} of {n_all:,} faces" for n_all, n_drawn in drawn.counts)
         yield (
             f"Decimated for the page: {counts}. Short edges were contracted to one of their ends. "
             "The numbers are those of the full meshes."

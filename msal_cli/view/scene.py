@@ -46,22 +46,13 @@ class EncodedScene:
     Attributes
     ----------
     text : base64, letters that mean nothing in HTML or JSON.
-    faces, drawn_faces : of the mesh before (or the only one), in the file and on the page.
-    after_faces, drawn_after_faces : likewise, None without a mesh after.
+    counts : faces of each mesh in its file, and on the page.
     rounding : the largest distance by which the page shows a coordinate off its place, file units.
     """
 
     text: str
-    faces: int
-    drawn_faces: int
-    after_faces: int | None
-    drawn_after_faces: int | None
+    counts: tuple[tuple[int, int], ...]
     rounding: float
-
-    @property
-    def is_decimated(self) -> bool:
-        """Whether the page holds fewer faces than the files."""
-        return (self.faces, self.after_faces) != (self.drawn_faces, self.drawn_after_faces)
 
 
 def encode_scene(
@@ -127,10 +118,11 @@ def encode_scene(
     packed = zlib.compress(struct.pack("<I", len(head)) + head + b"".join(planes), 9)
     return EncodedScene(
         text=base64.b64encode(packed).decode("ascii"),
-        faces=len(before.faces),
-        drawn_faces=int(entries[0]["faces"]),
-        after_faces=None if after is None else len(after.faces),
-        drawn_after_faces=None if after is None else int(entries[1]["faces"]),
+        counts=tuple(
+            (len(mesh.faces), int(entry["faces"]))
+            for mesh, entry in zip((before, after), entries, strict=False)
+            if mesh is not None
+        ),
         rounding=step / 2,
     )
 

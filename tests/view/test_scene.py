@@ -31,8 +31,8 @@ def test_positions_come_back_within_the_rounding(name):
     vertices, faces = SHAPES[name]
     drawn = scene.encode_scene(Mesh(vertices, faces))
     header, [(ticks, found)], deviation = decoded(drawn.text)
-    assert deviation is None and not drawn.is_decimated
-    assert len(found) == len(faces) == drawn.drawn_faces
+    assert deviation is None
+    assert drawn.counts == ((len(faces), len(faces)),) and len(found) == len(faces)
     got = places(header, ticks, vertices[faces.reshape(-1)].min(axis=0))
     nearest = np.abs(got[found].mean(axis=1)[:, None] - vertices[faces].mean(axis=1)[None])
     assert nearest.max(axis=2).min(axis=1).max() <= drawn.rounding * (1 + 1e-9)
@@ -64,7 +64,7 @@ def test_meshes_with_other_faces_stand_side_by_side():
     _, [(_, before), (ticks, after)], deviation = decoded(drawn.text)
     assert (len(before), len(after)) == (len(first.faces), len(second.faces))
     assert len(ticks) == len(deviation) == 8
-    assert (drawn.after_faces, drawn.drawn_after_faces) == (12, 12)
+    assert drawn.counts[1] == (12, 12)
 
 
 def test_both_sides_are_decimated_alike():
@@ -74,8 +74,7 @@ def test_both_sides_are_decimated_alike():
     before = Mesh(noisy(vertices), faces)
     drawn = scene.encode_scene(before, after, values, max_faces=1000)
     header, [(ticks, found), (moved, _)], deviation = decoded(drawn.text)
-    assert drawn.is_decimated and drawn.drawn_faces == drawn.drawn_after_faces == len(found)
-    assert len(found) <= 1000 and drawn.faces == len(faces)
+    assert drawn.counts == ((len(faces), len(found)),) * 2 and len(found) <= 1000
     who = np.rint(deviation).astype(int)
     low = np.minimum(before.vertices.min(axis=0), vertices.min(axis=0))
     assert np.abs(places(header, ticks, low) - before.vertices[who]).max() <= drawn.rounding * 1.001
