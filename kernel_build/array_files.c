@@ -174,13 +174,12 @@ static size_t bound(void)
 
 static void keep(Block block)
 {
-    if (block.size < MIN_KEPT || kept_count == MAX_KEPT) {
+    if (!is_kept || block.size < MIN_KEPT || kept_count == MAX_KEPT) {
         munmap(block.start, block.size);
         return;
     }
     kept[kept_count++] = block;
     kept_bytes += block.size;
-    trim(bound());
 }
 
 /* Pages behind those of a block, which move, and lie in huge pages as before. */
