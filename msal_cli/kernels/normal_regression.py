@@ -47,9 +47,9 @@ STATISTICS = 5
 ROOT_3 = 3.0**0.5
 """The edge of equilateral triangles over the distance of their centroids."""
 
-QUIET, MOST_QUIET = 0.14, 0.98
+QUIET, MIN_LOUD = 0.14, 0.02
 """The third of the STATISTICS up to which a face of an uneven mesh is quiet, about a third of the
-level; and the part of the faces up to which those are left out."""
+level; and the part of the faces that must be louder."""
 
 SAMPLED = 1 << 15
 """Faces from which the medians of a mesh are taken, or up to twice as many, evenly spread."""
@@ -358,7 +358,7 @@ def _find_globals(known: Floats32, records: Floats32, evidence: Evidence) -> Flo
     known, records = known[::step], records[::step]
     if evidence.is_uneven:
         is_loud = evidence.statistics[::step, 2] > QUIET
-        if is_loud.mean() > 1.0 - MOST_QUIET:
+        if is_loud.mean() > MIN_LOUD:
             known, records = known[is_loud], records[is_loud]
     own, narrow, wide = records[:, :3], known[:, :3], records[:, 8:11]
     of = [np.sqrt(((a - b) ** 2).sum(axis=1)) for a, b in ((own, wide), (narrow, wide))]
