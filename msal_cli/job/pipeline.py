@@ -222,6 +222,7 @@ class FileRun:
     def write(self, task: Task, data: Buffer, made: output.Output) -> MeshRecord:
         """Write the output and what belongs to it; ``data`` are the bytes of the input."""
         with self.stage("write"):
+            array_files.release_kept()
             if task.in_place and task.backup:
                 output.keep_backup(task, data)
             output.make_folder_of(task.output)

@@ -107,6 +107,13 @@ def kept_memory() -> Iterator[None]:
                 open_library().msal_keep_memory(0)
 
 
+def release_kept() -> None:
+    """Give back what ``kept_memory`` keeps now: a file that is written takes memory, too."""
+    with _lock:
+        if _keepers:
+            open_library().msal_keep_memory(1)
+
+
 def count_scratch() -> Scratch:
     """What arrays in files take."""
     now, peak, error = ctypes.c_size_t(), ctypes.c_size_t(), ctypes.c_int()
