@@ -8,7 +8,7 @@ import pytest
 
 from msal_cli.kernels import array_files
 
-pytestmark = pytest.mark.skipif(not array_files.can_use_files(), reason="maps memory by itself")
+pytestmark = pytest.mark.skipif(not array_files.can_use_files(), reason="maps memory as numpy does")
 
 MEGABYTE = 1 << 17  # numbers
 
