@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from msal_cli.codecs.header import BASE_BYTES
-from msal_cli.job.room import LARGE_BYTES, input_bytes
+from msal_cli.job import room
 from msal_cli.job.settings import (
     NO_LIMITS,
     Limits,
@@ -265,10 +265,10 @@ def estimate_memory(
     largest_light = 0
     per_byte = _PER_BYTE + method_bytes_per_face(settings) / _BYTES_PER_FACE
     for index, task in tasks.items():
-        if (size := input_bytes(task)) is None:
+        if (size := room.input_bytes(task)) is None:
             # The reader will report that.
             continue
-        if size < LARGE_BYTES:
+        if size < room.LARGE_BYTES:
             largest_light = max(largest_light, size)
         else:
             large[index] = limited(forecast(task, settings).memory_bytes or 0)
