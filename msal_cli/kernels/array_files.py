@@ -70,11 +70,10 @@ def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
                 open_library().msal_use_array_files(os.dup(handle), ctypes.c_size_t(smallest))
     finally:
         os.close(handle)
-    before = _set_handler()(_handler())
     try:
-        yield
+        with _own_allocator():
+            yield
     finally:
-        _set_handler()(before)
         with _lock:
             _users -= 1
             if not _users:
@@ -96,11 +95,10 @@ def kept_memory() -> Iterator[None]:
         _keepers += 1
         if _keepers == 1:
             open_library().msal_keep_memory(1)
-    before = _set_handler()(_handler())
     try:
-        yield
+        with _own_allocator():
+            yield
     finally:
-        _set_handler()(before)
         with _lock:
             _keepers -= 1
             if not _keepers:
@@ -120,6 +118,16 @@ def count_scratch() -> Scratch:
     if can_use_files():
         open_library().msal_count_array_files(*map(ctypes.byref, (now, peak, error)))
     return Scratch(now.value, peak.value, error.value)
+
+
+@contextmanager
+def _own_allocator() -> Iterator[None]:
+    """Have numpy ask ours for the memory of arrays that are made in this thread."""
+    before = _set_handler()(_handler())
+    try:
+        yield
+    finally:
+        _set_handler()(before)
 
 
 @functools.cache
