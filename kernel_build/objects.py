@@ -35,6 +35,9 @@ _ENVIRONMENT = {"NUMBA_OPT": "0", "NUMBA_CPU_NAME": "generic", "NUMBA_DISABLE_JI
 
 _ZERO = r"\1 zeroinitializer"
 
+_REFERENCES = ("NRT_incref", "NRT_decref")
+"""numba's functions that count references to arrays; LLVM's pass knows them by name."""
+
 
 class Built(NamedTuple):
     """A kernel for one combination of argument types, compiled.
@@ -187,10 +190,19 @@ def to_object(ir: str, entry: str, symbol: str, triple: str, processor: str) -> 
             one.name = symbol
         elif not one.is_declaration:
             # In its names numba counts what else the process has compiled before.
-            one.name, one.linkage = f"inner{at}", "internal"
+            name = one.name if one.name in _REFERENCES else f"inner{at}"
+            one.name, one.linkage = name, "internal"
     options: Any = llvm.create_pipeline_tuning_options(speed_level=3)
     options.loop_vectorization = options.slp_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    # numba counts references of arrays wherever it passes them on, in inner loops too, and by
+    # atomic operations. What is left once functions are inlined, and pairs are dropped, counts
+    # arrays that a kernel has made itself: no other thread sees them.
+    references = llvm.create_new_module_pass_manager()
+    references.add_refprune_pass()
+    references.add_lower_atomic_pass()
+    references.run(module, builder)
     builder.getModulePassManager().run(module, builder)
     made: bytes = machine.emit_object(module)
     return made
