@@ -177,7 +177,9 @@ def test_dirt_is_survived_and_a_vertex_without_faces_stays(run, dirt):
     else:
         faces = faces[::3]
     ready = prepare_mesh(vertices, faces.astype(np.int32))
-    out = run(ready.mesh).vertices
+    # So few vertices are taken for a design without noise.
+    given = {"noise": 0.1} if "noise" in run.defaults else {}
+    out = run(ready.mesh, **given).vertices
     assert np.isfinite(out).all()
     # The last vertex has no face.
     assert (out[-1] == ready.mesh.vertices[-1]).all()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.noise_estimate import estimate_noise
+from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.errors import InternalError
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import _cascade
@@ -160,6 +160,21 @@ def test_the_noise_is_estimated_by_its_kind(monkeypatch):
     say("uneven", mean_edges=0.1, lowest=0.01, highest=0.4)
     assert resolve_noise(noisy, 0.0) == (pytest.approx(0.2), False, True)
     assert resolve_noise(noisy, 0.07) == (0.07, False, True)
+
+
+def test_a_clean_mesh_comes_back_and_a_trace_of_noise_bounds_the_moves(monkeypatch):
+    true = smooth()
+    assert estimate_noise(true).is_negligible
+    assert (run(true) == true.vertices).all()
+    moves = np.linalg.norm(run(true, noise=0.001) - true.vertices, axis=1)
+    assert 0.0 < moves.mean() / true.mean_edge_length < 0.001 + 1e-9
+    # Who names the method where it is unsure wants noise to go.
+    doubted = dataclasses.replace(
+        estimate_noise(true), readings=(Reading(NOISE, 0.02, 0.6), Reading(TEXTURE, 0.0, 0.4))
+    )
+    monkeypatch.setattr("msal_cli.analysis.noise_estimate.estimate_noise", lambda mesh: doubted)
+    assert resolve_noise(true, 0.0)[0] == 0.02
+    assert (run(true) != true.vertices).any()
 
 
 def test_texture_is_returned_for_white_noise_or_when_it_is_asked_for():
