@@ -19,7 +19,7 @@ from msal_cli.kernels.faces import face_centroids
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, vertex_normals
 from msal_cli.kernels.operators import MIN_SIGMA, Step
 from msal_cli.kernels.parallel import fill_array
-from msal_cli.kernels.vectors import longest_row
+from msal_cli.kernels.vectors import ONE, ZERO, longest_row
 
 MAX_FOUND = 2048
 """Items at which a flood stops: vertices within 23 mean edge lengths of one on an even mesh."""
@@ -80,43 +80,43 @@ def faces_around(i, x, centroids, faces, face_start, incident, square_radius, me
     faces ``found``, with the squared distances of their centroids in ``squares``.
     """
     vertex_mark, face_mark, corners, found, squares = memory
-    vertex_mark[i] = i
-    corners[0] = i
-    waiting = 1
-    count = 0
-    at = 0
+    own, name = np.uint64(i), np.int32(i)
+    x0, y0, z0 = x[own, 0], x[own, 1], x[own, 2]
+    vertex_mark[own] = name
+    corners[0] = name
+    waiting, count, at = ONE, ZERO, ZERO
     looks = MAX_LOOKS
     while at < waiting:
-        j = corners[at]
+        j = np.uint64(corners[at])
         row = face_start[j]
-        end = face_start[j + 1]
-        if at > 0:
+        end = face_start[j + ONE]
+        if at > ZERO:
             end = min(end, row + looks)
             looks -= end - row
-        at += 1
-        for entry in range(row, end):
-            f = incident[entry]
-            if face_mark[f] == i:
+        at += ONE
+        for entry in range(np.uint64(row), np.uint64(end)):
+            f = np.uint64(incident[entry])
+            if face_mark[f] == name:
                 continue
-            face_mark[f] = i
-            dx = centroids[f, 0] - x[i, 0]
-            dy = centroids[f, 1] - x[i, 1]
-            dz = centroids[f, 2] - x[i, 2]
+            face_mark[f] = name
+            dx = centroids[f, 0] - x0
+            dy = centroids[f, 1] - y0
+            dz = centroids[f, 2] - z0
             square = dx * dx + dy * dy + dz * dz
             if square > square_radius:
                 continue
-            if at > 1 and count >= MAX_FOUND:
-                return count
+            if at > ONE and count >= MAX_FOUND:
+                return np.int64(count)
             found[count] = f
             squares[count] = square
-            count += 1
+            count += ONE
             for corner in range(3):
                 k = faces[f, corner]
-                if vertex_mark[k] != i:
-                    vertex_mark[k] = i
+                if vertex_mark[np.uint64(k)] != name:
+                    vertex_mark[np.uint64(k)] = name
                     corners[waiting] = k
-                    waiting += 1
-    return count
+                    waiting += ONE
+    return np.int64(count)
 
 
 @compiled
@@ -268,7 +268,7 @@ def _project(
         xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
         least = np.inf
         for at in range(count):
-            f = found[at]
+            f = np.uint64(found[at])
             s[at] = (
                 (xi - centroids[f, 0]) * normals[f, 0]
                 + (yi - centroids[f, 1]) * normals[f, 1]
@@ -282,7 +282,7 @@ def _project(
         exponentials(g, scratch, scratch_bits, count)
         weights = mx = my = mz = 0.0
         for at in range(count):
-            f = found[at]
+            f = np.uint64(found[at])
             weight = g[at] * areas[f]
             weights += weight
             if averaged == _PROJECTIONS:
