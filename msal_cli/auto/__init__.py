@@ -21,6 +21,10 @@ OnStep = Callable[[int, int], None]
 NONE = "none"
 """In place of a method: the mesh stays as it is."""
 
+SECONDS = 1.2, 22.0
+"""Seconds of one core that a choice among all methods takes with its result, for any mesh and for a
+million vertices; fitted to the sample meshes and to benchmarks/auto_seconds.py."""
+
 FAMILY, ALL = "family", "all"
 """Among what was chosen: AL and MSAL with the schedules of equation (2), or all methods."""
 

@@ -26,7 +26,7 @@ import numpy as np
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.arrays import Floats
-from msal_cli.auto import FAMILY, NONE, Choice, OnStep, blends
+from msal_cli.auto import FAMILY, NONE, SECONDS, Choice, OnStep, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.noise_model import NoiseModel, is_like_draws
@@ -183,9 +183,8 @@ def seconds_of_better(choice: Choice, n_vertices: int) -> float | None:
         return None
     if choice.surface != MACHINED and choice.noise.mean_edges < STRONG:
         return None
-    from msal_cli.auto.search import forecast_seconds
-
-    return forecast_seconds(n_vertices)
+    any_s, s_per_million = SECONDS
+    return any_s + s_per_million * n_vertices / 1e6
 
 
 def _rate_by_level(

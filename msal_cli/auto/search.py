@@ -57,9 +57,6 @@ from msal_cli.auto.sample_patch import (
 )
 from msal_cli.mesh import Mesh
 
-SECONDS = 1.3e-7
-"""Of the filter for one vertex, on one core."""
-
 LARGE, MOST_COST = 200_000, 1.3 * LEARNED.cost
 """Vertices from which the members of a blend cost so much at most, together: hardly more than the
 learned filter alone.  On smaller meshes that filter may count twice, for the noise and for twice
@@ -111,13 +108,6 @@ _SLOPES = {"balanced": 0.5, "positions": 0.25, "normals": 0.75, "volume": 0.4}
 _DRIFT = {"volume": 1000.0}
 # What is to be kept: factor of the noise, share of the slopes.
 _KEEP = {"edges": (1.0, 0.7), "shape": (blends.SHAPE, 0.4)}
-
-
-def forecast_seconds(n_vertices: int) -> float:
-    """Seconds of one core for a search and its result, by the costs of the candidates."""
-    study = min(n_vertices, PART)
-    filters = _RUNS * study * sum(candidate.cost for candidate in CANDIDATES)
-    return SECONDS * (filters + n_vertices * LEARNED.cost)
 
 
 def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> Choice:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msal_cli import codecs, machine
+from msal_cli import auto, codecs, machine
 from msal_cli.codecs import header
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.errors import InternalError, MsalError, OutputError, ResourceError
@@ -243,7 +243,7 @@ def to_known_error(error: Exception, name: str) -> MsalError:
 # core of a machine like that of docs/performance.md, with nothing else to do.  They were fitted to
 # the sample meshes and to benchmarks/auto_seconds.py.
 
-_SECONDS = {ADAPTIVE: (0.17, 1.6), AUTO: (1.2, 22.0), "al": (0.05, 1.08), "msal": (0.05, 1.04)}
+_SECONDS = {ADAPTIVE: (0.17, 1.6), AUTO: auto.SECONDS, "al": (0.05, 1.08), "msal": (0.05, 1.04)}
 """Seconds for any mesh, and per million vertices, from reading to writing."""
 
 _IN_FILES_S_PER_MILLION = 1.0
