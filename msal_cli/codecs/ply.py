@@ -3,7 +3,7 @@
 Read are ascii and both binary encodings, any elements and properties in any order, polygons
 (``vertex_indices`` or ``vertex_index`` of ``face``), triangle strips (``tristrips``) and range
 grids (``range_grid``).  Written is a copy of the file in which only ``x y z`` of moved vertices,
-and the normals ``nx ny nz`` of vertices and faces around them, differ.
+and the normals ``nx ny nz`` of vertices around them, differ.
 
 A range grid, as in the Stanford archive, is a raw scan: a list of no vertex or one for each
 sample, row by row; ``obj_info num_cols`` and ``num_rows`` give its size.  Neighbouring samples are
@@ -15,7 +15,6 @@ times the distance of samples, so that a surface is not joined with what is behi
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -23,10 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.arrays import Floats, Ints, Longs
 from msal_cli.codecs import mesh_file, ply_header
 from msal_cli.codecs.ply_body import Section, find_sections
-from msal_cli.codecs.slots import Slots, require_range
+from msal_cli.codecs.slots import require_range
 from msal_cli.codecs.text_slots import plan_patches, replace_statements
 from msal_cli.errors import (
     ContentError,
@@ -96,68 +95,23 @@ CORNERS = ("vertex_indices", "vertex_index")
 MAX_VERTICES = 2**31 - 1
 """Vertices that 32-bit indices can tell apart."""
 
-_FLAT = 1e-12
-"""Polygon area over the product of its edges, at and below which it has no usable normal."""
-
 
 class Surface(NamedTuple):
     """Triangles of all faces, in file order, and behind them those of all strips.
 
-    triangles : (m, 3) int32; the first ones, face by face, are the faces' fans.
+    triangles : (m, 3) int32.
     corners, sizes : polygons as in ``Layout``, empty where all are triangles.
-    lengths : (n_faces,) corners of every face, also of those with fewer than three.
-    n_strip_triangles : triangles of strips or of a range grid.
+    n_polygons : faces, also those with fewer than three corners, and triangles of strips or of a
+        range grid.
     grid : the samples (rows, columns) of a range grid whose triangles these are, else None.
     """
 
     triangles: Ints
     corners: Ints
     sizes: Longs | Ints
-    lengths: Longs | Ints
-    n_strip_triangles: int
+    n_polygons: int
     warnings: list[str]
     grid: Ints | None
-
-
-def _renew_face_normals(
-    surface: Surface, old_vertices: Floats, vertices: Floats, old_normals: Floats
-) -> tuple[Floats, Flags]:
-    """Normals (n_faces, 3) of the faces after a move, and which of them changed (n_faces,).
-
-    A polygon's normal is the direction of the sum of its triangles' area vectors, with the
-    sense that the stored normal had.  A stored normal that is zero or not finite is kept,
-    and so is that of a face without moved corners or with no area.
-    """
-    n_faces = len(surface.lengths)
-    cut = surface.triangles[: len(surface.triangles) - surface.n_strip_triangles]
-    face = np.repeat(np.arange(n_faces), np.maximum(surface.lengths - 2, 0))
-    is_moved = np.asarray((old_vertices != vertices).any(axis=1))
-    usable = np.isfinite(old_normals).all(axis=1) & (old_normals != 0.0).any(axis=1)
-    # Faces whose area overflows or underflows keep their normals.
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        before, _ = _area_vectors(old_vertices, cut, face, n_faces)
-        after, scale = _area_vectors(vertices, cut, face, n_faces)
-        length = np.sqrt((after * after).sum(axis=1))
-        changed = usable & (length > _FLAT * scale) & np.isfinite(length)
-        changed &= np.bincount(face, is_moved[cut].any(axis=1), n_faces) > 0
-        opposed = (before * np.where(usable[:, None], old_normals, 0.0)).sum(axis=1) < 0.0
-    sense = np.where(opposed, -1.0, 1.0)[:, None]
-    unit = np.where(changed[:, None], after, 0.0) / np.where(changed, length, 1.0)[:, None]
-    return np.where(changed[:, None], unit * sense, old_normals), changed
-
-
-def _area_vectors(
-    vertices: Floats, triangles: Ints, face: Longs, n_faces: int
-) -> tuple[Floats, Floats]:
-    """Doubled area vectors (n_faces, 3) and, for scale, the summed products of edges (n_faces,)."""
-    first = vertices[triangles[:, 0]]
-    u = vertices[triangles[:, 1]] - first
-    w = vertices[triangles[:, 2]] - first
-    cross = np.cross(u, w)
-    sums = [np.bincount(face, weights=cross[:, k], minlength=n_faces) for k in range(3)]
-    edges = np.sqrt((u * u).sum(axis=1) * (w * w).sum(axis=1))
-    scale: Floats = np.bincount(face, weights=edges, minlength=n_faces).astype(np.float64)
-    return np.stack(sums, axis=1), scale
 
 
 def corner_list(element: ply_header.Element) -> str:
@@ -230,7 +184,8 @@ def find_surface(
         sizes = np.concatenate([sizes, np.full(len(strips), 3)])
     if len(corners) == 3 * len(sizes):
         corners, sizes = corners[:0], sizes[:0]
-    return Surface(triangles, corners, sizes, lengths, len(strips), warnings, samples)
+    n_polygons = len(lengths) + len(strips)
+    return Surface(triangles, corners, sizes, n_polygons, warnings, samples)
 
 
 def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vertices: int) -> Ints:
@@ -325,9 +280,7 @@ def wanted_names(element: ply_header.Element) -> Sequence[str]:
     """Properties whose places are kept: positions, normals, corners."""
     if element.name == "vertex":
         return ply_header.POSITION + ply_header.NORMAL
-    if element.name == "face":
-        return CORNERS + ply_header.NORMAL
-    return CORNERS if element.name in ("tristrips", GRID) else ()
+    return CORNERS if element.name in ("face", "tristrips", GRID) else ()
 
 
 def has_normals(element: ply_header.Element) -> bool:
@@ -380,13 +333,11 @@ class PlyLayout(mesh_file.Layout):
     Attributes
     ----------
     sections : the elements by name; ``end`` is the byte behind the last one.
-    normal_elements : those that the arrays of normals belong to.
     """
 
     header: ply_header.Header
     sections: Mapping[str, Section] = field(repr=False)
     end: int
-    normal_elements: tuple[str, ...]
     surface: Surface
 
 
@@ -400,14 +351,8 @@ def parse(data: Buffer) -> PlyLayout:
     vertices = positions.values
     mesh_file.require_finite(vertices, sections["vertex"].where)
     # Read here, so that a word that is no number is reported before any work is done.
-    normals = {
-        name: section.slots(ply_header.NORMAL)
-        for name, section in sections.items()
-        if name in ("vertex", "face") and has_normals(section.element)
-    }
+    normals = (sections["vertex"].slots(ply_header.NORMAL),) if has_normals(vertex) else ()
     surface = find_surface(sections, header, vertices)
-    if not len(surface.lengths):
-        normals.pop("face", None)
     rest = content[end:]
     n_behind = len(rest.tobytes().strip()) if header.encoding == "ascii" else len(rest)
     warnings = []
@@ -417,13 +362,15 @@ def parse(data: Buffer) -> PlyLayout:
             f"coordinates {', '.join(whole)} are whole numbers: new ones are rounded to the "
             "nearest, halves to the even one"
         )
-    for element in header.elements:
-        named = [prop.name for prop in element.properties if prop.name in ply_header.NORMAL]
-        if element.name in ("vertex", "face") and named and not has_normals(element):
-            warnings.append(
-                f"the {', '.join(named)} of element '{element.name}' are not three floating-point "
-                "numbers: they are kept, not recomputed"
-            )
+    named = [prop.name for prop in vertex.properties if prop.name in ply_header.NORMAL]
+    if named and not normals:
+        warnings.append(
+            f"the {', '.join(named)} of element 'vertex' are not three floating-point numbers: "
+            "they are kept, not recomputed"
+        )
+    faces = header.find("face")
+    if faces is not None and any(faces.find(name) for name in ply_header.NORMAL):
+        warnings.append("normals of faces are kept as they are")
     warnings += surface.warnings
     if n_behind:
         warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
@@ -433,8 +380,7 @@ def parse(data: Buffer) -> PlyLayout:
         encoding=header.encoding,
         precision="text" if header.encoding == "ascii" else coarsest,
         positions=(positions,),
-        normals=tuple(normals.values()),
-        renew_normals=functools.partial(_renew_normals, surface, normals),
+        normals=normals,
         vertices=vertices,
         faces=surface.triangles,
         corners=surface.corners,
@@ -445,23 +391,8 @@ def parse(data: Buffer) -> PlyLayout:
         header=header,
         sections=sections,
         end=end,
-        normal_elements=tuple(normals),
         surface=surface,
     )
-
-
-def _renew_normals(
-    surface: Surface, normals: Mapping[str, Slots], old: Floats, new: Floats
-) -> list[tuple[Floats, Flags]]:
-    from msal_cli.kernels.geometry import regroup_normals
-
-    faces = surface.triangles
-    return [
-        _renew_face_normals(surface, old, new, slots.values)
-        if element == "face"
-        else regroup_normals(old, new, faces, faces, slots.values)
-        for element, slots in normals.items()
-    ]
 
 
 class PlyFile(mesh_file.MeshFile):
@@ -481,8 +412,7 @@ class PlyFile(mesh_file.MeshFile):
     def __init__(self, data: Buffer) -> None:
         super().__init__(data, "ply", parse(data))
         surface = self._layout.surface
-        self.n_polygons = len(surface.lengths) + surface.n_strip_triangles
-        self.grid = surface.grid
+        self.n_polygons, self.grid = surface.n_polygons, surface.grid
 
     def vertex_scalars(self) -> dict[str, str]:
         """The scalar properties of the vertices and numpy's codes of their types."""
@@ -523,12 +453,10 @@ class PlyFile(mesh_file.MeshFile):
         """
         layout = self._layout
         data, old = as_bytes(self._data), layout.header
-        retypable: dict[str, tuple[str, ...]] = dict.fromkeys(
-            layout.normal_elements, ply_header.NORMAL
-        )
-        retypable["vertex"] = ply_header.POSITION + retypable.get("vertex", ())
+        names = ply_header.POSITION + (ply_header.NORMAL if layout.normals else ())
         old_text = data[: old.size].tobytes()
-        text = ply_header.retype_header(old, old_text, encoding, precision, retypable)
+        numbers = vertex_element(old).find_all(names)
+        text = ply_header.retype_header(old, old_text, encoding, precision, numbers)
         if text == old_text:
             return self.replaced(vertices)
         mesh_file.require_shape(vertices, self.vertices)
@@ -545,11 +473,8 @@ class PlyFile(mesh_file.MeshFile):
             patches = plan_patches(changes, have_own=False)
             lines = replace_statements(data, patches) if changes else data.data
             return text + lines[old.size :]
-        values = {("vertex", name): vertices[:, k] for k, name in enumerate(ply_header.POSITION)}
-        for element, (_, normals, _) in zip(
-            layout.normal_elements, self._changed_normals(vertices), strict=True
-        ):
-            values |= {(element, name): normals[:, k] for k, name in enumerate(ply_header.NORMAL)}
+        new = [vertices, *(change.values for change in self._changed_normals(vertices))]
+        values = dict(zip(names, np.concatenate(new, axis=1).T, strict=True))
         from msal_cli.codecs.ply_write import recode
 
         return recode(data, old, header, text, values, layout.end)

@@ -7,7 +7,7 @@ CR LF or CR; the first line shows which.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from msal_cli import errors
@@ -294,11 +294,7 @@ _CODE_OF = {"float32": "f4", "float64": "f8"}
 
 
 def retype_header(
-    header: Header,
-    text: bytes,
-    encoding: str,
-    precision: str,
-    retypable: Mapping[str, Sequence[str]],
+    header: Header, text: bytes, encoding: str, precision: str, numbers: Sequence[Property]
 ) -> bytes:
     """The header's bytes with another encoding and other types of numbers.
 
@@ -306,17 +302,16 @@ def retype_header(
     ----------
     text : the header as it stands in the file.
     encoding : ``same``, ``ascii`` or ``binary`` (little endian).
-    precision : ``same``, ``float32`` or ``float64``, of the scalars ``retypable`` of each element.
+    precision : ``same``, ``float32`` or ``float64``, of the scalars ``numbers``.
 
     Everything else, spacing included, is kept, and a type keeps its family of spelling
     (``double`` for ``float``, ``float64`` for ``float32``).
     """
     second_words = {header.format_line: _ENCODING_OF.get(encoding, header.encoding)}
-    for element in header.elements:
-        for prop in element.properties:
-            code = _CODE_OF.get(precision, prop.code)
-            if prop.name in retypable.get(element.name, ()) and prop.code != code:
-                second_words[prop.line] = _SPELLINGS[code][prop.type[-1].isdigit()]
+    for prop in numbers:
+        code = _CODE_OF.get(precision, prop.code)
+        if prop.code != code:
+            second_words[prop.line] = _SPELLINGS[code][prop.type[-1].isdigit()]
     ending = b"\r" if header.newline == b"\r" else b"\n"
     lines = text.split(ending)
     for line, word in second_words.items():

@@ -37,7 +37,7 @@ def recode(
     old: Header,
     new: Header,
     text: bytes,
-    values: Mapping[tuple[str, str], Floats],
+    values: Mapping[str, Floats],
     end: int,
 ) -> bytearray:
     """A file in another encoding or with other types of numbers.
@@ -46,7 +46,7 @@ def recode(
     ----------
     data, old : the file and its header; ``end`` is the byte behind its last element.
     new, text : the new header, of the same elements, and its bytes.
-    values : for (element, property), the (count,) numbers in place of the file's.
+    values : numbers (n,) of the vertices in place of the file's, by their properties.
     """
     output = bytearray(text)
     keeps_encoding = new.encoding == old.encoding
@@ -55,13 +55,13 @@ def recode(
         names = [prop.name for prop in element.properties]
         section = section_at(Part(data, old, element, at), names)
         at = section.stop
-        is_touched = renewed != element or any((element.name, name) in values for name in names)
-        if keeps_encoding and not is_touched:
+        own = values if element.name == "vertex" else {}
+        if keeps_encoding and renewed == element and not own:
             output += data[section.start : section.stop].data
             continue
         columns: list[Numbers] = []
         for prop in renewed.properties:
-            numbers = _read_numbers(section, prop, values.get((element.name, prop.name)))
+            numbers = _read_numbers(section, prop, own.get(prop.name))
             if prop.is_list:
                 assert numbers.lengths is not None
                 columns.append(Numbers(numbers.lengths.astype(prop.count_code)))

@@ -134,13 +134,8 @@ def moved(vertices: np.ndarray) -> np.ndarray:
 
 
 def normal_names(file: Ply) -> list[tuple[str, str]]:
-    return [
-        (element.name, name)
-        for element in file.elements
-        if element.name in ("vertex", "face")
-        for name, _, _ in element.properties
-        if name in ("nx", "ny", "nz")
-    ]
+    names = [name for name, _, _ in file.element("vertex").properties]
+    return [("vertex", name) for name in names if name in ("nx", "ny", "nz")]
 
 
 @given(structures())
