@@ -1,4 +1,4 @@
-"""What every codec promises, whatever the format: over small files of all formats; and slots.
+"""What every codec promises, whatever the format: over small files of all formats.
 
 The files are the seeds of the mutants, which use every path of a reader.  What only one format has
 is tested beside that format.
@@ -13,12 +13,7 @@ import itertools
 import numpy as np
 import pytest
 
-from msal_cli.codecs import open_mesh
-from msal_cli.codecs.text_slots import (
-    Patch,
-    replace_statements,
-    require_replaced,
-)
+from msal_cli.codecs import open_mesh, slots
 from msal_cli.errors import ContentError, InternalError, MsalError, TruncatedError
 from msal_cli.kernels import parallel
 from tests.codecs.patching import texts_between_numbers
@@ -61,6 +56,19 @@ def moved(file, every: int = 2):
     return np.rint(vertices) if any("whole numbers" in one for one in file.warnings) else vertices
 
 
+@pytest.fixture
+def share_work(monkeypatch):
+    """Let four threads share the work on a file, however small it is."""
+
+    def share():
+        monkeypatch.setenv("MSAL_THREADS", "4")
+        monkeypatch.setattr(slots, "_PARTS", 1)
+        for name in ("MIN_COUNT", "MIN_RANGE"):
+            monkeypatch.setattr(parallel, name, 1)
+
+    return share
+
+
 def tolerance(file, vertices) -> float:
     """How far a position may be from the one asked for, once it is written."""
     largest = np.abs(vertices).max()
@@ -77,7 +85,7 @@ def test_nothing_moved_gives_back_the_very_bytes(format, data):
 
 
 @pytest.mark.parametrize(("format", "data"), CASES)
-def test_what_is_written_is_the_same_mesh_with_other_positions(format, data):
+def test_what_is_written_is_the_same_mesh_with_other_positions(format, data, share_work):
     file = open_mesh(data, f"a.{format}")
     vertices = moved(file)
     wanted = vertices.copy()
@@ -100,15 +108,18 @@ def test_what_is_written_is_the_same_mesh_with_other_positions(format, data):
     assert len(again.warnings) == len(file.warnings)
     if format in TEXTS:
         assert texts_between_numbers(output) == texts_between_numbers(data)
+    share_work()
+    assert bytes(open_mesh(data, f"a.{format}").replaced(vertices)) == output
 
 
 @pytest.mark.parametrize(("format", "data"), CASES)
-def test_the_check_sees_every_wrong_byte_that_matters(format, data):
+def test_the_check_sees_every_wrong_byte_that_matters(format, data, share_work):
     """What it lets pass is the same mesh: a last digit, the sign of a zero, a normal of nearly the
     same direction."""
     file = open_mesh(data, f"a.{format}")
     vertices = moved(file)
     output = bytes(file.replaced(vertices))
+    share_work()
     rng = np.random.default_rng(len(data))
     places = range(len(output))
     if len(output) > 100:
@@ -221,64 +232,3 @@ def test_another_encoding_is_the_same_mesh_or_is_refused(format, data):
         if len(again.vertices) == len(vertices):
             assert np.abs(again.vertices - vertices).max() <= tolerance(again, vertices)
             assert np.array_equal(again.faces, file.faces)
-
-
-@pytest.mark.parametrize("format", [one for one in FORMATS if one not in corpus_sums.FUZZED])
-def test_mutants_end_in_an_error_or_in_a_mesh(format):
-    for number in range(40):
-        data = corpus_sums.mutant(format, number)
-        try:
-            file = open_mesh(data, f"a.{format}")
-            vertices = moved(file)
-            output = file.replaced(vertices)
-        except InternalError:
-            raise
-        except MsalError as error:
-            assert error.message
-            continue
-        assert bytes(file.replaced(file.vertices.copy())) == data
-        file.check(output, vertices)
-
-
-# Slots
-
-
-def as_bytes(*parts):
-    return np.frombuffer(b"".join(parts), dtype=np.uint8)
-
-
-def runs(separator):
-    """A text with 60 runs of three numbers, and the patch that renews two of three of them."""
-    parts, at, size = [], [], 0
-    for row in range(60):
-        prefix = b"# note\nv " if row % 7 == 0 else b"v "
-        text = prefix + separator.join(b"%d.5" % (row * k) for k in (1, 10, 100)) + b" # end\n"
-        at.append(size + len(prefix))
-        parts.append(text)
-        size += len(text)
-    values = np.arange(180.0).reshape(60, 3) / 7.0 - 9.0
-    is_changed = np.arange(180).reshape(60, 3) % 3 != 1
-    decimals = (np.arange(60) % 5).astype(np.uint8)
-    return as_bytes(*parts), Patch(np.array(at), values, is_changed, decimals)
-
-
-@pytest.mark.parametrize("separator", [b" ", b"\n"])
-def test_pieces_of_a_text_are_replaced_and_checked_by_many_threads(separator, monkeypatch):
-    data, patch = runs(separator)
-    plain = bytes(replace_statements(data, [patch]))
-    monkeypatch.setattr(parallel, "MIN_COUNT", 1)
-    monkeypatch.setenv("MSAL_THREADS", "4")
-    # Two kinds of runs that take turns, as positions and normals do.
-    patches = [Patch(*[array[first::2] for array in patch]) for first in (0, 1)]
-    assert bytes(replace_statements(data, [patch])) == plain
-    assert bytes(replace_statements(data, patches)) == plain
-    result = as_bytes(plain)
-    require_replaced(data, result, patches)
-    for at in range(0, len(result), 11):
-        wrong = result.copy()
-        wrong[at] = ord("7") if wrong[at] != ord("7") else ord("8")
-        with pytest.raises(InternalError):
-            require_replaced(data, wrong, patches)
-    for wrong in (result[:-1], as_bytes(plain, b"\n")):
-        with pytest.raises(InternalError, match="more than positions"):
-            require_replaced(data, wrong, patches)

@@ -19,7 +19,6 @@ import functools
 import gzip
 import multiprocessing
 import os
-import random
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -38,6 +37,7 @@ from tests.frozen.sums import REAL
 from tests.fuzz import mutants
 from tests.fuzz.seeds import archived, seeds
 from tests.fuzz.seeds import kept as kept_by_fuzzing
+from tests.fuzz.survival import FORMATS as FUZZED
 
 KEPT = Path(__file__).with_name("corpus_sums.json")
 
@@ -53,26 +53,11 @@ PLAIN = ("ply", "obj", "stl", "gltf", "3mf", "off")
 ENCODINGS = ("same", "ascii", "binary")
 PRECISIONS = ("same", "float32", "float64")
 
-FUZZED = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
-"""Formats with mutants and a corpus of their own; for all others bytes and numbers are changed."""
-
 
 def formats() -> tuple[str, ...]:
     """All formats that are compared."""
     found = {name.split("/")[1] for name in archived() if name.startswith(("seeds/", "made/"))}
     return (*FUZZED, *sorted(found - set(FUZZED)))
-
-
-def mutant(format: str, number: int) -> bytes:
-    """The mutant of that number."""
-    if format in FUZZED:
-        return mutants.mutant(format, number)
-    dice = random.Random(f"{format} {number}")
-    data = dice.choice(seeds(format))
-    for _ in range(dice.choice((1, 1, 1, 2, 3))):
-        change = dice.choice((mutants._number, mutants._number, mutants._lines, mutants._bytes))
-        data = change(format, data, dice)
-    return data
 
 
 def format_of(name: str) -> str:
@@ -223,7 +208,7 @@ def contents(task: Task) -> Iterator[tuple[str, bytes]]:
     format, kind, number = task
     if kind == "mutants":
         for at in range(number * BLOCK, (number + 1) * BLOCK):
-            yield f"mutant {at}", mutant(format, at)
+            yield f"mutant {at}", mutants.mutant(format, at)
     elif kind == "real":
         yield from real_files(format)
     else:

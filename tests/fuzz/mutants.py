@@ -67,6 +67,10 @@ def mutant(format: str, number: int) -> bytes:
     """The mutant of that number."""
     dice = random.Random(f"{format} {number}")
     data = dice.choice(seeds(format))
+    if format not in FORMATS:  # of other formats only numbers, lines and bytes are known
+        for _ in range(dice.choice((1, 1, 1, 2, 3))):
+            data = dice.choice((_number, _number, _lines, _bytes))(format, data, dice)
+        return data
     changes = dice.choice((1, 1, 1, 2, 3, 4))
     if format == "gz":
         return _packed(data, changes, dice)

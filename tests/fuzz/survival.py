@@ -11,7 +11,7 @@ from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 
 FORMATS = ("ply", "obj", "stl", "glb", "gltf", "3mf", "gz")
-"""The formats with a codec of our own, and gzip around any of them."""
+"""The formats with a corpus and mutants of their own, and gzip around any of them."""
 
 _PREPARED_UP_TO = 2_000
 """Faces; the mathematics behind the gate is not what is tested here."""

@@ -18,6 +18,7 @@ import pytest
 from msal_cli import codecs
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
+from tests.frozen import corpus_sums
 from tests.fuzz import mutants, survival
 from tests.fuzz.seeds import CORPUS, kept
 from tests.job.test_pipeline import settings
@@ -67,7 +68,7 @@ def test_no_kernel_leaves_its_arrays(format):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("format", survival.FORMATS)
+@pytest.mark.parametrize("format", corpus_sums.formats())
 def test_mutants(format):
     tally, _ = mutants.campaign(format, 200)
     # Both ends of the scale must be met, or the damage is too mild or too rough to tell.
