@@ -43,7 +43,17 @@ def cases(format: str):
     return [pytest.param(format, data, id=f"{format}-{k}") for k, data in enumerate(chosen)]
 
 
+def one_number_to_a_line() -> bytes:
+    """A VTK file whose positions go over the bounds of any pieces of it."""
+    rows = [(k, 0.5 * k * k, k % 2) for k in range(24)]
+    numbers = "\n".join(f"{number}" for row in rows for number in row)
+    faces = "\n".join(f"3 {k} {k + 1} {k + 2}" for k in range(22))
+    head = "# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA"
+    return f"{head}\nPOINTS 24 float\n{numbers}\nPOLYGONS 22 88\n{faces}\n".encode()
+
+
 CASES = [one for format in FORMATS for one in cases(format)]
+CASES.append(pytest.param("vtk", one_number_to_a_line(), id="vtk-over-lines"))
 FIRST = [cases(format)[0] for format in FORMATS]
 
 

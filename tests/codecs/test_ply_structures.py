@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 import struct
 from random import Random
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.codecs import ply
+from msal_cli.codecs import ply, ply_body
+from msal_cli.errors import InputError, MsalError
 from tests.codecs import plain_ply
 from tests.codecs.patching import any_float, any_integer
 from tests.codecs.plain_ply import FLOATS, PACK, Element, Ply, single
@@ -241,3 +244,70 @@ def test_encoded_keeps_all_but_encoding_and_types(file, encoding, precision):
                 assert got == wanted
     again = ply.read(output)
     assert np.array_equal(again.faces, mesh.faces)
+
+
+# Ascii: one walk, and the walk that keeps the place of every word
+
+ODD_SPELLINGS = {
+    b" ": [b" ", b"  ", b"\t"],
+    b"\n": [b"\n", b" \n", b"\n\n"],
+    b"1.0": [b"1.0", b"+1", b"1.", b"1e0", b"100.0E-2", b"1.0000000000000"],
+}
+
+
+def outcome(data: bytes, seed: int) -> list[Any]:
+    """What is read and written of a file, or the error."""
+    try:
+        file = ply.read(data)
+    except InputError as error:
+        return [str(error), error.where]
+    vertices = file.vertices.copy()
+    vertices += np.random.default_rng(seed).normal(size=vertices.shape) * [[1e-2, 1e-9, 0.0]]
+    output = bytes(file.replaced(vertices))
+    file.check(output, vertices)
+    arrays = (file.vertices, file.faces)
+    return [*(one.tobytes() for one in arrays), file.n_polygons, file.warnings, output]
+
+
+@given(structures("ascii"), st.randoms(use_true_random=True), st.binary(max_size=2))
+def test_both_walks_read_and_write_the_same(file, random, noise):
+    head, end, body = plain_ply.written(file).partition(b"end_header" + file.newline.encode())
+    body = re.sub(rb" |\n|\b1\.0\b", lambda found: random.choice(ODD_SPELLINGS[found[0]]), body)
+    at = random.randrange(len(body))
+    data, seed = head + end + body[:at] + noise + body[at + len(noise) :], len(body)
+    plain = outcome(data, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ply_body, "_plain_lines", lambda *_: None)
+        assert plain == outcome(data, seed)
+
+
+def test_a_normal_that_stays_keeps_its_spelling(monkeypatch):
+    names = ("double x", "double y", "double z", "double nx", "double ny", "double nz")
+    rows = "0 0 0 0 -0.0 1.00\n1 0 0 0 -0.0 1.00\n0 1 0 0 -0.0 1.00"
+    expected = [b"0 -0.0 1.00"] * 3
+    for is_slow in (False, True):
+        if is_slow:
+            monkeypatch.setattr(ply_body, "_plain_lines", lambda *_: None)
+        file = ply.read(vertices_of(*names, rows=rows))
+        lines = bytes(file.replaced(file.vertices * [[2.0, 1.0, 1.0]])).splitlines()
+        vertices = lines[lines.index(b"end_header") + 1 :][:3]
+        assert [line.split(b" ", 3)[3] for line in vertices] == expected
+        assert vertices[1].startswith(b"2")
+
+
+def vertices_of(*properties: str, rows: str) -> bytes:
+    """An ascii PLY file of three vertices and one triangle."""
+    head = [
+        "ply",
+        "format ascii 1.0",
+        "element vertex 3",
+        *(f"property {one}" for one in properties),
+    ]
+    head += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    return "\n".join([*head, rows, "3 0 1 2", ""]).encode()
+
+
+@pytest.mark.parametrize("line", ["# one", "comment one", "0 0 0.25 comment"])
+def test_other_words_among_records_are_refused(line):
+    with pytest.raises(MsalError):
+        ply.read(vertices_of("float x", "float y", "float z", rows=f"0 0 0\n{line}\n1 0 0\n0 1 0"))
