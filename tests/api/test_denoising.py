@@ -186,6 +186,8 @@ def test_what_is_refused(name):
         msal.denoise(*positional, **keywords)
     assert type(caught.value) is error_class
     assert caught.value.code == code
+    places = {"nan": "vertex 7", "infinite": "vertex 7", "a negative index": "face 7"}
+    assert caught.value.where.startswith(places.get(name, ""))
     # A traceback shows the notes, and the hint with them.
     notes = " ".join(caught.value.__notes__)
     assert code in notes and (caught.value.hint in notes)

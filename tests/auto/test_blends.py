@@ -56,31 +56,6 @@ def quadratic(gram, gain):
     return Quadratic(np.array(gram, dtype=float), np.array(gain, dtype=float))
 
 
-@pytest.mark.parametrize(
-    ("gram", "gain", "weights"),
-    [
-        # One filter: b / M, but no more than 1 and no less than 0.
-        ([[2.0]], [1.0], [0.5]),
-        ([[1.0]], [3.0], [1.0]),
-        ([[1.0]], [-0.5], [0.0]),
-        # Independent ones, each on its own.
-        ([[4.0, 0.0], [0.0, 2.0]], [1.0, 1.0], [0.25, 0.5]),
-        # The sum binds: both derivatives are alike, 2 w - 2 b.
-        ([[1.0, 0.0], [0.0, 1.0]], [1.0, 0.6], [0.7, 0.3]),
-        ([[1.0, 0.0], [0.0, 1.0]], [3.0, 1.0], [1.0, 0.0]),
-        # One that moves the wrong way helps nothing.
-        ([[1.0, -0.2], [-0.2, 1.0]], [0.5, -1.0], [0.5, 0.0]),
-        # The second would be wanted by itself, but the first does the same and more.
-        ([[1.0, 0.9], [0.9, 1.0]], [0.8, 0.5], [0.8, 0.0]),
-        # All overshoot threefold: a third of it in all, not 1.
-        ([[9.0, 0.0], [0.0, 1.0]], [3.0, 0.0], [1 / 3, 0.0]),
-    ],
-)
-def test_cases_by_hand(gram, gain, weights):
-    found = least_over_simplex(np.array(gram), np.array(gain))
-    assert found == pytest.approx(weights, abs=1e-9)
-
-
 @given(st.integers(0, 10_000), st.integers(1, 12))
 def test_the_conditions_of_a_least_hold(seed, count):
     gram, gain = problem(seed, count)

@@ -18,7 +18,7 @@ from msal_cli.kernels import obj_scan, text
 from tests.codecs.patching import any_float
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
-ROOF = b"""# two sides that meet at an edge, one normal each
+ROOF = b"""# two sides that meet at an edge, one normal each, and a face without any
 v 0 0 0
 v 2 0 0
 v 2 1 1
@@ -29,6 +29,7 @@ vn 0.00 -0.71 0.71
 vn 0.0 0.7 0.7
 f 1//1 2//1 3//1 4//1
 f 4//2 3//2 5//2 6//2
+f 1 4 6
 """
 
 

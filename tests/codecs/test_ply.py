@@ -147,16 +147,17 @@ def test_normals_belong_to_the_positions_given_last():
         mesh.check(before, second)
 
 
-def test_a_nan_among_the_normals_stays_and_passes_the_check():
+def test_a_nan_and_a_zero_among_the_normals_stay_and_pass_the_check():
     vertices, faces = grid(3, 3)
     normals = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
-    normals[0] = np.nan
+    normals[0], normals[2] = np.nan, 0.0
     mesh = read(mesh_file(LE, vertices, faces, normals=normals))
     moved = vertices + np.sin(vertices)
     output = mesh.replaced(moved)
     mesh.check(output, moved)
     rows = plain_ply.read(bytes(output)).element("vertex").rows
     assert np.isnan(rows[0][3:]).all() and np.isfinite(rows[1][3:]).all()
+    assert rows[2][3:] == [0.0, 0.0, 0.0]
 
 
 def test_long_integers_are_exact_in_text_and_stay_there():

@@ -58,6 +58,7 @@ def test_corners_are_read_exactly_in_file_order(corners):
     file = stl.read(plain_stl.binary(corners))
     assert np.array_equal(corners_of(file), corners)
     assert len(np.unique(file.vertices, axis=0)) == len(file.vertices)
+    assert not np.signbit(file.vertices[file.vertices == 0.0]).any()
     first = np.unique(file.faces, return_index=True)[1]
     assert (np.diff(first) > 0).all()  # numbered in order of appearance
     assert file.n_polygons == len(corners)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from msal_cli import mesh
 from msal_cli.kernels import spatial_order
@@ -20,7 +19,7 @@ from msal_cli.kernels.connectivity import (
     faces_to_flip,
 )
 from msal_cli.kernels.geometry import area_and_volume
-from msal_cli.kernels.welding import first_alike, number_groups, weld_corners
+from msal_cli.kernels.welding import first_alike, weld_corners
 from msal_cli.mesh import prepare_mesh
 from tests import shapes
 from tests.paper import one_rings
@@ -121,29 +120,6 @@ def test_the_rim_of_a_grid_worked_by_hand():
     assert listed(*averaging_ring(faces, links, "fixed")) == fixed
 
 
-def by_dictionary(corners: np.ndarray) -> tuple[list[tuple[float, ...]], list[int]]:
-    """The same the plain way; a dictionary takes minus zero for zero as well."""
-    number: dict[tuple[float, ...], int] = {}
-    numbers = [number.setdefault(tuple(p), len(number)) for p in corners.reshape(-1, 3).tolist()]
-    return list(number), numbers
-
-
-@given(
-    arrays.arrays(
-        np.float64,
-        st.integers(0, 12).map(lambda m: (m, 9)),
-        elements=st.sampled_from([0.0, -0.0, 1.0, -1.0, 5e-324, 1e300, 0.1]),
-    )
-)
-def test_corners_are_numbered_in_order_of_appearance(corners):
-    vertices, faces, bad = weld_corners(corners)
-    wanted, numbers = by_dictionary(corners)
-    assert bad == -1
-    assert vertices.tolist() == [list(p) for p in wanted]
-    assert faces.reshape(-1).tolist() == numbers
-    assert not np.signbit(vertices[vertices == 0.0]).any()
-
-
 @pytest.mark.parametrize("facet", [0, 255, 256, 999])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_the_first_facet_that_is_not_finite_is_reported(wrong, facet):
@@ -165,15 +141,6 @@ def test_welding_is_by_exact_position(values, skip):
         for i, (point, use) in enumerate(zip((points + 0.0).tolist(), used, strict=True))
     ]
     assert first_alike(points, used)[0].tolist() == expected
-
-
-@given(st.lists(st.tuples(st.integers(-2, 5), st.integers(-2, 5)), min_size=1, max_size=60))
-def test_pairs_are_numbered_in_order_of_appearance(pairs):
-    order = list(dict.fromkeys(pairs))
-    left, right = np.array(pairs, dtype=np.int32).T.copy()
-    number, first = number_groups(left, right)
-    assert number.tolist() == [order.index(pair) for pair in pairs]
-    assert first.tolist() == [pairs.index(pair) for pair in order]
 
 
 @pytest.mark.parametrize("share", [0.001, 0.5, 0.9, 1.0])

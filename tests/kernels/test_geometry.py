@@ -9,7 +9,6 @@ from msal_cli.kernels.geometry import (
     COMPARED,
     FLIPPED,
     LARGEST_ANGLE,
-    face_normals,
     face_normals_and_areas,
     normals_and_flat_faces,
     regroup_normals,
@@ -17,7 +16,6 @@ from msal_cli.kernels.geometry import (
     vertex_normals,
 )
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import grid, noisy, torus
 
 
 def test_area_weighting():
@@ -45,44 +43,6 @@ def test_where_unit_normals_cancel_the_areas_decide():
     assert vertex_normals(vertices, alike, "uniform").tolist() == [[0, 0, 0]] * 4
 
 
-def stored(vertices, faces):
-    """Area-independent vertex normals, as a file might store them."""
-    return prepare_mesh(vertices, faces).mesh.vertex_normals()
-
-
-def test_stored_vertex_normals_follow_the_surface():
-    vertices, faces = torus()
-    before = stored(vertices, faces)
-    moved = noisy(vertices, 2, 0.05)
-    normals, changed = regroup_normals(vertices, moved, faces, faces, before)
-    assert changed.all()
-    assert np.allclose(normals, stored(moved, faces), atol=1e-12)
-
-
-def test_stored_normals_keep_their_sense_and_far_ones_their_bytes():
-    vertices, faces = grid(8, 8)
-    before = -stored(vertices, faces)
-    moved = vertices.copy()
-    moved[0, 2] = 0.2
-    normals, changed = regroup_normals(vertices, moved, faces, faces, before)
-    assert changed.sum() == 4
-    assert (normals[~changed] == before[~changed]).all()
-    assert (normals[changed][:, 2] < 0).all()
-
-
-def test_zero_and_unused_and_broken_entries_stay():
-    vertices, faces = grid(3, 3)
-    before = stored(vertices, faces)
-    before[4] = 0.0
-    before[3] = np.nan
-    before = np.concatenate([before, [[0.0, 0.0, 2.0]]])
-    normals, changed = regroup_normals(vertices, noisy(vertices, 1, 0.1), faces, faces, before)
-    assert not changed[[3, 4, 9]].any()
-    assert np.isnan(normals[3]).all()
-    assert (normals[4] == 0).all()
-    assert normals[9].tolist() == [0.0, 0.0, 2.0]
-
-
 def test_a_seam_with_equal_normals_stays_smooth_and_a_crease_stays_sharp():
     # Two strips that share their edge's points but not their vertices.
     vertices = np.array(
@@ -101,21 +61,6 @@ def test_a_seam_with_equal_normals_stays_smooth_and_a_crease_stays_sharp():
     normals, _ = regroup_normals(vertices, moved, faces, faces, crease)
     assert np.allclose(normals[2], [0, 0, 1])
     assert np.allclose(normals[4], np.array([-1, 0, 1]) / np.sqrt(2))
-
-
-def test_entries_shared_by_corners():
-    # One entry for a whole flat sheet: the mean over all its corners.
-    vertices, faces = grid(3, 3)
-    moved = vertices.copy()
-    moved[4, 2] = 0.5
-    entry = np.zeros_like(faces)
-    normals, changed = regroup_normals(vertices, moved, faces, entry, np.array([[0.0, 0.0, 1.0]]))
-    assert changed.all()
-    total = face_normals(moved, faces).sum(axis=0)
-    assert np.allclose(normals[0], total / np.linalg.norm(total))
-    none = np.full_like(faces, -1)
-    _, changed = regroup_normals(vertices, moved, faces, none, np.array([[0.0, 0.0, 1.0]]))
-    assert not changed.any()
 
 
 def test_faces_without_a_normal_before_or_after_have_no_angle():

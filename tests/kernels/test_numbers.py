@@ -39,25 +39,6 @@ def test_equal_values_are_the_lowest_cluster(count):
     assert quantiles.clusters(np.array([0.3]), count).tolist() == [0]
 
 
-@given(
-    values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60),
-    count=st.integers(2, 5),
-    seed=st.integers(0, 1000),
-)
-def test_each_value_is_nearest_to_its_own_mean_in_any_order(values, count, seed):
-    values = np.array(values)
-    found = quantiles.clusters(values, count)
-    order = np.random.default_rng(seed).permutation(len(values))
-    assert (quantiles.clusters(values[order], count) == found[order]).all()
-    present = np.unique(found)
-    assert set(present) <= set(range(count))
-    means = np.array([values[found == label].mean() for label in present])
-    assert (np.diff(means) > 0).all()
-    own = means[np.searchsorted(present, found)]
-    nearest = np.abs(values[:, None] - means).min(axis=1)
-    assert (np.abs(values - own) <= nearest + 1e-9).all()
-
-
 FREEDOMS = np.arange(1, quantiles.MAX_FREEDOMS + 1)
 
 

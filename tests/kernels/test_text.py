@@ -106,44 +106,6 @@ def test_what_is_no_number(word: bytes) -> None:
     assert text.read_numbers(buffer, starts, stops)[1] == 1
 
 
-@given(st.integers(-(2**80), 2**80), st.sampled_from(["", "+", "00"]))
-@example(2**63 - 1, "")
-@example(-(2**63) + 1, "")
-@example(9_223_372_036_854_775_799, "")
-def test_integers(value: int, prefix: str) -> None:
-    word = (
-        ("-" if value < 0 else "") + prefix.strip("+" if value < 0 else "") + str(abs(value))
-    ).encode()
-    got, status = text.parse_integer(text.as_bytes(word), 0, len(word))
-    if status == text.EXACT:
-        assert got == value
-    else:
-        assert status == text.UNDECIDED and abs(value) >= 9_223_372_036_854_775_800
-
-
-@pytest.mark.parametrize("word", [b"", b"-", b"1.0", b"1e3", b"a", b"1a", b"--1"])
-def test_what_is_no_integer(word: bytes) -> None:
-    assert text.parse_integer(text.as_bytes(word), 0, len(word))[1] == text.NOT_A_NUMBER
-
-
-@pytest.mark.parametrize(
-    ("words", "decimals"),
-    [
-        ([b"1", b"-2"], [0, 0]), ([b"1.5", b"2.25"], [1, 2]), ([b"1.5e-3"], [4]),
-        ([b"1.5e3"], [0]), ([b"1e-300"], [255]), ([b"0.000"], [3]), ([], []),
-        ([b"1.25e1", b".5"], [1, 1]),
-    ],
-)  # fmt: skip
-def test_decimals_used(words: list[bytes], decimals: list[int]) -> None:
-    buffer, starts, _ = tokens(words)
-    used, nothing = np.empty(len(words), dtype=np.uint8), np.empty(0, dtype=np.int64)
-    text.find_numbers(buffer, starts, 1, nothing, used)
-    assert used.tolist() == decimals
-    if words:
-        text.find_numbers(buffer, starts[:1], len(words), nothing, used[:1])
-        assert used[0] == max(decimals)
-
-
 # Printing
 
 
@@ -224,17 +186,3 @@ def test_shortest_single_keeps_clear_of_the_middle() -> None:
 
 
 # Tokens replaced inside a text
-
-
-words = st.lists(st.binary(max_size=5), max_size=8)
-
-
-@given(words, words, st.binary(max_size=3))
-def test_spliced(old: list[bytes], new: list[bytes], between: bytes) -> None:
-    count = min(len(old), len(new))
-    a, a_starts, a_stops = tokens(old[:count], between)
-    expected, _, _ = tokens(new[:count], between)
-    joined = np.frombuffer(b"".join(new[:count]), dtype=np.uint8)
-    stops = np.cumsum([len(word) for word in new[:count]]).astype(np.int64)
-    b = text.splice(a, a_starts, a_stops, joined, stops)
-    assert b.tobytes() == expected.tobytes()

@@ -203,8 +203,3 @@ def test_parameters_describe_themselves(method):
         assert spec.choices or spec.more, f"{spec.name}: which way is more?"
         assert spec.validate(spec.default) == spec.default
         assert spec.range_text
-
-
-def test_symbols_are_names_too():
-    msal = methods.find("msal")
-    assert msal.validate({"n": "7", "K": "0.25"}) == msal.validate({"iterations": 7, "K": 0.25})

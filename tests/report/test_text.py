@@ -18,8 +18,6 @@ from msal_cli.job.records import (
     GateResult,
     InfoRecord,
     MeshRecord,
-    MethodUsed,
-    NoiseEstimate,
     Reference,
     Volume,
 )
@@ -58,13 +56,6 @@ def test_one_file_takes_at_most_eight_lines(n_warnings):
     else:
         assert len(found) == as_text.MAX_LINES
         assert found[-1] == f"  ...           and {n_facts - 6} more (-v shows them)"
-
-
-def test_a_mesh_that_is_only_converted_is_not_called_filtered():
-    hardly = NoiseEstimate(0.001, 0.0002, negligible=True)
-    assert "hardly any, filtered all the same" in "".join(lines(written(noise_estimate=hardly)))
-    converted = written(noise_estimate=hardly, method=MethodUsed("none", {}))
-    assert "none to speak of" in "".join(lines(converted))
 
 
 @pytest.mark.parametrize("width", [60, 80, 100, 140])

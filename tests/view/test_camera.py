@@ -118,17 +118,6 @@ def test_a_face_from_behind_has_another_tone():
     assert back[2] > back[0]
 
 
-def test_colours_reach_the_picture():
-    vertices, faces = square()
-    colours = np.array([(200, 0, 0), (0, 200, 0), (0, 200, 0), (200, 0, 0)], dtype=np.uint8)
-    image = seen(vertices, faces, colours).astype(int)
-    left, right = image[25, 10], image[25, 49]
-    assert left[0] > 4 * left[1] and left[2] == 0
-    assert right[1] > 4 * right[0] and right[2] == 0
-    middle = image[25, 30]
-    assert abs(middle[0] - middle[1]) < 8
-
-
 def test_hollows_are_darker():
     """The bottom of a trench gets less light than the same plane without walls."""
     step = np.array([-3.0, -0.15, -0.15, 0.15, 0.15, 3.0])
