@@ -32,16 +32,13 @@ from numpy.typing import NDArray
 from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons, require_finite_result
-from msal_cli.codecs.slots import Change, require_range
+from msal_cli.codecs.mesh_file import Layout, MeshFile, cut_polygons
 from msal_cli.codecs.text_slots import (
     SHORTEST,
-    SHORTEST_SINGLE,
     Statements,
     extent_decimals,
     line_of,
     number_hint,
-    replace_statements,
     usual_decimals,
 )
 from msal_cli.kernels import obj_scan as scan
@@ -117,34 +114,6 @@ class ObjFile(MeshFile):
 
     def __init__(self, data: Buffer) -> None:
         super().__init__(data, "obj", _Reader(data).read())
-
-    def encoded(self, vertices: Floats, encoding: str, precision: str) -> Buffer:
-        """The file with every position (n, 3) written in a precision.
-
-        ``encoding`` is ``same`` or ``ascii``; ``binary`` raises UnsupportedError.  ``precision``
-        ``float32`` or ``float64`` writes each number as the shortest text that is read back as
-        the same number of that type; ``same`` is ``replaced``.  Raises ContentError
-        (``E_RANGE``) for a position beyond float32.
-        """
-        if encoding == "binary":
-            raise errors.UnsupportedError(
-                "OBJ is text; it has no binary encoding",
-                hint="leave --encoding away, or write PLY with --to ply --encoding binary",
-            )
-        if precision == "same":
-            return self.replaced(vertices)
-        style, code = (SHORTEST_SINGLE, "<f4") if precision == "float32" else (SHORTEST, "<f8")
-        positions = self._layout.positions[0]
-        changes = [change for change in self._changes(vertices) if change.slots is not positions]
-        require_finite_result(vertices)
-        is_all = np.broadcast_to(True, vertices.shape)
-        require_range(vertices, is_all, (code,) * 3, first=1)
-        patches = []
-        for slots, values, is_changed in (Change(positions, vertices, is_all), *changes):
-            styles = np.full(len(values), style, dtype=np.uint8)
-            values = values.astype(code).astype(np.float64)
-            patches.append(slots.make_patch(values, is_changed, styles))
-        return replace_statements(as_bytes(self._data), patches)
 
     def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
         """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""

@@ -25,9 +25,6 @@ from msal_cli.storage.regular import Buffer
 SHORTEST = 18
 """In place of a number of decimals: the shortest text that is read back as the same double."""
 
-SHORTEST_SINGLE = 19
-"""In place of a number of decimals: the shortest text that is read back as the same float32."""
-
 NORMAL_DECIMALS = 6
 """Decimals that a recomputed unit normal has at the least."""
 
@@ -290,8 +287,7 @@ def _replace_piece(data: Bytes, piece: _Piece, out: Bytes, to: int) -> int | Non
             done, to, row, axis = replace(data, done, out, to, row, axis, *block)
             if row == len(block.begins):
                 break
-            is_single = block.decimals[row] == SHORTEST_SINGLE
-            text = format_shortest(float(block.new[row, axis]), is_single).encode()
+            text = format_shortest(float(block.new[row, axis]), False).encode()
             out[to : to + len(text)] = np.frombuffer(text, dtype=np.uint8)
             to, axis = to + len(text), axis + 1
     if done > piece.stop:
@@ -329,7 +325,7 @@ def _find_fault(data: Bytes, piece: _Piece, result: Bytes, start: int) -> Intern
     nothing is."""
     from msal_cli.kernels import text
 
-    tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), [0.0, 0.0])
+    tolerances = np.append(0.5 * 10.0 ** -np.arange(18.0) * (1.0 + 1e-9), 0.0)
     more = "the output differs from the input in more than positions and normals"
     done, result_done = piece.start, start
     for block in _blocks(piece.patches):
