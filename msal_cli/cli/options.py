@@ -38,10 +38,10 @@ SHORTCUTS = {"iterations": "-n", "K": "-K", "mollify": "--mollify", "schedule": 
 
 
 class PathOrUrl(click.Path):
-    """A path, or a URL without ``file://`` and without its secrets."""
+    """A path, or a URL without ``file://``."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path; UsageError for two signed links that differ in their signature only."""
+        """The path; UsageError for a URL with a secret in it."""
         path = super().convert(value, param, ctx)
         if "://" not in str(path):
             return path

@@ -209,18 +209,12 @@ def remove_objects(object_urls: Sequence[str]) -> None:
 def _open(url: str) -> tuple[Any, str]:
     protocol = urls.split(url)[0]
     kind = _kind(protocol)
-    full = urls.restore_secrets(url)
     is_s3 = protocol in ("s3", "s3a")
     if is_s3 and "?versionId=" in url:
         # s3fs would cut the name there, and read or replace another object.
         raise ValueError("a name with ?versionId= in it cannot be distinguished from a version")
-    options = {} if is_s3 else dict(kind._get_kwargs_from_urls(full))
-    path: str = kind._strip_protocol(full)
-    if full != url and _OBJECT_STORES.fullmatch(protocol) and not protocol.startswith("http"):
-        raise UsageError(
-            f"{url!r}: {protocol} URLs take no password",
-            hint="give credentials by the environment or the store's own configuration",
-        )
+    options = {} if is_s3 else dict(kind._get_kwargs_from_urls(url))
+    path: str = kind._strip_protocol(url)
     # An instance is shared by all threads: of several, each would have its own connections.
     key = (protocol, repr(sorted(options.items())))
     with _lock:

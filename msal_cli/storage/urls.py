@@ -1,13 +1,12 @@
-"""URLs as text: distinguishing them from paths, joining them, and keeping passwords out of them.
+"""URLs as text: distinguishing them from paths, and joining them.
 
 A URL is ``protocol://`` and a path whose parts are names as they are: nothing in them is escaped,
-``%``, ``#``, spaces and line breaks are literal.  What is secret in a URL (a password, the
-query of a signed link) is removed before the URL is shown, and put back only to open it.
+``%``, ``#``, spaces and line breaks are literal.  One with a secret in it (a password, the query of
+a signed link) is refused.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from dataclasses import dataclass
@@ -15,12 +14,8 @@ from dataclasses import dataclass
 from msal_cli.errors import UsageError
 from msal_cli.record_fields import required
 
-SECRETS = "MSAL_URL_SECRETS"
-"""Environment variable that hands secrets down to worker processes: JSON, by URL without them."""
-
 _URL = re.compile(r"(?P<protocol>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
 _FILES = ("file", "local")
-WEB = ("http", "https")
 _ALIASES = {"s3a": "s3", "gcs": "gs", "https": "http"}
 _PASSWORD = re.compile(r"(://[^/@\s:]*):[^/\s]*@")
 _QUERY = re.compile(r"(https?://[^?\s]*)\?\S*", re.IGNORECASE)
@@ -45,68 +40,26 @@ def is_url(text: str) -> bool:
 
 
 def normalize_url(text: str) -> str:
-    """A path or URL as everything else here takes it: ``file://`` gone, secrets put away.
-
-    Raises UsageError if two signed links differ in nothing but their signature.
-    """
+    """A path or URL as everything else here takes it, ``file://`` gone; UsageError for a URL with
+    a password or a query."""
     match = _URL.match(text)
     if match is None:
         return text
     protocol, rest = match["protocol"].lower(), match["rest"]
     if protocol in _FILES:
         return rest.removeprefix("/") if os.name == "nt" and re.match("/[A-Za-z]:", rest) else rest
-    place, slash, path = rest.partition("/")
-    user, at, host = place.rpartition("@")
-    name, colon, password = user.partition(":")
-    if at and colon:
-        place = f"{name}@{host}"
-        _store_secret(f"{protocol}://{place}", password)
-    if protocol in WEB and "?" in path:
-        path, _, query = path.partition("?")
-        _store_secret(f"{protocol}://{place}/{path}", query)
-    return f"{protocol}://{place}{slash}{path}"
+    if (shown := redact(text)) != text:
+        raise UsageError(
+            f"{shown!r}: a URL with a password or a query is not opened",
+            hint="give credentials by the environment or the store's own configuration, or use a "
+            "pipe: curl URL | msal denoise - -o OUT",
+        )
+    return f"{protocol}://{rest}"
 
 
 def redact(text: str) -> str:
     """``text``, such as a word of a command line or a message, without what is secret in it."""
-    text = _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
-    for secret in _load_secrets().values():
-        if len(secret) > 3:
-            text = text.replace(secret, "***")
-    return text
-
-
-def restore_secrets(url: str) -> str:
-    """The URL with its secrets back in it."""
-    secrets = _load_secrets()
-    if not secrets:
-        return url
-    query = secrets.get(url)
-    protocol, path = split(url)
-    place, slash, rest = path.partition("/")
-    password = secrets.get(f"{protocol}://{place}")
-    if password is not None:
-        name, _, host = place.rpartition("@")
-        place = f"{name}:{password}@{host}"
-    return f"{protocol}://{place}{slash}{rest}" + ("" if query is None else f"?{query}")
-
-
-def _load_secrets() -> dict[str, str]:
-    """Those in the environment; none where it holds anything else."""
-    try:
-        kept = json.loads(os.environ.get(SECRETS) or "{}")
-    except (ValueError, RecursionError):
-        return {}
-    return {url: str(kept[url]) for url in kept} if isinstance(kept, dict) else {}
-
-
-def _store_secret(url: str, secret: str) -> None:
-    secrets = _load_secrets()
-    if secrets.setdefault(url, secret) != secret:
-        raise UsageError(
-            f"{url!r} is given twice, with different secrets", hint="give it once, or in two runs"
-        )
-    os.environ[SECRETS] = json.dumps(secrets)
+    return _QUERY.sub(r"\1?***", _PASSWORD.sub(r"\1:***@", text))
 
 
 def split(url: str) -> tuple[str, str]:

@@ -144,16 +144,6 @@ def test_without_the_package_the_error_says_what_to_install(monkeypatch):
         assert "pip install 'msal-cli" not in caught.value.hint
 
 
-def test_a_password_in_the_url_of_a_store_is_refused_without_telling_it(monkeypatch):
-    from msal_cli.storage import urls
-
-    monkeypatch.setenv(urls.SECRETS, "")
-    url = urls.normalize_url("memory://key:geheim@b/a.ply")
-    with pytest.raises(UsageError, match="no password") as caught:
-        read_whole(url)
-    assert "geheim" not in caught.value.message
-
-
 @pytest.mark.parametrize(
     ("info", "tag"),
     [
