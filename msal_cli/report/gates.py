@@ -34,29 +34,18 @@ MAX_LENGTH = 300
 # Quantities
 
 
-@dataclass(frozen=True)
-class Unit:
-    """What a number is.
+Unit = str
+"""What a number is.
 
-    ``constant`` is a number in the expression, ``number`` one that is counted or in a
-    unit which the name says (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and
-    ``relative`` are in percent, and a bare number means percent beside the first and nothing beside
-    the second.  ``edges`` is in mean edge lengths, ``length`` in file units to a ``power``.
-    """
+``constant`` is a number in the expression, ``number`` one that is counted or in a unit which the
+name says (degrees, seconds), ``quotient`` one of two alike.  ``percent`` and ``relative`` are in
+percent, and a bare number means percent beside the first and nothing beside the second.  ``edges``
+is in mean edge lengths, and ``length``, ``area`` and ``volume`` are in file units."""
 
-    kind: str
-    power: int = 0
-
-    def __str__(self) -> str:
-        if self.kind == "length":
-            return {2: "an area", 3: "a volume"}.get(self.power, "a length")
-        words = {"percent": "a percentage", "relative": "a percentage", "edges": "a length"}
-        return words.get(self.kind, "a plain number")
-
-
-TRUTH, CONSTANT, NUMBER = Unit("truth"), Unit("constant"), Unit("number")
-QUOTIENT, PERCENT, RELATIVE = Unit("quotient"), Unit("percent"), Unit("relative")
-EDGES, LENGTH = Unit("edges"), Unit("length", 1)
+TRUTH, CONSTANT, NUMBER, QUOTIENT = "truth", "constant", "number", "quotient"
+PERCENT, RELATIVE, EDGES, LENGTH = "percent", "relative", "edges", "length"
+_WORDS = {PERCENT: "a percentage", RELATIVE: "a percentage", EDGES: "a length"}
+_WORDS |= {LENGTH: "a length", "area": "an area", "volume": "a volume"}
 
 SHORT_NAMES = {
     "volume_change": ("volume.change_percent", "volume_change_percent"),
@@ -83,7 +72,6 @@ relative."""
 
 _LENGTHS = {"hausdorff", "seam_gap", "tile_gap", "largest_weld", "mean_edge_length", "file_units"}
 _STATISTICS = {"mean", "rms", "p95", "max"}
-_POWERS = {"volume": 3, "area": 2}
 _AGAINST_INPUT = {
     "mean_angular_error_deg": "normal_change.mean_deg",
     "max_angular_error_deg": "normal_change.max_deg",
@@ -110,7 +98,7 @@ class Quantity:
             return self.why_unknown(record)
         if isinstance(value, bool):
             return f"{self.name} is {'true' if value else 'false'}"
-        end = {"percent": "%", "relative": "%", "edges": "e"}.get(self.unit.kind, "")
+        end = {PERCENT: "%", RELATIVE: "%", EDGES: "e"}.get(self.unit, "")
         if self.unit == LENGTH and edge is not None and self.name != "mean_edge_length":
             end = f" ({value / edge:.4g}e)"
         return f"{self.name} is {f'{value:,}' if isinstance(value, int) else f'{value:.6g}'}{end}"
@@ -167,7 +155,7 @@ def _unit(path: str) -> Unit:
         return EDGES
     if name in _LENGTHS or (name in _STATISTICS and group):
         return LENGTH
-    return Unit("length", _POWERS[group]) if group in _POWERS else NUMBER
+    return group if group in ("area", "volume") else NUMBER
 
 
 def _edge_length(record: Any) -> float | None:
@@ -183,12 +171,13 @@ _MAX_PARTS = {"abs": 1, "known": 1, "min": 9, "max": 9}
 _SIGNS: dict[type[ast.AST], str]
 _SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.And: "and", ast.Or: "or"}
 _SIGNS |= {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-_JOINED: dict[str, Callable[..., float]]
+_JOINED: dict[str, Callable[..., float | None]]
 _JOINED = {"+": operator.add, "-": operator.sub, "min": min, "max": max}
+_JOINED["/"] = lambda value, by: value / by if by else None
 _LITERALS = {"": CONSTANT, "%": PERCENT, "e": EDGES}
 _PLAIN = (CONSTANT, NUMBER, QUOTIENT)
-_BARE = (CONSTANT, QUOTIENT)
 _PERCENTS = (PERCENT, RELATIVE)
+_FACTORS = (CONSTANT, QUOTIENT, *_PERCENTS)
 
 # An e that no digits follow is the unit of mean edge lengths, else an exponent.
 _TOKEN = re.compile(
@@ -340,27 +329,36 @@ class _Parser:
 
     def _compute(self, at: int, sign: str, left: _Meaning, right: _Meaning) -> _Meaning:
         left, right = self._number(left), self._number(right)
-        if sign not in "*/":
-            return self._join_alike(at, sign, left, right)
-        # Twice a percentage is a percentage, and a percentage of anything else is a part of it.
-        is_multiple = left.unit in _BARE and sign == "*"
-        first = left if right.unit in _BARE else _to_base_unit(left)
-        second = right if is_multiple else _to_base_unit(right)
-        effect = operator.mul if sign == "*" else lambda value, by: value / by if by else None
-        unit = _unit_of_product(first.unit, second.unit, sign)
-        return _Meaning(unit, _apply(effect, first.value, second.value), at)
+        if sign == "*":
+            # Twice a percentage is a percentage, and a percentage of anything else is a part of it.
+            pairs = {left.unit: (left, right), right.unit: (right, left)}
+            unit = next((unit for unit in _FACTORS if unit in pairs), None)
+            if unit is None:
+                raise self._mismatch(at, left, right)
+            factor, other = pairs[unit]
+            share = 100.0 if factor.unit in _PERCENTS else 1.0
+            value = _apply(lambda a, b: a / share * b, factor.value, other.value)
+            return _Meaning(other.unit, value, at)
+        if sign == "/" and right.unit in (CONSTANT, QUOTIENT):
+            unit = QUOTIENT if left.unit == CONSTANT else left.unit
+            return _Meaning(unit, _apply(_JOINED["/"], left.value, right.value), at)
+        return self._join_alike(at, sign, left, right)
 
     def _join_alike(self, at: int, sign: str, left: _Meaning, right: _Meaning) -> _Meaning:
-        """The effect of a comparison, sum, ``min`` or ``max`` on two values in one unit."""
+        """A comparison, sum, quotient, ``min`` or ``max`` of two values in one unit."""
         unit, first, second = right.unit, self._convert(at, left, right.unit), right.value
         if first is None and (converted := self._convert(at, right, left.unit)) is not None:
             unit, first, second = left.unit, left.value, converted
         if first is None:
-            why = f"{left.unit} and {right.unit} do not go together"
-            hint = "% is for relative changes, e (mean edge lengths) for lengths"
-            raise self._error(at, why, hint)
+            raise self._mismatch(at, left, right)
+        unit = TRUTH if sign in COMPARISONS else QUOTIENT if sign == "/" else unit
         effect = COMPARISONS.get(sign) or _JOINED[sign]
-        return _Meaning(TRUTH if sign in COMPARISONS else unit, _apply(effect, first, second), at)
+        return _Meaning(unit, _apply(effect, first, second), at)
+
+    def _mismatch(self, at: int, *parts: _Meaning) -> UsageError:
+        words = (_WORDS.get(part.unit, "a plain number") for part in parts)
+        hint = "% is for relative changes, e (mean edge lengths) for lengths"
+        return self._error(at, f"{' and '.join(words)} do not go together", hint)
 
     def _convert(self, at: int, part: _Meaning, unit: Unit) -> Callable[[Any], Value] | None:
         """A value in another unit; None if it cannot be converted."""
@@ -377,27 +375,6 @@ class _Parser:
             or (part.unit in _PERCENTS and unit in _PERCENTS)
         )
         return part.value if is_same else None
-
-
-def _to_base_unit(part: _Meaning) -> _Meaning:
-    """A percentage as a number, mean edge lengths in file units, all else as it is."""
-    if part.unit in _PERCENTS:
-        return _Meaning(QUOTIENT, _apply(lambda value: value / 100.0, part.value), part.at)
-    if part.unit == EDGES:
-        return _Meaning(LENGTH, _apply(operator.mul, part.value, _edge_length), part.at)
-    return part
-
-
-def _unit_of_product(left: Unit, right: Unit, sign: str) -> Unit:
-    if "length" in (left.kind, right.kind):
-        power = left.power + (right.power if sign == "*" else -right.power)
-        return Unit("length", power) if power else QUOTIENT
-    for unit in (left, right):
-        if unit not in _PLAIN:
-            return unit
-    if left == right:
-        return QUOTIENT if (left, sign) == (NUMBER, "/") else left
-    return NUMBER if NUMBER in (left, right) else QUOTIENT
 
 
 def _apply(effect: Callable[..., Any], *inner: Callable[[Any], Value]) -> Callable[[Any], Value]:
