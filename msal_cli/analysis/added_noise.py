@@ -5,7 +5,7 @@ weight over the surface and, for some, a rule applied afterwards::
 
     heights   white, or shared by neighbours: averaged ``rings`` times over closed one-rings
     direction vertex normals, one axis, or none (every coordinate on its own)
-    weight    1, or by place, angle or a property
+    weight    1, or by place or angle
     rule      depths rounded, or single vertices moved far
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from msal_cli.analysis.measures import share_over_rings
 from msal_cli.arrays import Floats
-from msal_cli.errors import ContentError, UsageError
+from msal_cli.errors import UsageError
 from msal_cli.mesh import Mesh
 
 KINDS = {
@@ -34,7 +34,6 @@ KINDS = {
     "grazing": "along one direction, more where the surface is seen at a grazing angle",
     "half": "along the normals, on the half of the mesh that a direction points to",
     "ramp": "along the normals, growing from nothing to the level along a direction",
-    "property": "along the normals, times a vertex property of the file",
     "outliers": "along the normals, and a fraction of the vertices moved by 1 to 3 edges anywhere",
 }
 """The kinds of noise that ``add_noise`` adds; ``uniform`` is that of the paper's Table 1 as
@@ -48,7 +47,6 @@ OPTIONS = {
     "grazing": ("rings", "direction"),
     "half": ("rings", "direction", "border"),
     "ramp": ("rings", "direction"),
-    "property": ("rings", "property"),
     "outliers": ("rings", "fraction"),
 }
 """The settings that kinds use besides level and seed; others use none."""
@@ -83,8 +81,8 @@ class AddedNoise:
     ----------
     kind : one of ``KINDS``.
     level : standard deviation in mean edge lengths: greater is noisier.  Where the noise varies
-        over the surface, that of its full strength: ``grazing`` head-on, ``ramp`` at its end,
-        ``property`` where the property is 1.  Of ``uniform`` the largest move of a coordinate.
+        over the surface, that of its full strength: ``grazing`` head-on, ``ramp`` at its end.  Of
+        ``uniform`` the largest move of a coordinate.
     seed : from 0; another one gives other noise of the same kind.
     fraction : share of the vertices that ``impulsive`` and ``outliers`` move, 0 to 1.
     rings : how many times heights are averaged over closed one-rings: greater is shared more
@@ -93,7 +91,6 @@ class AddedNoise:
     step : of ``quantised`` depths, mean edge lengths: greater is coarser.
     border : of ``half``, where the level grows from nothing; share of the extent along the
         direction, 0 (sharp) to 1.
-    property : name of the vertex property; its values come with the mesh.
     """
 
     kind: str
@@ -104,7 +101,6 @@ class AddedNoise:
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
     step: float = 0.5
     border: float = 0.0
-    property: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -123,8 +119,6 @@ class AddedNoise:
         length = math.hypot(*self.direction)
         _require(0.0 < length < math.inf, "direction", self.direction, "a vector with a length")
         _require(0.0 < self.step < math.inf, "step", self.step, "a number above 0")
-        if self.kind == "property":
-            _require(bool(self.property), "property", self.property, "the name of one")
         _require(0.0 <= self.border <= 1.0, "border", self.border, "a number from 0 to 1")
 
     def describe(self) -> str:
@@ -139,8 +133,6 @@ class AddedNoise:
             words.append(f"in steps of {self.step:g} e")
         if self.border and "border" in used:
             words.append(f"with a border of {self.border:g}")
-        if "property" in used:
-            words.append(f"times {self.property}")
         if n_rings := self.count_rings():
             words.append(f"shared over {n_rings} ring{'s' * (n_rings > 1)}")
         return ", ".join(words)
@@ -157,10 +149,9 @@ def _require(is_met: bool, name: str, value: object, expected: str) -> None:
         raise UsageError(f"the noise's {name} is {value!r}, and must be {expected}")
 
 
-def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> Floats:
+def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:
     """Positions (n, 3) of the mesh with noise added, the same for the same arguments.
 
-    ``weights`` (n,) are the values of the property that the kind ``property`` multiplies with.
     Vertices that no face uses have no normal, and are not moved by what goes along it.
     """
     draw = np.random.Generator(np.random.PCG64(noise.seed))
@@ -194,7 +185,7 @@ def add_noise(mesh: Mesh, noise: AddedNoise, weights: Floats | None = None) -> F
     if noise.kind in ("view", "grazing"):
         growth = grazing_growth(normals, axis) if noise.kind == "grazing" else 1.0
         return mesh.vertices + (growth * heights)[:, None] * axis
-    heights *= _regional_weights(mesh, noise, axis, weights)
+    heights *= _regional_weights(mesh, noise, axis)
     result = mesh.vertices + heights[:, None] * normals
     if noise.kind == "outliers":
         moved = draw.permutation(n)[: round(noise.fraction * n)]
@@ -225,20 +216,8 @@ def grazing_growth(normals: Floats, axis: Floats) -> Floats:
     return growth
 
 
-def _regional_weights(
-    mesh: Mesh, noise: AddedNoise, axis: Floats, weights: Floats | None
-) -> Floats:
+def _regional_weights(mesh: Mesh, noise: AddedNoise, axis: Floats) -> Floats:
     """What the heights of kinds along the normals are multiplied with, (n,)."""
-    if noise.kind == "property":
-        if weights is None or len(weights) != len(mesh.vertices):
-            raise UsageError("noise by a property needs the property's value at every vertex")
-        if not np.isfinite(weights).all():
-            raise ContentError(
-                f"the property {noise.property!r} is not finite",
-                code="E_NONFINITE",
-                hint="mend it, or choose another property",
-            )
-        return weights
     if noise.kind not in ("half", "ramp"):
         return np.ones(len(mesh.vertices))
     depths = (mesh.vertices * axis).sum(axis=1)

@@ -6,17 +6,14 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from msal_cli.api.mesh_objects import as_array, explained_errors, read_mesh, vertex_numbers
+from msal_cli.api.mesh_objects import as_array, explained_errors, read_mesh
 from msal_cli.errors import UsageError
 from msal_cli.job.changes import noise_field
 from msal_cli.job.records import NoiseEstimate
 from msal_cli.job.room import prepare_mesh
 from msal_cli.job.settings import NoiseKind, to_number
-
-_FACTORS = "(property)"
 
 
 def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstimate:
@@ -59,7 +56,6 @@ def add_noise(
     direction: Sequence[float] | None = None,
     step: float | None = None,
     border: float | None = None,
-    property: str | ArrayLike | None = None,
 ) -> Any:
     """Add a known amount of noise to a mesh, as ``msal noise`` does, for tests and comparisons.
 
@@ -74,8 +70,8 @@ def add_noise(
         ``uniform`` (in each coordinate, from -level to +level), ``mixed`` (that of Fig. 7 of Huang
         and Ascher, Inverse Problems 24 (2008): along the normals and as much across),
         ``impulsive``, ``correlated`` (shared by neighbours), ``view`` (along a direction),
-        ``quantised`` (depths in steps), ``grazing``, ``half``, ``ramp``, ``property`` or
-        ``outliers``; docs/noise.md explains them.
+        ``quantised`` (depths in steps), ``grazing``, ``half``, ``ramp`` or ``outliers``;
+        docs/noise.md explains them.
     level : standard deviation in mean edge lengths, from 0: greater is noisier.
     seed : whole number from 0; another one gives other noise of the same kind.
     fraction : for impulsive and outliers, the share of the vertices that move, 0 to 1; default 0.1.
@@ -84,8 +80,6 @@ def add_noise(
     direction : (3,) of any length: of the view, or where there is more of half and ramp; default z.
     step : of quantised depths, mean edge lengths: greater is coarser; default 0.5.
     border : for half, the width over which the noise begins, as a share of the extent, 0 to 1.
-    property : for the kind ``property``, factors (n,) of the noise, or the name of such an array of
-        a mesh object.
 
     Returns
     -------
@@ -95,7 +89,7 @@ def add_noise(
     ------
     UsageError
         for a setting that the kind does not use, or a value that is not allowed.
-    ContentError, UnsupportedError, InputError, ResourceError
+    ContentError, UnsupportedError, ResourceError
         as ``denoise``.
     """
     given = locals()
@@ -104,10 +98,6 @@ def add_noise(
 
     with explained_errors():
         mesh = read_mesh(vertices, faces)
-        if not (property is None or isinstance(property, str)):
-            factors = vertex_numbers(property, "property", len(mesh.vertices))
-            mesh.properties[_FACTORS] = factors.astype(np.float64)
-            given["property"] = _FACTORS
         given = {name: given[name] for name in _READ if given[name] is not None}
         refuse_unused(kind, given)
         noise = AddedNoise(
@@ -140,6 +130,5 @@ _READ: dict[str, Callable[[Any, str], Any]] = {
     "direction": _to_vector,
     "step": to_number,
     "border": to_number,
-    "property": lambda value, name: value,
 }
 """How each setting is checked before it is used."""

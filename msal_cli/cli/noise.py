@@ -40,8 +40,7 @@ more:
     them; impulsive: at a fraction of the vertices; correlated: shared by neighbours; view: along
     --direction; quantised: along --direction, with depths in steps; grazing: along --direction,
     stronger at grazing angles; half: on one half of the mesh; ramp: growing from one end of the
-    mesh to the other; property: in proportion to a vertex property; outliers: a fraction of the
-    vertices far off the surface.
+    mesh to the other; outliers: a fraction of the vertices far off the surface.
 --level NUMBER = 0.2
     Standard deviation in mean edge lengths; of uniform noise, the largest move of a coordinate.
 --seed N = 0
@@ -60,8 +59,6 @@ more:
 --border NUMBER
     With --kind half: width over which the noise begins, as a share of the mesh's extent.
     [default: 0, sharp]
---property NAME
-    With --kind property: vertex property of a PLY file that multiplies the noise.
 """,
         kind=click.Choice(get_args(NoiseKind)),
         level=number(0.0, 1000.0, "e"),
@@ -177,11 +174,7 @@ def _build_noise(request: Request) -> AddedNoise:
     """The noise; UsageError for a setting that the kind does not use."""
     from msal_cli.analysis.added_noise import AddedNoise, refuse_unused
 
-    names = ("fraction", "rings", "direction", "step", "border", "property")
+    names = ("fraction", "rings", "direction", "step", "border")
     given = {name: value for name in names if (value := getattr(request, name)) is not None}
     refuse_unused(request.kind, given, "--")
-    if request.kind == "property" and not request.property:
-        raise UsageError(
-            "--kind property needs --property NAME", hint="msal info lists a file's properties"
-        )
     return AddedNoise(request.kind, request.level, request.seed, **given)

@@ -204,15 +204,7 @@ def move_by_noise(surface: Surface, noise: AddedNoise) -> tuple[Floats, float]:
     from msal_cli.analysis.added_noise import add_noise
 
     ready = prepare_mesh(surface)
-    weights = None
-    if noise.kind == "property":
-        weights = surface.vertex_property(noise.property)
-        if ready.vertex_map is not None:
-            # Of vertices at one place the first in the file counts.
-            is_used = ready.vertex_map >= 0
-            _, first = np.unique(ready.vertex_map[is_used], return_index=True)
-            weights = weights[is_used][first]
-    positions = add_noise(ready.mesh, noise, weights)
+    positions = add_noise(ready.mesh, noise)
     if not np.isfinite(positions).all():
         raise InternalError("noise made a position that is not finite")
     return ready.to_file_vertices(positions, surface.vertices), ready.mesh.mean_edge_length

@@ -27,7 +27,7 @@ Encoding = Literal["same", "ascii", "binary"]
 Precision = Literal["same", "float32", "float64"]
 NoiseKind = Literal[
     "gaussian-normal", "gaussian", "uniform", "mixed", "impulsive", "correlated", "view",
-    "quantised", "grazing", "half", "ramp", "property", "outliers",
+    "quantised", "grazing", "half", "ramp", "outliers",
 ]  # fmt: skip
 
 AUTO, ADAPTIVE = "auto", "adaptive"

@@ -15,7 +15,7 @@ from msal_cli.analysis.added_noise import (
     add_plain_noise,
     grazing_growth,
 )
-from msal_cli.errors import ContentError, UsageError
+from msal_cli.errors import UsageError
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, torus
 
@@ -23,10 +23,7 @@ KINDS_MOVED = {"impulsive": 0.1, "half": 0.5}
 
 
 def added(mesh, kind, level=0.2, seed=7, **settings):
-    weights = np.ones(len(mesh.vertices)) if kind == "property" else None
-    if weights is not None:
-        settings["property"] = "quality"
-    return add_noise(mesh, AddedNoise(kind, level, seed, **settings), weights)
+    return add_noise(mesh, AddedNoise(kind, level, seed, **settings))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -139,20 +136,6 @@ def test_a_ramp_grows_from_nothing_to_the_level():
     assert heights == pytest.approx(shares * plain, abs=1e-12)
 
 
-def test_noise_by_a_property_is_multiplied_with_it():
-    mesh = prepare_mesh(*torus()).mesh
-    weights = np.linspace(-1.0, 2.0, len(mesh.vertices))
-    noise = AddedNoise("property", 0.2, 1, property="quality")
-    steps = add_noise(mesh, noise, weights) - mesh.vertices
-    plain = add_plain_noise(mesh, "gaussian-normal", 0.2, 1) - mesh.vertices
-    assert steps == pytest.approx(weights[:, None] * plain, abs=1e-12)
-    with pytest.raises(UsageError, match="every vertex"):
-        add_noise(mesh, noise)
-    weights[3] = np.nan
-    with pytest.raises(ContentError, match="not finite"):
-        add_noise(mesh, noise, weights)
-
-
 def test_outliers_lie_one_to_three_edges_off_in_any_direction():
     mesh = prepare_mesh(*torus(160, 80)).mesh
     steps = steps_of(mesh, "outliers", 0.0, fraction=0.05)
@@ -184,7 +167,5 @@ def test_outliers_lie_one_to_three_edges_off_in_any_direction():
 def test_settings_that_mean_nothing_are_refused(settings, named):
     with pytest.raises(UsageError, match=named):
         AddedNoise("quantised", **settings)
-    with pytest.raises(UsageError, match="property"):
-        AddedNoise("property")
     with pytest.raises(UsageError, match="salt"):
         add_plain_noise(prepare_mesh(*grid()).mesh, "salt", 0.1, 0)

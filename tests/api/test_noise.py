@@ -16,7 +16,6 @@ from tests.ply_files import positions_of, to_ply
 from tests.shapes import noisy, torus
 
 CLEAN, FACES = torus(40, 20)
-FACTORS = np.linspace(0.0, 2.0, len(CLEAN))
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -41,25 +40,24 @@ def test_the_estimate_is_that_of_the_command(tmp_path, dtype):
         ),
         ({"kind": "quantised", "step": 0.3}, ["--step", "0.3"]),
         ({"kind": "half", "border": 0.2}, ["--border", "0.2"]),
-        ({"kind": "property", "property": FACTORS}, ["--property", "trust"]),
     ],
 )
 def test_the_bits_are_those_of_the_command(tmp_path, arguments, options):
     vertices = CLEAN.astype(np.float32)
-    (tmp_path / "a.ply").write_bytes(to_ply(vertices, FACES, trust=FACTORS))
+    (tmp_path / "a.ply").write_bytes(to_ply(vertices, FACES))
     kind = ["--kind", arguments["kind"]] if "kind" in arguments else []
     done = run_command("noise", tmp_path / "a.ply", "-o", tmp_path / "b.ply", *kind, *options)
     assert done.exit_code == 0, done.stderr
-    expected = positions_of((tmp_path / "b.ply").read_bytes(), vertices, 1)
+    expected = positions_of((tmp_path / "b.ply").read_bytes(), vertices)
     noisy_vertices = msal.add_noise(vertices, FACES, **arguments)
     assert noisy_vertices.dtype == np.float32
     assert noisy_vertices.tobytes() == expected.tobytes()
 
 
-def test_an_object_comes_back_as_one_with_factors_by_name():
-    mesh = meshio.Mesh(CLEAN, [("triangle", FACES)], point_data={"trust": FACTORS})
-    result = msal.add_noise(mesh, kind="property", property="trust")
-    expected = msal.add_noise(CLEAN, FACES, "property", property=FACTORS)
+def test_an_object_comes_back_as_one():
+    mesh = meshio.Mesh(CLEAN, [("triangle", FACES)])
+    result = msal.add_noise(mesh, kind="view")
+    expected = msal.add_noise(CLEAN, FACES, "view")
     assert type(result) is meshio.Mesh and np.array_equal(result.points, expected)
     assert np.array_equal(mesh.points, CLEAN)
 
@@ -69,9 +67,6 @@ def test_an_object_comes_back_as_one_with_factors_by_name():
     [
         {"kind": "pink"},
         {"fraction": 0.1},
-        {"kind": "property"},
-        {"kind": "property", "property": [1.0]},
-        {"property": FACTORS},
         {"level": "much"},
         {"seed": 1.5},
         {"kind": "view", "direction": "z"},
