@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis.noise_estimate.spread import FREEDOMS, LEFT
+from msal_cli.analysis.noise_estimate.evidence import FREEDOMS, LEFT
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.patch_fits import fit_patches, fit_scales

@@ -1,8 +1,8 @@
 """How much noise there is on a mesh, and of what kind, or whether it has any.
 
 ``fits`` measures the level of noise that each vertex has of its own over one- and two-rings, and
-looks at fewer places over up to six rings; ``spread`` and ``axes`` measure what each kind of noise
-would leave there, and ``evidence`` makes numbers of it all.
+looks at fewer places over up to six rings; ``axes`` and ``evidence`` measure what each kind of
+noise would leave there, and make numbers of it all.
 
 From these numbers boosted trees, trained by ``python -m training.noise`` on scripted shapes with
 noise of every kind and without, give a sum for each kind; the probabilities are its softmax,
@@ -31,6 +31,7 @@ from msal_cli.analysis.noise_estimate.evidence import (
     SIZE,
     Evidence,
     gather_evidence,
+    weigh_differences,
 )
 from msal_cli.analysis.noise_estimate.fits import (
     FLATTEST,
@@ -52,7 +53,6 @@ from msal_cli.analysis.noise_estimate.level import (
     Reading,
     to_clean_edges,
 )
-from msal_cli.analysis.noise_estimate.spread import weigh_differences
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import Mesh, cached_by_mesh

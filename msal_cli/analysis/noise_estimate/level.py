@@ -39,7 +39,6 @@ KINDS = (
     "staircase",
     "unknown",
 )
-DIRECTIONS = ("normals", "isotropic", "axis")
 
 NOISE, TEXTURE = "noise", "texture"
 """What the roughness of a mesh can be: kinds of ``Reading``."""
@@ -59,7 +58,7 @@ class NoiseCharacter:
     ----------
     kind : one of ``KINDS``; the most telling, where more than one fits.
     rings : over how many rings neighbours share noise, 0 (not at all) to 4 (that or more).
-    direction : one of ``DIRECTIONS``: along the normals, in all directions, along ``axis``.
+    direction : ``"normals"``, ``"isotropic"`` (in all directions) or ``"axis"``.
     axis : unit vector of an axis, up to its sign; else None.
     step : of quantised depths, or height of the terraces; mean edge lengths, 0 for none.
     outliers : share of the vertices that lie far off.
@@ -81,29 +80,19 @@ class NoiseCharacter:
         """The character in plain words, for a line after the level; empty for none."""
         if self.kind in ("none", "unknown"):
             return "of a kind that cannot be determined" if self.kind == "unknown" else ""
-        outliers = f"{100.0 * self.outliers:.2g} % outliers"
-        words = [
-            {
-                "white": "independent at each vertex, along the normals",
-                "isotropic": "independent at each vertex, in all directions",
-                "correlated": f"shared over {RING_COUNTS[self.rings]}",
-                "view": "along the view",
-                "quantised": f"depths in steps of {self.step:.2g} e along the view",
-                "uneven": "uneven over the surface",
-                "outliers": outliers,
-                "impulsive": "impulses at some vertices",
-                "staircase": f"terraces of {self.step:.2g} e",
-            }[self.kind]
-        ]
-        if self.rings and self.kind not in ("correlated", "staircase"):
-            words.append(f"shared over {RING_COUNTS[self.rings]}")
-        if self.direction == "axis" and self.kind not in ("view", "quantised", "staircase"):
-            words.append("along the view")
-        if self.direction == "isotropic" and self.kind != "isotropic":
-            words.append("in all directions")
-        if self.outliers and self.kind != "outliers":
-            words.append(outliers)
-        return "; ".join(words)
+        shared = f"shared over {RING_COUNTS[self.rings]}"
+        words = {
+            "white": "independent at each vertex, along the normals",
+            "isotropic": "independent at each vertex, in all directions",
+            "correlated": shared,
+            "view": "along the view",
+            "quantised": f"depths in steps of {self.step:.2g} e along the view",
+            "uneven": "uneven over the surface",
+            "outliers": f"{100.0 * self.outliers:.2g} % outliers",
+            "impulsive": "impulses at some vertices",
+            "staircase": f"terraces of {self.step:.2g} e",
+        }[self.kind]
+        return f"{words}; {shared}" if self.rings and self.kind != "correlated" else words
 
 
 NO_CHARACTER = NoiseCharacter("none")
