@@ -124,11 +124,6 @@ QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
 """The same for noise that differs by region, as detail of a model does."""
 
-MAX_SEEN = (1.0, 0.65, 0.19)
-"""Greatest level for white noise that noise shared over 0, 1, 2 and more rings shows, as a share of
-its own level; on 21 shapes 0.5 over one ring and 0.10 to 0.17 over two.  White noise on relief
-shows more."""
-
 MAX_WHITE = 1.25
 """What fits over two rings leave at the flattest fifth of the places, over the level for white
 noise, above which it is not white: 0.8 to 1.1 for white and isotropic noise on 30 shapes, 1.4 to
@@ -382,20 +377,15 @@ def characterize(mesh: Mesh) -> Estimate:
         probability = SURE_FLOOR * verdict.probability / verdict.noise
         verdict = dataclasses.replace(verdict, noise=SURE_FLOOR, probability=probability)
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
-    measured, finest = verdict.measured, white.level.mean_edges
-    # Fits over one-rings see more than noise that neighbours share leaves there.
-    is_white = verdict.kind == "correlated" and finest > MAX_SEEN[min(verdict.rings, 2)] * measured
-    if (is_white or not is_named) and _is_surely_shared(verdict, evidence):
+    measured = verdict.measured
+    if not is_named and _is_surely_shared(verdict, evidence):
         measured = verdict.level
-        if has_floor and not is_named:
+        if has_floor:
             verdict = dataclasses.replace(verdict, kind="correlated")
             is_named = True
-    elif is_white:
-        measured = finest
-        verdict = dataclasses.replace(_with_level(verdict, measured), kind="white")
     elif not is_named:
         # In doubt what the finest fits see, which relief adds least to.
-        measured = min(measured, finest)
+        measured = min(measured, white.level.mean_edges)
         verdict = _with_level(verdict, measured)
     elif verdict.kind == "view" and evidence.axis is not None and not verdict.rings:
         # Rows of a range scan slide within the surface farther than noise makes them.
@@ -550,13 +540,10 @@ def _least_probabilities(evidence: Evidence) -> dict[str, float]:
     if steps.axis is not None and not has_depths:
         # Rows of a range scan are in steps within the surface, which the mesh does not face.
         has_depths = float(((evidence.survey.normals @ steps.axis) ** 2).mean()) > FACING
-    may_be_white = _may_be_white(evidence)
     is_known = {
-        "white": may_be_white,
-        "isotropic": may_be_white,
+        "white": _may_be_white(evidence),
         "correlated": evidence.colour is None or not evidence.colour.is_pattern,
         "view": evidence.axis is not None,
-        "staircase": steps.n_axes == 3,
         "uneven": evidence.differences is not None,
     }
     least = {kind: 0.0 if is_known.get(kind, True) else math.inf for kind in KIND_NAMES}
