@@ -356,14 +356,6 @@ def _require_extent(low: Floats, high: Floats) -> float:
     return extent
 
 
-def _is_within(faces: Ints, n_vertices: int) -> bool:
-    """Whether all indices go from 0 to ``n_vertices`` - 1."""
-    if faces.dtype == np.int32:
-        # Seen as unsigned, a negative index is a very large one.
-        return int(faces.view(np.uint32).max()) < n_vertices
-    return int(faces.min()) >= 0 and int(faces.max()) < n_vertices
-
-
 def bounds(vertices: Floats) -> tuple[Floats, Floats]:
     """Least and greatest coordinates, (3,) each; none of them finite where a vertex is not."""
     # Rows of many vertices: numpy reduces the first of two axes slowly where the second is short.
@@ -406,7 +398,13 @@ def validate_arrays(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, tuple[
             code="E_INDEX",
             hint="give faces.astype(int) if they are whole numbers",
         )
-    if not _is_within(faces, n):
+    # Seen as unsigned, a negative index is a very large one.
+    is_within = (
+        int(faces.view(np.uint32).max()) < n
+        if faces.dtype == np.int32
+        else int(faces.min()) >= 0 and int(faces.max()) < n
+    )
+    if not is_within:
         at, corner = np.argwhere((faces < 0) | (faces >= n))[0].tolist()
         counts_from_1 = faces.min() == 1 and faces.max() == n
         raise ContentError(

@@ -222,7 +222,12 @@ def denoise(
             mesh.properties[_MASK] = _as_mask(lock, len(mesh.vertices))
             given["lock"] = f"{_MASK} != 0"
         if not (weights is None or isinstance(weights, str)):
-            values = mesh_objects.vertex_numbers(weights, "weights", len(mesh.vertices))
+            values = mesh_objects.as_array(weights, "weights", UsageError)
+            if values.shape != (len(mesh.vertices),) or values.dtype.kind not in "fiub":
+                raise UsageError(
+                    f"weights: {values.dtype} of shape {values.shape}",
+                    hint=f"give {len(mesh.vertices)} numbers, one for each vertex",
+                )
             mesh.properties[_TRUST] = values
             given["weights"] = _TRUST
         # By the steps that files take.

@@ -144,17 +144,6 @@ def as_array(values: ArrayLike, name: str, error: type[MsalError] = ContentError
         raise error(f"{name} cannot be read as an array: {reason}") from None
 
 
-def vertex_numbers(values: Any, name: str, n_vertices: int) -> Array:
-    """An array (n,) of an argument; UsageError for anything else."""
-    array = as_array(values, name, UsageError)
-    if array.shape != (n_vertices,) or array.dtype.kind not in "fiub":
-        raise UsageError(
-            f"{name}: {array.dtype} of shape {array.shape}",
-            hint=f"give {n_vertices} numbers, one for each vertex",
-        )
-    return array
-
-
 def _fan_triangles(corners: Longs, sizes: Longs) -> Longs:
     """Triangles (m, 3) of polygons of ``sizes`` (p,) with ``corners`` (c,), cut as the command cuts
     polygons of files."""
@@ -224,10 +213,6 @@ def _split(faces: Longs) -> tuple[Longs, Longs]:
     return np.delete(faces, starts), faces[starts]
 
 
-_KEPT = ("vertex", "line")
-"""Cells that lie on the surface, and are kept: their corners move with it."""
-
-_NORMALS = ("normal", "normals")
 _COMPONENTS = ("nx", "ny", "nz")
 
 
@@ -240,7 +225,8 @@ def _read_meshio(mesh: Any) -> MemoryMesh:
             rows = as_array(block.data, "faces").astype(np.int64, copy=False)
             sizes = np.full(len(rows), rows.shape[1], dtype=np.int64)
             blocks.append(_fan_triangles(rows.reshape(-1), sizes))
-        elif block.type not in _KEPT:
+        # Points and lines lie on the surface: their corners move with it.
+        elif block.type not in ("vertex", "line"):
             raise UnsupportedError(
                 f"the meshio.Mesh has {len(block.data)} {block.type} cells",
                 hint="msal denoises surfaces of triangles, quads and polygons of first order; "
@@ -252,7 +238,7 @@ def _read_meshio(mesh: Any) -> MemoryMesh:
         copy = mesh.copy()
         copy.points, data = vertices, copy.point_data
         for name in data:
-            if name.lower() in _NORMALS and np.shape(data[name]) == vertices.shape:
+            if name.lower() in ("normal", "normals") and np.shape(data[name]) == vertices.shape:
                 data[name] = memory.renew_normals(vertices, triangles, data[name])
         if all(name in data for name in _COMPONENTS):
             stored = np.stack([np.asarray(data[name]) for name in _COMPONENTS], axis=1)

@@ -197,11 +197,6 @@ class LogView:
                 view.run_lines.append(RunLine(line))
         return view
 
-    @property
-    def n_counting(self) -> int:
-        """How many of the lines count."""
-        return len(self.entries) + min(len(self.run_lines), MAX_RUN_LINES)
-
     def counting_lines(self) -> Iterator[bytes]:
         """The lines that count, with their ends; OSError if they cannot be read again."""
         for run in self.run_lines[-MAX_RUN_LINES:]:
@@ -408,7 +403,7 @@ class FolderManifest(Manifest):
         if self._file is not None:
             return
         try:
-            n_kept = self._own.n_counting
+            n_kept = len(self._own.entries) + min(len(self._own.run_lines), MAX_RUN_LINES)
             if self._own.n_lines - n_kept > max(_SPARE_LINES, n_kept):
                 write_whole(self._path, self._own.counting_lines())
                 _log.debug("manifest of %r: %d lines are left", self.place, n_kept)
@@ -495,7 +490,11 @@ class ObjectManifest(Manifest):
 
     def open(self) -> None:
         if self._merges and len(self._parts) > MAX_PARTS:
-            self._merge_parts()
+            from msal_cli.storage import objects
+
+            self._write_part(0, b"".join(self._view.counting_lines()))
+            objects.remove_objects([_part_url(self.place, name) for name in self._parts])
+            _log.debug("manifest of %r: %d parts became one", self.place, len(self._parts))
 
     def close(self) -> None:
         """Write what is left; while another exception is being handled a failure is only logged."""
@@ -535,13 +534,6 @@ class ObjectManifest(Manifest):
             objects.write_whole(_part_url(self.place, f"{self._run}-{number:05d}.jsonl"), text)
         except OutputError as error:
             raise _store_error(self.place, error) from None
-
-    def _merge_parts(self) -> None:
-        from msal_cli.storage import objects
-
-        self._write_part(0, b"".join(self._view.counting_lines()))
-        objects.remove_objects([_part_url(self.place, name) for name in self._parts])
-        _log.debug("manifest of %r: %d parts became one", self.place, len(self._parts))
 
 
 def _view_of_parts(parts: dict[str, bytes]) -> LogView:

@@ -452,7 +452,13 @@ def _parse_runs(view: LogView) -> list[RunEntry]:
         try:
             data = json.loads(run_line.line)
             if data["kind"] == "run":
-                runs.append(_parse_start(data, run_line.last_at))
+                shard, at, last_at = data["shard"], int(data["at"]), run_line.last_at
+                shard = shard and {"number": shard[0], "count": shard[1]}
+                start: RunEntry = from_data(RunEntry, {**data, "shard": shard})
+                # As if it had ended with its last entry.
+                finished = iso_timestamp(last_at) if last_at > at else start.started
+                seconds = max(0, last_at - at) / 1e9
+                runs.append(replace(start, finished=finished, seconds=seconds))
             elif runs:
                 runs[-1] = replace(
                     runs[-1],
@@ -463,16 +469,6 @@ def _parse_runs(view: LogView) -> list[RunEntry]:
         except (ValueError, KeyError, TypeError, RecursionError):
             continue
     return runs
-
-
-def _parse_start(data: Mapping[str, Any], last_at: int) -> RunEntry:
-    """A run from its first line, as if it had ended with its last entry."""
-    shard, at = data["shard"], int(data["at"])
-    entry: RunEntry = from_data(
-        RunEntry, {**data, "shard": shard and {"number": shard[0], "count": shard[1]}}
-    )
-    finished = iso_timestamp(last_at) if last_at > at else entry.started
-    return replace(entry, finished=finished, seconds=max(0, last_at - at) / 1e9)
 
 
 def _row(entry: ManifestEntry, place: str) -> FileRow:

@@ -202,7 +202,12 @@ class _SetRun:
                 border = find_border(
                     run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
                 )
-                properties = self._read_properties(mesh_file)
+                # Those that --lock and --weights name.
+                locks = map(parse_lock, self._settings.lock)
+                names = {lock.name for lock in locks if lock is not None}
+                if self._settings.weights is not None:
+                    names.add(self._settings.weights)
+                properties = {name: mesh_file.vertex_property(name) for name in sorted(names)}
             arrays = mesh_file.vertices, mesh_file.faces, properties
             record = run.finish(None)
         except Exception as error:
@@ -210,14 +215,6 @@ class _SetRun:
             return
         self._arrays.append(arrays)
         self._members.append(Member(index, task, record, border))
-
-    def _read_properties(self, mesh_file: MeshFile) -> dict[str, Floats]:
-        """The properties of vertices that --lock and --weights name, of one file."""
-        locks = (parse_lock(lock) for lock in self._settings.lock)
-        names = {lock.name for lock in locks if lock is not None}
-        if self._settings.weights is not None:
-            names.add(self._settings.weights)
-        return {name: mesh_file.vertex_property(name) for name in sorted(names)}
 
     def _share(self) -> SharedBorders:
         is_single = [member.record.precision == "float32" for member in self._members]

@@ -223,20 +223,17 @@ class WorkerPool:
     # Messages
 
     def _receive(self) -> list[tuple[WorkerProcess | None, tuple[Any, ...]]]:
-        messages = []
-        with contextlib.suppress(queue.Empty):
-            messages.append(self._inbox.get(timeout=self._patience_s()))
-            while True:
-                messages.append(self._inbox.get_nowait())
-        return messages
-
-    def _patience_s(self) -> float | None:
-        """How long to wait for a message; None is for ever."""
         first = min((worker.deadline for worker in self._workers), default=math.inf)
         if os.name == "nt":
             # Windows delivers Ctrl-C to a waiting thread only between two waits.
             first = min(first, time.monotonic() + 0.2)
-        return None if first == math.inf else max(0.0, first - time.monotonic())
+        patience_s = None if first == math.inf else max(0.0, first - time.monotonic())
+        messages = []
+        with contextlib.suppress(queue.Empty):
+            messages.append(self._inbox.get(timeout=patience_s))
+            while True:
+                messages.append(self._inbox.get_nowait())
+        return messages
 
     def _kill_overdue(self) -> list[Message]:
         lost: list[Message] = []
@@ -632,19 +629,6 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
         outgoing.send("raised", index, f"{type(error).__name__}: {error}")
 
 
-def _load_libraries() -> None:
-    """Load what every file needs, before memory is limited.
-
-    The library of linear algebra reserves 100 MB that it hardly touches; refused, it would end the
-    process, however high the limit is above the 40 MB that are resident.
-    """
-    import numpy as np
-
-    import msal_cli.job.pipeline  # noqa: F401
-
-    _ = np.ones((200, 200)) @ np.ones((200, 200))
-
-
 @contextlib.contextmanager
 def limited_memory(limit: int | None) -> Iterator[None]:
     """Have Linux refuse memory once about ``limit`` bytes are resident, pages of files aside: it
@@ -659,7 +643,13 @@ def limited_memory(limit: int | None) -> Iterator[None]:
         return
     import resource
 
-    _load_libraries()
+    import numpy as np
+
+    import msal_cli.job.pipeline  # noqa: F401
+
+    # The library of linear algebra reserves 100 MB that it hardly touches; refused, it would end
+    # the process, however high the limit is above the 40 MB that are resident.
+    _ = np.ones((200, 200)) @ np.ones((200, 200))
     # The peak before may have counted pages of files.
     forget_peak()
     own = memory_bytes("self", "VmData") - memory_bytes("self", "VmRSS")

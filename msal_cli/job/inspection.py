@@ -16,7 +16,6 @@ from msal_cli.job.records import Failure, InfoRecord
 from msal_cli.job.room import open_mesh, prepare_mesh, room_for_files, to_known_error
 
 if TYPE_CHECKING:
-    from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.storage.regular import Buffer
 
 
@@ -49,6 +48,12 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
     area, volume = measures.area_and_volume(ready.mesh)
     enclosed = measures.enclosure_of(ready.mesh, defects, area, volume)
     low, high = mesh_file.vertices.min(axis=0), mesh_file.vertices.max(axis=0)
+    polygons = mesh_file.polygons()
+    if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
+        sizes = {str(polygons.shape[1]): len(polygons)}
+    else:
+        found, counts = np.unique([len(polygon) for polygon in polygons], return_counts=True)
+        sizes = {str(size): int(count) for size, count in zip(found, counts, strict=True)}
     winding = "consistent"
     if defects.unorientable_parts:
         winding = "not orientable"
@@ -59,7 +64,7 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         **file_fields(mesh_file),
         compressed=is_compressed,
         bytes=len(data),
-        polygon_sizes=_polygon_sizes(mesh_file),
+        polygon_sizes=sizes,
         closed=defects.boundary_edges == 0,
         winding=winding,
         **defect_fields(ready, mesh_file.merged_vertices),
@@ -77,12 +82,3 @@ def _inspect(data: Buffer, name: str, format: str | None, with_intersections: bo
         references=mesh_file.references,
         warnings=mesh_file.warnings + ((enclosed.words,) if enclosed.is_inside_out else ()),
     )
-
-
-def _polygon_sizes(mesh_file: MeshFile) -> dict[str, int]:
-    """How many faces have 3, 4, ... corners, keyed by that number as text (for JSON)."""
-    polygons = mesh_file.polygons()
-    if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
-        return {str(polygons.shape[1]): len(polygons)}
-    sizes, counts = np.unique([len(polygon) for polygon in polygons], return_counts=True)
-    return {str(size): int(count) for size, count in zip(sizes, counts, strict=True)}

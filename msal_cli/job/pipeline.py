@@ -322,7 +322,14 @@ class FileRun:
             if chosen.method is not None:
                 on_step = functools.partial(self._on_progress, "sweeps")
                 result = chosen.method.denoise(chosen.mesh, chosen.parameters, on_step)
-                self._check_result(ready, result.vertices)
+                name = chosen.method.name
+                if result.vertices.shape != ready.mesh.vertices.shape:
+                    raise InternalError(f"{name} changed the number of vertices")
+                if not np.isfinite(result.vertices).all():
+                    bad = int(np.argmin(np.isfinite(result.vertices).all(axis=1)))
+                    raise InternalError(
+                        f"{name} made a position that is not finite", where=f"vertex {bad}"
+                    )
                 moved, normals_s = result.vertices, result.seconds.get("normals", 0.0)
                 fidelity = result.fields.get("fidelity")
                 is_ruled = settings.method not in CHOOSING and changes.is_ruled_by_spike(fidelity)
@@ -352,12 +359,3 @@ class FileRun:
 
             counts = self_intersection_change(ready.mesh, ready.mesh.with_vertices(moved))
             self.know(self_intersections=SelfIntersections(*counts))
-
-    def _check_result(self, ready: PreparedMesh, vertices: Floats) -> None:
-        """A method must return finite positions for the same vertices."""
-        name = self._record.method and self._record.method.name
-        if vertices.shape != ready.mesh.vertices.shape:
-            raise InternalError(f"{name} changed the number of vertices")
-        if not np.isfinite(vertices).all():
-            bad = int(np.argmin(np.isfinite(vertices).all(axis=1)))
-            raise InternalError(f"{name} made a position that is not finite", where=f"vertex {bad}")
