@@ -124,7 +124,6 @@ def files_and_variables() -> Iterator[str]:
     yield ".SH ENVIRONMENT"
     for name, text in (
         ("MSAL_THREADS", "Most threads for one mesh."),
-        ("MSAL_SHARDS", "Number of parts for --shard auto, where the scheduler does not give it."),
         ("NO_COLOR", "If set, no colours are printed."),
     ):
         yield ".TP"

@@ -16,9 +16,6 @@ from msal_cli.errors import UsageError
 MAX_SHARDS = 1_000_000
 """More would be fewer files a shard than the largest folders have."""
 
-COUNT_VARIABLE = "MSAL_SHARDS"
-"""The environment variable that gives N where the system that starts the processes does not."""
-
 
 @dataclass(frozen=True, slots=True)
 class Shard:
@@ -54,8 +51,7 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     """The shard that ``K/N``, ``auto`` or ``auto/N`` means in this environment.
 
     ``auto`` takes it from the variables of Slurm (array tasks, else tasks of a step), AWS Batch
-    (array jobs) or Kubernetes (indexed jobs).  Where these have no N, as in Kubernetes, it comes
-    from ``auto/N`` or from the variable MSAL_SHARDS.
+    (array jobs) or Kubernetes (indexed jobs), which has no N: that comes from ``auto/N``.
 
     Raises UsageError if it is none of these, or variables are missing or contradict one another.
     """
@@ -68,15 +64,11 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
                 hint="four processes take --shard 1/4, 2/4, 3/4 and 4/4",
             )
         return Shard(number, count)
-    expected = None
-    value = last if slash else environment.get(COUNT_VARIABLE)
-    if value or slash:
-        expected = _parse_int(value or "")
-        if expected is None or not 1 <= expected <= MAX_SHARDS:
-            source = f"--shard {text}" if slash else f"{COUNT_VARIABLE}={value}"
-            raise UsageError(
-                f"{source}: the number of shards must be a whole number from 1 to {MAX_SHARDS}"
-            )
+    expected = _parse_int(last)
+    if slash and (expected is None or not 1 <= expected <= MAX_SHARDS):
+        raise UsageError(
+            f"--shard {text}: the number of shards must be a whole number from 1 to {MAX_SHARDS}"
+        )
     jobs = {job[2:]: job for job in _read_environment(environment)}
     if not jobs:
         raise UsageError(
@@ -97,7 +89,7 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     if count is None:
         raise UsageError(
             f"--shard {text}: {system} does not say how many shards there are",
-            hint=f"give --shard auto/N, or set {COUNT_VARIABLE}",
+            hint="give --shard auto/N",
         )
     if not 0 <= index < count <= MAX_SHARDS:
         raise UsageError(
