@@ -193,7 +193,7 @@ def denoise(
     InputError
         with ``E_PROPERTY`` where a mesh object has no array of a name.
     UnsupportedError
-        for cells that are no polygons, and for other classes of these libraries.
+        for cells that are no polygons.
     ResourceError
         where there is not enough memory.
 

@@ -23,18 +23,6 @@ Array = NDArray[Any]
 ARRAYS = "arrays"
 """What a mesh without a file is called."""
 
-_INSTEAD = {
-    ("trimesh", "Scene"): "scene.to_mesh(), or one of scene.geometry",
-    ("trimesh", "PointCloud"): "a mesh made of the points",
-    ("pyvista", "DataSet"): "dataset.extract_surface()",
-    ("pyvista", "MultiBlock"): "one of its blocks, as PolyData",
-    ("vtkmodules", "vtkPolyData"): "pyvista.wrap(mesh)",
-    ("vtkmodules", "vtkDataObject"): "its surface, as pyvista.PolyData",
-    ("open3d", "PointCloud"): "a mesh made of the points",
-    ("open3d", "Geometry"): "an open3d.geometry.TriangleMesh",
-}
-"""What to give in place of other classes of these packages."""
-
 
 @dataclass(eq=False, kw_only=True)
 class MemoryMesh(Surface):
@@ -282,8 +270,7 @@ _READERS: dict[tuple[str, str], Callable[[Any], MemoryMesh]] = {
 
 def read_mesh(vertices: Any, faces: Any = None) -> MemoryMesh:
     """The mesh of arrays, or where there are no ``faces`` of an object of trimesh, pyvista, meshio
-    or open3d; UnsupportedError for another class of these packages, or cells that are no faces,
-    UsageError for anything else."""
+    or open3d; UnsupportedError for cells that are no faces, UsageError for anything else."""
     if isinstance(faces, str):
         raise UsageError(
             f"faces are {faces!r}, a text",
@@ -292,23 +279,17 @@ def read_mesh(vertices: Any, faces: Any = None) -> MemoryMesh:
     if faces is not None:
         return from_arrays(vertices, faces)
     mesh = vertices
-    names = [(base.__module__.partition(".")[0], base.__name__) for base in type(mesh).__mro__]
-    for name in names:
-        if name in _READERS:
-            return _READERS[name](mesh)
-    for name in names:
-        if name in _INSTEAD:
-            raise UnsupportedError(
-                f"a {'.'.join(names[0])} is not denoised", hint=f"give {_INSTEAD[name]}"
-            )
+    for base in type(mesh).__mro__:
+        if reader := _READERS.get((base.__module__.partition(".")[0], base.__name__)):
+            return reader(mesh)
     if isinstance(mesh, str | bytes) or hasattr(mesh, "__fspath__"):
         raise UsageError(
             f"{mesh!r} is a path, not a mesh", hint="denoise_file and denoise_folder read files"
         )
     raise UsageError(
         f"a {type(mesh).__name__} alone is no mesh",
-        hint="give vertices (n, 3) and faces (m, 3), or an object of trimesh, pyvista, meshio or "
-        "open3d",
+        hint="give vertices (n, 3) and faces (m, 3), or a trimesh.Trimesh (scene.to_mesh()), "
+        "pyvista.PolyData (dataset.extract_surface()), meshio.Mesh or TriangleMesh of open3d",
     )
 
 
