@@ -147,7 +147,7 @@ def share_borders(borders: Sequence[Border], is_single: Sequence[bool]) -> Share
     if any(is_single) and not all(is_single):
         with np.errstate(over="ignore"):
             place = _first_alike(positions.astype(np.float32).astype(np.float64))
-        _join_rounded(group, place, np.array(is_single)[file_of], positions, file_of)
+        _join_rounded(group, place, np.array(is_single)[file_of], file_of)
     return SharedBorders(starts, positions, file_of, group)
 
 
@@ -156,31 +156,18 @@ def _first_alike(positions: Floats) -> Longs:
     return first_alike(positions, np.ones(len(positions), dtype=np.bool_))[0].astype(np.int64)
 
 
-def _join_rounded(
-    group: Longs, place: Longs, is_single: Flags, positions: Floats, file_of: Ints
-) -> None:
-    """Join the points that are at one ``place`` (n,) with a point in single precision; those
-    nearest to it first, and never two points of one file."""
-    leader = np.full(len(place), -1, dtype=np.int64)
-    singles = np.flatnonzero(is_single)[::-1]
-    leader[place[singles]] = singles
-    at = np.flatnonzero(leader[place] >= 0)
+def _join_rounded(group: Longs, place: Longs, is_single: Flags, file_of: Ints) -> None:
+    """Join the points at one ``place`` (n,) with a point in single precision, unless two of them
+    are points of one file."""
+    has_single = np.zeros(len(place), dtype=np.bool_)
+    has_single[place[is_single]] = True
+    at = np.flatnonzero(has_single[place])
     at = at[np.lexsort((file_of[at], place[at]))]
     is_repeated = (place[at[1:]] == place[at[:-1]]) & (file_of[at[1:]] == file_of[at[:-1]])
     is_unclear = np.zeros(len(place), dtype=np.bool_)
     is_unclear[place[at[1:][is_repeated]]] = True
-    clear, rest = at[~is_unclear[place[at]]], np.sort(at[is_unclear[place[at]]])
+    clear = at[~is_unclear[place[at]]]
     group[clear] = place[clear]
-    members: dict[int, list[int]] = {}
-    for point in rest.tolist():
-        members.setdefault(int(group[point]), []).append(point)
-    gap = positions[rest] - positions[leader[place[rest]]]
-    for point in rest[np.lexsort((rest, (gap * gap).sum(axis=1)))].tolist():
-        a, b = int(group[point]), int(group[leader[place[point]]])
-        if a != b and not {*file_of[members[a]].tolist()} & {*file_of[members[b]].tolist()}:
-            both = sorted(members[a] + members[b])
-            group[both] = both[0]
-            members[both[0]] = both
 
 
 def count_unmatched(borders: Sequence[Border], shared: SharedBorders, edge: float) -> list[int]:
