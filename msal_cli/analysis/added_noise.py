@@ -122,20 +122,13 @@ class AddedNoise:
         _require(0.0 <= self.border <= 1.0, "border", self.border, "a number from 0 to 1")
 
     def describe(self) -> str:
-        """The settings that the kind uses, in words: "along (0, 0, 1), shared over 2 rings"."""
-        used = OPTIONS.get(self.kind, ())
-        words = []
-        if "fraction" in used:
-            words.append(f"at {100.0 * self.fraction:g} % of the vertices")
+        """The settings that the kind uses, such as "rings 2, direction (0, 0, 1)"."""
+        used = {name: getattr(self, name) for name in OPTIONS.get(self.kind, ())}
+        if "rings" in used:
+            used["rings"] = self.count_rings()
         if "direction" in used:
-            words.append("along ({:g}, {:g}, {:g})".format(*self.direction))
-        if "step" in used:
-            words.append(f"in steps of {self.step:g} e")
-        if self.border and "border" in used:
-            words.append(f"with a border of {self.border:g}")
-        if n_rings := self.count_rings():
-            words.append(f"shared over {n_rings} ring{'s' * (n_rings > 1)}")
-        return ", ".join(words)
+            used["direction"] = "({:g}, {:g}, {:g})".format(*self.direction)
+        return ", ".join(f"{name} {value}" for name, value in used.items())
 
     def count_rings(self) -> int:
         """Averages over one-rings, the kind's own where none are given."""
