@@ -68,11 +68,12 @@ def moved(file, every: int = 2):
 
 @pytest.fixture
 def share_work(monkeypatch):
-    """Let four threads share the work on a file, however small it is."""
+    """Let four threads share the work on a file, piece by piece, however small it is."""
 
     def share():
         monkeypatch.setenv("MSAL_THREADS", "4")
-        monkeypatch.setattr(slots, "_PARTS", 1)
+        for name, size in (("_PARTS", 1), ("_RECORDS", 2), ("_CHUNK", 64)):
+            monkeypatch.setattr(slots, name, size)
         for name in ("MIN_COUNT", "MIN_RANGE"):
             monkeypatch.setattr(parallel, name, 1)
 
@@ -98,12 +99,14 @@ def test_nothing_moved_gives_back_the_very_bytes(format, data):
 def test_what_is_written_is_the_same_mesh_with_other_positions(format, data, share_work):
     file = open_mesh(data, f"a.{format}")
     vertices = moved(file)
+    vertices[0, 0] = -0.0
     wanted = vertices.copy()
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
     assert np.array_equal(vertices, wanted), "the array that was given is left alone"
     assert bytes(file.encoded(vertices, "same", "same")) == output
     again = open_mesh(output, f"a.{format}")
+    assert bytes(again.replaced(again.vertices + 0.0)) == output, "minus zero is where zero is"
     # An STL whose corners come to lie together has fewer vertices.
     if len(again.vertices) == len(vertices):
         assert np.abs(again.vertices - vertices).max() <= tolerance(file, vertices)

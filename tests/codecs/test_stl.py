@@ -131,18 +131,6 @@ def test_a_normal_that_is_no_number_is_kept_and_so_is_one_without_an_area(bits):
     assert output[84:96] == data[84:96]
 
 
-def test_minus_zero_that_does_not_move_keeps_its_sign():
-    corners = tetrahedron()
-    corners[0, 0] = -0.0
-    data = plain_stl.binary(corners)
-    file = stl.read(data)
-    vertices = file.vertices.copy()
-    vertices[0, 0] = 0.0
-    assert bytes(file.replaced(vertices)) == data
-    vertices[1, 2] += 1.0
-    assert bytes(file.replaced(vertices))[96:100] == data[96:100]
-
-
 def test_a_binary_file_that_begins_with_solid_is_binary():
     data = plain_stl.binary(tetrahedron(), header=b"solid made by an exporter")
     file = stl.read(data)

@@ -13,7 +13,6 @@ from msal_cli.kernels import (
     near_blocks,
     normal_descriptors,
     normal_regression,
-    parallel,
     regression_network,
 )
 from msal_cli.kernels import vectors as small_vectors
@@ -125,18 +124,6 @@ def test_faces_without_noise_do_not_count_where_it_is_uneven(scan):
     alone = globals_of(scan, False)
     assert np.allclose(globals_of(both, True), alone, atol=1e-5)
     assert np.abs(globals_of(both, False) - alone).max() > 0.05
-
-
-def test_threads_and_blocks_do_not_change_a_bit(scan, monkeypatch):
-    network = random_network(count_vectors(0))
-    results = []
-    for count in ("1", "3"):
-        monkeypatch.setenv("MSAL_THREADS", count)
-        monkeypatch.setattr(parallel, "MIN_RANGE", 37 if count == "3" else 10**6)
-        descriptors = described(scan)[0]
-        results.append((descriptors.collect()[0], descriptors.predict(network)))
-    assert (results[0][0] == results[1][0]).all()
-    assert (results[0][1] == results[1][1]).all()
 
 
 def test_a_face_without_area_takes_the_normal_of_those_around():
