@@ -8,17 +8,12 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from msal_cli import codecs
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text
+from tests.cli.scans import closed_scan, folder_of, msal, ply_text
 from tests.report.made import load_schema
 from tests.shapes import noisy, torus
 
 SCHEMA = load_schema("compare")
 ONE = Draft202012Validator({**SCHEMA["$defs"]["ComparisonRecord"], "$defs": SCHEMA["$defs"]})
-
-
-@pytest.fixture
-def scans(tmp_path):
-    return folder_of(tmp_path, a=closed_scan(0), b=closed_scan(1), bad=BAD_SCAN)
 
 
 def test_two_files_in_words_as_one_object_and_as_a_heat_map(scans):

@@ -17,23 +17,9 @@ from msal_cli.batch.interrupts import Terminated
 from msal_cli.batch.schedule import Finished
 from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
+from tests.cli.scans import BAD_SCAN, msal
 from tests.files import tree
 from tests.report.made import load_schema
-
-
-@pytest.fixture
-def scan(tmp_path):
-    return folder_of(tmp_path / "a folder", scan=closed_scan()) / "scan.ply"
-
-
-@pytest.fixture
-def mixed(tmp_path):
-    """A folder of two good files and a bad one."""
-    folder = folder_of(tmp_path / "scans", bad=BAD_SCAN, closed=closed_scan())
-    folder_of(folder / "below", open=open_scan())
-    return folder
-
 
 # One file
 

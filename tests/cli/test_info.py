@@ -9,29 +9,20 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from tests.cli.scans import (
-    BAD_SCAN,
     closed_scan,
     folder_of,
     msal,
     msal_on,
-    open_scan,
     record_of,
 )
 from tests.report.made import load_schema
 
 
-@pytest.fixture
-def scans(tmp_path):
-    folder = folder_of(tmp_path, bad=BAD_SCAN, closed=closed_scan())
-    folder_of(folder / "below", open=open_scan())
-    return folder
-
-
-def test_a_closed_file(scans):
-    made = msal("info", scans / "closed.ply")
+def test_a_closed_file(mixed):
+    made = msal("info", mixed / "closed.ply")
     assert (made.exit_code, made.stderr) == (0, "")
     lines = made.stdout.splitlines()
-    assert lines[0] == str(scans / "closed.ply")
+    assert lines[0] == str(mixed / "closed.ply")
     facts = {line[2:17].strip(): line[18:] for line in lines[1:]}
     assert (facts["vertices"], facts["surface"]) == ("576", "closed")
     assert facts["faces"] == "1,152 (1,152 triangles)"
@@ -47,8 +38,8 @@ def test_one_is_singular(tmp_path):
     assert "1 triangle\n" in msal("compare", path, path).stdout
 
 
-def test_a_folder_is_a_table(scans):
-    made = msal("info", scans)
+def test_a_folder_is_a_table(mixed):
+    made = msal("info", mixed)
     assert made.exit_code == 3
     head, open_row, row, foot = made.stdout.splitlines()
     if "below" not in open_row:
@@ -59,18 +50,18 @@ def test_a_folder_is_a_table(scans):
     assert cells == ["ply", "576", "1,152", "0.3", "closed"]
     assert open_row.split()[5:] == ["open", "18", "boundary", "edges"]
     assert "-v" in foot
-    assert made.stderr.startswith(f"msal: error: {scans / 'bad.ply'}: ")
+    assert made.stderr.startswith(f"msal: error: {mixed / 'bad.ply'}: ")
 
 
 @pytest.mark.parametrize(
     ("names", "status"), [(["closed.ply"], 0), (["bad.ply"], 1), (["bad.ply", "closed.ply"], 3)]
 )
-def test_json_has_one_shape_for_one_file_and_for_many(scans, names, status):
-    made = msal("info", "--json", *(scans / name for name in names))
+def test_json_has_one_shape_for_one_file_and_for_many(mixed, names, status):
+    made = msal("info", "--json", *(mixed / name for name in names))
     assert made.exit_code == status
     data = json.loads(made.stdout)
     Draft202012Validator(load_schema("info")).validate(data)
-    assert [one["input"] for one in data["records"]] == [str(scans / name) for name in names]
+    assert [one["input"] for one in data["records"]] == [str(mixed / name) for name in names]
     assert ("bad.ply" in made.stderr) == ("bad.ply" in names)
     for record in data["records"]:
         assert (record["error"] is None) == record["input"].endswith("closed.ply")

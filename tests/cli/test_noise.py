@@ -55,11 +55,6 @@ def test_noise_beyond_the_numbers_of_the_file_asks_for_a_lower_level(tmp_path):
 ALL = ",".join(fields.KINDS)
 
 
-@pytest.fixture
-def scan(tmp_path):
-    return folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
-
-
 def table(path):
     """The columns of the vertices of a binary PLY, by name."""
     data = path.read_bytes()

@@ -13,7 +13,7 @@ from msal_cli import machine
 from msal_cli.cli.streams import Stream, choose_format, find_stream, read_stream
 from msal_cli.errors import InputError, ResourceError, TooLargeError, UsageError
 from msal_cli.storage import regular
-from tests.cli.scans import MSAL, closed_scan, folder_of, msal, msal_on, process, record_of
+from tests.cli.scans import MSAL, closed_scan, msal, msal_on, process, record_of
 from tests.files import Terminal
 
 SCAN = closed_scan()
@@ -66,11 +66,6 @@ def test_a_standard_input_that_is_closed(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(InputError, match="closed"):
         read_stream()
-
-
-@pytest.fixture
-def scan(tmp_path):
-    return folder_of(tmp_path, scan=SCAN) / "scan.ply"
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,9 @@ import sys
 import webbrowser
 
 import numpy as np
-import pytest
 from PIL import Image
 
-from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
-
-
-@pytest.fixture
-def scans(tmp_path):
-    return folder_of(tmp_path, a=closed_scan(0), b=closed_scan(1), bad=BAD_SCAN)
+from tests.cli.scans import msal
 
 
 def seen(path):

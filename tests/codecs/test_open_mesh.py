@@ -15,16 +15,21 @@ from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
 
-CORNERS = tetrahedron()
-STL = plain_stl.binary(CORNERS)
-STL_TEXT = plain_stl.text(CORNERS).encode()
-PLY = (
-    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-    b"property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+PLY_HEADER = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(
+    f"property float {name}\n" for name in "xyz"
 )
-OBJ = b"# a comment\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+TEXTS = {
+    "a.ply": PLY_HEADER + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n1{0}5 0 0\n0 1 0\n3 0 1 2\n",
+    "a.obj": "v 0 0 0\nv 1{0}5 0 0\nv 0 1 0\nf 1 2 3\n",
+    "a.off": "OFF\n3 1 0\n0 0 0\n1{0}5 0 0\n0 1 0\n3 0 1 2\n",
+    "a.stl": "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1{0}5 0 0\n"
+    "vertex 0 1 0\nendloop\nendfacet\nendsolid a\n",
+}
+"""A triangle; the place of {0} is that of a decimal point."""
+
+PLY, OBJ, OFF, STL_TEXT = (text.format(".").encode() for text in TEXTS.values())
+STL = plain_stl.binary(tetrahedron())
 GLB, GLTF = (bytes(convert(open_mesh(OBJ, "a.obj"), np.eye(3), to)[0]) for to in ("glb", "gltf"))
 FILES = {"ply": PLY, "obj": OBJ, "stl": STL, "off": OFF, "glb": GLB, "gltf": GLTF}
 
@@ -136,19 +141,6 @@ def test_formats_that_another_program_converts(name, content):
     assert re.search(r"meshio convert \S+ mesh\.ply|Blender", caught.value.hint)
     with pytest.raises(UnsupportedError, match="cannot be written"):
         convert(open_mesh(PLY, "a.ply"), np.eye(3), "msh")
-
-
-PLY_HEADER = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(
-    f"property float {name}\n" for name in "xyz"
-)
-TEXTS = {
-    "a.ply": PLY_HEADER + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    "0 0 0\n1{0}5 0 0\n0 1 0\n3 0 1 2\n",
-    "a.obj": "v 0 0 0\nv 1{0}5 0 0\nv 0 1 0\nf 1 2 3\n",
-    "a.off": "OFF\n3 1 0\n0 0 0\n1{0}5 0 0\n0 1 0\n3 0 1 2\n",
-    "a.stl": "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1{0}5 0 0\n"
-    "vertex 0 1 0\nendloop\nendfacet\nendsolid a\n",
-}
 
 
 @pytest.mark.parametrize("name", TEXTS)
