@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import logging
 
-from msal_cli.api.denoise import DenoiseResult as DenoiseResult, denoise as denoise
-from msal_cli.api.files import denoise_file as denoise_file, denoise_folder as denoise_folder
+from msal_cli.api.denoise import (
+    DenoiseResult as DenoiseResult,
+    denoise as denoise,
+    denoise_file as denoise_file,
+    denoise_folder as denoise_folder,
+)
 from msal_cli.api.method_list import MethodInfo as MethodInfo, list_methods as list_methods
 from msal_cli.api.measure import (
     add_noise as add_noise,
