@@ -22,9 +22,8 @@ from benchmarks import scanner_cases, scanner_outcomes
 from benchmarks.scanner_cases import CLEAN, Pair
 from benchmarks.scanner_outcomes import NOISY, Outcome, Outcomes, Row
 from benchmarks.scanner_tables import Rows, cell, errors_of
-from msal_cli.analysis.measures import share_over_rings
+from msal_cli.analysis.measures import nearest_on_surface, share_over_rings
 from msal_cli.analysis.noise_estimate import NoiseCharacter, NoiseLevel, estimate_noise
-from msal_cli.analysis.surface_distance import nearest_on_surface
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals, ring_means
 from msal_cli.mesh import Mesh

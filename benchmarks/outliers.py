@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from benchmarks import ground_truth, machine
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
-from msal_cli.analysis.measures import measure_surface_change, vertex_error_percent
-from msal_cli.analysis.outliers import find_outliers
-from msal_cli.analysis.surface_distance import (
+from msal_cli.analysis.measures import (
+    measure_surface_change,
     surface_distances,
+    vertex_error_percent,
 )
+from msal_cli.analysis.outliers import find_outliers
 from msal_cli.auto import Wishes
 from msal_cli.job import choice as automatic
 from msal_cli.kernels.geometry import distances

@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
 from msal_cli import codecs, methods
-from msal_cli.analysis.measures import measure_surface_change, vertex_error_percent
-from msal_cli.analysis.surface_distance import (
+from msal_cli.analysis.measures import (
     distances_to_surface,
+    measure_surface_change,
     used_vertices,
+    vertex_error_percent,
 )
 from msal_cli.auto import Wishes
 from msal_cli.job.pipeline import denoise_bytes

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.surface_distance import nearest_on_surface
+from msal_cli.analysis.measures import nearest_on_surface
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas
 from msal_cli.mesh import Mesh
 

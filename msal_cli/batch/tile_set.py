@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from msal_cli.analysis.measures import at_other_positions
 from msal_cli.analysis.shared_borders import (
     Border,
     SharedBorders,
@@ -22,7 +23,6 @@ from msal_cli.analysis.shared_borders import (
     find_border,
     share_borders,
 )
-from msal_cli.analysis.surface_distance import at_other_positions
 from msal_cli.batch import interrupts
 from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msal_cli.analysis import measures, surface_distance
+from msal_cli.analysis import measures
 from msal_cli.codecs import header
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import MsalError
@@ -126,7 +126,7 @@ def compare_meshes(
     reference, edge = first.mesh, first.mesh.mean_edge_length
     figures: dict[str, Any] = {}
     if before.has_same_faces(after):
-        moved = surface_distance.at_other_positions(first, after.vertices)
+        moved = measures.at_other_positions(first, after.vertices)
         warnings = _add_changes(figures, first, moved)
         gap = figures["seam_gap"] = first.seam_gap(after.vertices)
         if gap > 0.0:
@@ -144,13 +144,13 @@ def compare_meshes(
             n_before, n_after = map(measures.count_self_intersections, (reference, moved))
             figures["self_intersections"] = SelfIntersections(n_before, n_after, None)
     if to_surface:
-        step = max(map(surface_distance.sampling_step, (reference, moved)))
+        step = max(map(measures.sampling_step, (reference, moved)))
         if step > 1:
             warnings.append(
                 f"distances to the surfaces are measured at one in {step} vertices and faces; "
                 "the Hausdorff distance may be greater"
             )
-        to_before, to_after, hausdorff = surface_distance.surface_distances(reference, moved)
+        to_before, to_after, hausdorff = measures.surface_distances(reference, moved)
         figures |= {
             "distance_to_before": SurfaceDistance(**changes.distance_fields(to_before, edge)),
             "distance_to_after": SurfaceDistance(**changes.distance_fields(to_after, edge)),
@@ -233,7 +233,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
     if before.has_same_faces(after):
         return distances(before.vertices, after.vertices)
     reference = prepare_mesh(before)
-    return surface_distance.distances_to_surface(after.vertices - reference.origin, reference.mesh)
+    return measures.distances_to_surface(after.vertices - reference.origin, reference.mesh)
 
 
 def build_heatmap(

@@ -10,9 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis import surface_distance
 from msal_cli.analysis.colour_maps import colour_table, map_colours
-from msal_cli.analysis.measures import measure_enclosure
+from msal_cli.analysis.measures import (
+    at_other_positions,
+    distances_to_surface,
+    measure_enclosure,
+)
 from msal_cli.arrays import Floats, Ints
 from msal_cli.codecs.colours import surface_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
@@ -118,7 +121,7 @@ def scene_of(
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
     if before.has_same_faces(after):
         record = comparison.compare_meshes(before, after, *names, to_surface=False)
-        moved = surface_distance.at_other_positions(first, after.vertices)
+        moved = at_other_positions(first, after.vertices)
         step = moved.vertices - first.mesh.vertices
         along = (step * first.mesh.vertex_normals()).sum(axis=1)
         along *= measure_enclosure(first).outward_signs(first.mesh)
@@ -129,7 +132,7 @@ def scene_of(
     there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
     distances = None
     if to_surface:
-        distances = surface_distance.distances_to_surface(there.vertices, first.mesh)
+        distances = distances_to_surface(there.vertices, first.mesh)
     scene = Scene(names, first.mesh, there, distances, False, record)
     return _with_colours(scene, (before, after), (first, second))
 

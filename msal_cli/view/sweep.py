@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from msal_cli.analysis import surface_distance
 from msal_cli.analysis.measures import (
     Enclosure,
+    at_other_positions,
     displacement,
     measure_enclosure,
     measure_surface_change,
@@ -167,7 +167,7 @@ def subject(
                 hint="give the mesh from which the noisy one was made",
             )
         prepare_mesh(reference, reference_name)
-        truth = surface_distance.at_other_positions(ready, reference.vertices)
+        truth = at_other_positions(ready, reference.vertices)
     camera = pictures.camera_of(pictures.Scene((name,), ready.mesh), view)
     return Subject(name, ready, truth, camera, measure_enclosure(ready))
 
@@ -189,7 +189,7 @@ def choice_cells(on: Subject, mesh_file: MeshFile) -> Iterator[tuple[Cell, Mesh,
     """The same of each of ``CHOICES``, for the mesh in an open file."""
     for choice, (name, words) in CHOICES.items():
         run = FileRun(on.name, Settings(name))
-        moved = surface_distance.at_other_positions(on.ready, run.move_vertices(mesh_file))
+        moved = at_other_positions(on.ready, run.move_vertices(mesh_file))
         used = run.finish(None).method
         assert used is not None
         cell = replace(_measure(on, moved, used.parameters, words), choice=choice)

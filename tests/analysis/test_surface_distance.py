@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msal_cli.analysis import surface_distance
+from msal_cli.analysis import measures
+from msal_cli.analysis.measures import (
+    at_other_positions,
+    distances_to_surface,
+    nearest_on_surface,
+    surface_distances,
+)
 from msal_cli.analysis.shared_borders import (
     Border,
     count_unmatched,
     find_border,
     share_borders,
-)
-from msal_cli.analysis.surface_distance import (
-    at_other_positions,
-    distances_to_surface,
-    nearest_on_surface,
-    surface_distances,
 )
 from msal_cli.codecs import open_mesh
 from msal_cli.job import room
@@ -130,9 +130,9 @@ def test_large_meshes_are_sampled(monkeypatch):
     small = prepare_mesh(*torus()).mesh
     large = small.with_vertices(1.1 * small.vertices)
     exact = surface_distances(small, large)
-    monkeypatch.setattr(surface_distance, "MAX_POINTS", 300)
-    monkeypatch.setattr(surface_distance, "SAMPLED_POINTS", 300)
-    assert surface_distance.sampling_step(small) == 3
+    monkeypatch.setattr(measures, "MAX_POINTS", 300)
+    monkeypatch.setattr(measures, "SAMPLED_POINTS", 300)
+    assert measures.sampling_step(small) == 3
     sampled = surface_distances(small, large)
     assert sampled[0].mean == pytest.approx(exact[0].mean, rel=0.15)
     assert sampled[2] <= exact[2]
