@@ -14,6 +14,7 @@ from msal_cli import codecs
 from msal_cli.analysis import noise_estimate
 from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.measures import share_over_rings
+from msal_cli.analysis.noise_estimate import patterns
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence
 from msal_cli.analysis.noise_estimate.fits import estimate_white
 from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
@@ -47,6 +48,57 @@ def test_isotropic_noise(smooth, level):
     _, noise = with_noise(smooth, "gaussian", level)
     assert summarize(noise) == ("isotropic", "isotropic", 0)
     assert noise.file_units == pytest.approx(level * smooth.mean_edge_length, rel=0.1)
+
+
+def _ridged(u, v):
+    return np.abs(u % 1.0 - 0.5)
+
+
+PATTERNS = {
+    "thread": _ridged,
+    "waves": lambda u, v: 0.5 * np.sin(2.0 * np.pi * u),
+    "knurls": lambda u, v: np.minimum(_ridged(u, v), _ridged(v, u)),
+    "fabric": lambda u, v: 0.5 * np.sin(2.0 * np.pi * u) * np.sin(1.6 * np.pi * v),
+}
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+def test_shape_that_repeats_is_left_alone(name, monkeypatch):
+    flat, faces = grid(90, 90)
+    draws = np.random.default_rng(3)
+    points = flat + np.column_stack([draws.uniform(-0.25, 0.25, (len(flat), 2)), np.zeros(90 * 90)])
+
+    def shaped(period, noise=0.0):
+        heights = 2.0 * PATTERNS[name](points[:, 0] / period, points[:, 1] / period)
+        heights += noise * draws.standard_normal(len(points))
+        return prepare_mesh(np.column_stack([points[:, :2], heights]), faces).mesh
+
+    for period in (3.75, 5.3):
+        noise = noise_estimate.estimate_noise(shaped(period))
+        assert noise.is_negligible
+        assert noise.character.kind == "none"
+    # As much noise as there is shape is seen, whatever is under it.
+    assert noise_estimate.estimate_noise(shaped(3.75, noise=0.5)).mean_edges > 0.2
+    monkeypatch.setattr(noise_estimate, "is_patterned", lambda mesh, survey: False)
+    seen = [noise_estimate.estimate_noise(shaped(period)) for period in (3.75, 5.3)]
+    assert not all(noise.is_negligible for noise in seen)
+
+
+def test_a_plane_wave_explains_itself(smooth):
+    rough, _ = with_noise(smooth, "gaussian-normal")
+    sheet, faces = grid(40, 40)
+    sheet[:, 2] = np.sin(1.3 * sheet[:, 0] + 0.4 * sheet[:, 1])
+    for mesh, vertex, explained in (
+        (prepare_mesh(sheet, faces).mesh, 20 * 40 + 20, (0.99, 1.0)),
+        (rough, 5_000, (0.0, 0.6)),
+    ):
+        normal = mesh.vertex_normals("uniform", 3)[vertex]
+        place = patterns.Place.look_at(mesh, vertex, normal, np.zeros(len(mesh.vertices), bool))
+        assert explained[0] <= place.explain() <= explained[1] + 1e-6
+        if mesh is not rough:
+            length = patterns.SHORTEST * patterns.STEP ** place.find_length()
+            true = 2.0 * np.pi / np.hypot(1.3, 0.4) / mesh.mean_edge_length
+            assert abs(np.log(length / true)) < np.log(patterns.STEP)
 
 
 @pytest.mark.parametrize("rings", [1, 2, 3])

@@ -53,6 +53,7 @@ from msal_cli.analysis.noise_estimate.level import (
     Reading,
     to_clean_edges,
 )
+from msal_cli.analysis.noise_estimate.patterns import is_patterned
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import Mesh, cached_by_mesh
@@ -145,11 +146,18 @@ MAX_SLIDE = 1.6
 """Greatest ratio of the level by how far vertices slide along the axis to that by what fits leave:
 noise along an axis has 1.0 to 1.5, range scans with uneven rows 4."""
 
-FLOOR_SHARE, MIN_FLOOR, MAX_FLOOR, SURE_FLOOR = 0.05, 0.03, 2.5, 0.97
-"""Noise has at least the last probability where fits over two rings leave ``MIN_FLOOR`` mean edge
-lengths and more at all places but a twentieth, and fits over six rings at half of them hardly more
-than that: ``MAX_FLOOR`` times at most.  Clean meshes of 1,000 vertices and more have 3.7 and
-more."""
+FLOOR_SHARE, MIN_FLOOR, MAX_FLOOR, MIN_FLOOR_NOISE, SURE_FLOOR = 0.05, 0.03, 2.5, 0.2, 0.97
+"""Noise whose probability is not below the fourth number has at least the last one where fits over
+two rings leave ``MIN_FLOOR`` mean edge lengths and more at all places but a twentieth, and fits
+over six rings at half of them hardly more than that: ``MAX_FLOOR`` times at most.  Clean meshes of
+1,000 vertices and more have 3.7 and more, but for patterns as fine as the mesh."""
+
+MAX_PATTERNED = 0.3
+"""Greatest probability of noise where nearly all that fits leave is shape that repeats; terraces
+and depths in steps repeat, too."""
+
+STEPPED = ("staircase", "quantised")
+"""Kinds of noise that repeat on slopes."""
 
 SHARED_KINDS = ("correlated", "view", "uneven")
 """Kinds of noise that neighbours may share."""
@@ -373,7 +381,7 @@ def characterize(mesh: Mesh) -> Estimate:
     if is_few:
         verdict = dataclasses.replace(verdict, noise=min(verdict.noise, MAX_FEW))
     has_floor = n_used >= MANY_VERTICES and _has_floor(evidence)
-    if has_floor and verdict.noise < SURE_FLOOR:
+    if has_floor and MIN_FLOOR_NOISE < verdict.noise < SURE_FLOOR:
         probability = SURE_FLOOR * verdict.probability / verdict.noise
         verdict = dataclasses.replace(verdict, noise=SURE_FLOOR, probability=probability)
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
@@ -398,6 +406,10 @@ def characterize(mesh: Mesh) -> Estimate:
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
     if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
+    has_steps = verdict.kind in STEPPED or evidence.steps.n_axes == 3
+    if not has_steps and is_patterned(mesh, evidence.survey):
+        probability = min(verdict.noise, MAX_PATTERNED)
+        return _without_noise(white, 1.0 - probability, "shape that repeats", measured)
     character = NoiseCharacter(
         "unknown", confidence=verdict.probability, basis=_describe_fits(evidence)
     )

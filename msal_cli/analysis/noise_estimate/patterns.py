@@ -1,0 +1,186 @@
+"""Shape that repeats: knurls, threads, fabric, layers of a print.  Noise has no wave length.
+
+Around some places the heights over a cubic polynomial are explained by plane waves, the best one
+first, then what is best beside it.  A pattern is explained nearly whole by few waves, and the
+first is as long at every place; what looks like a wave in noise is of another length elsewhere.
+Waves of hardly more than two edges cannot be told from noise.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from msal_cli.analysis.noise_estimate.fits import Survey
+from msal_cli.arrays import Flags, Floats, Floats32, Longs
+
+if TYPE_CHECKING:
+    from msal_cli.mesh import Mesh
+
+PLACES, FIRST_PLACES = 24, 6
+"""Places that are looked at, and the first of them, after which it is clear for most noise; fewer
+say nothing."""
+
+REACH, MIN_AROUND, MAX_AROUND = 7.0, 60, 250
+"""Mean edge lengths around a place, and the vertices there."""
+
+SHORTEST, STEP, PERIODS, DIRECTIONS = 2.1, 1.16, 11, 12
+"""Lengths of waves, in mean edge lengths from the first on, each by a factor more than the one
+before; and how many directions they have."""
+
+GRID = np.indices((PERIODS, DIRECTIONS)).reshape(2, -1).T.astype(np.float32)
+AROUND = (np.indices((3, 3)).reshape(2, -1).T - 1.0).astype(np.float32)
+"""Waves as the logarithm of the length and the direction, in steps: the first ones, and what is
+added to the best one, finer and finer."""
+
+LONGEST = 8.5
+"""Steps of the length, beyond which noise that neighbours share may have its first wave at every
+place: 7.4 mean edge lengths."""
+
+WAVES, DEGREE = 4, 3
+
+FIRST_ALIKE, MIN_ALIKE, MIN_EXPLAINED = 0.8, 0.9, 0.85
+"""Share of the first places, and of all, whose first wave has the usual length, within a step, and
+part of the squared heights that the waves explain, from which shape repeats.  Under noise of every
+kind on eleven models at most 0.83 of the places are alike where so much is explained."""
+
+TINY = 1e-4
+"""Mean edge lengths, root mean square, below which heights say nothing."""
+
+MIN_INDEPENDENT = 0.005
+"""Of the squared size of a wave, below which polynomials and other waves leave nothing of it."""
+
+
+def is_patterned(mesh: Mesh, survey: Survey) -> bool:
+    """Whether what polynomials leave over of ``mesh`` is shape that repeats, at the places of the
+    ``survey``."""
+    count = min(PLACES, len(survey.vertices))
+    at = ((np.arange(count) + 0.5) * (len(survey.vertices) / max(count, 1))).astype(np.int64)
+    # The first ones are spread over the mesh, too.
+    at = np.concatenate([at[first::4] for first in range(4)])
+    is_met = np.zeros(len(mesh.vertices), dtype=np.bool_)
+    looked = (Place.look_at(mesh, int(survey.vertices[k]), survey.normals[k], is_met) for k in at)
+    found = (place for place in looked if place is not None)
+    first = list(itertools.islice(found, FIRST_PLACES))
+    if len(first) < FIRST_PLACES or not _are_patterned(first, FIRST_ALIKE):
+        return False
+    return _are_patterned([*first, *found], MIN_ALIKE)
+
+
+def _are_patterned(places: Sequence[Place], min_alike: float) -> bool:
+    lengths = np.array([place.find_length() for place in places])
+    usual = float(np.median(lengths))
+    if usual > LONGEST or float((np.abs(lengths - usual) <= 1.0).mean()) < min_alike:
+        return False
+    return float(np.median([place.explain() for place in places])) >= MIN_EXPLAINED
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """What is around a place.
+
+    Attributes
+    ----------
+    points : (k, 2) positions across the normal, mean edge lengths.
+    known : (k, c) the polynomials, orthogonal.
+    rest : (k,) heights without them, of length 1.
+    grid : cosines and sines (k, w) of the waves of ``GRID``.
+    """
+
+    points: Floats32
+    known: Floats32
+    rest: Floats32
+    grid: tuple[Floats32, Floats32]
+
+    @classmethod
+    def look_at(cls, mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> Place | None:
+        """What is around a vertex; None where too little is, or it is smooth.  ``is_met`` (n,) is
+        False everywhere, before and after."""
+        around = _collect_around(mesh, vertex, normal, is_met)
+        if len(around) < MIN_AROUND:
+            return None
+        offsets = (mesh.vertices[around] - mesh.vertices[vertex]) / mesh.mean_edge_length
+        _, _, axes = np.linalg.svd(normal[None])
+        (x, y), heights = axes[1:] @ offsets.T, offsets @ normal
+        powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+        known, _ = np.linalg.qr(np.stack([x**i * y**j for i, j in powers], axis=1))
+        rest = heights - known @ (known.T @ heights)
+        size = math.sqrt(float(rest @ rest))
+        if size <= math.sqrt(len(around)) * TINY:
+            return None
+        points = np.stack([x, y], axis=1).astype(np.float32)
+        grid = _make_waves(points, GRID)
+        return cls(points, known.astype(np.float32), (rest / size).astype(np.float32), grid)
+
+    def find_length(self) -> float:
+        """The length of the best wave, in steps."""
+        return float(GRID[int(_explained_parts(*self.grid, self.known, self.rest).argmax())][0])
+
+    def explain(self) -> float:
+        """Which part of the squared heights the best ``WAVES`` explain."""
+        known, rest = self.known, self.rest
+        for _ in range(WAVES):
+            wave = GRID[int(_explained_parts(*self.grid, known, rest).argmax())]
+            for nearer in (0.5, 0.25):
+                tried = wave + np.float32(nearer) * AROUND
+                even, odd = _make_waves(self.points, tried)
+                best = int(_explained_parts(even, odd, known, rest).argmax())
+                wave = tried[best]
+            known, _ = np.linalg.qr(np.column_stack([known, even[:, best], odd[:, best]]))
+            rest = rest - known @ (known.T @ rest)
+        return 1.0 - float(rest @ rest)
+
+
+def _make_waves(points: Floats32, waves: Floats32) -> tuple[Floats32, Floats32]:
+    """Cosine and sine (k, w) of ``waves`` (w, 2) at ``points`` (k, 2), mean edge lengths."""
+    turns = (np.pi / DIRECTIONS) * waves[:, 1]
+    numbers = 2.0 * math.pi / (SHORTEST * STEP ** waves[:, 0])
+    phases = points @ (np.stack([np.cos(turns), np.sin(turns)]) * numbers).astype(np.float32)
+    return np.cos(phases), np.sin(phases)
+
+
+def _explained_parts(even: Floats32, odd: Floats32, known: Floats32, rest: Floats32) -> Floats32:
+    """What each pair of columns of ``even`` and ``odd`` (k, w) explains (w,) of the squared
+    ``rest`` (k,) beside the orthogonal columns of ``known`` (k, c), which it has nothing of."""
+    known_even, known_odd = known.T @ even, known.T @ odd
+    even_square = _dots(even, even) - _dots(known_even, known_even)
+    odd_square = _dots(odd, odd) - _dots(known_odd, known_odd)
+    both = _dots(even, odd) - _dots(known_even, known_odd)
+    by_even, by_odd = rest @ even, rest @ odd
+    size = even_square * odd_square - both * both
+    gained = by_even**2 * odd_square - 2.0 * by_even * by_odd * both + by_odd**2 * even_square
+    is_there = size > MIN_INDEPENDENT * len(rest) ** 2
+    parts: Floats32 = np.where(is_there, gained / np.where(is_there, size, 1.0), 0.0)
+    return parts
+
+
+def _dots(a: Floats32, b: Floats32) -> Floats32:
+    """Products of columns."""
+    products: Floats32 = np.einsum("ij,ij->j", a, b)
+    return products
+
+
+def _collect_around(mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> Longs:
+    """Vertices within ``REACH`` of one, over edges, that face the same side."""
+    starts, ring = mesh.topology.one_ring
+    normals = mesh.vertex_normals("uniform", 1)
+    found = last = np.array([vertex])
+    is_met[last] = True
+    most = (REACH * mesh.mean_edge_length) ** 2
+    while len(last) and len(found) < MAX_AROUND:
+        counts = starts[last + 1] - starts[last]
+        ends = np.cumsum(counts)
+        new = ring[np.repeat(starts[last] - (ends - counts), counts) + np.arange(ends[-1])]
+        new = np.unique(new[~is_met[new]])
+        offsets = mesh.vertices[new] - mesh.vertices[vertex]
+        is_near = (offsets * offsets).sum(axis=1) < most
+        last = new[is_near & (normals[new] @ normal > 0.0)]
+        is_met[last] = True
+        found = np.concatenate([found, last])
+    is_met[found] = False
+    return found[:MAX_AROUND]
