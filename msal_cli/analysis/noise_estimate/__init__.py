@@ -146,12 +146,6 @@ MAX_SLIDE = 1.6
 """Greatest ratio of the level by how far vertices slide along the axis to that by what fits leave:
 noise along an axis has 1.0 to 1.5, range scans with uneven rows 4."""
 
-FLOOR_SHARE, MIN_FLOOR, MAX_FLOOR, MIN_FLOOR_NOISE, SURE_FLOOR = 0.05, 0.03, 2.5, 0.2, 0.97
-"""Noise whose probability is not below the fourth number has at least the last one where fits over
-two rings leave ``MIN_FLOOR`` mean edge lengths and more at all places but a twentieth, and fits
-over six rings at half of them hardly more than that: ``MAX_FLOOR`` times at most.  Clean meshes of
-1,000 vertices and more have 3.7 and more, but for patterns as fine as the mesh."""
-
 MAX_PATTERNED = 0.3
 """Greatest probability of noise where nearly all that fits leave is shape that repeats; terraces
 and depths in steps repeat, too."""
@@ -380,17 +374,10 @@ def characterize(mesh: Mesh) -> Estimate:
     is_few = n_used < FEW_VERTICES
     if is_few:
         verdict = dataclasses.replace(verdict, noise=min(verdict.noise, MAX_FEW))
-    has_floor = n_used >= MANY_VERTICES and _has_floor(evidence)
-    if has_floor and MIN_FLOOR_NOISE < verdict.noise < SURE_FLOOR:
-        probability = SURE_FLOOR * verdict.probability / verdict.noise
-        verdict = dataclasses.replace(verdict, noise=SURE_FLOOR, probability=probability)
     is_named = verdict.probability >= _naming_probability(verdict, evidence)
     measured = verdict.measured
     if not is_named and _is_surely_shared(verdict, evidence):
         measured = verdict.level
-        if has_floor:
-            verdict = dataclasses.replace(verdict, kind="correlated")
-            is_named = True
     elif not is_named:
         # In doubt what the finest fits see, which relief adds least to.
         measured = min(measured, white.level.mean_edges)
@@ -476,12 +463,6 @@ def _is_surely_shared(verdict: Verdict, evidence: Evidence) -> bool:
     is_relief = evidence.colour is not None and evidence.colour.is_relief
     is_noise = verdict.noise >= SURE_SHARED_NOISE
     return is_noise and not is_relief and not _may_be_white(evidence)
-
-
-def _has_floor(evidence: Evidence) -> bool:
-    """Whether fits leave much the same over two rings and over six, which no shape does."""
-    low, wide = evidence.survey.quantile(TWO, FLOOR_SHARE), evidence.survey.quantile(SIX, 0.5)
-    return low > MIN_FLOOR**2 and wide < MAX_FLOOR**2 * low
 
 
 def _naming_probability(verdict: Verdict, evidence: Evidence) -> float:
