@@ -78,14 +78,11 @@ def name_of(path):
     )
 
 
-def layer_of(path):
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-
-
 def test_imports_keep_to_the_table():
     wrong = []
     for path in modules():
-        layer, module = layer_of(path), name_of(path).removeprefix("msal_cli.")
+        layer = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        module = name_of(path).removeprefix("msal_cli.")
         for name in sorted(imports(path)):
             top, _, inner = name.partition(".")
             if top == "msal_cli" and inner:

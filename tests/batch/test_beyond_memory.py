@@ -105,11 +105,6 @@ def forget_peak(folder: Path) -> None:
     assert array_files.count_scratch().peak_bytes < 1000
 
 
-def limits_for(task, settings) -> Limits:
-    """A limit in the middle between what arrays in files take and what those in memory do."""
-    return Limits(memory_bytes=(forecast(task, settings).memory_bytes + BASE_BYTES) // 2)
-
-
 SETTINGS = {
     **{name: Settings(name) for name in ("msal", "bilateral_normal", "l0", "learned")},
     "plain": Settings(ADAPTIVE),
@@ -125,7 +120,9 @@ def same_bytes(source: Path, settings: Settings, tmp_path: Path) -> None:
     assert (done.error, done.status) == (None, "written")
     task = Task(str(source), str(beyond / source.name), source.name)
     before = array_files.count_scratch().current_bytes
-    done = denoise_file(task, settings, limits=limits_for(task, settings))
+    # In the middle between what arrays in files take and what those in memory do.
+    limit = (forecast(task, settings).memory_bytes + BASE_BYTES) // 2
+    done = denoise_file(task, settings, limits=Limits(memory_bytes=limit))
     assert (done.error, done.status) == (None, "written")
     assert tree(beyond) == tree(usual)
     scratch = array_files.count_scratch()

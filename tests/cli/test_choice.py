@@ -116,15 +116,15 @@ def test_a_choice_that_damages_is_softened_or_rejected(tmp_path, monkeypatch, co
 # --assume
 
 
-def estimate_either(mesh):
-    return dataclasses.replace(estimate_noise(mesh), readings=READINGS)
-
-
 @pytest.fixture
 def unsure(tmp_path, monkeypatch):
     """A scan of which noise and texture cannot be told apart."""
+
+    def estimate(mesh):
+        return dataclasses.replace(estimate_noise(mesh), readings=READINGS)
+
     for place in ("auto.adaptive", "auto.search", "analysis.noise_estimate"):
-        monkeypatch.setattr(f"msal_cli.{place}.estimate_noise", estimate_either)
+        monkeypatch.setattr(f"msal_cli.{place}.estimate_noise", estimate)
     return folder_of(tmp_path / "in", scan=closed_scan()) / "scan.ply"
 
 

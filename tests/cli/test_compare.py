@@ -86,18 +86,13 @@ def scan(level):
     return ply_text(noisy(vertices, 0, level), faces)
 
 
-def baseline_of(folder, *given):
-    path = folder / "known.json"
-    path.write_bytes(msal("compare", *given, "--json").stdout_bytes)
-    return path
-
-
 @pytest.fixture
 def moved(tmp_path):
     """Two folders of three files, what was known of them, and a fourth file without a partner."""
     truth = folder_of(tmp_path / "truth", a=scan(0.0), b=scan(0.0), c=scan(0.0))
     new = folder_of(tmp_path / "new", a=scan(0.05), b=scan(0.05), c=scan(0.05))
-    known = baseline_of(tmp_path, truth, new)
+    known = tmp_path / "known.json"
+    known.write_bytes(msal("compare", truth, new, "--json").stdout_bytes)
     folder_of(truth, d=scan(0.0))
     return truth, new, known
 

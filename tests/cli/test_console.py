@@ -151,15 +151,11 @@ def test_a_name_is_no_entry_and_no_escape(capsys, name):
     assert not any(line.lstrip().startswith(("::", "##")) for line in said.splitlines())
 
 
-@pytest.fixture
-def in_actions(tmp_path, monkeypatch):
+def test_a_run_marks_its_failures_once(tmp_path, monkeypatch):
     (tmp_path / "scans").mkdir()
     monkeypatch.chdir(tmp_path / "scans")
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     monkeypatch.setenv("GITHUB_WORKSPACE", str(tmp_path))
-
-
-def test_a_run_marks_its_failures_once(in_actions, tmp_path):
     (tmp_path / "scans" / "bad.ply").write_bytes(BAD_SCAN)
     made = msal("denoise", "bad.ply", "-o", tmp_path / "out.ply", "-q")
     assert made.stderr.count("\n::error file=scans/bad.ply,") == 1

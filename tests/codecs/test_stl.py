@@ -285,10 +285,6 @@ NO_NORMAL = "facet has no normal, and none is added"
 BAD_NORMAL = "facet has a normal that is not three finite numbers: it is kept, not recomputed"
 
 
-def with_first_normal(line: bytes) -> bytes:
-    return NORMAL.sub(line, PART, count=1)
-
-
 def normal_lines(data: bytes) -> list[bytes]:
     return [one.strip() for one in data.splitlines() if re.match(rb"\s*facet", one, re.I)]
 
@@ -324,7 +320,7 @@ def checked(data: bytes) -> tuple[stl.StlTextFile, bytes]:
     ],
 )
 def test_a_normal_that_is_missing_or_no_number_is_kept(line, warning):
-    file, output = checked(with_first_normal(line))
+    file, output = checked(NORMAL.sub(line, PART, count=1))
     assert file.warnings == ((f"1 {warning}",) if warning else ())
     before, after = normal_lines(PART), normal_lines(output)
     assert after[0] == line.strip()

@@ -62,11 +62,6 @@ def described(mesh, earlier=None, make_evidence=same_evidence):
     return describer.describe(mesh.vertices, ripples, earlier), describer.around
 
 
-def numbers_of(descriptors):
-    """The numbers of each face among its inputs."""
-    return descriptors.collect()[0][:, 3 * descriptors.n_vectors : -GLOBALS]
-
-
 def all_kernels():
     """The kernels that the descriptors and the network are made of."""
     for module in (
@@ -104,7 +99,8 @@ def test_evidence_stands_behind_the_own_vectors_and_numbers(scan):
     descriptors = described(scan, make_evidence=evidence_of)[0]
     others = given.normals.reshape(-1, OTHERS, 3)
     assert (descriptors.collect()[1][:, VECTORS : VECTORS + OTHERS] == others).all()
-    assert (numbers_of(descriptors)[:, NUMBERS:] == given.statistics).all()
+    numbers = descriptors.collect()[0][:, 3 * descriptors.n_vectors : -GLOBALS]
+    assert (numbers[:, NUMBERS:] == given.statistics).all()
 
 
 def test_faces_without_noise_do_not_count_where_it_is_uneven(scan):

@@ -96,14 +96,9 @@ def test_powers_of_two_are_within_two_ulp(low):
 LENGTHS = st.floats(0.0, 1e6)
 
 
-def angles_of(numerators, denominators):
-    values = np.array(numerators, dtype=np.float64)
-    elementary.arctangents(values, np.array(denominators, dtype=np.float64), len(values))
-    return values
-
-
 @given(st.lists(st.tuples(LENGTHS, LENGTHS), min_size=1, max_size=20))
 def test_it_is_that_of_the_library(pairs):
-    y, x = np.array(pairs).T
+    y, x = np.array(pairs).T.copy()
     expected = np.arctan2(y, x)
-    assert np.abs(angles_of(y, x) - expected).max() <= 4e-16 * np.pi
+    elementary.arctangents(y, x, len(y))
+    assert np.abs(y - expected).max() <= 4e-16 * np.pi

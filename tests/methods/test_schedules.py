@@ -38,11 +38,6 @@ def spiked(vertices):
     return result
 
 
-def centred(shape):
-    vertices, faces = SHAPES[shape]
-    return vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2, faces
-
-
 @given(
     seed=st.integers(0, 10**6),
     level=st.floats(0.0, 0.5),
@@ -135,7 +130,8 @@ def wiener(v, faces, iterations: int, noise: float, caution: float, mollify: int
 @pytest.mark.parametrize("shape", ["torus", "open grid", "tiny"])
 @pytest.mark.parametrize(("noise", "caution"), [(0.1, 1.0), (0.02, 1.2), (0.05, 0.3)])
 def test_wiener_is_what_its_definition_says(shape, noise, caution):
-    vertices, faces = centred(shape)
+    vertices, faces = SHAPES[shape]
+    vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     unit = prepare_mesh(vertices, faces).mesh.mean_edge_length
     expected = wiener(vertices, faces, 3, noise * unit, caution, 1)
     given = {"schedule": "wiener", "noise": noise, "caution": caution, "n": 3}

@@ -30,14 +30,11 @@ def scene(tmp_path):
     return folder / "mesh.obj", tmp_path / "out" / "mesh.obj"
 
 
-def expected_beside(source):
-    return {name: data for name, data in tree(source.parent).items() if name != source.name}
-
-
 def test_the_library_and_its_textures_come_along(scene):
     source, target = scene
     notes = carry(["mesh.mtl"], source, target)
-    assert tree(target.parent) == expected_beside(source)
+    beside = {name: data for name, data in tree(source.parent).items() if name != source.name}
+    assert tree(target.parent) == beside
     assert notes == (
         "copied mesh.mtl",
         "copied tex/colour map.png",

@@ -69,15 +69,11 @@ def _painted(vertices, faces, colours):
     return Surface(vertices, faces, colours=SurfaceColours(np.asarray(colours, np.uint8)))
 
 
-def _halves(vertices):
-    """Red where x is negative, else blue."""
-    return np.where(vertices[:, :1] < 0.0, (220, 0, 0), (0, 0, 220))
-
-
 def test_a_sheet_shows_its_colours_where_they_are():
     vertices, faces = grid()
     vertices = (vertices - vertices.mean(axis=0)) * (1.0, 1.0, 0.0)
-    scene = pictures.scene_of(_painted(vertices, faces, _halves(vertices)), None, NAMES[:1])
+    red_and_blue = np.where(vertices[:, :1] < 0.0, (220, 0, 0), (0, 0, 220))
+    scene = pictures.scene_of(_painted(vertices, faces, red_and_blue), None, NAMES[:1])
     view = View(view="front", up="y", size=120)
     image = pictures.panel(
         scene.before, pictures.camera_of(scene, view), view, scene.painted(0), colours_are="paint"
