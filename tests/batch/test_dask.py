@@ -22,11 +22,10 @@ from msal_cli.batch.schedule import Finished, Started
 from msal_cli.errors import ResourceError, UsageError
 from msal_cli.job.settings import Limits, Settings
 from tests.batch import fakes
-from tests.batch.conftest import ROOT
 from tests.batch.test_run import fill, obj, statuses
 from tests.campaigns import runs
 from tests.cli.scans import msal
-from tests.files import tree
+from tests.files import ROOT, tree
 
 pytestmark = pytest.mark.ci
 

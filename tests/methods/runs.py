@@ -58,6 +58,12 @@ def free_vertices(mesh: Mesh, boundary: str) -> np.ndarray:
     return ~mesh.topology.boundary if boundary == "fixed" else np.ones(len(mesh.vertices), bool)
 
 
+def assert_twin(mesh: Mesh, out, expected, tolerance=1e-12, least=1e-3) -> None:
+    """Positions (n, 3) are those of a plain twin, and not those of the mesh."""
+    assert np.abs(out - expected).max() <= tolerance * np.ptp(mesh.vertices)
+    assert np.abs(out - mesh.vertices).max() > least
+
+
 def error_deg(true: Mesh, positions) -> float:
     """Mean angle between the face normals of positions (n, 3) and the true ones."""
     return measure_surface_change(true, true.with_vertices(positions)).mean_angular_error_deg

@@ -11,7 +11,7 @@ from msal_cli.kernels.curvature import edge_curvatures
 from msal_cli.kernels.faces import flaps
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepare_mesh
-from tests.methods.runs import denoise, free_vertices, scan, small_scan
+from tests.methods.runs import assert_twin, denoise, free_vertices, scan, small_scan
 from tests.shapes import box
 
 diffused = functools.partial(denoise, "anisotropic_diffusion")
@@ -86,8 +86,7 @@ def test_it_agrees_with_the_literal_twin(variant, shape, boundary, threshold, fa
     found = diffused(mesh, time_step=0.01, iterations=3, **given)
     expected = twin(mesh, variant, 0.01, 3, threshold, falloff, free)
     # Angles by arccos lose half the digits where faces are flat, which the noise prevents.
-    assert np.abs(found - expected).max() < 1e-12 * np.ptp(mesh.vertices)
-    assert np.abs(found - mesh.vertices).max() > 1e-3
+    assert_twin(mesh, found, expected)
 
 
 def test_the_automatic_threshold_is_that_by_hand():

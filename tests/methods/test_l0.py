@@ -12,7 +12,7 @@ from msal_cli.kernels.faces import dihedral_angles, flaps
 from msal_cli.kernels.geometry import area_and_volume, restore_volume
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods import l0
-from tests.methods.runs import denoise, error_deg, free_vertices, small_scan
+from tests.methods.runs import assert_twin, denoise, error_deg, free_vertices, small_scan
 from tests.shapes import box, cube, grid, noisy, torus
 
 denoised = functools.partial(denoise, "l0")
@@ -76,8 +76,7 @@ def test_it_agrees_with_the_literal_twin(monkeypatch, shape, boundary, given):
     steps = (values[name] for name in ("iterations", "sparsity", "regularity"))
     expected = twin(mesh, *steps, free_vertices(mesh, boundary))
     found = denoised(mesh, boundary=boundary, **given)
-    assert np.abs(found - expected).max() < 1e-11 * np.ptp(mesh.vertices)
-    assert np.abs(found - mesh.vertices).max() > 0.02
+    assert_twin(mesh, found, expected, 1e-11, least=0.02)
     # As fast as it is run by users it ends close by.
     monkeypatch.undo()
     quick = denoised(mesh, boundary=boundary, **given)
@@ -158,9 +157,7 @@ def test_the_flow_agrees_with_the_literal_twin(variant, shape, boundary, time_st
     expected = flow_twin(mesh, variant, time_step, iterations, free_vertices(mesh, boundary))
     given = {"variant": variant, "time_step": time_step, "iterations": iterations}
     found = flowed(mesh, boundary=boundary, **given)
-    size = np.ptp(mesh.vertices, axis=0).max()
-    assert np.abs(found - expected).max() < (1e-12 if variant == "explicit" else 1e-8) * size
-    assert np.abs(found - mesh.vertices).max() > 0.01
+    assert_twin(mesh, found, expected, 1e-12 if variant == "explicit" else 1e-8, least=0.01)
 
 
 def test_volume_is_restored_about_the_centre_of_mass():

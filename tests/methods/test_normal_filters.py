@@ -15,7 +15,7 @@ from msal_cli.kernels.normal_filters import bilateral_averages, difference_width
 from msal_cli.mesh import prepare_mesh
 from msal_cli.methods._sliding import SIDEWAYS, sideways_share, undo_sliding
 from tests.methods import plain_normals as plain
-from tests.methods.runs import denoise, error_deg, free_vertices, run, scan, small_scan
+from tests.methods.runs import assert_twin, denoise, error_deg, free_vertices, run, scan, small_scan
 from tests.shapes import cube, grid, noisy, roof, torus
 
 OPEN_AND_CLOSED = pytest.mark.parametrize(
@@ -34,11 +34,6 @@ def rough(is_closed, seed):
     if is_closed:
         return scan(0.2, seed, torus, around=7, across=5)
     return scan(0.2, seed, grid, rows=6, columns=5)
-
-
-def assert_twin(mesh, out, expected, tolerance=1e-12):
-    assert np.abs(out - expected).max() <= tolerance * np.ptp(mesh.vertices)
-    assert np.abs(out - mesh.vertices).max() > 1e-3
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,6 @@ from tests.shapes import ball, cube, grid
 X, Y, Z = np.eye(3)
 
 
-def box(width, depth, height):
-    """A closed box with a corner at the origin."""
-    vertices, faces = cube()
-    return vertices * (width, depth, height), faces
-
-
 VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 
 
@@ -31,8 +25,8 @@ VIEWS = ("auto", "front", "back", "left", "right", "top", "bottom")
 )
 @pytest.mark.parametrize("size", [(300, 200), (100, 400)])
 def test_the_camera_frames_the_whole_mesh(view, shape, size):
-    vertices, faces = box(*shape)
-    vertices += 7.0 * np.array(shape)
+    vertices, faces = cube()
+    vertices = (vertices + 7.0) * shape
     camera = choose_camera(vertices, faces, view)
     assert np.allclose(camera.axes @ camera.axes.T, np.eye(3))
     assert np.linalg.det(camera.axes) == pytest.approx(1.0)
@@ -45,8 +39,8 @@ def test_the_camera_frames_the_whole_mesh(view, shape, size):
 
 
 def test_named_views_look_at_one_another():
-    vertices, faces = box(1, 2, 3)
-    axes = {view: choose_camera(vertices, faces, view).axes for view in VIEWS}
+    vertices, faces = cube()
+    axes = {view: choose_camera(vertices * (1, 2, 3), faces, view).axes for view in VIEWS}
     for one, other in (("front", "back"), ("left", "right"), ("top", "bottom")):
         assert np.allclose(axes[one][2], -axes[other][2])
     for view in ("front", "back", "left", "right"):
