@@ -1,8 +1,8 @@
 """Objects behind URLs, through fsspec: read whole, write whole, size and tag, listing.
 
 An object appears whole or not at all.  Object stores promise that of one put, and of an upload in
-parts that is completed; on servers that hold files (SFTP, SMB, ...) the object is written under
-another name and moved.  Nothing is ever opened for writing and left to a destructor to finish.
+parts that is completed; servers that hold files (SFTP, SMB, ...) are only read from.  Nothing is
+ever opened for writing and left to a destructor to finish.
 
 Nothing is cached between calls: each asks the store.
 """
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import os
 import re
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -127,10 +126,13 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
     data = b"".join(buffers)
     with _errors(url, "the object cannot be written", is_output=True):
         system, path = _open(url)
-        if _OBJECT_STORES.fullmatch(urls.split(url)[0]):
-            system.pipe_file(path, data)
-        else:
-            _write_and_move(system, path, data)
+        if not _OBJECT_STORES.fullmatch(urls.split(url)[0]):
+            raise OutputError(
+                "objects are written to object stores only: others may show a part of one",
+                path=url,
+                hint="write to a folder, and copy it; or mount the server (sshfs, rclone)",
+            )
+        system.pipe_file(path, data)
         there = _mark(system, path)
     if there is None or there.size != len(data):
         size = "none" if there is None else str(there.size)
@@ -140,23 +142,6 @@ def write_whole(url: str, buffers: Buffer | Iterable[Buffer]) -> ObjectMark:
             hint="run again; check whether another program writes there",
         )
     return there
-
-
-def _write_and_move(system: Any, path: str, data: bytes) -> None:
-    parent, _, name = path.rpartition("/")
-    if parent:
-        system.makedirs(parent, exist_ok=True)
-    temporary = f"{parent}/.msal-{os.getpid()}-{os.urandom(8).hex()}.tmp"
-    try:
-        system.pipe_file(temporary, data)
-        there = _mark(system, temporary)
-        if there is None or there.size != len(data):
-            raise OSError("not all bytes arrived")
-        system.mv(temporary, f"{parent}/{name}")
-    except BaseException:
-        with contextlib.suppress(Exception):
-            system.rm_file(temporary)
-        raise
 
 
 def mark(url: str) -> ObjectMark | None:
