@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import machine, scans
-from msal_cli.kernels.operators import AnisotropicLaplacian, RingBilateral, RingOperator
+from msal_cli.kernels.operators import RingOperator
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.machine import usable_cores
@@ -43,8 +43,8 @@ def runs(mesh: Mesh, sweeps: int) -> dict[str, Callable[[], object]]:
     normals = mesh.vertex_normals("uniform", 1)
     free = np.ones(len(mesh.vertices), dtype=bool)
     unit = mesh.mean_edge_length
-    laplacian = AnisotropicLaplacian(normals, links.ring_start, links.ring, free, unit)
-    bilateral = RingBilateral(normals, links.ring_start, links.ring, free, unit, unit)
+    laplacian = RingOperator(normals, links.ring_start, links.ring, free, unit)
+    bilateral = RingOperator(normals, links.ring_start, links.ring, free, unit, unit)
     touched = (mesh.vertices, normals, links.ring_start, links.ring, mesh.vertices)
     copies = [np.zeros_like(one) for one in touched]
 

@@ -129,13 +129,11 @@ def local_scale(mesh: Mesh, normals: Floats) -> Floats:
 
     ``normals`` are (n, 3), of unit length or zero.
     """
-    from msal_cli.kernels.operators import AnisotropicLaplacian
+    from msal_cli.kernels.operators import RingOperator
 
     links = mesh.topology
     free = np.ones(len(mesh.vertices), dtype=bool)
-    laplacian = AnisotropicLaplacian(
-        normals, links.ring_start, links.ring, free, mesh.mean_edge_length
-    )
+    laplacian = RingOperator(normals, links.ring_start, links.ring, free, mesh.mean_edge_length)
     sigma = laplacian(mesh.vertices).sigma
     assert sigma is not None
     return sigma

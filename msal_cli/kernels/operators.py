@@ -190,35 +190,41 @@ def _filter_rings(
         scales, sums, weights, least, factors = PARTS
         for m in range(fewest, most + ONE):
             width = table[m]
-            if is_bilateral:
-                # Exponents by distance are added to those by height.
+            for at in range(width):
+                room[least + at] = np.inf
+                room[scales + at] = 0.0
+                room[sums + at] = 0.0
+                room[weights + at] = 0.0
+                room[factors + at] = 0.0
+            place = row
+            for _ in range(m):
                 for at in range(width):
-                    room[least + at] = np.inf
-                    room[scales + at] = 0.0
-                    room[sums + at] = 0.0
-                    room[weights + at] = 0.0
-                    room[factors + at] = 0.0
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        room[sums + at] += room[place + at]
-                    place += width
+                    h = room[place + at]
+                    room[sums + at] += h
+                    if not is_bilateral:
+                        room[least + at] = min(room[least + at], h * h)
+                place += width
+            for at in range(width):
+                room[sums + at] /= max(m, ONE)
+            place = row
+            for _ in range(m):
                 for at in range(width):
-                    room[sums + at] /= max(m, ONE)
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        offset = room[place + at] - room[sums + at]
-                        room[scales + at] += abs(offset)
+                    offset = room[place + at] - room[sums + at]
+                    room[scales + at] += abs(offset)
+                    if is_bilateral:
                         room[factors + at] += offset * offset
-                    place += width
-                for at in range(width):
-                    room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
+                place += width
+            for at in range(width):
+                scale = 2.0 * room[scales + at] / max(m, ONE)
+                room[scales + at] = scale
+                if is_bilateral:
                     scale = np.sqrt(room[factors + at] / max(m, ONE))
                     scale = scale if similarity == 0.0 else similarity
-                    scale = scale if scale > floor else floor
-                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
-                    room[sums + at] = 0.0
+                scale = scale if scale > floor else floor
+                room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                room[sums + at] = 0.0
+            if is_bilateral:
+                # Exponents by distance are added to those by height.
                 place = row
                 for _ in range(m):
                     for at in range(width):
@@ -227,49 +233,19 @@ def _filter_rings(
                         room[apart + place + at] = exponent
                         room[least + at] = min(room[least + at], exponent)
                     place += width
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        g = power_of_two(room[least + at] - room[apart + place + at])
-                        room[weights + at] += g
-                        room[sums + at] += g * room[place + at]
-                    place += width
-                row += m * width
-            else:
+            for _ in range(m):
                 for at in range(width):
-                    room[least + at] = np.inf
-                    room[scales + at] = 0.0
-                    room[sums + at] = 0.0
-                    room[weights + at] = 0.0
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        h = room[place + at]
-                        room[sums + at] += h
-                        room[least + at] = min(room[least + at], h * h)
-                    place += width
-                for at in range(width):
-                    room[sums + at] /= max(m, ONE)
-                place = row
-                for _ in range(m):
-                    for at in range(width):
-                        room[scales + at] += abs(room[place + at] - room[sums + at])
-                    place += width
-                for at in range(width):
-                    scale = 2.0 * room[scales + at] / max(m, ONE)
-                    room[scales + at] = scale
-                    scale = scale if scale > floor else floor
-                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
-                    room[sums + at] = 0.0
-                for _ in range(m):
-                    for at in range(width):
-                        h = room[row + at]
-                        # The largest weight is made 1: the quotient of eq. (5) stays the same,
-                        # and cannot become 0/0 where sigma is tiny.
-                        g = power_of_two((room[least + at] - h * h) * room[factors + at])
-                        room[weights + at] += g
-                        room[sums + at] += g * h
-                    row += width
+                    h = room[row + at]
+                    # The largest weight is made 1: the quotient of eq. (5) stays the same, and
+                    # cannot become 0/0 where sigma is tiny.
+                    if is_bilateral:
+                        exponent = room[least + at] - room[apart + row + at]
+                    else:
+                        exponent = (room[least + at] - h * h) * room[factors + at]
+                    g = power_of_two(exponent)
+                    room[weights + at] += g
+                    room[sums + at] += g * h
+                row += width
             scales += width
             sums += width
             weights += width
@@ -298,7 +274,15 @@ def _filter_rings(
 
 @dataclass(frozen=True, eq=False)
 class RingOperator:
-    """Operators along fixed normals over one-rings share a sweep with no arrays of its own."""
+    """Means d of the heights h of the one-ring above a vertex's fixed tangent plane.
+
+    The anisotropic Laplacian of Huang and Ascher, eqs. (4) and (5), is sigma = 2 mean|h - mean h|,
+    g = exp(-h^2 / (2 sigma^2)) and d = sum(g h) / sum(g).
+
+    With a ``closeness`` sigma_c > 0 it is what they call "our BF" (section 2.3),
+    d = sum(w h) / sum(w) with w = exp(-t^2 / 2 sigma_c^2 - h^2 / 2 sigma_s^2), t the distances of
+    the neighbours; a ``similarity`` sigma_s of 0 takes the standard deviation of each ring's h.
+    """
 
     # (n, 3) unit vertex normals, kept through all sweeps; a zero normal means no motion
     normals: Floats
@@ -306,7 +290,7 @@ class RingOperator:
     ring: Ints
     free: Flags  # (n,) bool, False for vertices that must stay (they still have a sigma)
     mean_edge_length: float  # file units; sets the floor of sigma and of widths
-    closeness: float = 0.0  # closeness, similarity: see ``RingBilateral``
+    closeness: float = 0.0  # closeness, similarity: file units
     similarity: float = 0.0
 
     def __call__(self, positions: Floats) -> Step:
@@ -340,23 +324,6 @@ class RingOperator:
         return float(
             max(over_ranges(_filter_rings, len(positions), flat, *rings, *widths, *outcome))
         )
-
-
-class AnisotropicLaplacian(RingOperator):
-    """The anisotropic Laplacian of Huang and Ascher, eqs. (4) and (5).
-
-    Over the heights h of the one-ring above a vertex's tangent plane,
-    sigma = 2 mean|h - mean h|, g = exp(-h^2 / (2 sigma^2)) and d = sum(g h) / sum(g).
-    """
-
-
-class RingBilateral(RingOperator):
-    """d = sum(w h) / sum(w) over the one-ring, w = exp(-t^2 / 2 sigma_c^2 - h^2 / 2 sigma_s^2).
-
-    h are the heights of the neighbours over a vertex's tangent plane and t their distances; the
-    variant that Huang and Ascher call "our BF" (section 2.3).  ``closeness`` is sigma_c > 0, and
-    ``similarity`` sigma_s, file units; 0 takes the standard deviation of the heights of each ring.
-    """
 
 
 # The same with other weights and scales, and scaled for irregular meshes: a second kernel, since

@@ -11,7 +11,6 @@ The powers of the lost shape are those of a first guess, which is made in the sa
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,13 +50,14 @@ def _mean(start, stop, ring_start, ring, values, low):
 
 
 @compiled
-def _squares(start, stop, levels, powers):
-    """Squares of the bands: the differences of neighbouring levels, and the coarsest level."""
+def _to_bands(start, stop, levels, powers):
+    """Make bands of the levels, the differences of neighbouring ones, and their squares."""
     last = len(levels) - 1
     for i in range(start, stop):
-        for band in range(last):
-            powers[i, band] = (levels[band, i] - levels[band + 1, i]) ** 2
-        powers[i, last] = levels[last, i] ** 2
+        for band in range(last + 1):
+            if band < last:
+                levels[band, i] -= levels[band + 1, i]
+            powers[i, band] = levels[band, i] ** 2
 
 
 @compiled
@@ -89,51 +89,35 @@ def _average(start, stop, ring_start, ring, powers, averages):
 
 
 @compiled
-def _first_look(start, stop, levels, powers, noise, guess):
-    bands = len(noise)
+def _first_look(start, stop, bands, powers, noise, guess):
     for i in range(start, stop):
         total = 0.0
-        for band in range(bands):
-            value = levels[band, i]
-            if band + 1 < bands:
-                value -= levels[band + 1, i]
+        for band in range(len(noise)):
             around = powers[i, band]
             if around > noise[band]:
-                total += (1.0 - noise[band] / around) * value
+                total += (1.0 - noise[band] / around) * bands[band, i]
         guess[i] = total
 
 
 @compiled
-def _second_look(start, stop, levels, powers, noise, returned, share):
-    bands = len(noise)
+def _second_look(start, stop, residual, bands, powers, noise, returned, share):
     for i in range(start, stop):
         total = given = power = 0.0
-        for band in range(bands):
-            value = levels[band, i]
-            if band + 1 < bands:
-                value -= levels[band + 1, i]
+        for band in range(len(noise)):
+            value = bands[band, i]
             around = powers[i, band]
             gain = around / (around + noise[band]) if around > 0.0 else 0.0
             power += value * value
             given += gain * value * value
             total += gain * value
         # What did not move has nothing to get back, though its neighbours may have.
-        returned[i] = total if levels[0, i] != 0.0 else 0.0
+        returned[i] = total if residual[i] != 0.0 else 0.0
         share[i] = given / power if power > 0.0 else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Restoration:
-    """What a residual holds beside noise."""
-
-    # (n,) the part of the residual that is to be taken back, its unit; 0 where it is 0
-    returned: Floats
-    share: Floats  # (n,) from 0 to 1, the share of the residual's power at each vertex that this is
 
 
 def restoration(
     residual: Floats, ring_start: Ints, ring: Ints, noise: float, caution: float = 1.0
-) -> Restoration:
+) -> tuple[Floats, Floats]:
     """The part of ``residual`` (n,) that is more than noise.
 
     With S the mean over a vertex and its one-ring, bands are S^b t - S^(b + 1) t, and S^4 t.  With
@@ -151,6 +135,11 @@ def restoration(
     ring_start, ring : the one-rings.
     noise : standard deviation of the noise, in the unit of the residual.
     caution : greater gives back less.
+
+    Returns
+    -------
+    returned : (n,), to be taken back, the residual's unit; 0 where that is 0.
+    share : (n,) from 0 to 1, the share of the residual's power at each vertex that this is.
     """
     n, bands = len(residual), len(NOISE_SHARES)
     levels = np.empty((bands, n))
@@ -167,10 +156,10 @@ def restoration(
         return caution * noise * noise * np.array(NOISE_SHARES)
 
     def cut(levels: Floats) -> None:
-        """From the finest of the levels (5, n) all others, and the powers of the bands."""
+        """Make bands (5, n) of the finest of the levels, and their powers."""
         for finer, coarser in itertools.pairwise(levels):
             over_ranges(_mean, n, ring_start, ring, finer, coarser)
-        over_ranges(_squares, n, levels, powers)
+        over_ranges(_to_bands, n, levels, powers)
 
     levels[0] = residual
     cut(levels)
@@ -181,5 +170,7 @@ def restoration(
     cut(guess)
     average(SECOND_PLACE)
     returned, share = np.empty(n), np.empty(n)
-    over_ranges(_second_look, n, levels, powers, alone(SECOND_CAUTION * caution), returned, share)
-    return Restoration(returned, share)
+    results = returned, share
+    noises = alone(SECOND_CAUTION * caution)
+    over_ranges(_second_look, n, residual, levels, powers, noises, *results)
+    return results

@@ -144,7 +144,7 @@ def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
     if mean > MAX_WHITE or np.quantile(power, 0.25) < MIN_WHITE:
         return positions
     level = np.sqrt(np.maximum(UNEVEN * power / max(mean, 1.0) ** 2, 1.0))
-    back = restoration(taken / level, links.ring_start, links.ring, 1.0, CAUTION).returned
+    back, _ = restoration(taken / level, *links.one_ring, 1.0, CAUTION)
     shape = average_around(back * back, *links.one_ring, AROUND)
     back *= level * shape / (shape + DOUBT) * (noise * mesh.mean_edge_length)
     return positions - back[:, None] * normals

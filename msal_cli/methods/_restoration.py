@@ -13,7 +13,7 @@ from msal_cli.arrays import Floats
 from msal_cli.kernels.faces import face_centroids, face_rings
 from msal_cli.kernels.geometry import face_normals, face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import joint_bilateral
-from msal_cli.kernels.operators import AnisotropicLaplacian
+from msal_cli.kernels.operators import RingOperator
 from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.sweeps import Schedule, run_sweeps
 from msal_cli.kernels.vertex_update import update_vertices
@@ -85,7 +85,7 @@ class Restored:
 
 def restore(
     mesh: Mesh,
-    laplacian: AnisotropicLaplacian,
+    laplacian: RingOperator,
     parameters: RestorationParameters,
     noise: float,
     on_sweep: OnSweep,
@@ -95,9 +95,8 @@ def restore(
     smooth = run_sweeps(mesh.vertices, laplacian, Schedule(), iterations, on_sweep).vertices
     normals, links = laplacian.normals, mesh.topology
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
-    found = restoration(residual, links.ring_start, links.ring, noise, parameters.caution)
-    positions = smooth - found.returned[:, None] * normals
-    return Restored(smooth, positions, found.returned, found.share)
+    returned, share = restoration(residual, *links.one_ring, noise, parameters.caution)
+    return Restored(smooth, smooth - returned[:, None] * normals, returned, share)
 
 
 def fit_to_normals(

@@ -14,8 +14,8 @@ from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.kernels.operators import (
     DEVIATIONS,
     WEIGHTS,
-    AnisotropicLaplacian,
     Operator,
+    RingOperator,
     RobustLaplacian,
 )
 from msal_cli.kernels.sweeps import (
@@ -184,9 +184,9 @@ def ring_of(mesh: Mesh, boundary: str) -> tuple[Ints, Ints]:
     return starts, kept
 
 
-def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> AnisotropicLaplacian:
+def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> RingOperator:
     """The operator of eq. (5) along the mesh's own normals."""
-    return AnisotropicLaplacian(
+    return RingOperator(
         mesh.vertex_normals(parameters.normals, parameters.mollify),
         mesh.topology.ring_start,
         mesh.topology.ring,
@@ -258,9 +258,9 @@ def _restore(
     normals = mesh.vertex_normals(parameters.normals, parameters.mollify)
     residual = np.einsum("ij,ij->i", smooth - mesh.vertices, normals)
     links = mesh.topology
-    found = restoration(residual, links.ring_start, links.ring, noise, schedule.caution)
-    pull = found.returned if mesh.trust is None else mesh.trust * found.returned
-    share = found.share if mesh.trust is None else mesh.trust * found.share
+    pull, share = restoration(residual, *links.one_ring, noise, schedule.caution)
+    if mesh.trust is not None:
+        pull, share = mesh.trust * pull, mesh.trust * share
     smooth -= pull[:, None] * normals
     return SweepResult(smooth, share)
 

@@ -36,7 +36,7 @@ from dataclasses import dataclass
 
 from msal_cli.errors import UsageError
 from msal_cli.kernels.bilateral import BallBilateral
-from msal_cli.kernels.operators import Operator, RingBilateral
+from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result
@@ -106,7 +106,7 @@ def _operator(mesh: Mesh, parameters: Parameters) -> Operator:
     unit = mesh.mean_edge_length
     similarity = parameters.similarity * unit
     if parameters.variant == "one_ring":
-        return RingBilateral(
+        return RingOperator(
             mesh.vertex_normals(parameters.normals, parameters.mollify),
             mesh.topology.ring_start,
             mesh.topology.ring,

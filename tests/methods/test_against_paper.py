@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.table1 import volumes
-from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, AnisotropicLaplacian
+from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, RingOperator
 from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods.runs import PAIRS, SHAPES, all_errors, denoise, errors, opened
@@ -39,7 +39,7 @@ def test_the_flattest_neighbours_count_where_sigma_is_tiny():
     # exp(-h^2 / (2 sigma^2)) is 1e-7000 and less; the quotient of eq. (5) is that of the others.
     mesh = prepare_mesh(*fan([1.0] * 5 + [1.01])).mesh
     up, free = np.tile([0.0, 0.0, 1.0], (7, 1)), np.ones(7, dtype=bool)
-    step = AnisotropicLaplacian(up, *mesh.topology.one_ring, free, 1.0)(mesh.vertices)
+    step = RingOperator(up, *mesh.topology.one_ring, free, 1.0)(mesh.vertices)
     assert step.move[0] == pytest.approx(1.0, abs=1e-9)
 
 
