@@ -8,6 +8,7 @@ import types
 from typing import Any, cast
 
 from msal_cli.kernels.compiled import Kernel
+from msal_cli.kernels.library import is_kernel_module
 
 
 def to_dispatcher(kernel: Kernel, **options: bool) -> Any:
@@ -32,6 +33,8 @@ def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
             called[name] = _dispatcher(value, options)
         elif isinstance(value, types.FunctionType) and value in COMPILED:
             called[name] = COMPILED[value]
+        elif is_kernel_module(value):
+            called[name] = _module(value, options)
     function = types.FunctionType(
         kernel.function.__code__, {**known, **called}, kernel.function.__name__
     )
@@ -40,6 +43,17 @@ def _dispatcher(kernel: Kernel, options: tuple[tuple[str, bool], ...]) -> Any:
     # and a loop with a branch does not become vector code.
     decorate: Any = njit(nogil=True, error_model="numpy", **dict(options))  # type: ignore[call-overload]
     return decorate(function)
+
+
+@functools.cache
+def _module(module: types.ModuleType, options: tuple[tuple[str, bool], ...]) -> types.ModuleType:
+    """The same module with numba's functions in place of kernels, to be inlined before anything
+    else: what they return would stay in memory otherwise."""
+    copy = types.ModuleType(module.__name__)
+    inlined = (*options, ("forceinline", True))
+    for name, value in vars(module).items():
+        vars(copy)[name] = _dispatcher(value, inlined) if isinstance(value, Kernel) else value
+    return copy
 
 
 def _globals_used(code: types.CodeType) -> set[str]:

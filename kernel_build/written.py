@@ -11,6 +11,7 @@ from typing import Any
 
 from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.lanes import WRITTEN
+from msal_cli.kernels.library import is_kernel_module
 
 _WRITING_METHODS = {"fill", "sort", "partition"}
 
@@ -63,8 +64,8 @@ class _Writes(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> None:
-        if isinstance(node.func, ast.Name):
-            callee = self.known.get(node.func.id)
+        callee = self._callee(node.func)
+        if callee is not None:
             if isinstance(callee, Kernel):
                 for at in written_arguments(callee):
                     self.written |= self._roots_of(node.args[at])
@@ -74,6 +75,15 @@ class _Writes(ast.NodeVisitor):
         elif isinstance(node.func, ast.Attribute) and node.func.attr in _WRITING_METHODS:
             self.written |= self._roots_of(node.func.value)
         self.generic_visit(node)
+
+    def _callee(self, node: ast.expr) -> Any:
+        """The kernel or function that is called, by its name or that of its module."""
+        if isinstance(node, ast.Name):
+            return self.known.get(node.id)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            module = self.known.get(node.value.id)
+            return vars(module).get(node.attr) if is_kernel_module(module) else None
+        return None
 
     def _assign(self, target: ast.expr, value: ast.expr) -> None:
         if isinstance(target, ast.Subscript):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import exponentials
@@ -60,8 +61,8 @@ def vertices_around(i, x, ring_start, ring, square_radius, mark, found, squares)
             if mark[k] == i:
                 continue
             mark[k] = i
-            dx, dy, dz = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
-            square = dx * dx + dy * dy + dz * dz
+            way = vec.offset(x, k, i)
+            square = vec.dot(way, way)
             if square <= square_radius:
                 if at > 1 and count >= MAX_FOUND:
                     return count
@@ -125,8 +126,8 @@ def _shortest_edge(i, x, ring_start, ring, floor):
     shortest = np.inf
     for at in range(ring_start[i], ring_start[i + 1]):
         k = ring[at]
-        dx, dy, dz = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
-        square = dx * dx + dy * dy + dz * dz
+        edge = vec.offset(x, k, i)
+        square = vec.dot(edge, edge)
         if square > floor * floor:
             shortest = min(shortest, square)
     return np.sqrt(shortest) if shortest < np.inf else 0.0
@@ -146,7 +147,7 @@ def _ball_bilateral(
     scratch = np.empty(capacity)
     scratch_bits = scratch.view(np.int64)
     for i in range(start, stop):
-        moves[i, 0] = moves[i, 1] = moves[i, 2] = 0.0
+        vec.store(moves, i, vec.ORIGIN)
         if not free[i]:
             continue
         width = closeness
@@ -155,12 +156,10 @@ def _ball_bilateral(
         width = max(width, floor)
         reach = radius if radius > 0.0 else 2.0 * width
         count = vertices_around(i, x, ring_start, ring, reach * reach, mark, found, squares)
-        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        normal = vec.load(normals, i)
         mean = 0.0
         for at in range(count):
-            k = found[at]
-            ex, ey, ez = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
-            h[at] = ex * nx + ey * ny + ez * nz
+            h[at] = vec.dot(vec.offset(x, found[at], i), normal)
             mean += abs(h[at])
         scale = similarity
         if scale == 0.0:
@@ -181,8 +180,7 @@ def _ball_bilateral(
         for at in range(count):
             weights += g[at]
             moment += g[at] * h[at]
-        height = moment / weights
-        moves[i, 0], moves[i, 1], moves[i, 2] = height * nx, height * ny, height * nz
+        vec.store(moves, i, vec.times(moment / weights, normal))
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,10 +357,9 @@ def _normal_spread(start, stop, unit_normals, normals, face_start, incident, spr
     for i in range(start, stop):
         total = count = 0.0
         for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
-            nx, ny, nz = unit_normals[f, 0], unit_normals[f, 1], unit_normals[f, 2]
-            if nx != 0.0 or ny != 0.0 or nz != 0.0:
-                total += 1.0 - (nx * normals[i, 0] + ny * normals[i, 1] + nz * normals[i, 2])
+            normal = vec.load(unit_normals, incident[at])
+            if not vec.is_zero(normal):
+                total += 1.0 - vec.dot(normal, vec.load(normals, i))
                 count += 1.0
         spread[i] = max(0.0, total / count) if count > 0.0 else 0.0
 
@@ -380,17 +377,13 @@ def normal_spread(positions: Floats, faces: Ints, links: Connectivity, normals: 
 @compiled
 def _step_towards_planes(start, stop, x, normals, ring_start, ring, moves):
     for i in range(start, stop):
-        mx = my = mz = 0.0
+        total = vec.ORIGIN
         m = ring_start[i + 1] - ring_start[i]
         for at in range(ring_start[i], ring_start[i + 1]):
             k = ring[at]
-            nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-            height = (x[k, 0] - x[i, 0]) * nx + (x[k, 1] - x[i, 1]) * ny + (x[k, 2] - x[i, 2]) * nz
-            mx += height * nx
-            my += height * ny
-            mz += height * nz
-        share = 1.0 / m if m else 0.0
-        moves[i, 0], moves[i, 1], moves[i, 2] = share * mx, share * my, share * mz
+            normal = vec.load(normals, k)
+            total = vec.add_scaled(total, vec.dot(vec.offset(x, k, i), normal), normal)
+        vec.store(moves, i, vec.times(1.0 / m if m else 0.0, total))
 
 
 def step_towards_planes(positions: Floats, normals: Floats, ring_start: Ints, ring: Ints) -> Floats:

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
@@ -37,16 +38,11 @@ class SymmetricMatrix(Protocol):
 @compiled
 def _product(start, stop, diagonal, row_start, columns, values, x, product):
     for i in range(start, stop):
-        own = diagonal[i]
-        sx, sy, sz = own * x[i, 0], own * x[i, 1], own * x[i, 2]
+        total = vec.times(diagonal[i], vec.load(x, i))
         for at in range(row_start[i], row_start[i + 1]):
             # Unsigned, so that no index is looked at for being negative: a quarter of the time.
-            k = np.uint64(columns[at])
-            value = values[at]
-            sx += value * x[k, 0]
-            sy += value * x[k, 1]
-            sz += value * x[k, 2]
-        product[i, 0], product[i, 1], product[i, 2] = sx, sy, sz
+            total = vec.add_scaled(total, values[at], vec.load(x, np.uint64(columns[at])))
+        vec.store(product, i, total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +71,7 @@ def _dot(start, stop, a, b, sums):
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(a))):
-            total += a[i, 0] * b[i, 0] + a[i, 1] * b[i, 1] + a[i, 2] * b[i, 2]
+            total += vec.dot(vec.load(a, i), vec.load(b, i))
         sums[chunk] = total
 
 
@@ -85,22 +81,18 @@ def _step(start, stop, length, p, q, inverse, x, r, sums):
     for chunk in range(-(-start // CHUNK), -(-stop // CHUNK)):
         total = 0.0
         for i in range(chunk * CHUNK, min((chunk + 1) * CHUNK, len(x))):
-            square = 0.0
-            for axis in range(3):
-                x[i, axis] += length * p[i, axis]
-                rest = r[i, axis] - length * q[i, axis]
-                r[i, axis] = rest
-                square += rest * rest
-            total += inverse[i] * square
+            vec.store(x, i, vec.add_scaled(vec.load(x, i), length, vec.load(p, i)))
+            rest = vec.add_scaled(vec.load(r, i), -length, vec.load(q, i))
+            vec.store(r, i, rest)
+            total += inverse[i] * vec.dot(rest, rest)
         sums[chunk] = total
 
 
 @compiled
 def _turn(start, stop, share, r, inverse, p):
     for i in range(start, stop):
-        scale = inverse[i]
-        for axis in range(3):
-            p[i, axis] = scale * r[i, axis] + share * p[i, axis]
+        way = vec.times(inverse[i], vec.load(r, i))
+        vec.store(p, i, vec.add_scaled(way, share, vec.load(p, i)))
 
 
 def conjugate_gradients(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import Connectivity, index_rows
@@ -20,7 +21,6 @@ from msal_cli.kernels.geometry import DEGENERATE, ring_areas
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
-from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 FLATTEST = 0.05
 """Height over longest edge below which a face's cotangents are those of a face that is less flat.
@@ -32,29 +32,21 @@ About three degrees in the smallest angle of an isosceles face; no cotangent exc
 @compiled
 def _corner_dots(vertices, a, b, c):
     """Dot products of the edges that leave each corner, doubled area, longest edge squared."""
-    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
-    vx, vy, vz = wx - ux, wy - uy, wz - uz
-    doubled = np.sqrt(nx * nx + ny * ny + nz * nz)
-    longest = longest_square(ux, uy, uz, wx, wy, wz)
-    at_a = ux * wx + uy * wy + uz * wz
-    at_b = -(ux * vx + uy * vy + uz * vz)
-    at_c = wx * vx + wy * vy + wz * vz
-    return at_a, at_b, at_c, doubled, longest
+    u, w, normal = vec.edges_and_normal(vertices, a, b, c)
+    v = vec.subtract(w, u)
+    return vec.dot(u, w), -vec.dot(u, v), vec.dot(w, v), vec.norm(normal), vec.longest_square(u, w)
 
 
 @compiled
 def _corner_cotangents(start, stop, vertices, faces, cotangents):
     for f in range(start, stop):
-        at_a, at_b, at_c, doubled, longest = _corner_dots(
-            vertices, faces[f, 0], faces[f, 1], faces[f, 2]
-        )
+        a, b, c = vec.load(faces, f)
+        at_a, at_b, at_c, doubled, longest = _corner_dots(vertices, a, b, c)
         # One divisor for all three: then the face's part of the stiffness matrix is that of the
         # true face times a number below one, and never loses its positive sign.
         divisor = max(doubled, FLATTEST * longest)
         inverse = 1.0 / divisor if divisor > 0.0 else 0.0
-        cotangents[f, 0] = at_a * inverse
-        cotangents[f, 1] = at_b * inverse
-        cotangents[f, 2] = at_c * inverse
+        vec.store(cotangents, f, vec.times(inverse, (at_a, at_b, at_c)))
 
 
 @compiled
@@ -102,10 +94,11 @@ def cotangent_weights(vertices: Floats, faces: Ints, links: Connectivity) -> Flo
 @compiled
 def _corner_areas(start, stop, vertices, faces, areas):
     for f in range(start, stop):
-        at_a, at_b, at_c, doubled, _ = _corner_dots(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
+        a, b, c = vec.load(faces, f)
+        at_a, at_b, at_c, doubled, _ = _corner_dots(vertices, a, b, c)
         lowest = min(at_a, at_b, at_c)
         if doubled == 0.0:
-            areas[f, 0] = areas[f, 1] = areas[f, 2] = 0.0
+            vec.store(areas, f, vec.ORIGIN)
         elif lowest < 0.0:
             areas[f, 0] = doubled / (4.0 if at_a == lowest else 8.0)
             areas[f, 1] = doubled / (4.0 if at_b == lowest else 8.0)
@@ -116,7 +109,7 @@ def _corner_areas(start, stop, vertices, faces, areas):
             of_bc = (at_b + at_c) * (at_a * scale)
             of_ca = (at_c + at_a) * (at_b * scale)
             of_ab = (at_a + at_b) * (at_c * scale)
-            areas[f, 0], areas[f, 1], areas[f, 2] = of_ca + of_ab, of_ab + of_bc, of_bc + of_ca
+            vec.store(areas, f, (of_ca + of_ab, of_ab + of_bc, of_bc + of_ca))
 
 
 @compiled
@@ -167,21 +160,17 @@ def vertex_areas(vertices: Floats, faces: Ints, links: Connectivity, areas: str)
 @compiled
 def _curvature_step(start, stop, x, weights, areas, ring_start, ring, free, time_step, moves):
     for i in range(start, stop):
-        sx = sy = sz = 0.0
+        way = vec.ORIGIN
         total = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            weight = weights[at]
-            sx += weight * (x[k, 0] - x[i, 0])
-            sy += weight * (x[k, 1] - x[i, 1])
-            sz += weight * (x[k, 2] - x[i, 2])
-            total += abs(weight)
+            way = vec.add_scaled(way, weights[at], vec.offset(x, ring[at], i))
+            total += abs(weights[at])
         share = 0.0
         if free[i] and total > 0.0:
             share = 1.0 / total
             if time_step * total < 2.0 * areas[i]:
                 share = time_step / (2.0 * areas[i])
-        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
+        vec.store(moves, i, vec.times(share, way))
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,30 +265,28 @@ def _edge_curvatures(start, stop, x, corners, threshold, falloff, curvatures, sl
         # Unsigned, so that no index is looked at for being negative.
         p1, p2 = np.uint64(corners[e, 0]), np.uint64(corners[e, 1])
         p3, p4 = np.uint64(corners[e, 2]), np.uint64(corners[e, 3])
-        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
-        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
-        m = np.sqrt(mx * mx + my * my + mz * mz)
-        n = np.sqrt(nx * nx + ny * ny + nz * nz)
-        ee = ex * ex + ey * ey + ez * ez
-        bb, be = bx * bx + by * by + bz * bz, bx * ex + by * ey + bz * ez
-        dd, de = dx * dx + dy * dy + dz * dz, dx * ex + dy * ey + dz * ez
-        hx = hy = hz = slope_1 = slope_3 = 0.0
+        b, edge, m_normal = vec.edges_and_normal(x, p1, p2, p3)
+        _, d, n_normal = vec.edges_and_normal(x, p1, p3, p4)
+        m, n = vec.norm(m_normal), vec.norm(n_normal)
+        ee, bb, dd = vec.dot(edge, edge), vec.dot(b, b), vec.dot(d, d)
+        be, de = vec.dot(b, edge), vec.dot(d, edge)
+        h = vec.ORIGIN
+        slope_1 = slope_3 = 0.0
         if m > DEGENERATE * max(ee, bb) and n > DEGENERATE * max(ee, dd):
             # Not by reciprocals: equal normals are to cancel without a rest.
-            qx, qy, qz = nx / n - mx / m, ny / n - my / m, nz / n - mz / m
-            hx, hy, hz = ey * qz - ez * qy, ez * qx - ex * qz, ex * qy - ey * qx
+            h = vec.cross(edge, vec.subtract(vec.divide(n_normal, n), vec.divide(m_normal, m)))
             m, n = 1.0 / m, 1.0 / n
             slope_1 = max(abs(ee - be) * m, MIN_SLOPE) + max(abs(ee - de) * n, MIN_SLOPE)
             slope_3 = max(abs(be) * m, MIN_SLOPE) + max(abs(de) * n, MIN_SLOPE)
-        size = np.sqrt(hx * hx + hy * hy + hz * hz)
+        size = vec.norm(h)
         bent[e] = size > threshold
         if bent[e]:
             # w = lambda^2 / (r (lambda - |H|)^2 + lambda^2), without squares of lengths.
             ratio = threshold / size
             weight = ratio * ratio / (falloff * (1.0 - ratio) ** 2 + ratio * ratio)
-            hx, hy, hz = weight * hx, weight * hy, weight * hz
+            h = vec.times(weight, h)
             slope_1, slope_3 = weight * slope_1, weight * slope_3
-        curvatures[e, 0], curvatures[e, 1], curvatures[e, 2] = hx, hy, hz
+        vec.store(curvatures, e, h)
         slopes[e, 0] = slope_1
         slopes[e, 1] = slope_3
 
@@ -337,10 +324,10 @@ def curvature_threshold(vertices: Floats, corners: Ints, deviations: float) -> f
 def _area_vectors(start, stop, x, faces, vectors):
     """Normal of every face with its area for length, and the area, both times two."""
     for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, a, b, c)
-        vectors[f, 0], vectors[f, 1], vectors[f, 2] = nx, ny, nz
-        vectors[f, 3] = np.sqrt(nx * nx + ny * ny + nz * nz)
+        a, b, c = vec.load(faces, f)
+        _, _, normal = vec.edges_and_normal(x, a, b, c)
+        vec.store(vectors, f, normal)
+        vectors[f, 3] = vec.norm(normal)
 
 
 @compiled
@@ -364,24 +351,18 @@ def _gather(
 ):
     """H_A, the gradient of the volume, time step over mass, and whether an edge is bent."""
     for i in range(start, stop):
-        hx = hy = hz = stiffness = 0.0
+        h, stiffness = vec.ORIGIN, 0.0
         feature[i] = False
         for at in range(edge_start[i], edge_start[i + 1]):
             e, end = np.uint64(ends[at] >> 1), np.uint64(ends[at] & 1)
-            hx += curvatures[e, 0]
-            hy += curvatures[e, 1]
-            hz += curvatures[e, 2]
+            h = vec.add(h, vec.load(curvatures, e))
             stiffness += slopes[e, end]
             feature[i] |= bent[e]
-        total[i, 0], total[i, 1], total[i, 2] = 0.5 * hx, 0.5 * hy, 0.5 * hz
-        ax = ay = az = area = 0.0
+        vec.store(total, i, vec.times(0.5, h))
+        area = 0.0
         for at in range(face_start[i], face_start[i + 1]):
-            f = np.uint64(incident[at])
-            ax += vectors[f, 0]
-            ay += vectors[f, 1]
-            az += vectors[f, 2]
-            area += vectors[f, 3]
-        outward[i, 0], outward[i, 1], outward[i, 2] = ax / 6.0, ay / 6.0, az / 6.0
+            area += vectors[np.uint64(incident[at]), 3]
+        vec.store(outward, i, vec.divide(vec.sum_row(vectors, face_start, incident, i), 6.0))
         # The mass is area / 6, the growth of H_A as the vertex rises is stiffness / 2.
         rate[i] = 0.0
         if free[i] and stiffness > 0.0:
@@ -394,27 +375,18 @@ def _gather(
 def _directions(start, stop, edge_start, beside, total, outward, feature, along, products):
     """V_A of length |grad volume|, the product H_A . V_A / |V_A|, and |V_A|."""
     for i in range(start, stop):
-        vx, vy, vz = outward[i, 0], outward[i, 1], outward[i, 2]
-        length = np.sqrt(vx * vx + vy * vy + vz * vz)
+        v = vec.load(outward, i)
+        length = vec.norm(v)
         if feature[i]:
-            sx = sy = sz = 0.0
-            for at in range(edge_start[i], edge_start[i + 1]):
-                k = np.uint64(beside[at])
-                sx += total[k, 0]
-                sy += total[k, 1]
-                sz += total[k, 2]
             m = edge_start[i + 1] - edge_start[i]
-            sx = total[i, 0] + sx / m
-            sy = total[i, 1] + sy / m
-            sz = total[i, 2] + sz / m
-            size = np.sqrt(sx * sx + sy * sy + sz * sz)
+            mean = vec.divide(vec.sum_row(total, edge_start, beside, i), m)
+            s = vec.add(vec.load(total, i), mean)
+            size = vec.norm(s)
             if size > 0.0:
                 scale = length / size
-                if sx * vx + sy * vy + sz * vz < 0.0:
-                    scale = -scale
-                vx, vy, vz = scale * sx, scale * sy, scale * sz
-        along[i, 0], along[i, 1], along[i, 2] = vx, vy, vz
-        product = total[i, 0] * vx + total[i, 1] * vy + total[i, 2] * vz
+                v = vec.times(-scale if vec.dot(s, v) < 0.0 else scale, s)
+        vec.store(along, i, v)
+        product = vec.dot(vec.load(total, i), v)
         products[i, 0] = product / length if length > 0.0 else 0.0
         products[i, 1] = length
 
@@ -430,8 +402,7 @@ def _prescribe(start, stop, edge_start, beside, along, products, feature, total)
                 product += products[k, 0]
                 length += products[k, 1]
         f = product / length if length > 0.0 else 0.0
-        for axis in range(3):
-            total[i, axis] -= f * along[i, axis]
+        vec.store(total, i, vec.add_scaled(vec.load(total, i), -f, vec.load(along, i)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.conjugate_gradient import RowMatrix
 from msal_cli.kernels.connectivity import index_rows
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.vectors import edges_and_normal
 
 MAX_COEFFICIENT = 100.0
 """Coefficients beyond it, of a flap on a needle, are scaled down: they would rule all others."""
@@ -29,19 +29,18 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
     """c by areas as in He & Schaefer, section 3.2; S134 times 2 is s_one, S123 times 2 is s_two."""
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
-        bx, by, bz, ex, ey, ez, mx, my, mz = edges_and_normal(x, p1, p2, p3)
-        _, _, _, dx, dy, dz, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
-        s_two = np.sqrt(mx * mx + my * my + mz * mz)
-        s_one = np.sqrt(nx * nx + ny * ny + nz * nz)
-        square = ex * ex + ey * ey + ez * ez
+        b, edge, m = vec.edges_and_normal(x, p1, p2, p3)
+        _, d, n = vec.edges_and_normal(x, p1, p3, p4)
+        s_two, s_one = vec.norm(m), vec.norm(n)
+        square = vec.dot(edge, edge)
         both = s_one + s_two
-        deltas[e, 0] = deltas[e, 1] = deltas[e, 2] = 0.0
+        vec.store(deltas, e, vec.ORIGIN)
         if both == 0.0 or square == 0.0:
             coefficients[e, 0] = coefficients[e, 1] = coefficients[e, 2] = coefficients[e, 3] = 0.0
             continue
         # How far along the edge the two opposite vertices are, from 0 at p1 to 1 at p3.
-        at_two = (bx * ex + by * ey + bz * ez) / square
-        at_four = (dx * ex + dy * ey + dz * ez) / square
+        at_two = vec.dot(b, edge) / square
+        at_four = vec.dot(d, edge) / square
         c2 = s_one / both
         c4 = s_two / both
         c3 = -(c2 * at_two + c4 * at_four)
@@ -56,11 +55,9 @@ def _bends(start, stop, x, corners, threshold, coefficients, deltas):
         coefficients[e, 0], coefficients[e, 1], coefficients[e, 2] = c1, c2, c3
         coefficients[e, 3] = c4
         # With p1 as origin the sum is as exact as the edges are.
-        vx = c3 * ex + c2 * bx + c4 * dx
-        vy = c3 * ey + c2 * by + c4 * dy
-        vz = c3 * ez + c2 * bz + c4 * dz
-        if vx * vx + vy * vy + vz * vz >= threshold:
-            deltas[e, 0], deltas[e, 1], deltas[e, 2] = vx, vy, vz
+        delta = vec.add_scaled(vec.add_scaled(vec.times(c3, edge), c2, b), c4, d)
+        if vec.dot(delta, delta) >= threshold:
+            vec.store(deltas, e, delta)
 
 
 @compiled
@@ -107,7 +104,7 @@ def _assemble(
         for at in range(row_start[i], row_start[i + 1]):
             values[at] = 0.0
         own = 1.0
-        px = py = pz = 0.0
+        pull = vec.ORIGIN
         for at in range(flap_start[i], flap_start[i + 1]):
             e = incident[at] // 4
             place = incident[at] % 4
@@ -120,11 +117,9 @@ def _assemble(
                     own += value
                 else:
                     values[s] += value
-            px += scaled * deltas[e, 0]
-            py += scaled * deltas[e, 1]
-            pz += scaled * deltas[e, 2]
+            pull = vec.add_scaled(pull, scaled, vec.load(deltas, e))
         diagonal[i] = own
-        pulls[i, 0], pulls[i, 1], pulls[i, 2] = px, py, pz
+        vec.store(pulls, i, pull)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,11 +26,12 @@ import numpy as np
 
 from msal_cli.arrays import Floats, Floats32, Ints, Longs
 from msal_cli.errors import TooLargeError
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity, side_circles
 from msal_cli.kernels.geometry import VANISHED, usable_areas
 from msal_cli.kernels.parallel import MARKING_THREADS, fill_array, over_ranges
-from msal_cli.kernels.vectors import ONE, THREE, TWO, edges_and_normal, longest_row
+from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row
 
 MAX_AROUND = 64
 """Faces around an edge or a vertex beyond which sharing it does not make neighbours."""
@@ -191,8 +192,7 @@ def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
     found = np.empty(np.int64(most + longest_row(np.uint64(0), none, ring_start)), np.uint32)
     filled = np.uint64(start) * most
     for own in range(np.uint64(start), np.uint64(stop)):
-        p = THREE * own
-        x, y, z = c[p], c[p + ONE], c[p + TWO]
+        centre = vec.load(c, own)
         radius = radii[own] if has_own else radii[0]
         square_radius = radius * radius
         name = np.uint32(own)
@@ -205,12 +205,10 @@ def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
                 if seen[k] == name:
                     continue
                 seen[k] = name
-                p = THREE * k
-                dx, dy, dz = c[p] - x, c[p + ONE] - y, c[p + TWO] - z
                 # Whether a face is near cannot be predicted: without a branch each is written down,
                 # and kept by being counted.
                 found[count] = ring[entry]
-                count += np.uint64(dx * dx + dy * dy + dz * dz <= square_radius)
+                count += np.uint64(vec.square_distance(vec.load(c, k), centre) <= square_radius)
             if at >= count or count >= most:
                 break
             g = np.uint64(found[at])
@@ -305,10 +303,9 @@ def flaps(faces: Ints, links: Connectivity) -> Ints:
 def _dihedral_angles(start, stop, x, corners, angles):
     for e in range(start, stop):
         p1, p2, p3, p4 = corners[e, 0], corners[e, 1], corners[e, 2], corners[e, 3]
-        _, _, _, _, _, _, mx, my, mz = edges_and_normal(x, p1, p2, p3)
-        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(x, p1, p3, p4)
-        sx, sy, sz = my * nz - mz * ny, mz * nx - mx * nz, mx * ny - my * nx
-        angles[e] = np.arctan2(np.sqrt(sx * sx + sy * sy + sz * sz), mx * nx + my * ny + mz * nz)
+        _, _, m = vec.edges_and_normal(x, p1, p2, p3)
+        _, _, n = vec.edges_and_normal(x, p1, p3, p4)
+        angles[e] = np.arctan2(vec.norm(vec.cross(m, n)), vec.dot(m, n))
 
 
 def dihedral_angles(vertices: Floats, corners: Ints) -> Floats:
@@ -383,18 +380,12 @@ def _inner(start, stop, ring_start, ring, first_pair, pairs, most, sizes, inner)
 def _jumps(start, stop, n, pairs, jumps):
     """|n_a - n_b| of every pair; zero where either has no normal.  n normals, flat as the pairs."""
     for pair in range(np.uint64(start), np.uint64(stop)):
-        a, b = THREE * pairs[TWO * pair], THREE * pairs[TWO * pair + ONE]
-        ax, ay, az = n[a], n[a + ONE], n[a + TWO]
-        bx, by, bz = n[b], n[b + ONE], n[b + TWO]
-        dx, dy, dz = ax - bx, ay - by, az - bz
-        jump = np.sqrt(dx * dx + dy * dy + dz * dz)
-        has_first = (ax != 0.0) | (ay != 0.0) | (az != 0.0)
-        has_second = (bx != 0.0) | (by != 0.0) | (bz != 0.0)
-        jumps[pair] = jump if has_first & has_second else 0.0
+        a, b = vec.load(n, pairs[TWO * pair]), vec.load(n, pairs[TWO * pair + ONE])
+        jumps[pair] = 0.0 if vec.is_zero(a) | vec.is_zero(b) else vec.norm(vec.subtract(a, b))
 
 
 @compiled
-def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums):
+def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums, weights):
     """Put the normals of the patches of a block side by side, and add up areas and normals.
 
     Those of a patch are followed by themselves, from the first on, for ``half`` places: so that
@@ -404,35 +395,27 @@ def _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums
     filled = np.uint64(0)
     for f in range(first, last):
         row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
-        sx = sy = sz = weight = 0.0
+        total, weight = vec.ORIGIN, 0.0
         own = filled
         k = np.uint64(f)
         at = row
         while True:
-            p = THREE * k
-            nx, ny, nz = n[p], n[p + ONE], n[p + TWO]
-            x[filled] = nx
-            y[filled] = ny
-            z[filled] = nz
+            normal = vec.load(n, k)
+            x[filled], y[filled], z[filled] = normal
             area = areas[k]
             filled += np.uint64(area > 0.0)
-            sx += area * nx
-            sy += area * ny
-            sz += area * nz
+            total = vec.add_scaled(total, area, normal)
             weight += area
             if at == end:
                 break
             k = np.uint64(ring[at])
             at += ONE
-        place = FOUR * (f - first)
-        sums[place], sums[place + ONE], sums[place + TWO] = sx, sy, sz
-        sums[place + THREE] = weight
+        vec.store(sums, f - first, total)
+        weights[f - first] = weight
         counts[f - first] = filled - own
         if filled > own:
             for place in range(own, own + half):
-                x[filled] = x[place]
-                y[filled] = y[place]
-                z[filled] = z[place]
+                x[filled], y[filled], z[filled] = x[place], y[place], z[place]
                 filled += ONE
     return filled
 
@@ -446,10 +429,9 @@ def _widest(half, filled, x, y, z, squares):
     places = max(filled, half) - half
     for k in range(ONE, half, TWO):
         for at in range(places):
-            ax, ay, az = x[at], y[at], z[at]
-            bx, by, bz = x[at + k] - ax, y[at + k] - ay, z[at + k] - az
-            cx, cy, cz = x[at + k + ONE] - ax, y[at + k + ONE] - ay, z[at + k + ONE] - az
-            square = max(bx * bx + by * by + bz * bz, cx * cx + cy * cy + cz * cz)
+            a, b = (x[at], y[at], z[at]), (x[at + k], y[at + k], z[at + k])
+            c = x[at + k + ONE], y[at + k + ONE], z[at + k + ONE]
+            square = max(vec.square_distance(b, a), vec.square_distance(c, a))
             squares[at] = max(squares[at], square)
 
 
@@ -463,13 +445,15 @@ def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, s
     # A patch has one face more than its ring, and as many places again at most.
     room = np.int64(BLOCK_PATCHES * TWO * (longest_row(start, stop, ring_start) + THREE))
     x, y, z, squares = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
-    counts = np.empty(np.int64(BLOCK_PATCHES), dtype=np.uint64)
-    sums = np.empty(np.int64(FOUR * BLOCK_PATCHES))
+    patches = np.int64(BLOCK_PATCHES)
+    counts, sums, weights = np.empty(patches, np.uint64), np.empty((patches, 3)), np.empty(patches)
     for first in range(start, stop, BLOCK_PATCHES):
         last = min(first + BLOCK_PATCHES, stop)
         # All pairs of k normals are each with those up to k / 2 places on; here an even number.
         half = (longest_row(first, last, ring_start) + THREE) // FOUR * TWO
-        filled = _gather(first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums)
+        filled = _gather(
+            first, last, half, n, areas, ring_start, ring, x, y, z, counts, sums, weights
+        )
         _widest(half, filled, x, y, z, squares)
         place = np.uint64(0)
         for f in range(first, last):
@@ -483,15 +467,13 @@ def _score(start, stop, n, areas, ring_start, ring, jumps, inner_start, inner, s
                 jump = jumps[inner[at]]
                 greatest = max(greatest, jump)
                 total += jump
-            of = FOUR * (f - first)
-            sx, sy, sz = sums[of], sums[of + ONE], sums[of + TWO]
-            length = np.sqrt(sx * sx + sy * sy + sz * sz)
-            if length <= VANISHED * sums[of + THREE]:
+            total_normal = vec.load(sums, f - first)
+            length = vec.norm(total_normal)
+            if length <= VANISHED * weights[f - first]:
                 scores[f] = np.inf
                 continue
             scores[f] = np.sqrt(square) * greatest / (EPSILON + total)
-            p = THREE * f
-            means[p], means[p + ONE], means[p + TWO] = sx / length, sy / length, sz / length
+            vec.store(means, f, vec.divide(total_normal, length))
 
 
 @compiled
@@ -506,11 +488,7 @@ def _choose(start, stop, n, ring_start, ring, scores, means, guides):
             # Two choices without a branch: which patch is best cannot be predicted.
             best = k if score < least else best
             least = min(least, score)
-        p, q = THREE * f, THREE * best
-        known = least < np.inf
-        guides[p] = means[q] if known else n[p]
-        guides[p + ONE] = means[q + ONE] if known else n[p + ONE]
-        guides[p + TWO] = means[q + TWO] if known else n[p + TWO]
+        vec.store(guides, f, vec.load(means, best) if least < np.inf else vec.load(n, f))
 
 
 @dataclass(frozen=True, eq=False)

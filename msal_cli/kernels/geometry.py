@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Floats32, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import arctangents
 from msal_cli.kernels.parallel import MIN_RANGE, fill_array, over_ranges, threads
-from msal_cli.kernels.vectors import edges_and_normal, longest_square
 
 MAX_PARTS = 8
 """Parts of the vertices whose normals are added up at the same time."""
@@ -36,18 +36,19 @@ BLOCK_FACES = 512
 @compiled
 def doubled_area_normal(vertices, a, b, c):
     """Unit normal (zeros if degenerate) and doubled area of one triangle."""
-    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if length <= DEGENERATE * longest_square(ux, uy, uz, wx, wy, wz):
-        return 0.0, 0.0, 0.0, length
-    return nx / length, ny / length, nz / length, length
+    u, w, normal = vec.edges_and_normal(vertices, a, b, c)
+    doubled = vec.norm(normal)
+    if doubled <= DEGENERATE * vec.longest_square(u, w):
+        return vec.ORIGIN, doubled
+    return vec.divide(normal, doubled), doubled
 
 
 @compiled
 def _face_normals(start, stop, vertices, faces, normals, doubled_areas):
     for f in range(start, stop):
-        nx, ny, nz, doubled = doubled_area_normal(vertices, faces[f, 0], faces[f, 1], faces[f, 2])
-        normals[f, 0], normals[f, 1], normals[f, 2] = nx, ny, nz
+        a, b, c = vec.load(faces, f)
+        normal, doubled = doubled_area_normal(vertices, a, b, c)
+        vec.store(normals, f, normal)
         if len(doubled_areas):
             doubled_areas[f] = doubled
 
@@ -105,10 +106,9 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
                 )
             for at in range(count):
                 f = chosen[at]
-                a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
-                ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
-                x[at], y[at], z[at] = nx, ny, nz
-                longest[at] = longest_square(ux, uy, uz, wx, wy, wz)
+                a, b, c = vec.load_corners(faces, f)
+                u, w, (x[at], y[at], z[at]) = vec.edges_and_normal(vertices, a, b, c)
+                longest[at] = vec.longest_square(u, w)
             for at in range(count):
                 length = np.sqrt(x[at] * x[at] + y[at] * y[at] + z[at] * z[at])
                 has_normal = length > DEGENERATE * longest[at]
@@ -135,12 +135,12 @@ def _normal_sums(start, stop, parts, vertices, faces, by_area, sums, weights, fl
 def _unit_sums(start, stop, sums, weights):
     """Make unit vectors of sums; where one vanishes it becomes zero, and its weight negative."""
     for i in range(start, stop):
-        x, y, z = sums[i, 0], sums[i, 1], sums[i, 2]
-        length = np.sqrt(x * x + y * y + z * z)
+        total = vec.load(sums, i)
+        length = vec.norm(total)
         if length > VANISHED * weights[i]:
-            sums[i, 0], sums[i, 1], sums[i, 2] = x / length, y / length, z / length
+            vec.store(sums, i, vec.divide(total, length))
         else:
-            sums[i, 0] = sums[i, 1] = sums[i, 2] = 0.0
+            vec.store(sums, i, vec.ORIGIN)
             weights[i] = -weights[i]
 
 
@@ -176,17 +176,8 @@ def vertex_normals(vertices: Floats, faces: Ints, weighting: str) -> Floats:
 @compiled
 def _mollify(start, stop, normals, ring_start, ring, result):
     for i in range(start, stop):
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = np.uint64(ring[at])
-            sx += normals[k, 0]
-            sy += normals[k, 1]
-            sz += normals[k, 2]
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * (ring_start[i + 1] - ring_start[i]):
-            result[i, 0], result[i, 1], result[i, 2] = normals[i, 0], normals[i, 1], normals[i, 2]
-        else:
-            result[i, 0], result[i, 1], result[i, 2] = sx / length, sy / length, sz / length
+        least = VANISHED * (ring_start[i + 1] - ring_start[i])
+        vec.write_unit(vec.sum_row(normals, ring_start, ring, i), least, normals, i, result)
 
 
 def mollify(normals: Floats, ring_start: Ints, ring: Ints, passes: int) -> Floats:
@@ -207,10 +198,10 @@ def _area_and_volume(vertices, faces):
     doubled_area = 0.0
     sixfold_volume = 0.0
     for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        _, _, _, _, _, _, nx, ny, nz = edges_and_normal(vertices, a, b, c)
-        doubled_area += np.sqrt(nx * nx + ny * ny + nz * nz)
-        sixfold_volume += vertices[a, 0] * nx + vertices[a, 1] * ny + vertices[a, 2] * nz
+        a, b, c = vec.load(faces, f)
+        _, _, normal = vec.edges_and_normal(vertices, a, b, c)
+        doubled_area += vec.norm(normal)
+        sixfold_volume += vec.dot(vec.load(vertices, a), normal)
     return doubled_area / 2.0, sixfold_volume / 6.0
 
 
@@ -227,10 +218,7 @@ def area_and_volume(vertices: Floats, faces: Ints) -> tuple[float, float]:
 @compiled
 def _distances(start, stop, before, after, lengths):
     for i in range(start, stop):
-        dx = after[i, 0] - before[i, 0]
-        dy = after[i, 1] - before[i, 1]
-        dz = after[i, 2] - before[i, 2]
-        lengths[i] = np.sqrt(dx * dx + dy * dy + dz * dz)
+        lengths[i] = vec.norm(vec.subtract(vec.load(after, i), vec.load(before, i)))
 
 
 def distances(before: Floats, after: Floats) -> Floats:
@@ -252,10 +240,7 @@ def _add_edge_lengths(start, stop, vertices, ring_start, ring, bins, counts):
             for at in range(ring_start[i], ring_start[i + 1]):
                 k = ring[at]
                 if k > i:
-                    dx = vertices[k, 0] - vertices[i, 0]
-                    dy = vertices[k, 1] - vertices[i, 1]
-                    dz = vertices[k, 2] - vertices[i, 2]
-                    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                    length = vec.norm(vec.offset(vertices, k, i))
                     bits = np.float64(length).view(np.uint64)
                     power = bits >> np.uint64(52)
                     digits = bits & np.uint64(0xFFFFFFFFFFFFF)
@@ -303,16 +288,9 @@ def ring_means(values: Floats, ring_start: Ints, ring: Ints) -> Floats:
 @compiled
 def _apply_umbrella(start, stop, x, ring_start, ring, inner, moves):
     for i in range(start, stop):
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = np.uint64(ring[at])
-            sx += x[k, 0]
-            sy += x[k, 1]
-            sz += x[k, 2]
         m = ring_start[i + 1] - ring_start[i] if inner[i] else 0
-        moves[i, 0] = sx / m - x[i, 0] if m else 0.0
-        moves[i, 1] = sy / m - x[i, 1] if m else 0.0
-        moves[i, 2] = sz / m - x[i, 2] if m else 0.0
+        total = vec.sum_row(x, ring_start, ring, i)
+        vec.store(moves, i, vec.subtract(vec.divide(total, m), vec.load(x, i)) if m else vec.ORIGIN)
 
 
 def apply_umbrella(
@@ -353,20 +331,16 @@ def average_around(values: Floats, ring_start: Ints, ring: Ints, passes: int) ->
 @compiled
 def _entry_sums(old, new, faces, moved, group, old_sums, new_sums, touched):
     for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = vec.load(faces, f)
         face_moved = moved[a] or moved[b] or moved[c]
-        old_x, old_y, old_z, _ = doubled_area_normal(old, a, b, c)
-        new_x, new_y, new_z, _ = doubled_area_normal(new, a, b, c)
+        old_normal, _ = doubled_area_normal(old, a, b, c)
+        new_normal, _ = doubled_area_normal(new, a, b, c)
         for corner in range(3):
             g = group[f, corner]
             if face_moved:
                 touched[g] = True
-            old_sums[g, 0] += old_x
-            old_sums[g, 1] += old_y
-            old_sums[g, 2] += old_z
-            new_sums[g, 0] += new_x
-            new_sums[g, 1] += new_y
-            new_sums[g, 2] += new_z
+            vec.store(old_sums, g, vec.add(vec.load(old_sums, g), old_normal))
+            vec.store(new_sums, g, vec.add(vec.load(new_sums, g), new_normal))
 
 
 def regroup_normals(
@@ -447,10 +421,8 @@ def _volume_moment(vertices, faces, moment):
     volume = 0.0
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        px = vertices[b, 1] * vertices[c, 2] - vertices[b, 2] * vertices[c, 1]
-        py = vertices[b, 2] * vertices[c, 0] - vertices[b, 0] * vertices[c, 2]
-        pz = vertices[b, 0] * vertices[c, 1] - vertices[b, 1] * vertices[c, 0]
-        part = vertices[a, 0] * px + vertices[a, 1] * py + vertices[a, 2] * pz
+        normal = vec.cross(vec.load(vertices, b), vec.load(vertices, c))
+        part = vec.dot(vec.load(vertices, a), normal)
         volume += part
         for axis in range(3):
             moment[axis] += part * (vertices[a, axis] + vertices[b, axis] + vertices[c, axis])
@@ -491,14 +463,6 @@ def restore_volume(original: Floats, vertices: Floats, faces: Ints) -> Floats:
 
 
 @compiled
-def _cross(vertices, a, b, c):
-    """Cross product of two edges of a triangle, sixfold volume, and its longest edge squared."""
-    ux, uy, uz, wx, wy, wz, nx, ny, nz = edges_and_normal(vertices, a, b, c)
-    volume = vertices[a, 0] * nx + vertices[a, 1] * ny + vertices[a, 2] * nz
-    return nx, ny, nz, volume, longest_square(ux, uy, uz, wx, wy, wz)
-
-
-@compiled
 def _changes(start, stop, before, after, faces, figures):
     # Gathering cannot become vector code; what follows, in loops of its own, does.
     px, py, pz = np.empty(BLOCK_FACES), np.empty(BLOCK_FACES), np.empty(BLOCK_FACES)
@@ -513,29 +477,29 @@ def _changes(start, stop, before, after, faces, figures):
         volume_before = volume_after = 0.0
         for at in range(count):
             f = first + at
-            a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
-            px[at], py[at], pz[at], volume, p_longest[at] = _cross(before, a, b, c)
-            volume_before += volume
-            qx[at], qy[at], qz[at], volume, q_longest[at] = _cross(after, a, b, c)
-            volume_after += volume
+            a, b, c = vec.load_corners(faces, f)
+            u, w, p = vec.edges_and_normal(before, a, b, c)
+            px[at], py[at], pz[at] = p
+            p_longest[at] = vec.longest_square(u, w)
+            volume_before += vec.dot(vec.load(before, a), p)
+            u, w, q = vec.edges_and_normal(after, a, b, c)
+            qx[at], qy[at], qz[at] = q
+            q_longest[at] = vec.longest_square(u, w)
+            volume_after += vec.dot(vec.load(after, a), q)
         for at in range(count):
-            p = np.sqrt(px[at] * px[at] + py[at] * py[at] + pz[at] * pz[at])
-            q = np.sqrt(qx[at] * qx[at] + qy[at] * qy[at] + qz[at] * qz[at])
-            is_compared = (p > DEGENERATE * p_longest[at]) & (q > DEGENERATE * q_longest[at])
-            scale = 1.0 / p / q if is_compared else 0.0
+            p, q = (px[at], py[at], pz[at]), (qx[at], qy[at], qz[at])
+            p_size, q_size = vec.norm(p), vec.norm(q)
+            has_both = (p_size > DEGENERATE * p_longest[at]) & (q_size > DEGENERATE * q_longest[at])
+            scale = 1.0 / p_size / q_size if has_both else 0.0
             # Sine and cosine of the angle; the arccosine of the latter would lose tiny angles.
-            x = (py[at] * qz[at] - pz[at] * qy[at]) * scale
-            y = (pz[at] * qx[at] - px[at] * qz[at]) * scale
-            z = (px[at] * qy[at] - py[at] * qx[at]) * scale
-            sine = np.sqrt(x * x + y * y + z * z)
-            cosine = (px[at] * qx[at] + py[at] * qy[at] + pz[at] * qz[at]) * scale
+            sine = vec.norm(vec.times(scale, vec.cross(p, q)))
+            cosine = vec.dot(p, q) * scale
             # tan(a / 2) is sin a / (1 + cos a) and (1 - cos a) / sin a: the one without a
             # difference of near numbers.
             apart[at] = sine if cosine >= 0.0 else 1.0 - cosine
             along[at] = 1.0 + cosine if cosine >= 0.0 else sine
-            compares[at] = 1.0 if is_compared else 0.0
-            p_longest[at] = p
-            q_longest[at] = q
+            compares[at] = 1.0 if has_both else 0.0
+            p_longest[at], q_longest[at] = p_size, q_size
         area_before = area_after = compared = flipped = 0.0
         for at in range(count):
             area_before += p_longest[at]

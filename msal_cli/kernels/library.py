@@ -242,6 +242,8 @@ def source_hash(kernel: Any) -> str:
         one = waiting.pop()
         code, known = one.function.__code__, one.function.__globals__
         # Names of attributes are among these too; to hash too much does no harm.
+        modules = [value for value in known.values() if is_kernel_module(value)]
+        known = {name: value for of in (*map(vars, modules), known) for name, value in of.items()}
         values = {name: known[name] for name in _names(code) if name in known}
         parts.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
         for value in values.values():
@@ -249,6 +251,11 @@ def source_hash(kernel: Any) -> str:
                 seen.add(id(value))
                 waiting.append(value)
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+
+
+def is_kernel_module(value: Any) -> bool:
+    """Whether it is a module of kernels, whose functions kernels call by its name."""
+    return isinstance(value, types.ModuleType) and value.__name__.startswith(f"{__package__}.")
 
 
 def _names(code: types.CodeType) -> list[str]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.spatial_order import LOW_BITS, gather_rows, morton_keys
@@ -26,78 +27,44 @@ MIN_POINTS = 4096
 
 _DEPTH = 64
 
-_FOUR, _FIVE, _SIX, _SEVEN = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(7)
-_EIGHT, _NINE = np.uint64(8), np.uint64(9)
-
 
 @compiled
-def _fill_leaves(start, stop, corners, count, first_leaf, boxes):
-    """Lower and upper bounds of each leaf, from the ``corners`` (count, 3, 3) of its triangles."""
-    for leaf in range(start, stop):
-        first = LEAF * np.uint64(leaf)
-        for slot in range(first, min(first + LEAF, np.uint64(count))):
-            for k in range(3):
-                for axis in range(3):
-                    value = corners[slot, k, axis]
-                    node = first_leaf + leaf
-                    boxes[node, axis] = min(boxes[node, axis], value)
-                    boxes[node, 3 + axis] = max(boxes[node, 3 + axis], value)
-
-
-@compiled
-def _join_boxes(start, stop, level, boxes):
-    """The boxes of the nodes ``level`` + start and so on, from those of their children."""
-    for at in range(start, stop):
-        node = level + at
-        for axis in range(3):
-            boxes[node, axis] = min(boxes[2 * node, axis], boxes[2 * node + 1, axis])
-            high = max(boxes[2 * node, 3 + axis], boxes[2 * node + 1, 3 + axis])
-            boxes[node, 3 + axis] = high
-
-
-@compiled
-def _square_to_box(x, y, z, boxes, node):
-    at = _SIX * node
-    dx = max(max(boxes[at] - x, x - boxes[at + THREE]), 0.0)
-    dy = max(max(boxes[at + ONE] - y, y - boxes[at + _FOUR]), 0.0)
-    dz = max(max(boxes[at + TWO] - z, z - boxes[at + _FIVE]), 0.0)
+def _square_to_box(point, boxes, node):
+    low = vec.subtract(vec.load(boxes, TWO * node), point)
+    high = vec.subtract(point, vec.load(boxes, TWO * node + ONE))
+    dx = max(max(low[0], high[0]), 0.0)
+    dy = max(max(low[1], high[1]), 0.0)
+    dz = max(max(low[2], high[2]), 0.0)
     return dx * dx + dy * dy + dz * dz
 
 
 @compiled
-def _square_to_edge(ox, oy, oz, ex, ey, ez, nx, ny, nz):
-    """The squared distance of a point at o from the edge e that begins at the origin, and whether
-    it is on the inner side of it, seen along n."""
-    length = ex * ex + ey * ey + ez * ez
-    share = ox * ex + oy * ey + oz * ez
-    share = min(max(share / length, 0.0), 1.0) if length > 0.0 else 0.0
-    dx, dy, dz = ox - share * ex, oy - share * ey, oz - share * ez
-    side = (ey * oz - ez * oy) * nx + (ez * ox - ex * oz) * ny + (ex * oy - ey * ox) * nz
-    return dx * dx + dy * dy + dz * dz, side >= 0.0
+def _square_to_edge(o, edge, normal):
+    """The squared distance of a point at o from the edge that begins at the origin, and whether it
+    is on the inner side of it, seen along the normal."""
+    length = vec.dot(edge, edge)
+    share = min(max(vec.dot(o, edge) / length, 0.0), 1.0) if length > 0.0 else 0.0
+    rest = vec.add_scaled(o, -share, edge)
+    return vec.dot(rest, rest), vec.dot(vec.cross(edge, o), normal) >= 0.0
 
 
 @compiled
-def _square_to_triangle(x, y, z, corners, at):
-    """The squared distance to the triangle whose nine numbers begin at ``at`` of ``corners``.
+def _square_to_triangle(point, corners, slot):
+    """The squared distance to the triangle in a slot of ``corners``, nine numbers each.
 
     The nearest point lies on one of the edges, or within where the foot of the point on the plane
     does.  A triangle without area is its edges.
     """
-    px, py, pz = x - corners[at], y - corners[at + ONE], z - corners[at + TWO]
-    ux, uy = corners[at + THREE] - corners[at], corners[at + _FOUR] - corners[at + ONE]
-    uz = corners[at + _FIVE] - corners[at + TWO]
-    wx, wy = corners[at + _SIX] - corners[at], corners[at + _SEVEN] - corners[at + ONE]
-    wz = corners[at + _EIGHT] - corners[at + TWO]
-    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-    first, is_in = _square_to_edge(px, py, pz, ux, uy, uz, nx, ny, nz)
-    second, is_in_too = _square_to_edge(
-        px - ux, py - uy, pz - uz, wx - ux, wy - uy, wz - uz, nx, ny, nz
-    )
-    third, is_in_three = _square_to_edge(px - wx, py - wy, pz - wz, -wx, -wy, -wz, nx, ny, nz)
-    least = min(first, second, third)
-    area = nx * nx + ny * ny + nz * nz
+    first = THREE * slot
+    u, w, normal = vec.edges_and_normal(corners, first, first + ONE, first + TWO)
+    p = vec.subtract(point, vec.load(corners, first))
+    at_u, is_in = _square_to_edge(p, u, normal)
+    beside, is_in_too = _square_to_edge(vec.subtract(p, u), vec.subtract(w, u), normal)
+    at_w, is_in_three = _square_to_edge(vec.subtract(p, w), vec.times(-1.0, w), normal)
+    least = min(at_u, beside, at_w)
+    area = vec.dot(normal, normal)
     if area > 0.0 and is_in and is_in_too and is_in_three:
-        height = px * nx + py * ny + pz * nz
+        height = vec.dot(p, normal)
         least = min(least, height * height / area)
     return least
 
@@ -113,9 +80,9 @@ def _find_nearest(
     first_leaf, count, found = np.uint64(first_leaf), np.uint64(len(numbers)), ZERO
     for at in range(start, stop):
         i = order[at] & LOW_BITS
-        x, y, z = points[THREE * i], points[THREE * i + ONE], points[THREE * i + TWO]
+        point = vec.load(points, i)
         nearest = numbers[found]
-        least = _square_to_triangle(x, y, z, corners, _NINE * found)
+        least = _square_to_triangle(point, corners, found)
         nodes[0], squares[0], waiting = ONE, 0.0, ONE
         while waiting > ZERO:
             waiting -= ONE
@@ -125,14 +92,14 @@ def _find_nearest(
             if node >= first_leaf:
                 begin = LEAF * (node - first_leaf)
                 for slot in range(begin, min(begin + LEAF, count)):
-                    square = _square_to_triangle(x, y, z, corners, _NINE * slot)
+                    square = _square_to_triangle(point, corners, np.uint64(slot))
                     number = numbers[slot]
                     if square < least or (square == least and number < nearest):
                         nearest, least, found = number, square, np.uint64(slot)
                 continue
             below = node + node
-            left = _square_to_box(x, y, z, boxes, below)
-            right = _square_to_box(x, y, z, boxes, below + ONE)
+            left = _square_to_box(point, boxes, below)
+            right = _square_to_box(point, boxes, below + ONE)
             # The nearer one is opened first.
             is_left = left <= right
             nodes[waiting], squares[waiting] = below + ONE if is_left else below, max(left, right)
@@ -160,12 +127,15 @@ def find_nearest_triangles(points: Floats, vertices: Floats, faces: Ints) -> tup
     corners = corners[numbers]
     n_leaves = -(-m // int(LEAF))
     first_leaf = 1 << (n_leaves - 1).bit_length()
-    boxes = np.empty((2 * first_leaf, 6))
-    boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
-    over_ranges(_fill_leaves, n_leaves, corners, m, first_leaf, boxes)
-    level = first_leaf // 2
+    boxes, level = np.empty((2 * first_leaf, 2, 3)), first_leaf
+    low_ends, high_ends = np.full((2 * level, 3), np.inf), np.full((2 * level, 3), -np.inf)
+    a, b, c = corners.transpose(1, 0, 2)
+    low_ends[:m] = np.minimum(np.minimum(a, b), c)
+    high_ends[:m] = np.maximum(np.maximum(a, b), c)
     while level:
-        over_ranges(_join_boxes, level, level, boxes)
+        low_ends = np.minimum(low_ends[::2], low_ends[1::2])
+        high_ends = np.maximum(high_ends[::2], high_ends[1::2])
+        boxes[level : 2 * level, 0], boxes[level : 2 * level, 1] = low_ends, high_ends
         level //= 2
     triangles, distances = np.empty(len(points), dtype=np.int32), np.empty(len(points))
     points = np.ascontiguousarray(points)

@@ -24,12 +24,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import Kernel, compiled
 from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
 from msal_cli.kernels.geometry import VANISHED, face_normals_and_areas, usable_areas
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import PER_MEDIAN, median
-from msal_cli.kernels.vectors import ONE, THREE, TWO, longest_row, write_unit
+from msal_cli.kernels.vectors import ONE, longest_row
 
 BLOCK_PAIRS = np.uint64(1024)
 """Pairs of faces that are worked on at a time: what belongs to them fits a first-level cache."""
@@ -42,13 +43,10 @@ OUT_OF_REACH = 1e300
 def _distances(start, stop, c, falloff, handicaps, ring_start, ring, exponents):
     """c centroids, flat; rows and numbers are unsigned, so that none is looked at for its sign."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        own = THREE * f
-        x, y, z = c[own], c[own + ONE], c[own + TWO]
-        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
+        own = vec.load(c, f)
+        for at in vec.row_range(ring_start, f):
             g = np.uint64(ring[at])
-            other = THREE * g
-            dx, dy, dz = c[other] - x, c[other + ONE] - y, c[other + TWO] - z
-            exponents[at] = (dx * dx + dy * dy + dz * dz) * falloff + handicaps[g]
+            exponents[at] = vec.square_distance(vec.load(c, g), own) * falloff + handicaps[g]
 
 
 def distance_exponents(
@@ -80,37 +78,28 @@ def _average_bilaterally(start, stop, n, exponents, falloff, ring_start, ring, r
         first = f
         origin = np.uint64(ring_start[f])
         while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
-            own = THREE * f
-            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
-            row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+            own = vec.load(n, f)
             least = np.inf
-            for at in range(row, end):
-                g = THREE * ring[at]
+            for at in vec.row_range(ring_start, f):
                 # |n_f - n_g|^2 = 2 - 2 n_f . n_g of unit vectors.
-                alike = nx * n[g] + ny * n[g + ONE] + nz * n[g + TWO]
-                exponent = exponents[at] + (1.0 - alike) * falloff
+                exponent = exponents[at] + (1.0 - vec.dot(own, vec.load(n, ring[at]))) * falloff
                 weight[at - origin] = exponent
                 least = min(least, exponent)
             # The largest Gaussian is made 1: the direction of the sum stays the same, and the
             # sum cannot vanish by underflow.
-            for at in range(row, end):
+            for at in vec.row_range(ring_start, f):
                 weight[at - origin] = least - weight[at - origin]
             f += ONE
         for at in range(np.uint64(ring_start[f]) - origin):
             weight[at] = power_of_two(weight[at])
         for i in range(first, f):
-            sx = sy = sz = weights = 0.0
-            for at in range(np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])):
-                g = THREE * ring[at]
+            total, weights = vec.ORIGIN, 0.0
+            for at in vec.row_range(ring_start, i):
                 w = weight[at - origin]
                 weights += w
-                sx += w * n[g]
-                sy += w * n[g + ONE]
-                sz += w * n[g + TWO]
-            own = THREE * i
-            has_normal = n[own] != 0.0 or n[own + ONE] != 0.0 or n[own + TWO] != 0.0
-            least = VANISHED * weights if has_normal else np.inf
-            write_unit(sx, sy, sz, least, n, i, result)
+                total = vec.add_scaled(total, w, vec.load(n, ring[at]))
+            least = np.inf if vec.is_zero(vec.load(n, i)) else VANISHED * weights
+            vec.write_unit(total, least, n, i, result)
 
 
 def bilateral_averages(
@@ -173,34 +162,24 @@ def _average_jointly(
         first = i
         origin = np.uint64(near_start[i])
         while i < stop and near_start[i + ONE] - origin <= capacity:
-            own = THREE * i
-            cx, cy, cz = c[own], c[own + ONE], c[own + TWO]
-            gx, gy, gz = g[own], g[own + ONE], g[own + TWO]
-            for at in range(near_start[i], near_start[i + ONE]):
+            own, guide = vec.load(c, i), vec.load(g, i)
+            for at in vec.row_range(near_start, i):
                 k = np.uint64(near[at])
-                j = THREE * k
-                dx, dy, dz = c[j] - cx, c[j + ONE] - cy, c[j + TWO] - cz
-                ex, ey, ez = g[j] - gx, g[j + ONE] - gy, g[j + TWO] - gz
-                weight[at - origin] = per_distance * (dx * dx + dy * dy + dz * dz) + per_guide * (
-                    ex * ex + ey * ey + ez * ez
-                )
+                exponent = per_distance * vec.square_distance(vec.load(c, k), own)
+                exponent += per_guide * vec.square_distance(vec.load(g, k), guide)
+                weight[at - origin] = exponent
                 area[at - origin] = areas[k]
             i += ONE
         for at in range(near_start[i] - origin):
             weight[at] = area[at] * power_of_two(weight[at])
         for f in range(first, i):
-            own = THREE * f
-            total = areas[f]
-            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
-            sx, sy, sz = total * nx, total * ny, total * nz
-            for at in range(near_start[f], near_start[f + ONE]):
-                j = THREE * near[at]
+            weights = areas[f]
+            total = vec.times(weights, vec.load(n, f))
+            for at in vec.row_range(near_start, f):
                 w = weight[at - origin]
-                sx += w * n[j]
-                sy += w * n[j + ONE]
-                sz += w * n[j + TWO]
-                total += w
-            write_unit(sx, sy, sz, VANISHED * total, n, f, result)
+                total = vec.add_scaled(total, w, vec.load(n, near[at]))
+                weights += w
+            vec.write_unit(total, VANISHED * weights, n, f, result)
 
 
 def joint_bilateral(
@@ -232,22 +211,17 @@ def joint_bilateral(
 def _average_similar(start, stop, n, threshold, ring_start, ring, result):
     """n normals, flat as the result; indices are unsigned, and not looked at for their sign."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        own = THREE * f
-        nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
+        own = vec.load(n, f)
         weights = (1.0 - threshold) * (1.0 - threshold)
-        sx, sy, sz = weights * nx, weights * ny, weights * nz
-        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
-            g = THREE * ring[at]
-            mx, my, mz = n[g], n[g + ONE], n[g + TWO]
-            above = nx * mx + ny * my + nz * mz - threshold
+        total = vec.times(weights, own)
+        for at in vec.row_range(ring_start, f):
+            other = vec.load(n, ring[at])
+            above = vec.dot(own, other) - threshold
             above = above if above > 0.0 else 0.0
-            weight = above * above
-            weights += weight
-            sx += weight * mx
-            sy += weight * my
-            sz += weight * mz
+            weights += above * above
+            total = vec.add_scaled(total, above * above, other)
         # A face without a normal finds none: a product of zero is below any threshold.
-        write_unit(sx, sy, sz, VANISHED * weights, n, f, result)
+        vec.write_unit(total, VANISHED * weights, n, f, result)
 
 
 def threshold_averages(
@@ -281,14 +255,6 @@ MIN_SIMILARITY = 1e-6
 
 
 @compiled
-def _square(x, i, j):
-    """Of the distance between two vertices; x flat."""
-    p, q = THREE * i, THREE * j
-    dx, dy, dz = x[p] - x[q], x[p + ONE] - x[q + ONE], x[p + TWO] - x[q + TWO]
-    return dx * dx + dy * dy + dz * dz
-
-
-@compiled
 def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
     """min(tau / A, limit) l / d: edge length l, way between centroids d, own area A, 0 for none.
 
@@ -296,22 +262,20 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
     as far apart as the corners that are off it.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
-        p = THREE * f
-        a, b, c = np.uint64(faces[p]), np.uint64(faces[p + ONE]), np.uint64(faces[p + TWO])
-        row, end = np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])
+        a, b, c = vec.load_corners(faces, f)
         total = 0.0
-        for at in range(row, end):
+        for at in vec.row_range(ring_start, f):
             g = np.uint64(ring[at])
-            q = THREE * g
-            i, j, k = np.uint64(faces[q]), np.uint64(faces[q + ONE]), np.uint64(faces[q + TWO])
+            i, j, k = vec.load_corners(faces, g)
             # Without branches: where in the faces their edge is cannot be predicted.
             has_b = (b == i) | (b == j) | (b == k)
             has_c = (c == i) | (c == j) | (c == k)
             left = c if has_c else b
             right = b if has_b & has_c else a
             apex = a if has_b & has_c else (b if has_c else c)
-            edge = _square(x, left, right)
-            way = _square(x, apex, i + j + k - left - right) / 9.0
+            edge = vec.square_distance(vec.load(x, left), vec.load(x, right))
+            other_apex = i + j + k - left - right
+            way = vec.square_distance(vec.load(x, apex), vec.load(x, other_apex)) / 9.0
             share = np.sqrt(edge / way)
             counts = (areas[f] > 0.0) & (areas[g] > 0.0) & (way > 0.0)
             share = share if counts else 0.0
@@ -322,7 +286,7 @@ def _shares(start, stop, x, faces, areas, ring_start, ring, time_step, shares):
             step = MAX_SHARE / total
             if time_step < step * areas[f]:
                 step = time_step / areas[f]
-        for at in range(row, end):
+        for at in vec.row_range(ring_start, f):
             shares[at] *= step
 
 
@@ -341,44 +305,31 @@ def _diffuse(start, stop, n, shares, inverse, ring_start, ring, result):
         first = f
         origin = np.uint64(ring_start[f])
         while f < stop and np.uint64(ring_start[f + ONE]) - origin <= capacity:
-            own = THREE * f
-            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
-            for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
-                g = THREE * ring[at]
-                dx, dy, dz = n[g] - nx, n[g + ONE] - ny, n[g + TWO] - nz
-                weights[at - origin] = -(dx * dx + dy * dy + dz * dz) * inverse
+            own = vec.load(n, f)
+            for at in vec.row_range(ring_start, f):
+                weights[at - origin] = -vec.square_distance(vec.load(n, ring[at]), own) * inverse
             f += ONE
         count = np.uint64(ring_start[f]) - origin
         for at in range(count):
             weights[at] = shares[origin + at] * power_of_two(weights[at])
         for i in range(first, f):
-            own = THREE * i
-            nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
-            sx = sy = sz = 0.0
-            for at in range(np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])):
-                g = THREE * ring[at]
-                weight = weights[at - origin]
-                sx += weight * (n[g] - nx)
-                sy += weight * (n[g + ONE] - ny)
-                sz += weight * (n[g + TWO] - nz)
-            sx, sy, sz = nx + sx, ny + sy, nz + sz
-            write_unit(sx, sy, sz, VANISHED, n, i, result)
+            own, total = vec.load(n, i), vec.ORIGIN
+            for at in vec.row_range(ring_start, i):
+                way = vec.subtract(vec.load(n, ring[at]), own)
+                total = vec.add_scaled(total, weights[at - origin], way)
+            vec.write_unit(vec.add(own, total), VANISHED, n, i, result)
 
 
 @compiled
 def _edge_differences(start, stop, n, ring_start, ring, lengths):
     """|n - m| over the neighbours of greater number, -1 for all that do not count; n flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        own = THREE * f
-        nx, ny, nz = n[own], n[own + ONE], n[own + TWO]
-        is_usable = (nx != 0.0) | (ny != 0.0) | (nz != 0.0)
-        for at in range(np.uint64(ring_start[f]), np.uint64(ring_start[f + ONE])):
-            g = THREE * ring[at]
-            mx, my, mz = n[g], n[g + ONE], n[g + TWO]
-            dx, dy, dz = mx - nx, my - ny, mz - nz
-            length = np.sqrt(dx * dx + dy * dy + dz * dz)
-            counts = is_usable & ((mx != 0.0) | (my != 0.0) | (mz != 0.0)) & (g > own)
-            lengths[at] = length if counts else -1.0
+        own = vec.load(n, f)
+        for at in vec.row_range(ring_start, f):
+            other = vec.load(n, ring[at])
+            lacks_one = vec.is_zero(own) | vec.is_zero(other)
+            length = np.sqrt(vec.square_distance(other, own))
+            lengths[at] = -1.0 if lacks_one | (ring[at] <= f) else length
 
 
 def difference_width(normals: Floats, ring_start: Ints, ring: Ints) -> float:
@@ -447,12 +398,7 @@ def _gaussians(start, stop, normals, areas, falloff, ring_start, ring, values, t
     """Turn distance exponents into w_ij / A_j, which is symmetric; sum up w_ij for every i."""
     for f in range(start, stop):
         for at in range(ring_start[f], ring_start[f + 1]):
-            g = ring[at]
-            alike = (
-                normals[f, 0] * normals[g, 0]
-                + normals[f, 1] * normals[g, 1]
-                + normals[f, 2] * normals[g, 2]
-            )
+            alike = vec.dot(vec.load(normals, f), vec.load(normals, ring[at]))
             values[at] = min(0.0, (alike - 1.0) * falloff - values[at])
     for at in range(np.uint64(ring_start[start]), np.uint64(ring_start[stop])):
         values[at] = power_of_two(values[at])
@@ -479,17 +425,13 @@ def _differences(
 ):
     """weight (own_i x_i - outer_i sum_j values_ij inner_j x_j) + base_weight base_i."""
     for i in range(start, stop):
-        sx = sy = sz = 0.0
+        total = vec.ORIGIN
         for at in range(ring_start[i], ring_start[i + 1]):
             k = ring[at]
-            value = values[at] * inner[k]
-            sx += value * x[k, 0]
-            sy += value * x[k, 1]
-            sz += value * x[k, 2]
-        factor = outer[i]
-        result[i, 0] = weight * (own[i] * x[i, 0] - factor * sx) + base_weight * base[i, 0]
-        result[i, 1] = weight * (own[i] * x[i, 1] - factor * sy) + base_weight * base[i, 1]
-        result[i, 2] = weight * (own[i] * x[i, 2] - factor * sz) + base_weight * base[i, 2]
+            total = vec.add_scaled(total, values[at] * inner[k], vec.load(x, k))
+        difference = vec.add_scaled(vec.times(own[i], vec.load(x, i)), -outer[i], total)
+        difference = vec.times(weight, difference)
+        vec.store(result, i, vec.add_scaled(difference, base_weight, vec.load(base, i)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -574,10 +516,8 @@ def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, 
         count = near_start[i + 1] - row
         for at in range(count):
             j = near[row + at]
-            dx, dy, dz = c[j, 0] - c[i, 0], c[j, 1] - c[i, 1], c[j, 2] - c[i, 2]
-            ex, ey, ez = g[j, 0] - g[i, 0], g[j, 1] - g[i, 1], g[j, 2] - g[i, 2]
-            distant[at] = per_distance * (dx * dx + dy * dy + dz * dz)
-            unlike[at] = per_guide * (ex * ex + ey * ey + ez * ez)
+            distant[at] = per_distance * vec.square_distance(vec.load(c, j), vec.load(c, i))
+            unlike[at] = per_guide * vec.square_distance(vec.load(g, j), vec.load(g, i))
         exponentials(distant, scratch, bits, count)
         exponentials(unlike, scratch, bits, count)
         total = 0.0
@@ -619,32 +559,21 @@ def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas
     for i in range(start, stop):
         row = near_start[i]
         count = near_start[i + 1] - row
-        nx, ny, nz = n[i, 0], n[i, 1], n[i, 2]
+        own = vec.load(n, i)
         for at in range(count):
             # Unsigned, so that no index is looked at for being negative.
-            j = np.uint64(near[row + at])
-            ox, oy, oz = n[j, 0], n[j, 1], n[j, 2]
-            others[at, 0], others[at, 1], others[at, 2] = ox, oy, oz
-            dx, dy, dz = ox - nx, oy - ny, oz - nz
-            kernel[at] = per_difference * (dx * dx + dy * dy + dz * dz)
+            other = vec.load(n, np.uint64(near[row + at]))
+            vec.store(others, at, other)
+            kernel[at] = per_difference * vec.square_distance(other, own)
         exponentials(kernel, scratch, bits, count)
-        sx, sy, sz = pull[i, 0], pull[i, 1], pull[i, 2]
-        total = abs(sx) + abs(sy) + abs(sz)
+        total = vec.load(pull, i)
+        weights_in_all = abs(total[0]) + abs(total[1]) + abs(total[2])
         for at in range(count):
             weight = weights[row + at] * kernel[at]
-            sx += weight * others[at, 0]
-            sy += weight * others[at, 1]
-            sz += weight * others[at, 2]
-            total += weight
-        length = np.sqrt(sx * sx + sy * sy + sz * sz)
-        if length <= VANISHED * total:
-            result[i, 0], result[i, 1], result[i, 2] = nx, ny, nz
-            changes[i] = 0.0
-        else:
-            sx, sy, sz = sx / length, sy / length, sz / length
-            result[i, 0], result[i, 1], result[i, 2] = sx, sy, sz
-            dx, dy, dz = sx - nx, sy - ny, sz - nz
-            changes[i] = areas[i] * (dx * dx + dy * dy + dz * dz)
+            total = vec.add_scaled(total, weight, vec.load(others, at))
+            weights_in_all += weight
+        vec.write_unit(total, VANISHED * weights_in_all, n, i, result)
+        changes[i] = areas[i] * vec.square_distance(vec.load(result, i), own)
 
 
 def minimising_normals(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.parallel import over_ranges
@@ -102,39 +103,30 @@ NOT_JUDGED = -np.inf
 
 
 @compiled
-def _normal(ax, ay, az, x, b, c, normal):
+def _normal(point, x, b, c):
     """The unit normal of the face of a point and the vertices b and c; zeros if it is flat."""
-    ux, uy, uz = x[b, 0] - ax, x[b, 1] - ay, x[b, 2] - az
-    vx, vy, vz = x[c, 0] - ax, x[c, 1] - ay, x[c, 2] - az
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    scale = 1.0 / length if length > 0.0 else 0.0
-    normal[0], normal[1], normal[2] = nx * scale, ny * scale, nz * scale
+    normal = vec.cross(vec.subtract(vec.load(x, b), point), vec.subtract(vec.load(x, c), point))
+    length = vec.norm(normal)
+    return vec.times(1.0 / length if length > 0.0 else 0.0, normal)
 
 
 @compiled
 def _agreements(start, stop, x, faces, face_start, incident, chosen, agreements):
-    normal = np.empty(3)
     for place in range(start, stop):
         i = chosen[place]
-        sx = sy = sz = 0.0
+        total = vec.ORIGIN
         for at in range(face_start[i], face_start[i + 1]):
-            f = incident[at]
-            a = faces[f, 0]
-            _normal(x[a, 0], x[a, 1], x[a, 2], x, faces[f, 1], faces[f, 2], normal)
-            sx += normal[0]
-            sy += normal[1]
-            sz += normal[2]
+            a, b, c = vec.load(faces, incident[at])
+            total = vec.add(total, _normal(vec.load(x, a), x, b, c))
         count = face_start[i + 1] - face_start[i]
-        agreements[i] = np.sqrt(sx * sx + sy * sy + sz * sz) / count if count else 1.0
+        agreements[i] = vec.norm(total) / count if count else 1.0
 
 
 @compiled
 def _around(i, faces, face_start, incident, after, before):
     """The vertices that follow vertex i in its faces, and those that go before it."""
     for k in range(face_start[i + 1] - face_start[i]):
-        f = incident[face_start[i] + k]
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = vec.load(faces, incident[face_start[i] + k])
         after[k] = b if a == i else (c if b == i else a)
         before[k] = c if a == i else (a if b == i else b)
 
@@ -153,7 +145,7 @@ def _circle(i, n, faces, face_start, incident, after, before, following, outer):
         outer[k] = -1
         for at in range(face_start[after[k]], face_start[after[k] + 1]):
             f = incident[at]
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            a, b, c = vec.load(faces, f)
             has_edge = a == before[k] or b == before[k] or c == before[k]
             if has_edge and a != i and b != i and c != i:
                 outer[k] = f
@@ -161,24 +153,17 @@ def _circle(i, n, faces, face_start, incident, after, before, following, outer):
 
 
 @compiled
-def _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals):
+def _roughness(point, n, x, after, following, outer, outer_normals, normals):
     """Mean length of the differences between the normals on both sides of the edges in and around
     the faces that a vertex would have at a point."""
     for k in range(n):
-        _normal(px, py, pz, x, after[k], after[following[k]], normals[k])
+        vec.store(normals, k, _normal(point, x, after[k], after[following[k]]))
     total, count = 0.0, 0
     for k in range(n):
-        j = following[k]
-        dx = normals[k, 0] - normals[j, 0]
-        dy = normals[k, 1] - normals[j, 1]
-        dz = normals[k, 2] - normals[j, 2]
-        total += np.sqrt(dx * dx + dy * dy + dz * dz)
+        total += vec.norm(vec.offset(normals, k, following[k]))
         count += 1
         if outer[k] >= 0:
-            dx = normals[k, 0] - outer_normals[k, 0]
-            dy = normals[k, 1] - outer_normals[k, 1]
-            dz = normals[k, 2] - outer_normals[k, 2]
-            total += np.sqrt(dx * dx + dy * dy + dz * dz)
+            total += vec.norm(vec.subtract(vec.load(normals, k), vec.load(outer_normals, k)))
             count += 1
     return total / count
 
@@ -260,7 +245,7 @@ def _height(u, w, c):
 
 
 @compiled
-def _has_flat_side(px, py, pz, n, x, faces, after, following, outer, normals, outer_normals, flat):
+def _has_flat_side(point, n, x, faces, after, following, outer, normals, outer_normals, flat):
     """Whether two of the faces around a vertex and next to those lie on one plane.
 
     Two with a straight link do wherever the vertex is, so they do not count.
@@ -268,33 +253,17 @@ def _has_flat_side(px, py, pz, n, x, faces, after, following, outer, normals, ou
     for k in range(n):
         j = following[k]
         a, b, c = after[k], after[j], after[following[j]]
-        rise = (
-            normals[k, 0] * (x[c, 0] - px)
-            + normals[k, 1] * (x[c, 1] - py)
-            + normals[k, 2] * (x[c, 2] - pz)
-        )
-        if abs(rise) < flat:
-            cx, cy, cz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
-            bx, by, bz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
-            nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-            chord = cx * cx + cy * cy + cz * cz
-            if nx * nx + ny * ny + nz * nz > (STRAIGHT * chord) ** 2:
+        normal = vec.load(normals, k)
+        if abs(vec.dot(normal, vec.subtract(vec.load(x, c), point))) < flat:
+            _, chord, area = vec.edges_and_normal(x, a, b, c)
+            if vec.dot(area, area) > (STRAIGHT * vec.dot(chord, chord)) ** 2:
                 return True
         f = outer[k]
         if f >= 0:
-            rise = (
-                outer_normals[k, 0] * (px - x[a, 0])
-                + outer_normals[k, 1] * (py - x[a, 1])
-                + outer_normals[k, 2] * (pz - x[a, 2])
-            )
+            rise = vec.dot(vec.load(outer_normals, k), vec.subtract(point, vec.load(x, a)))
             most = 0.0
             for corner in range(3):
-                d = faces[f, corner]
-                height = (
-                    normals[k, 0] * (x[d, 0] - px)
-                    + normals[k, 1] * (x[d, 1] - py)
-                    + normals[k, 2] * (x[d, 2] - pz)
-                )
+                height = vec.dot(normal, vec.subtract(vec.load(x, faces[f, corner]), point))
                 most = max(most, abs(height))
             if abs(rise) < flat or most < flat:
                 return True
@@ -310,8 +279,7 @@ def _spread(i, x, found, count, ring_start, ring, lengths, ranking):
         for place in range(ring_start[k], ring_start[k + 1]):
             j = ring[place]
             if j != i and n < MAX_LENGTHS:
-                dx, dy, dz = x[j, 0] - x[k, 0], x[j, 1] - x[k, 1], x[j, 2] - x[k, 2]
-                lengths[n] = np.sqrt(dx * dx + dy * dy + dz * dz)
+                lengths[n] = vec.norm(vec.offset(x, j, k))
                 n += 1
     shortest = _rank(lengths, n, 0.1, ranking)
     return ranking[np.int64(0.9 * (n - 1))] / max(shortest, 1e-300)
@@ -341,7 +309,7 @@ def _judge(
     after, before = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
     following, outer = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
     normals, outer_normals = np.empty((MAX_FACES, 3)), np.empty((MAX_FACES, 3))
-    normal, local = np.empty(3), np.empty((3, MAX_VERTICES))
+    local = np.empty((3, MAX_VERTICES))
     weights, rests = np.empty(MAX_VERTICES), np.empty(MAX_VERTICES)
     ranking, lengths = np.empty(MAX_LENGTHS), np.empty(MAX_LENGTHS)
     terms, equations = np.empty((MAX_VERTICES, TERMS)), np.empty((TERMS, TERMS + 1))
@@ -350,31 +318,28 @@ def _judge(
     for at in range(start, stop):
         i = chosen[at]
         scores[at] = NOT_JUDGED
-        for axis in range(3):
-            targets[at, axis] = places[at, axis]
+        point = vec.load(places, at)
+        vec.store(targets, at, point)
         n = face_start[i + 1] - face_start[i]
         if n < 3 or n > MAX_FACES:
             continue
         _around(i, faces, face_start, incident, after, before)
         # The local edge, and the middle of the neighbours; those that stick out count little.
-        size = cx = cy = cz = total = 0.0
+        middle = vec.ORIGIN
+        size = total = 0.0
         for k in range(n):
-            a, b = after[k], before[k]
-            dx, dy, dz = x[a, 0] - x[b, 0], x[a, 1] - x[b, 1], x[a, 2] - x[b, 2]
-            size += np.sqrt(dx * dx + dy * dy + dz * dz)
+            a = after[k]
+            size += vec.norm(vec.offset(x, a, before[k]))
             weight = agreements[a] ** 4 + 1e-6
-            cx += weight * x[a, 0]
-            cy += weight * x[a, 1]
-            cz += weight * x[a, 2]
+            middle = vec.add_scaled(middle, weight, vec.load(x, a))
             total += weight
         size /= n
         if size <= 0.0:
             continue
         scale = 1.0 / size
-        cx, cy, cz = cx / total, cy / total, cz / total
-        px, py, pz = places[at, 0], places[at, 1], places[at, 2]
-        dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
-        square = dx * dx + dy * dy + dz * dz
+        middle = vec.divide(middle, total)
+        way = vec.times(scale, vec.subtract(point, middle))
+        square = vec.dot(way, way)
         if square < (NEAR + NEAR_BY_SCORE * floor) ** 2 and not is_known:
             continue
         if not _circle(i, n, faces, face_start, incident, after, before, following, outer):
@@ -385,9 +350,9 @@ def _judge(
         for k in range(n):
             f = outer[k]
             if f >= 0:
-                p = faces[f, 0]
-                _normal(x[p, 0], x[p, 1], x[p, 2], x, faces[f, 1], faces[f, 2], outer_normals[k])
-        now = _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
+                p, q, r = vec.load(faces, f)
+                vec.store(outer_normals, k, _normal(vec.load(x, p), x, q, r))
+        now = _roughness(point, n, x, after, following, outer, outer_normals, normals)
         for near in range(1, count):
             rests[near] = agreements[found[near]]
         quiet = _rank(rests, count, QUIET, ranking)
@@ -396,33 +361,27 @@ def _judge(
         if most <= floor and not is_known:
             continue
         # The direction of the neighbours' other faces.
-        nx = ny = nz = 0.0
+        normal = vec.ORIGIN
         for k in range(n):
             a = after[k]
             weight = agreements[a] ** 4
             for place in range(face_start[a], face_start[a + 1]):
-                f = incident[place]
-                p, q, r = faces[f, 0], faces[f, 1], faces[f, 2]
+                p, q, r = vec.load(faces, incident[place])
                 if p != i and q != i and r != i:
-                    _normal(x[p, 0], x[p, 1], x[p, 2], x, q, r, normal)
-                    nx += weight * normal[0]
-                    ny += weight * normal[1]
-                    nz += weight * normal[2]
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+                    normal = vec.add_scaled(normal, weight, _normal(vec.load(x, p), x, q, r))
+        length = vec.norm(normal)
         if length <= 1e-10:
             continue
-        nx, ny, nz = nx / length, ny / length, nz / length
-        ux, uy, uz, wx, wy, wz = find_tangents(nx, ny, nz)
+        normal = vec.divide(normal, length)
+        u_axis, w_axis = find_tangents(normal)
         for near in range(count):
             k = found[near]
-            dx, dy, dz = (x[k, 0] - cx) * scale, (x[k, 1] - cy) * scale, (x[k, 2] - cz) * scale
-            local[0, near] = dx * ux + dy * uy + dz * uz
-            local[1, near] = dx * wx + dy * wy + dz * wz
-            local[2, near] = dx * nx + dy * ny + dz * nz
+            offset = vec.times(scale, vec.subtract(vec.load(x, k), middle))
+            local[0, near], local[1, near] = vec.dot(offset, u_axis), vec.dot(offset, w_axis)
+            local[2, near] = vec.dot(offset, normal)
             weights[near] = agreements[k] ** 4
-        dx, dy, dz = (px - cx) * scale, (py - cy) * scale, (pz - cz) * scale
-        u, w = dx * ux + dy * uy + dz * uz, dx * wx + dy * wy + dz * wz
-        along, rise = np.sqrt(u * u + w * w), dx * nx + dy * ny + dz * nz
+        u, w, rise = vec.dot(way, u_axis), vec.dot(way, w_axis), vec.dot(way, normal)
+        along = np.sqrt(u * u + w * w)
         least = 0.0
         if not is_known:
             least = np.sqrt(max(EARLY_WAY**2 - along * along, 0.0))
@@ -434,14 +393,13 @@ def _judge(
         if along > KEPT_WAY:
             u = w = 0.0
         height = _height(u, w, coefficients)
-        tx = cx + size * (u * ux + w * wx + height * nx)
-        ty = cy + size * (u * uy + w * wy + height * ny)
-        tz = cz + size * (u * uz + w * wz + height * nz)
-        targets[at, 0], targets[at, 1], targets[at, 2] = tx, ty, tz
-        way = np.sqrt(across * across + along * along)
-        if way < MIN_WAY or way * size < MIN_EDGES * edge:
+        offset = vec.add_scaled(vec.add_scaled(vec.times(u, u_axis), w, w_axis), height, normal)
+        target = vec.add_scaled(middle, size, offset)
+        vec.store(targets, at, target)
+        off = np.sqrt(across * across + along * along)
+        if off < MIN_WAY or off * size < MIN_EDGES * edge:
             continue
-        then = _roughness(tx, ty, tz, n, x, after, following, outer, outer_normals, normals)
+        then = _roughness(target, n, x, after, following, outer, outer_normals, normals)
         if now - then < MIN_GAIN:
             continue
         score = across + ALONG * along + ROUGH * now
@@ -450,15 +408,13 @@ def _judge(
             continue
         nearest = np.inf
         for k in range(n):
-            a = after[k]
-            dx, dy, dz = x[a, 0] - px, x[a, 1] - py, x[a, 2] - pz
-            nearest = min(nearest, dx * dx + dy * dy + dz * dz)
+            nearest = min(nearest, vec.square_distance(vec.load(x, after[k]), point))
         if nearest < (TOUCHING * size) ** 2:
             continue
         # Of the faces as they are; those with the vertex in its place were the last.
-        _roughness(px, py, pz, n, x, after, following, outer, outer_normals, normals)
+        _roughness(point, n, x, after, following, outer, outer_normals, normals)
         if _has_flat_side(
-            px, py, pz, n, x, faces, after, following, outer, normals, outer_normals, FLAT * edge
+            point, n, x, faces, after, following, outer, normals, outer_normals, FLAT * edge
         ):
             continue
         if _spread(i, x, found, count, ring_start, ring, lengths, ranking) > UNLIKE_EDGES:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
@@ -93,50 +94,42 @@ def collect_patch(i, ring_start, ring, found, ends, slots):
 
 
 @compiled
-def find_tangents(nx, ny, nz):
+def find_tangents(normal):
     """Two unit vectors across a unit normal, the first across the axis that it leans to least."""
-    if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
-        ux, uy, uz = 0.0, nz, -ny
-    elif abs(ny) <= abs(nz):
-        ux, uy, uz = -nz, 0.0, nx
+    x, y, z = normal
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        u = 0.0, z, -y
+    elif abs(y) <= abs(z):
+        u = -z, 0.0, x
     else:
-        ux, uy, uz = ny, -nx, 0.0
-    length = np.sqrt(ux * ux + uy * uy + uz * uz)
-    ux, uy, uz = ux / length, uy / length, uz / length
-    return ux, uy, uz, ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        u = y, -x, 0.0
+    u = vec.divide(u, vec.norm(u))
+    return u, vec.cross(normal, u)
 
 
 @compiled
 def _find_frame(found, inner, count, vertices, normals, frame):
-    """Normal, tangents and middle of the first ``inner`` vertices found, in ``frame`` (12,).
+    """Normal, tangents and middle of the first ``inner`` vertices found, in ``frame`` (4, 3).
 
     Returns the root mean square distance of all ``count`` from the middle; zero where there is no
     frame.
     """
-    nx = ny = nz = mx = my = mz = 0.0
+    normal = middle = vec.ORIGIN
     for a in range(inner):
-        k = found[a]
-        nx += normals[k, 0]
-        ny += normals[k, 1]
-        nz += normals[k, 2]
-        mx += vertices[k, 0]
-        my += vertices[k, 1]
-        mz += vertices[k, 2]
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        normal = vec.add(normal, vec.load(normals, found[a]))
+        middle = vec.add(middle, vec.load(vertices, found[a]))
+    length = vec.norm(normal)
     if length <= 1e-10 * inner:
         return 0.0
-    nx, ny, nz = nx / length, ny / length, nz / length
-    mx, my, mz = mx / inner, my / inner, mz / inner
-    ux, uy, uz, wx, wy, wz = find_tangents(nx, ny, nz)
-    frame[0], frame[1], frame[2] = nx, ny, nz
-    frame[3], frame[4], frame[5] = ux, uy, uz
-    frame[6], frame[7], frame[8] = wx, wy, wz
-    frame[9], frame[10], frame[11] = mx, my, mz
+    normal, middle = vec.divide(normal, length), vec.divide(middle, inner)
+    u, w = find_tangents(normal)
+    vec.store(frame, 0, normal)
+    vec.store(frame, 1, u)
+    vec.store(frame, 2, w)
+    vec.store(frame, 3, middle)
     size = 0.0
     for a in range(count):
-        k = found[a]
-        x, y, z = vertices[k, 0] - mx, vertices[k, 1] - my, vertices[k, 2] - mz
-        size += x * x + y * y + z * z
+        size += vec.square_distance(vec.load(vertices, found[a]), middle)
     return np.sqrt(size / count)
 
 
@@ -160,16 +153,12 @@ def _add_vertices(found, added, stop, vertices, frame, scale, terms, own, sums, 
 
     ``terms`` is for one vertex; ``own`` gets the monomials and the height of the first of all.
     """
-    nx, ny, nz = frame[0], frame[1], frame[2]
-    ux, uy, uz = frame[3], frame[4], frame[5]
-    wx, wy, wz = frame[6], frame[7], frame[8]
+    normal, middle = vec.load(frame, 0), vec.load(frame, 3)
+    u, w = vec.load(frame, 1), vec.load(frame, 2)
     for at in range(added, stop):
-        k = found[at]
-        x = (vertices[k, 0] - frame[9]) * scale
-        y = (vertices[k, 1] - frame[10]) * scale
-        z = (vertices[k, 2] - frame[11]) * scale
-        height = x * nx + y * ny + z * nz
-        _fill_monomials(x * ux + y * uy + z * uz, x * wx + y * wy + z * wz, terms)
+        offset = vec.times(scale, vec.subtract(vec.load(vertices, found[at]), middle))
+        height = vec.dot(offset, normal)
+        _fill_monomials(vec.dot(offset, u), vec.dot(offset, w), terms)
         if at == 0:
             for m in range(CUBIC_TERMS):
                 own[m] = terms[m]
@@ -232,7 +221,7 @@ def _fit_patches(
     start, stop, chosen, vertices, normals, ring_start, ring, variances, freedoms, gaps, ratios
 ):
     found, ends = np.empty(MAX_VERTICES, dtype=np.int64), np.empty(3, dtype=np.int64)
-    slots, frame = np.empty(SLOTS, dtype=np.int64), np.empty(12)
+    slots, frame = np.empty(SLOTS, dtype=np.int64), np.empty((4, 3))
     terms, own = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     equations, diagonal = np.empty((WIDTH, WIDTH)), np.empty(CUBIC_TERMS)
@@ -310,7 +299,7 @@ def _fit_scales(
 ):
     found = np.empty(MAX_WIDE_VERTICES, dtype=np.int64)
     ends = np.empty(MAX_RINGS + 1, dtype=np.int64)
-    slots, frame = np.empty(WIDE_SLOTS, dtype=np.int64), np.empty(12)
+    slots, frame = np.empty(WIDE_SLOTS, dtype=np.int64), np.empty((4, 3))
     terms, own = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     sums, along = np.empty(SEXTIC_TERMS), np.empty(HEIGHT + 1)
     equations, diagonal = np.empty((WIDTH, WIDTH)), np.empty(CUBIC_TERMS)
@@ -319,8 +308,8 @@ def _fit_scales(
             rests[at, fit] = 0.0
             rows[at, fit] = 0
             ranks[at, fit] = 0
-        for axis in range(3):
-            frames[at, axis] = offsets[at, axis] = 0.0
+        vec.store(frames, at, vec.ORIGIN)
+        vec.store(offsets, at, vec.ORIGIN)
         i = chosen[at]
         collect_patch(i, ring_start, ring, found, ends, slots)
         widest = MAX_RINGS
@@ -330,18 +319,18 @@ def _fit_scales(
         size = _find_frame(found, inner, ends[widest], vertices, normals, frame)
         if size == 0.0:
             continue
-        frames[at, 0], frames[at, 1], frames[at, 2] = frame[0], frame[1], frame[2]
+        vec.store(frames, at, vec.load(frame, 0))
         scale = 1.0 / size
         sums[:] = 0.0
         along[:] = 0.0
         valence = ends[1] - 1.0
         if valence > 0.0:
             weight = np.sqrt(valence / (valence + 1.0))
-            for axis in range(3):
-                middle = 0.0
-                for a in range(1, ends[1]):
-                    middle += vertices[found[a], axis]
-                offsets[at, axis] = (vertices[i, axis] - middle / valence) * weight
+            total = vec.ORIGIN
+            for a in range(1, ends[1]):
+                total = vec.add(total, vec.load(vertices, found[a]))
+            way = vec.subtract(vec.load(vertices, i), vec.divide(total, valence))
+            vec.store(offsets, at, vec.times(weight, way))
         added = fit = 0
         for rings in range(1, widest + 1):
             stop_at = ends[rings]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.geometry import doubled_area_normal
 from msal_cli.kernels.numbers import EXACT, UNDECIDED, read_number
@@ -207,29 +208,26 @@ def check_facets(
         if words[f, _ATTRIBUTE] != words_before[f, _ATTRIBUTE]:
             return f, WRONG_ATTRIBUTE
         moved = False
-        for corner in range(3):
-            i = faces[f, corner]
-            for k in range(3):
-                at = 3 * corner + k
-                if old[i, k] != corners_before[f, at]:
-                    return f, WRONG_CORNER
-                word = _CORNERS + 2 * at
-                if new[i, k] != old[i, k]:
-                    moved = True
-                    if corners[f, at] != np.float32(new[i, k]):
-                        return f, WRONG_CORNER
-                elif (
-                    words[f, word] != words_before[f, word]
-                    or words[f, word + 1] != words_before[f, word + 1]
-                ):
-                    return f, WRONG_CORNER
+        for at in range(9):
+            i, k, word = faces[f, at // 3], at % 3, _CORNERS + 2 * at
+            if old[i, k] != corners_before[f, at]:
+                return f, WRONG_CORNER
+            is_same = words[f, word] == words_before[f, word]
+            is_same = is_same and words[f, word + 1] == words_before[f, word + 1]
+            if new[i, k] != old[i, k]:
+                moved = True
+                is_same = corners[f, at] == np.float32(new[i, k])
+            if not is_same:
+                return f, WRONG_CORNER
         changed = False
         for word in range(_CORNERS):
             changed = changed or words[f, word] != words_before[f, word]
         if changed:
-            x = np.float64(normals[f, 0])
-            y = np.float64(normals[f, 1])
-            z = np.float64(normals[f, 2])
+            x, y, z = (
+                np.float64(normals[f, 0]),
+                np.float64(normals[f, 1]),
+                np.float64(normals[f, 2]),
+            )
             if not moved or not abs(x * x + y * y + z * z - 1.0) < _LENGTH_ERROR:
                 return f, WRONG_NORMAL
     return stop, RIGHT
@@ -247,13 +245,9 @@ def replace_facets(start, stop, old, new, faces, normals, corners, changed):
     changed (m,) bool : set for normals that are replaced.  Without rows: not filled.
     """
     for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        moved = False
-        for k in range(3):
-            moved = moved or (
-                old[a, k] != new[a, k] or old[b, k] != new[b, k] or old[c, k] != new[c, k]
-            )
-        if not moved:
+        a, b, c = vec.load(faces, f)
+        is_kept = vec.load(old, a) == vec.load(new, a) and vec.load(old, b) == vec.load(new, b)
+        if is_kept and vec.load(old, c) == vec.load(new, c):
             continue
         if len(corners):
             for corner in range(3):
@@ -263,19 +257,16 @@ def replace_facets(start, stop, old, new, faces, normals, corners, changed):
                         corners[f, 3 * corner + k] = new[i, k]
         x, y, z = np.float64(normals[f, 0]), np.float64(normals[f, 1]), np.float64(normals[f, 2])
         largest = max(abs(x), abs(y), abs(z))
-        nx, ny, nz, length = doubled_area_normal(new, a, b, c)
+        normal, length = doubled_area_normal(new, a, b, c)
         # A sum, because NaN disappears in a maximum.
         is_stored = largest > 0.0 and abs(x) + abs(y) + abs(z) < np.inf
-        if not (is_stored and length < np.inf) or (nx == 0.0 and ny == 0.0 and nz == 0.0):
+        if not (is_stored and length < np.inf) or vec.is_zero(normal):
             continue
-        ox, oy, oz, _ = doubled_area_normal(old, a, b, c)
+        before, _ = doubled_area_normal(old, a, b, c)
         # Scaled, so that neither tiny nor huge stored normals spoil the sign.
-        along = x / largest * ox + y / largest * oy + z / largest * oz
-        sense = -1.0 if along < 0.0 else 1.0
+        along = vec.dot(vec.divide((x, y, z), largest), before)
         # The sum makes a plain zero of a negative one.
-        normals[f, 0] = sense * nx + 0.0
-        normals[f, 1] = sense * ny + 0.0
-        normals[f, 2] = sense * nz + 0.0
+        vec.store(normals, f, vec.add(vec.times(-1.0 if along < 0.0 else 1.0, normal), vec.ORIGIN))
         if len(changed):
             changed[f] = True
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msal_cli.arrays import Floats
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Operator, RingOperator
 from msal_cli.kernels.parallel import over_ranges
@@ -95,9 +96,7 @@ def _move_along_normals(
         t = offsets[i]
         t = t + tau * heights[i] - pull * t
         offsets[i] = t
-        x[i, 0] = v[i, 0] + t * normals[i, 0]
-        x[i, 1] = v[i, 1] + t * normals[i, 1]
-        x[i, 2] = v[i, 2] + t * normals[i, 2]
+        vec.store(x, i, vec.add_scaled(vec.load(v, i), t, vec.load(normals, i)))
 
 
 @compiled

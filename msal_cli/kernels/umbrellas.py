@@ -20,24 +20,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.operators import Step
 from msal_cli.kernels.parallel import fill_array, over_ranges
-from msal_cli.kernels.vectors import ONE, THREE, TWO
+from msal_cli.kernels.vectors import ONE
+
+
+@compiled
+def _mean_offset(x, ring_start, ring, i):
+    """The mean of x_k - x_i over the row of i; zero where it is empty."""
+    m = ring_start[i + 1] - ring_start[i]
+    return vec.times(1.0 / m if m else 0.0, vec.sum_offsets(x, ring_start, ring, i))
 
 
 @compiled
 def _umbrella(start, stop, x, ring_start, ring, moves):
     for i in range(start, stop):
-        m = ring_start[i + 1] - ring_start[i]
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            sx += x[k, 0] - x[i, 0]
-            sy += x[k, 1] - x[i, 1]
-            sz += x[k, 2] - x[i, 2]
-        share = 1.0 / m if m else 0.0
-        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
+        vec.store(moves, i, _mean_offset(x, ring_start, ring, i))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,20 +57,17 @@ class Umbrella:
 def _scale_dependent_umbrella(start, stop, x, ring_start, ring, time_step, moves):
     """l edge lengths of the row; edges without length have no direction and do not count."""
     for i in range(start, stop):
-        sx = sy = sz = 0.0
+        total = vec.ORIGIN
         lengths = reciprocals = 0.0
         for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            ex, ey, ez = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
-            length = np.sqrt(ex * ex + ey * ey + ez * ez)
+            edge = vec.offset(x, ring[at], i)
+            length = vec.norm(edge)
             if length > 0.0:
-                sx += ex / length
-                sy += ey / length
-                sz += ez / length
+                total = vec.add(total, vec.divide(edge, length))
                 lengths += length
                 reciprocals += 1.0 / length
         share = min(2.0 * time_step / lengths, 1.0 / reciprocals) if lengths > 0.0 else 0.0
-        moves[i, 0], moves[i, 1], moves[i, 2] = share * sx, share * sy, share * sz
+        vec.store(moves, i, vec.times(share, total))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,38 +95,20 @@ class ScaleDependentUmbrella:
 def _average_and_correct(start, stop, o, q, ring_start, ring, alpha, p, b):
     """o input, q previous, p averaged positions, b corrections; letters of Vollmer et al."""
     for i in range(start, stop):
-        m = ring_start[i + 1] - ring_start[i]
-        qx, qy, qz = q[i, 0], q[i, 1], q[i, 2]
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            sx += q[k, 0] - qx
-            sy += q[k, 1] - qy
-            sz += q[k, 2] - qz
-        share = 1.0 / m if m else 0.0
-        p[i, 0], p[i, 1], p[i, 2] = qx + share * sx, qy + share * sy, qz + share * sz
+        step, own = _mean_offset(q, ring_start, ring, i), vec.load(q, i)
+        vec.store(p, i, vec.add(own, step))
         # p - (alpha o + (1 - alpha) q), so written that it is zero where nothing moves.
-        b[i, 0] = share * sx - alpha * (o[i, 0] - qx)
-        b[i, 1] = share * sy - alpha * (o[i, 1] - qy)
-        b[i, 2] = share * sz - alpha * (o[i, 2] - qz)
+        vec.store(b, i, vec.add_scaled(step, -alpha, vec.subtract(vec.load(o, i), own)))
 
 
 @compiled
 def _push_back(start, stop, p, b, ring_start, ring, beta, q):
     for i in range(start, stop):
         m = ring_start[i + 1] - ring_start[i]
-        if m == 0:
-            continue
-        sx = sy = sz = 0.0
-        for at in range(ring_start[i], ring_start[i + 1]):
-            k = ring[at]
-            sx += b[k, 0]
-            sy += b[k, 1]
-            sz += b[k, 2]
-        share = (1.0 - beta) / m
-        q[i, 0] = p[i, 0] - (beta * b[i, 0] + share * sx)
-        q[i, 1] = p[i, 1] - (beta * b[i, 1] + share * sy)
-        q[i, 2] = p[i, 2] - (beta * b[i, 2] + share * sz)
+        if m:
+            around = vec.times((1.0 - beta) / m, vec.sum_row(b, ring_start, ring, i))
+            back = vec.add(vec.times(beta, vec.load(b, i)), around)
+            vec.store(q, i, vec.subtract(vec.load(p, i), back))
 
 
 def hc_sweep(
@@ -164,25 +143,14 @@ def _next_polynomial(start, stop, x, ring_start, ring, before, now, twice, weigh
     filter, added to the moves of the filters; positions and moves are flat."""
     rest = twice - 1.0
     for i in range(np.uint64(start), np.uint64(stop)):
-        at, end = ring_start[i], ring_start[i + ONE]
-        share = 0.5 / np.float64(end - at) if end > at else 0.0
-        o = THREE * i
-        hx, hy, hz = now[o], now[o + ONE], now[o + TWO]
-        tx = ty = tz = 0.0
-        for place in range(at, end):
-            k = THREE * np.uint64(ring[place])
-            tx += now[k] - hx
-            ty += now[k + ONE] - hy
-            tz += now[k + TWO] - hz
-        vx = twice * (hx + share * tx) - rest * before[o]
-        vy = twice * (hy + share * ty) - rest * before[o + ONE]
-        vz = twice * (hz + share * tz) - rest * before[o + TWO]
-        after[o], after[o + ONE], after[o + TWO] = vx, vy, vz
-        vx, vy, vz = vx - x[o], vy - x[o + ONE], vz - x[o + TWO]
+        m = ring_start[i + ONE] - ring_start[i]
+        share = 0.5 / np.float64(m) if m else 0.0
+        middle = vec.add_scaled(vec.load(now, i), share, vec.sum_offsets(now, ring_start, ring, i))
+        v = vec.subtract(vec.times(twice, middle), vec.times(rest, vec.load(before, i)))
+        vec.store(after, i, v)
+        v = vec.subtract(v, vec.load(x, i))
         for one in range(len(weights)):
-            moves[one, o] += weights[one] * vx
-            moves[one, o + ONE] += weights[one] * vy
-            moves[one, o + TWO] += weights[one] * vz
+            vec.store(moves[one], i, vec.add_scaled(vec.load(moves[one], i), weights[one], v))
 
 
 def smooth_by_windowed_sinc(

@@ -22,11 +22,12 @@ from collections.abc import Callable
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.parallel import over_ranges
-from msal_cli.kernels.vectors import ONE, THREE, TWO
+from msal_cli.kernels.vectors import ONE
 
 THIRD = 1.0 / 3.0
 
@@ -36,9 +37,8 @@ def _shares(start, stop, n, face_start, incident, free, share):
     """One over the number of faces that have a normal; zero for vertices that stay."""
     for i in range(np.uint64(start), np.uint64(stop)):
         count = 0
-        for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
-            f = THREE * incident[at]
-            count += (n[f] != 0.0) | (n[f + ONE] != 0.0) | (n[f + TWO] != 0.0)
+        for at in vec.row_range(face_start, i):
+            count += not vec.is_zero(vec.load(n, incident[at]))
         share[i] = 1.0 / max(count, 1) if free[i] and count else 0.0
 
 
@@ -49,33 +49,23 @@ def _offsets(start, stop, x, faces, n, offsets):
     Indices are unsigned, so that none is looked at for its sign.
     """
     for f in range(np.uint64(start), np.uint64(stop)):
-        at = THREE * f
-        a, b, c = THREE * faces[at], THREE * faces[at + ONE], THREE * faces[at + TWO]
-        ax, ay, az = x[a], x[a + ONE], x[a + TWO]
+        a, b, c = vec.load(faces, f)
+        origin = vec.load(x, a)
         # In this way the centroid of equal coordinates is just these.
-        cx = ax + ((x[b] - ax) + (x[c] - ax)) * THIRD
-        cy = ay + ((x[b + ONE] - ay) + (x[c + ONE] - ay)) * THIRD
-        cz = az + ((x[b + TWO] - az) + (x[c + TWO] - az)) * THIRD
-        offsets[f] = n[at] * cx + n[at + ONE] * cy + n[at + TWO] * cz
+        ways = vec.add(vec.subtract(vec.load(x, b), origin), vec.subtract(vec.load(x, c), origin))
+        offsets[f] = vec.dot(vec.load(n, f), vec.add_scaled(origin, THIRD, ways))
 
 
 @compiled
 def _move(start, stop, n, face_start, incident, offsets, share, x):
     """x positions, flat as the normals; the sum of the ways to the planes counts by ``share``."""
     for i in range(np.uint64(start), np.uint64(stop)):
-        own = THREE * i
-        xi, yi, zi = x[own], x[own + ONE], x[own + TWO]
-        sx = sy = sz = 0.0
-        for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
+        own, total = vec.load(x, i), vec.ORIGIN
+        for at in vec.row_range(face_start, i):
             f = np.uint64(incident[at])
-            nx, ny, nz = n[THREE * f], n[THREE * f + ONE], n[THREE * f + TWO]
-            height = offsets[f] - (nx * xi + ny * yi + nz * zi)
-            sx += height * nx
-            sy += height * ny
-            sz += height * nz
-        x[own] = xi + share[i] * sx
-        x[own + ONE] = yi + share[i] * sy
-        x[own + TWO] = zi + share[i] * sz
+            normal = vec.load(n, f)
+            total = vec.add_scaled(total, offsets[f] - vec.dot(normal, own), normal)
+        vec.store(x, i, vec.add_scaled(own, share[i], total))
 
 
 def update_vertices(
@@ -129,14 +119,9 @@ STRAINED, FULLY_STRAINED = 0.93969262078590838, 0.64278760968653933
 def _measure_strains(start, stop, normals, wanted, strains):
     """How strained each face is, 0 to 1; 0 where either normal is missing.  All arrays flat."""
     for f in range(np.uint64(start), np.uint64(stop)):
-        at = THREE * f
-        ax, ay, az = normals[at], normals[at + ONE], normals[at + TWO]
-        bx, by, bz = wanted[at], wanted[at + ONE], wanted[at + TWO]
-        has_both = ((ax != 0.0) | (ay != 0.0) | (az != 0.0)) & (
-            (bx != 0.0) | (by != 0.0) | (bz != 0.0)
-        )
-        strain = (STRAINED - (ax * bx + ay * by + az * bz)) / (STRAINED - FULLY_STRAINED)
-        strains[f] = min(max(strain, 0.0), 1.0) if has_both else 0.0
+        a, b = vec.load(normals, f), vec.load(wanted, f)
+        strain = (STRAINED - vec.dot(a, b)) / (STRAINED - FULLY_STRAINED)
+        strains[f] = 0.0 if vec.is_zero(a) | vec.is_zero(b) else min(max(strain, 0.0), 1.0)
 
 
 @compiled
@@ -158,32 +143,18 @@ def _even_out(
     """Positions after one step, flat as x, and which vertices have a strained face."""
     for i in range(np.uint64(start), np.uint64(stop)):
         strain = 0.0
-        nx = ny = nz = 0.0
-        for at in range(np.uint64(face_start[i]), np.uint64(face_start[i + ONE])):
-            f = np.uint64(incident[at])
-            strain = max(strain, strains[f])
-            nx += wanted[THREE * f]
-            ny += wanted[THREE * f + ONE]
-            nz += wanted[THREE * f + TWO]
-        own = THREE * i
-        px, py, pz = x[own], x[own + ONE], x[own + TWO]
+        for at in vec.row_range(face_start, i):
+            strain = max(strain, strains[np.uint64(incident[at])])
+        normal = vec.sum_row(wanted, face_start, incident, i)
+        place = vec.load(x, i)
         chosen[i] = free[i] and strain > 0.0
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        length = vec.norm(normal)
         if chosen[i] and inner[i] and length > 0.0:
-            nx, ny, nz = nx / length, ny / length, nz / length
-            mx = my = mz = 0.0
-            row, end = np.uint64(ring_start[i]), np.uint64(ring_start[i + ONE])
-            for at in range(row, end):
-                k = THREE * ring[at]
-                mx += x[k] - px
-                my += x[k + ONE] - py
-                mz += x[k + TWO] - pz
-            share = STEP * strain / np.float64(end - row)
-            along = mx * nx + my * ny + mz * nz
-            px += share * (mx - along * nx)
-            py += share * (my - along * ny)
-            pz += share * (mz - along * nz)
-        moved[own], moved[own + ONE], moved[own + TWO] = px, py, pz
+            normal = vec.divide(normal, length)
+            way = vec.sum_offsets(x, ring_start, ring, i)
+            share = STEP * strain / np.float64(ring_start[i + ONE] - ring_start[i])
+            place = vec.add_scaled(place, share, vec.add_scaled(way, -vec.dot(way, normal), normal))
+        vec.store(moved, i, place)
 
 
 def untangle(

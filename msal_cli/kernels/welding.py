@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from msal_cli.arrays import Flags, Floats, Ints
 from msal_cli.kernels import array_files
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.spatial_order import blocks, order_vertices
@@ -93,11 +94,7 @@ def _weld(rows, bits, candidates, highs, table, first):
                 break
             if highs[other] == high:
                 k = candidates[other]
-                if (
-                    rows[k, 0] == rows[i, 0]
-                    and rows[k, 1] == rows[i, 1]
-                    and rows[k, 2] == rows[i, 2]
-                ):
+                if vec.load(rows, k) == vec.load(rows, i):
                     first[i] = k
                     merged += 1
                     break
@@ -207,13 +204,11 @@ def _scatter(start, stop, before, after, is_used, place, first, last, origin, or
         if k >= last or (k < first and k >= 0) or (k < 0 and first > 0):
             continue
         if k >= 0 and is_used[k]:
-            x, y, z = after[k, 0], after[k, 1], after[k, 2]
-            if x != before[k, 0] or y != before[k, 1] or z != before[k, 2]:
-                result[i, 0] = x + origin[0]
-                result[i, 1] = y + origin[1]
-                result[i, 2] = z + origin[2]
+            place_after = vec.load(after, k)
+            if place_after != vec.load(before, k):
+                vec.store(result, i, vec.add(place_after, vec.load(origin, 0)))
                 continue
-        result[i, 0], result[i, 1], result[i, 2] = original[i, 0], original[i, 1], original[i, 2]
+        vec.store(result, i, vec.load(original, i))
 
 
 def scatter(
@@ -248,10 +243,8 @@ def _widest_gap(positions, place, first):
         if first[k] < 0:
             first[k] = i
         at = first[k]
-        dx = positions[i, 0] - positions[at, 0]
-        dy = positions[i, 1] - positions[at, 1]
-        dz = positions[i, 2] - positions[at, 2]
-        widest = max(widest, dx * dx + dy * dy + dz * dz)
+        gap = vec.offset(positions, i, at)
+        widest = max(widest, vec.dot(gap, gap))
     return np.sqrt(widest)
 
 
@@ -290,6 +283,13 @@ def _slot(x, y, z, shift):
 
 
 @compiled
+def _corner(corners, f, k):
+    """The position of corner k of facet f; the sum makes a plain zero of a negative one."""
+    x, y, z = corners[f, 3 * k], corners[f, 3 * k + 1], corners[f, 3 * k + 2]
+    return np.float64(x) + 0.0, np.float64(y) + 0.0, np.float64(z) + 0.0
+
+
+@compiled
 def _index_corners(first, found, corners, shift, part, part_shift, table, vertices, keys, faces):
     """Number the corners of facets from ``first`` on whose place is in one ``part`` of the table.
 
@@ -313,13 +313,8 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
             return block, found, False
         for f in range(block, stop):
             for k in range(3):
-                # The sum makes a plain zero of a negative one.
-                slots[3 * (f - block) + k] = _slot(
-                    np.float64(corners[f, 3 * k]) + 0.0,
-                    np.float64(corners[f, 3 * k + 1]) + 0.0,
-                    np.float64(corners[f, 3 * k + 2]) + 0.0,
-                    shift,
-                )
+                x, y, z = _corner(corners, f, k)
+                slots[3 * (f - block) + k] = _slot(x, y, z, shift)
         # Without a condition where there is one part, so that many places are read at once.
         if is_whole:
             for at in range(3 * (stop - block)):
@@ -333,19 +328,13 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
                 is_own = is_whole or slot >> part_shift == part
                 if part and not is_own:
                     continue
-                x = np.float64(corners[f, 3 * k]) + 0.0
-                y = np.float64(corners[f, 3 * k + 1]) + 0.0
-                z = np.float64(corners[f, 3 * k + 2]) + 0.0
+                x, y, z = _corner(corners, f, k)
                 if not (abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf):
                     return f, found, True
                 if not is_own:
                     continue
                 number = table[slot] - 1
-                while number >= 0 and not (
-                    vertices[number, 0] == x
-                    and vertices[number, 1] == y
-                    and vertices[number, 2] == z
-                ):
+                while number >= 0 and vec.load(vertices, number) != (x, y, z):
                     slot = (slot + 1) & mask
                     number = table[slot] - 1
                 if number < 0:
@@ -354,9 +343,7 @@ def _index_corners(first, found, corners, shift, part, part_shift, table, vertic
                         keys[number] = np.uint64(3 * f + k) << np.uint64(32) | np.uint64(number)
                     found += 1
                     table[slot] = found
-                    vertices[number, 0] = x
-                    vertices[number, 1] = y
-                    vertices[number, 2] = z
+                    vec.store(vertices, number, (x, y, z))
                 faces[f, k] = number
     # Never true, but what is read for nothing would not be read.
     if touched < 0:
@@ -369,7 +356,8 @@ def _enter(vertices, shift, part, part_shift, table):
     """Enter vertices that are all different into one part of an empty table."""
     mask = len(table) - 1
     for number in range(len(vertices)):
-        slot = _slot(vertices[number, 0], vertices[number, 1], vertices[number, 2], shift)
+        x, y, z = vec.load(vertices, number)
+        slot = _slot(x, y, z, shift)
         if slot >> part_shift != part:
             continue
         while table[slot] != 0:

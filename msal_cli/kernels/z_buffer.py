@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.arrays import Floats, Floats32, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.parallel import over_ranges
 
@@ -79,25 +80,19 @@ def _corner_normals(
     """At each corner of faces: the sum of the vertex's faces that turn little from this one."""
     span = full_cosine - least_cosine
     for f in range(start, stop):
-        fx, fy, fz = normals[f, 0], normals[f, 1], normals[f, 2]
+        own = vec.load(normals, f)
         for corner in range(3):
             vertex = faces[f, corner]
-            x, y, z = 0.0, 0.0, 0.0
+            total = vec.ORIGIN
             for slot in range(face_start[vertex], face_start[vertex + 1]):
                 g = incident[slot]
-                cosine = normals[g, 0] * fx + normals[g, 1] * fy + normals[g, 2] * fz
+                cosine = vec.dot(vec.load(normals, g), own)
                 if cosine <= least_cosine:
                     continue
                 weight = areas[g] * min(1.0, (cosine - least_cosine) / span)
-                x += weight * normals[g, 0]
-                y += weight * normals[g, 1]
-                z += weight * normals[g, 2]
-            length = np.sqrt(x * x + y * y + z * z)
-            if length > 0.0:
-                x, y, z = x / length, y / length, z / length
-            else:
-                x, y, z = fx, fy, fz
-            result[f, corner, 0], result[f, corner, 1], result[f, corner, 2] = x, y, z
+                total = vec.add_scaled(total, weight, vec.load(normals, g))
+            length = vec.norm(total)
+            vec.store(result[f], corner, vec.divide(total, length) if length > 0.0 else own)
 
 
 def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
@@ -120,6 +115,13 @@ def corner_normals(vertices: Floats, faces: Ints, crease: float) -> Floats32:
     rows = faces, *index_rows(len(vertices), faces)
     over_ranges(_corner_normals, len(faces), *rows, normals, areas, *cosines, result)
     return result
+
+
+@compiled
+def _blend(x, a, b, c, wa, wb, wc):
+    """The weighted sum of three vectors of ``x``."""
+    total = vec.add_scaled(vec.times(wa, vec.load(x, a)), wb, vec.load(x, b))
+    return vec.add_scaled(total, wc, vec.load(x, c))
 
 
 @compiled
@@ -149,36 +151,31 @@ def _light_samples(
                     wa = ((cx - bx) * (y - by) - (cy - by) * (x - bx)) / area
                     wb = ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) / area
                     wc = 1.0 - wa - wb
-                    nx = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
-                    ny = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
-                    nz = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
-                    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+                    normal = _blend(normals[f], 0, 1, 2, wa, wb, wc)
+                    length = vec.norm(normal)
                     if length > 0.0:
-                        nx, ny, nz = nx / length, ny / length, nz / length
+                        normal = vec.divide(normal, length)
                     # Rows count downwards, so a face turned to the eye has a negative area.
                     is_back = area > 0.0
                     if is_back:
-                        nx, ny, nz = -nx, -ny, -nz
+                        normal = vec.times(-1.0, normal)
                     light, shine = ambient, 0.0
                     for k in range(1, len(lights)):
-                        lx, ly, lz = lights[k, 0], lights[k, 1], lights[k, 2]
                         wrap = lights[k, 4]
-                        cosine = nx * lx + ny * ly + nz * lz
+                        cosine = vec.dot(normal, vec.load(lights, k))
                         lambert = (cosine + wrap) / (1.0 + wrap)
                         if lambert > 0.0:
                             light += lights[k, 3] * lambert
                         if k == 1 and cosine > 0.0:
                             # Half way between the light and the eye.
-                            middle = np.sqrt(2.0 + 2.0 * lz)
-                            half = (cosine + nz) / middle
+                            middle = np.sqrt(2.0 + 2.0 * lights[k, 2])
+                            half = (cosine + normal[2]) / middle
                             if half > 0.0:
                                 shine = gloss * half**sharpness
-                    edge = 1.0 - abs(nz)
+                    edge = 1.0 - abs(normal[2])
                     light += rim * edge * edge * edge
                     if by_vertex:
-                        pr = wa * paint[a, 0] + wb * paint[b, 0] + wc * paint[c, 0]
-                        pg = wa * paint[a, 1] + wb * paint[b, 1] + wc * paint[c, 1]
-                        pb = wa * paint[a, 2] + wb * paint[b, 2] + wc * paint[c, 2]
+                        pr, pg, pb = _blend(paint, a, b, c, wa, wb, wc)
                     elif is_back:
                         pr, pg, pb = back[0], back[1], back[2]
                     else:
