@@ -201,6 +201,19 @@ def test_what_is_not_judged_does_not_count(level):
     assert again[1].slopes.gain == pytest.approx(again[0].slopes.gain, rel=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
+def test_with_nobody_to_judge_nothing_is_gained(level):
+    part, _ = sheet(noise=0.1, judged=np.zeros(24 * 20, dtype=bool))
+    for risk in (
+        stein(part, 0.1, scaled(-1.0)),
+        rehearsed(part, scaled(-1.0)),
+        rehearsed(part, scaled(-1.0), pilot=2.0 * part.mesh.vertices, way="mirrored"),
+    ):
+        assert risk.positions.gram.tolist() == [[0.0]]
+        for found in (risk.positions.gain, risk.slopes.gain, risk.drift):
+            assert found.tolist() == [0.0]
+
+
 def test_a_rehearsal_measures_what_is_left(level):
     # The pilot is flat, so what the filter makes of the noise is all that is left of it.
     flat, _ = sheet()
