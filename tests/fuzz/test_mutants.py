@@ -70,7 +70,8 @@ def test_no_kernel_leaves_its_arrays(format):
 
 @pytest.mark.parametrize("format", corpus_sums.formats())
 def test_mutants(format):
-    tally, _ = mutants.campaign(format, 200)
+    # The first hundred are those of the frozen sums.
+    tally, _ = mutants.campaign(format, 100, first=100)
     # Both ends of the scale must be met, or the damage is too mild or too rough to tell.
     assert 0.02 * tally.total() < tally["ok"] < 0.95 * tally.total()
     assert len(tally) >= 4
