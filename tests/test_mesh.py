@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from msal_cli import mesh
 from msal_cli.errors import TooLargeError
+from msal_cli.kernels import spatial_order
 from msal_cli.mesh import MAX_FACES, cached_by_mesh, prepare_mesh
 from tests.shapes import cube, grid, noisy, torus
 
@@ -30,15 +32,27 @@ def test_a_soup_becomes_the_mesh_it_was():
     )
 
 
-@given(st.integers(0, 10**6), st.booleans(), st.integers(0, 5))
-def test_the_way_back(seed, as_soup, loose):
+def wound(faces):
+    """Faces with their lowest corner first, in order."""
+    return sorted(tuple(np.roll(face, -face.argmin()).tolist()) for face in faces)
+
+
+@pytest.mark.parametrize("is_renumbered", [False, True])
+@given(seed=st.integers(0, 10**6), as_soup=st.booleans(), loose=st.integers(0, 5))
+def test_the_way_back(is_renumbered, seed, as_soup, loose):
     vertices, faces = torus(7, 5)
     vertices = noisy(vertices, seed, 0.2)
     if as_soup:
         vertices, faces = soup(vertices, faces)
     vertices = np.concatenate([vertices, np.full((loose, 3), vertices[0])])
-    ready = prepare_mesh(vertices, faces)
+    with pytest.MonkeyPatch.context() as patch:
+        if is_renumbered:  # as a large mesh in random order is; a row may belong to any block
+            patch.setattr(mesh, "LARGE_VERTICES", 1)
+            patch.setattr(spatial_order, "BLOCK_BYTES", 200)
+            patch.setattr(spatial_order, "is_random", lambda faces: True)
+        ready = prepare_mesh(vertices, faces)
     assert ready.defects.unreferenced_vertices == loose
+    assert ready.defects.welded_vertices == len(vertices) - loose - 35
     same = ready.to_file_vertices(ready.mesh.vertices, vertices)
     assert (same == vertices).all()
     rng = np.random.default_rng(seed)
@@ -47,8 +61,10 @@ def test_the_way_back(seed, as_soup, loose):
     moved[some] = ready.mesh.vertices[some]
     out = ready.to_file_vertices(moved, vertices)
     assert (out[len(vertices) - loose :] == vertices[len(vertices) - loose :]).all()
-    corners = out[faces] - ready.origin
-    assert np.allclose(corners, moved[ready.mesh.faces], rtol=0, atol=1e-14)
+    place = np.arange(len(vertices)) if ready.vertex_map is None else ready.vertex_map
+    assert np.allclose(out[faces] - ready.origin, moved[place[faces]], rtol=0, atol=1e-14)
+    assert wound(ready.mesh.faces) == wound(place[faces])
+    assert (wound(ready.mesh.faces) == wound(faces)) == (not as_soup and not is_renumbered)
     assert ready.seam_gap(out) == 0.0
 
 
