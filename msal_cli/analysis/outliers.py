@@ -159,9 +159,10 @@ class _Search:
         self.noise = None
         count = int(np.count_nonzero(self.flags))
         are_certain = n_certain > 0 and n_certain >= MIN_CERTAIN * count
-        are_designed = _count_aligned(mesh.vertices[self.flags]) >= max(
-            MIN_ALIGNED, ALIGNED_SHARE * count
-        )
+        # Along one of the axes of the file.
+        at = mesh.vertices[self.flags].T
+        n_aligned = max(np.unique(x, return_counts=True)[1].max(initial=0) for x in at)
+        are_designed = n_aligned >= max(MIN_ALIGNED, ALIGNED_SHARE * count)
         are_clear = not are_designed and self._are_off_noise(are_certain, count / n_used)
         return Outliers(self.flags, self.positions, are_clear, count / n_used)
 
@@ -227,9 +228,3 @@ class _Search:
         changed = outliers.find_two_rings(found, self.mesh.topology)
         self._measure_agreement(changed)
         return changed
-
-
-def _count_aligned(points: Floats) -> int:
-    """How many points (k, 3) have the same coordinate along one axis of the file."""
-    counts = [np.unique(points[:, axis], return_counts=True)[1] for axis in range(3)]
-    return max((int(count.max()) for count in counts if len(count)), default=0)

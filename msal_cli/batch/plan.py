@@ -119,7 +119,13 @@ def build_plan(
     elif output is None:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output):
-        _check_file_output(output, to)
+        if not is_mesh_name(output):
+            refuse_unknown_format(output)
+        if to is not None and output_name(output, to).casefold() != output.casefold():
+            raise UsageError(
+                f"--to {to} contradicts the suffix of the output {output!r}",
+                hint="leave --to out: the suffix of the output decides",
+            )
         tasks = [Task(found[0].path, output, found[0].relative, input_mark=found[0].mark)]
     else:
         _check_folder_output(found, output)
@@ -190,16 +196,6 @@ def _is_file_output(found: Sequence[DiscoveredInput], output: str) -> bool:
     if is_url(output):
         return is_mesh_name(output)
     return not os.path.isdir(output) and (os.path.lexists(output) or is_mesh_name(output))
-
-
-def _check_file_output(output: str, to: str | None) -> None:
-    if not is_mesh_name(output):
-        refuse_unknown_format(output)
-    if to is not None and output_name(output, to).casefold() != output.casefold():
-        raise UsageError(
-            f"--to {to} contradicts the suffix of the output {output!r}",
-            hint="leave --to out: the suffix of the output decides",
-        )
 
 
 def _check_folder_output(found: Sequence[DiscoveredInput], output: str) -> None:

@@ -156,6 +156,9 @@ class _BatchRun:
 
     def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
         """What happened; ``stack`` releases locks and manifests, however this ends."""
+        is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
+        is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
+        is_single = is_alone and not (self.engine or is_limited or self.cancellation)
         try:
             with interrupts.catch_signals(interrupts.raise_for):
                 folders = {*output_folders(self.plan.tasks), *map(Path, self._local_folders())}
@@ -168,7 +171,7 @@ class _BatchRun:
 
                 options = (self.on_event, self.stop_after_failures, self.limits, self.cancellation)
                 self._finish(denoise_set(self.plan, self.settings, *options))
-            elif self._is_single() or self.plan.is_in_process:
+            elif is_single or self.plan.is_in_process:
                 self._run_in_process(todo)
             elif todo:
                 self._run_engine(todo)
@@ -183,11 +186,6 @@ class _BatchRun:
         if self._journal is not None:
             self._journal.end(interrupted=False)
         return self._in_order()
-
-    def _is_single(self) -> bool:
-        is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
-        is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
-        return is_alone and not (self.engine or is_limited or self.cancellation)
 
     def _local_folders(self) -> list[str]:
         return [folder for folder in self.plan.folders() if not is_url(folder)]

@@ -557,7 +557,12 @@ def send(pipe: IO[bytes] | None, message: object) -> None:
 def serve() -> None:
     """Work until the parent closes the pipe or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    orders, answers = _private_pipes()
+    # Copies of standard input and output; the originals then lead to nothing and to stderr.
+    sys.stdout.flush()
+    orders, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)
     faulthandler.enable()
     outgoing = _Outgoing(answers)
     try:
@@ -674,16 +679,6 @@ def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
         if used > limit:
             outgoing.send("exhausted")
             os._exit(1)
-
-
-def _private_pipes() -> tuple[IO[bytes], IO[bytes]]:
-    """Copies of standard input and output; the originals then lead to nothing and to stderr."""
-    sys.stdout.flush()
-    orders, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
-    os.dup2(2, 1)
-    return orders, answers
 
 
 class _ParentLog(logging.Handler):

@@ -15,7 +15,6 @@ from msal_cli.job.settings import AUTO, CHOOSING, NEGLIGIBLE, Settings, parse_le
 
 if TYPE_CHECKING:
     from msal_cli.analysis.measures import Harm
-    from msal_cli.analysis.noise_estimate import NoiseLevel
     from msal_cli.mesh import Mesh
     from msal_cli.methods import Method
 
@@ -53,8 +52,15 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
     if settings.min_noise is not None:
         from msal_cli.analysis.noise_estimate import estimate_noise
 
-        noise = estimate_noise(mesh).assume(settings.assume, mesh.mean_edge_length)
-        if why := skip_reason(noise, mesh, settings.min_noise):
+        edge = mesh.mean_edge_length
+        noise = estimate_noise(mesh).assume(settings.assume, edge)
+        if settings.min_noise == NEGLIGIBLE:
+            is_quiet, why = noise.is_negligible, ": none to speak of"
+        else:
+            bound = parse_length(settings.min_noise, "--min-noise").in_units(edge) / edge
+            is_quiet, why = noise.is_below(bound), f", below --min-noise {settings.min_noise}"
+        if is_quiet:
+            why = f"noise {noise.mean_edges:.2g} e{why}"
             known = {"left_alone": why, "method": MethodUsed(NONE, {})}
             return Preparation(mesh, known=known)
     despiked = None
@@ -85,16 +91,6 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
         repeat = (*first.repeat, "--despike")
         made.known["choice"] = replace(first, reason=reason, repeat=repeat)
     return replace(made, known=known | made.known, warnings=warnings + made.warnings)
-
-
-def skip_reason(noise: NoiseLevel, mesh: Mesh, min_noise: str) -> str:
-    """Why a mesh with less noise than ``min_noise`` stays as it is; empty if it has more."""
-    level = f"noise {noise.mean_edges:.2g} e"
-    if min_noise == NEGLIGIBLE:
-        return f"{level}: none to speak of" if noise.is_negligible else ""
-    edge = mesh.mean_edge_length
-    bound = parse_length(min_noise, "--min-noise").in_units(edge) / edge
-    return f"{level}, below --min-noise {min_noise}" if noise.is_below(bound) else ""
 
 
 def choose(
