@@ -245,10 +245,18 @@ class MeshFile(Surface):
         self.encoding, self.precision = layout.encoding, layout.precision
         self._vertices, layout.vertices = layout.vertices, None
         self._last_normals: tuple[bytes, Sequence[tuple[Floats, Flags]]] = (b"", ())
-        if layout.faces is None:
-            self.faces = self._cut_faces()
-        else:
-            self.faces = layout.faces
+        faces = layout.faces
+        if faces is None:
+            if not len(layout.sizes):
+                raise no_faces(
+                    f"the file has no surface faces; it holds {layout.held or 'nothing'}",
+                    hint="msal denoises surfaces; extract the surface of a volume mesh first",
+                )
+            require_finite(self.vertices)
+            corners = layout.corners.astype(np.int64, copy=False)
+            text_slots.require_indices(corners, len(self.vertices))
+            faces = cut_polygons(corners.astype(np.int32), layout.sizes)
+        self.faces = faces
         self.n_polygons = len(layout.sizes) or len(self.faces)
         self.properties = layout.properties
         self.references = layout.references
@@ -263,18 +271,6 @@ class MeshFile(Surface):
                 arrays = [transform(*pair) for pair in zip(arrays, frames, strict=True)]
             self._vertices = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
         return self._vertices
-
-    def _cut_faces(self) -> Ints:
-        layout = self._layout
-        if not len(layout.sizes):
-            raise no_faces(
-                f"the file has no surface faces; it holds {layout.held or 'nothing'}",
-                hint="msal denoises surfaces; extract the surface of a volume mesh first",
-            )
-        require_finite(self.vertices)
-        corners = layout.corners.astype(np.int64, copy=False)
-        text_slots.require_indices(corners, len(self.vertices))
-        return cut_polygons(corners.astype(np.int32), layout.sizes)
 
     def forget_vertices(self) -> None:
         # A text's are kept with it, others are read again.

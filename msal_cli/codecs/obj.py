@@ -520,24 +520,18 @@ class _Reader:
                 f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
             )
         if state[scan.LARGEST_VERTEX] >= n_vertices:
-            raise self._missing_vertex_error(corners, sizes, n_vertices)
-
-    def _missing_vertex_error(
-        self, corners: Ints, sizes: Ints, n_vertices: int
-    ) -> errors.ContentError:
-        """The error for a face that names a vertex that the whole file does not have."""
-        corner = int(np.argmax(corners >= n_vertices))
-        face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
-        number = int(corners[corner]) + 1
-        self._sizes = np.empty(len(sizes), dtype=np.int32)
-        # A second walk that ends behind this face says where it is, and so no other walk need
-        # keep the place of every face.
-        again = self._begin()
-        self._walk(again, face + 1)
-        number_of_face = face + 1 + int(again[scan.SHORT])
-        place = self._place(int(again[scan.LAST_FACE_AT]))
-        shown = "2147483648 or more" if number >= 2**31 else str(number)
-        return _bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
+            corner = int(np.argmax(corners >= n_vertices))
+            face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
+            number = int(corners[corner]) + 1
+            self._sizes = np.empty(len(sizes), dtype=np.int32)
+            # A second walk that ends behind this face says where it is, and so no other walk need
+            # keep the place of every face.
+            again = self._begin()
+            self._walk(again, face + 1)
+            number_of_face = face + 1 + int(again[scan.SHORT])
+            place = self._place(int(again[scan.LAST_FACE_AT]))
+            shown = "2147483648 or more" if number >= 2**31 else str(number)
+            raise _bad_index_error(shown, f"{place}, face {number_of_face}", n_vertices)
 
 
 def _name_properties(state: Longs, keywords: Keywords) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -66,9 +65,7 @@ def read(data: Buffer) -> StlFile | StlTextFile:
     size = len(memoryview(data).cast("B"))
     head = bytes(memoryview(data).cast("B")[:_LOOKED_AT])
     if is_text(head, size):
-        scan = _scan_text(data)
-        vertices, faces, _ = weld_corners(scan.numbers[:, 3:])
-        return StlTextFile(data, scan, vertices, faces)
+        return StlTextFile(data)
     n_trailing = size - require_bytes(head, size)
     count = (size - n_trailing - _FIRST_FACET) // FACET.itemsize
     _check_count(count, n_trailing)
@@ -303,58 +300,6 @@ class StlFile(_FacetFile):
                 raise errors.InternalError(messages[status], where=f"facet {facet}")
 
 
-@dataclass(frozen=True, eq=False)
-class _Scan:
-    """Facets of a text: see ``kernels.stl_facets`` for what the arrays are.
-
-    ``end`` is the byte behind the text, ``n_bare`` counts facets without a normal.
-    """
-
-    run_at: Longs
-    numbers: Floats
-    decimals: Longs
-    names: tuple[str, ...]
-    n_solids: int
-    end: int
-    n_bare: int
-
-
-def _scan_text(data: Buffer) -> _Scan:
-    """All facets of a text, their positions finite; raises as ``read``.
-
-    The arrays grow with what is scanned, never with what is claimed.
-    """
-    from msal_cli.kernels import stl_facets
-
-    buf = as_bytes(data)
-    # Some editors end a text with a NUL, or with the end-of-file mark of old systems.
-    tail = bytes(buf[-4096:])
-    buf = buf[: len(buf) - len(tail) + len(tail.rstrip(b"\0\x1a"))]
-    state = np.zeros(stl_facets.N_STATE, dtype=np.int64)
-    if bytes(buf[:3]) == BYTE_ORDER_MARK:
-        state[stl_facets.AT] = len(BYTE_ORDER_MARK)
-    room = len(buf) // _USUAL_FACET + 1
-    run_at, numbers = np.empty((room, 4), dtype=np.int64), np.empty((room, 12))
-    solid_at = np.zeros(stl_facets.MAX_SOLIDS, dtype=np.int64)
-    decimals = np.zeros(4, dtype=np.int64)
-    status = stl_facets.FULL
-    while status == stl_facets.FULL:
-        status, at, word = stl_facets.scan(buf, state, run_at, numbers, solid_at, decimals)
-        room = n_facets = int(state[stl_facets.FACETS])
-        if status == stl_facets.FULL:
-            room = min(len(buf) // MIN_FACET_BYTES + 1, n_facets + n_facets // 2 + 16)
-        for array in (run_at, numbers):
-            array.resize((room, *array.shape[1:]), refcheck=False)
-    if status != stl_facets.WHOLE:
-        raise _scan_error(buf, int(status), int(at), int(word), n_facets)
-    _check_count(n_facets)
-    _decide_numbers(data, run_at, numbers)
-    n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
-    lines = ((bytes(buf[at : at + 256]).splitlines() or [b""])[0] for at in solid_at[:n_solids])
-    names = tuple(line.decode("utf-8", "replace").strip() for line in lines)
-    return _Scan(run_at, numbers, decimals, names, n_solids, len(buf), n_bare)
-
-
 def _decide_numbers(data: Buffer, run_at: Longs, numbers: Floats) -> None:
     """Read numbers (m, 12) that are in doubt; raises for a position that is not finite."""
     view = memoryview(data).cast("B")
@@ -398,33 +343,64 @@ def _scan_error(buf: Bytes, status: int, at: int, word: int, facet: int) -> erro
 
 
 class StlTextFile(_FacetFile):
-    """An ascii STL file."""
+    """An ascii STL file: the runs of its facets are as ``kernels.stl_facets.scan`` finds them."""
 
-    def __init__(self, data: Buffer, scan: _Scan, vertices: Floats, faces: Ints) -> None:
-        normals = np.ascontiguousarray(scan.numbers[:, :3])
-        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - scan.n_bare
-        n_trailing = len(memoryview(data).cast("B")) - scan.end
+    def __init__(self, data: Buffer) -> None:
+        from msal_cli.kernels import stl_facets
+        from msal_cli.kernels.welding import weld_corners
+
+        buf = as_bytes(data)
+        # Some editors end a text with a NUL, or with the end-of-file mark of old systems.
+        tail = bytes(buf[-4096:])
+        n_trailing = len(tail) - len(tail.rstrip(b"\0\x1a"))
+        buf = buf[: len(buf) - n_trailing]
+        state = np.zeros(stl_facets.N_STATE, dtype=np.int64)
+        if bytes(buf[:3]) == BYTE_ORDER_MARK:
+            state[stl_facets.AT] = len(BYTE_ORDER_MARK)
+        # The arrays grow with what is scanned, never with what is claimed.
+        room = len(buf) // _USUAL_FACET + 1
+        run_at, numbers = np.empty((room, 4), dtype=np.int64), np.empty((room, 12))
+        solid_at = np.zeros(stl_facets.MAX_SOLIDS, dtype=np.int64)
+        decimals = np.zeros(4, dtype=np.int64)
+        status = stl_facets.FULL
+        while status == stl_facets.FULL:
+            status, at, word = stl_facets.scan(buf, state, run_at, numbers, solid_at, decimals)
+            room = n_facets = int(state[stl_facets.FACETS])
+            if status == stl_facets.FULL:
+                room = min(len(buf) // MIN_FACET_BYTES + 1, n_facets + n_facets // 2 + 16)
+            for array in (run_at, numbers):
+                array.resize((room, *array.shape[1:]), refcheck=False)
+        if status != stl_facets.WHOLE:
+            raise _scan_error(buf, int(status), int(at), int(word), n_facets)
+        _check_count(n_facets)
+        _decide_numbers(data, run_at, numbers)
+        n_solids, n_bare = int(state[stl_facets.SOLIDS]), int(state[stl_facets.WITHOUT_NORMAL])
+        lines = (bytes(buf[at : at + 256]).splitlines() for at in solid_at[:n_solids])
+        names = [(line or [b""])[0].decode("utf-8", "replace").strip() for line in lines]
+        normals = np.ascontiguousarray(numbers[:, :3])
+        n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - n_bare
         texts = {
-            f"{_count_facets(scan.n_bare)} no normal, and none is added": scan.n_bare,
+            f"{_count_facets(n_bare)} no normal, and none is added": n_bare,
             f"{_count_facets(n_bad)} a normal that is not three finite numbers: it is kept, not "
             "recomputed": n_bad,
             f"{n_trailing} bytes behind the last solid are kept as they are": n_trailing,
         }
+        vertices, faces, _ = weld_corners(numbers[:, 3:])
         layout = mesh_file.Layout(
             "ascii",
             "text",
-            (text_slots.TextSlots(as_bytes(data), scan.run_at.reshape(-1), values=normals),),
+            (text_slots.TextSlots(as_bytes(data), run_at.reshape(-1), values=normals),),
             properties=(
-                *(("facet normals",) * (scan.n_bare != len(faces))),
-                *((f"{scan.n_solids} solids",) * (scan.n_solids > 1)),
-                *(f"solid {name!r}" for name in scan.names if name),
+                *(("facet normals",) * (n_bare != n_facets)),
+                *((f"{n_solids} solids",) * (n_solids > 1)),
+                *(f"solid {name!r}" for name in names if name),
             ),
             warnings=tuple(text for text, count in texts.items() if count),
             faces=faces,
             vertices=vertices,
         )
-        super().__init__(data, layout, scan.names[0])
-        self.normals, self._used_decimals = normals, scan.decimals
+        super().__init__(data, layout, names[0])
+        self.normals, self._used_decimals = normals, decimals
 
     def _decimals(self) -> tuple[int, int]:
         """Digits behind the point for normals and for corners: never fewer than the file has.

@@ -131,7 +131,7 @@ class Model:
     """
 
     def __init__(self, text: bytes, name: str) -> None:
-        self.size, self.unit = len(text), "millimeter"
+        self.size = len(text)
         self.ids: set[int] = set()
         self.meshes: dict[int, ThreeMfMesh] = {}
         self.components: dict[int, list[Use]] = {}
@@ -150,7 +150,17 @@ class Model:
         root = parse_tree(text, name=name, left_out=left_out, prefixes=prefixes)
         if root.name != "model" or root.space not in _CORES:
             raise self._damaged(f"the root element is {root.name[:40]!r}, not a model of 3MF", root)
-        self._open_model(root, prefixes)
+        self.unit = root.attributes.get("unit", "millimeter")
+        if self.unit not in UNITS:
+            raise self._damaged(f"the unit {self.unit[:40]!r} is not one of 3MF", root)
+        for prefix in root.attributes.get("requiredextensions", "").split():
+            uri = prefixes.get(prefix, "")
+            if uri not in _UNDERSTOOD:
+                raise errors.UnsupportedError(
+                    f"the file requires the extension {uri or prefix!r}, which is not understood",
+                    where=self._where(root.start),
+                    hint="export it as a plain mesh, without this extension",
+                )
         n_uses = 0
         for element in root.inner():
             if element.space in _STALE:
@@ -180,19 +190,6 @@ class Model:
 
     def _damaged(self, message: str, element: Element) -> errors.FormatError:
         return errors.damaged(message, self._where(element.start))
-
-    def _open_model(self, root: Element, prefixes: dict[str, str]) -> None:
-        self.unit = root.attributes.get("unit", "millimeter")
-        if self.unit not in UNITS:
-            raise self._damaged(f"the unit {self.unit[:40]!r} is not one of 3MF", root)
-        for prefix in root.attributes.get("requiredextensions", "").split():
-            uri = prefixes.get(prefix, "")
-            if uri not in _UNDERSTOOD:
-                raise errors.UnsupportedError(
-                    f"the file requires the extension {uri or prefix!r}, which is not understood",
-                    where=self._where(root.start),
-                    hint="export it as a plain mesh, without this extension",
-                )
 
     def _read_object(self, element: Element) -> None:
         number = self._whole(element, "id")

@@ -140,7 +140,7 @@ class Coding:
             return content, (source.first, source.at)
         n_blocks, block_bytes, last_bytes = counts
         if n_blocks * width > stop - start:
-            raise _cut("blocks are missing", start)
+            raise errors.cut_short("blocks are missing", f"byte {start}")
         sizes = np.frombuffer(source.take(n_blocks * width), dtype=self.header).tolist()
         # Compressed data are a piece of base64 of their own.
         source.left = b""
@@ -206,23 +206,7 @@ class EncodedNumbers(Slots):
     def encode(self, values: Floats, is_changed: Flags) -> bytes:
         """The bytes of the array with new values (n, 3), compressed and written as those that they
         replace."""
-        return self._pack(self._new_content(values))
-
-    def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
-        """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
-        assert isinstance(new, EncodedNumbers)
-        if new._rows.tobytes() != self._new_content(values):
-            raise errors.InternalError(
-                "an array of the file that was made is not what it should be"
-            )
-
-    def _new_content(self, values: Floats) -> bytes:
-        # Rows that did not move keep their bits, the signs of zeros included.
-        is_same = (values == self.values).all(axis=1)[:, None]
-        new = np.where(is_same, self._rows, to_type(values, self.codes[0]))
-        return new.astype(self._rows.dtype).tobytes()
-
-    def _pack(self, content: bytes) -> bytes:
+        content = self._new_content(values)
         coding = self._coding
         view = memoryview(coding.data).cast("B")[: self.span[1]]
         source = _Source(view, self.span[0], is_raw=self._is_raw)
@@ -241,6 +225,20 @@ class EncodedNumbers(Slots):
         if is_split:
             return base64.b64encode(head) + base64.b64encode(content)
         return base64.b64encode(head + content)
+
+    def require(self, new: XmlSlots, values: Floats, is_changed: Flags) -> None:
+        """Raise InternalError unless ``new``, of another file, is what ``encode`` makes."""
+        assert isinstance(new, EncodedNumbers)
+        if new._rows.tobytes() != self._new_content(values):
+            raise errors.InternalError(
+                "an array of the file that was made is not what it should be"
+            )
+
+    def _new_content(self, values: Floats) -> bytes:
+        # Rows that did not move keep their bits, the signs of zeros included.
+        is_same = (values == self.values).all(axis=1)[:, None]
+        new = np.where(is_same, self._rows, to_type(values, self.codes[0]))
+        return new.astype(self._rows.dtype).tobytes()
 
 
 XmlSlots = TextNumbers | EncodedNumbers
@@ -280,7 +278,7 @@ class _Source:
         missing = size - len(self.left)
         n_bytes = missing if self._is_raw else 4 * -(-missing // 3)
         if size < 0 or self.at + max(n_bytes, 0) > len(self._view):
-            raise _cut(_TOO_SHORT, len(self._view))
+            raise errors.cut_short(_TOO_SHORT, f"byte {len(self._view)}")
         if missing > 0:
             piece = bytes(self._view[self.at : self.at + n_bytes])
             try:
@@ -290,13 +288,9 @@ class _Source:
             self.at += n_bytes
             self.is_split |= not self._is_raw and piece.endswith(b"=")
         if len(self.left) < size:
-            raise _cut(_TOO_SHORT, self.at)
+            raise errors.cut_short(_TOO_SHORT, f"byte {self.at}")
         result, self.left = self.left[:size], self.left[size:]
         return result
-
-
-def _cut(message: str, at: int) -> errors.TruncatedError:
-    return errors.TruncatedError(message, where=f"byte {at}", hint=errors.EXPORT_AGAIN)
 
 
 Edit = tuple[Span, bytes]

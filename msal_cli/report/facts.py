@@ -121,7 +121,12 @@ def _facts(record: MeshRecord, defaults: Mapping[str, Any]) -> Iterator[Fact]:
     elif volume is not None and volume.before is not None and volume.after is not None:
         yield Fact("volume", f"{volume.before:.6g} -> {volume.after:.6g}", level=DETAIL)
     yield Fact("tile set", tile_set_text([record]))
-    yield Fact("time", _time_text(record), level=DETAIL)
+    if (seconds := record.seconds) is not None:
+        stages = ["read", "connectivity", "normals", "sweeps", "measure", "write"]
+        if choice is not None or seconds.choose:
+            stages.insert(2, "choose")
+        spent = ", ".join(f"{stage} {getattr(seconds, stage):.2f}" for stage in stages)
+        yield Fact("time", f"{seconds_text(seconds.total)} ({spent})", level=DETAIL)
 
 
 def _changes(record: MeshRecord) -> Iterator[str]:
@@ -140,17 +145,6 @@ def _changes(record: MeshRecord) -> Iterator[str]:
     ):
         if count is not None:
             yield f"{format_count(count, 'vertex')} {word}"
-
-
-def _time_text(record: MeshRecord) -> str:
-    seconds = record.seconds
-    if seconds is None:
-        return ""
-    stages = ["read", "connectivity", "normals", "sweeps", "measure", "write"]
-    if record.choice is not None or seconds.choose:
-        stages.insert(2, "choose")
-    spent = ", ".join(f"{stage} {getattr(seconds, stage):.2f}" for stage in stages)
-    return f"{seconds_text(seconds.total)} ({spent})"
 
 
 def _remarks(record: MeshRecord) -> Iterator[Fact]:

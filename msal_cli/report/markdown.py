@@ -45,7 +45,10 @@ _MARKUP = re.compile(
 def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8, in at most ``MAX_BYTES`` (or what the page takes without rows)."""
     sums = totals(records)
-    parts = [_heading(run, sums), _totals(run, records, sums), _settings(run)]
+    is_bad = sums.failed or sums.gate_broken
+    sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
+    heading = f"## {sign} msal denoise: {facts.totals_text(sums)}\n\n"
+    parts = [heading, _totals(run, records, sums), _settings(run)]
     left = MAX_BYTES - sum(len(part.encode()) for part in parts)
     worst = facts.worst_first(records)
     for table in facts.problem_tables(worst):
@@ -61,12 +64,6 @@ def render(run: Run, records: Sequence[MeshRecord]) -> bytes:
         left -= len(parts[-2].encode())
     parts.insert(-1, _file_section(worst, left // 2))
     return "".join(parts).encode()
-
-
-def _heading(run: Run, sums: Totals) -> str:
-    is_bad = sums.failed or sums.gate_broken
-    sign = "❌" if is_bad else "⚠️" if sums.planned or run.interrupted else "✅"
-    return f"## {sign} msal denoise: {facts.totals_text(sums)}\n\n"
 
 
 def _totals(run: Run, records: Sequence[MeshRecord], sums: Totals) -> str:

@@ -252,25 +252,21 @@ def _mark(system: Any, path: str) -> ObjectMark | None:
 
 
 def _mark_of(info: dict[str, Any]) -> ObjectMark:
-    size = info.get("size")
-    return ObjectMark(-1 if size is None else int(size), _tag(info))
-
-
-def _tag(info: dict[str, Any]) -> str:
+    size = -1 if info.get("size") is None else int(info["size"])
     for key in _TAGS:
         if isinstance(info.get(key), str | int | bytes) and info[key]:
             value = info[key]
             text = value.hex() if isinstance(value, bytes) else str(value)
-            return text[1:-1] if text[:1] == text[-1:] == '"' else text
+            return ObjectMark(size, text[1:-1] if text[:1] == text[-1:] == '"' else text)
     for key in _TIMES:
         moment = info.get(key)
         if isinstance(moment, datetime):
             moment = moment.timestamp()
         if isinstance(moment, int | float):
-            return f"{key} {moment:.6f}"
+            return ObjectMark(size, f"{key} {moment:.6f}")
         if isinstance(moment, str) and moment:
-            return f"{key} {moment}"
-    return ""
+            return ObjectMark(size, f"{key} {moment}")
+    return ObjectMark(size, "")
 
 
 # Names of exceptions, of libraries that need not be here.

@@ -16,7 +16,7 @@ from msal_cli.analysis.measures import (
     distances_to_surface,
     measure_enclosure,
 )
-from msal_cli.arrays import Floats, Ints
+from msal_cli.arrays import Floats
 from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
 from msal_cli.job import comparison
@@ -147,22 +147,14 @@ def _with_colours(
         own = surface.colours
         colours = None if own is None else own.vertices
         if colours is not None and ready.vertex_map is not None:
-            colours = _average_colours(colours, ready.vertex_map, len(ready.mesh.vertices))
+            is_used, n = ready.vertex_map >= 0, len(ready.mesh.vertices)
+            places, rows = ready.vertex_map[is_used], colours[is_used]
+            count = np.maximum(np.bincount(places, minlength=n), 1)
+            sums = [np.bincount(places, weights=column, minlength=n) for column in rows.T]
+            colours = np.rint(np.stack(sums, axis=1) / count[:, None]).astype(np.uint8)
         painted.append(colours)
         notes += [f"{title}: {note}" for note in (own.notes if own is not None else ())]
     return replace(scene, colours=tuple(painted), notes=tuple(notes))
-
-
-def _average_colours(colours: Image, vertex_map: Ints, n_vertices: int) -> Image:
-    is_used = vertex_map >= 0
-    places = vertex_map[is_used]
-    count = np.maximum(np.bincount(places, minlength=n_vertices), 1)
-    columns = [
-        np.bincount(places, weights=column[is_used], minlength=n_vertices) / count
-        for column in colours.T
-    ]
-    means: Image = np.rint(np.stack(columns, axis=1)).astype(np.uint8)
-    return means
 
 
 def camera_of(scene: Scene, view: View) -> Camera:

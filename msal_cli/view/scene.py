@@ -96,7 +96,11 @@ def encode_scene(
         kept = stays[order]
         ticks = _ticks(mesh.vertices[kept], low, step)
         steps = np.diff(ticks, axis=0, prepend=0)
-        planes += _index_planes(faces) + _planes(_zigzag(steps), 3)
+        # How long ago the vertex of each corner was new: 0 for a new one.
+        flat = faces.reshape(-1).astype(np.int64)
+        newest = np.maximum.accumulate(flat)
+        ages = np.concatenate([[0], newest[:-1] + 1]) - flat
+        planes += _planes(ages, 3) + _planes(_zigzag(steps), 3)
         entries.append({"vertices": len(kept), "faces": len(faces)})
         selections.append(kept)
     if after is not None and shares:
@@ -156,14 +160,6 @@ def _order(vertices: Floats, faces: Ints) -> tuple[Longs, Ints]:
     number = np.empty(len(used), dtype=np.int32)
     number[order] = np.arange(len(used))
     return used[order].astype(np.int64), number[inverse].reshape(-1, 3)
-
-
-def _index_planes(faces: Ints) -> list[bytes]:
-    """How long ago the vertex of each corner was new: 0 for a new one."""
-    flat = faces.reshape(-1).astype(np.int64)
-    newest = np.maximum.accumulate(flat)
-    seen = np.concatenate([[0], newest[:-1] + 1])
-    return _planes(seen - flat, 3)
 
 
 def _zigzag(numbers: Longs) -> Longs:
