@@ -432,9 +432,7 @@ def test_shared_normals_that_cannot_fit_are_counted():
     vertices[[2, 3], 2] = 0.0
     assert file.normal_warnings(vertices) == ()
     (warning,) = open_mesh(bytes(file.replaced(vertices)), "a.obj").normal_warnings(file.vertices)
-    counted = (
-        "turned apart: 2 of 3 faces (66.7 %) are now more than 30 degrees off their vn (0.0 %"
-    )
+    counted = "turned apart: 2 of 3 faces (66.7 %) are now more than 30 degrees off their vn (0.0 %"
     assert counted in warning
 
 
