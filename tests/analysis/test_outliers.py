@@ -22,20 +22,9 @@ def torus_mesh():
 
 def cone(height, rings=12, around=24):
     """An open cone of base radius 1, its tip up."""
-    turns = 2 * np.pi * np.arange(around) / around
-    circles = [
-        np.stack([r * np.cos(turns), r * np.sin(turns), np.full(around, height * (1 - r))], axis=1)
-        for r in np.arange(1, rings + 1) / rings
-    ]
-    vertices = np.concatenate([[(0.0, 0.0, height)], *circles])
-    j = np.arange(around)
-    after = (j + 1) % around
-    faces = [np.stack([0 * j, 1 + j, 1 + after], axis=1)]
-    for k in range(rings - 1):
-        inner, outer = 1 + k * around, 1 + (k + 1) * around
-        faces.append(np.stack([inner + j, outer + j, outer + after], axis=1))
-        faces.append(np.stack([inner + j, outer + after, inner + after], axis=1))
-    return vertices, np.concatenate(faces).astype(np.int32)
+    vertices, faces = grid(around + 1, rings + 1)
+    r, turn = vertices[:, 0] / rings, 2 * np.pi * (vertices[:, 1] % around) / around
+    return np.stack([r * np.cos(turn), r * np.sin(turn), height * (1 - r)], axis=1), faces
 
 
 def with_outliers(mesh, level, share, seed=1):

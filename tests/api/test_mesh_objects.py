@@ -17,6 +17,7 @@ from tests.shapes import noisy, torus
 
 VERTICES, FACES = torus(40, 20)
 VERTICES = noisy(VERTICES, 3, 0.15)
+QUADS = FACES.reshape(-1, 6)[:, [0, 1, 2, 5]]
 TRUST = np.linspace(0.0, 1.0, len(VERTICES))
 RNG = np.random.default_rng(5)
 COLOURS = RNG.integers(0, 255, (len(VERTICES), 4)).astype(np.uint8)
@@ -25,16 +26,6 @@ UV = RNG.random((len(VERTICES), 2))
 
 def denoised(vertices=VERTICES, faces=FACES, **options):
     return msal.denoise(vertices, faces, "msal", **options).vertices
-
-
-def quads_of_torus(around=40, across=20):
-    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
-
-    def at(i, j):
-        return (i % around) * across + j % across
-
-    corners = at(u, v), at(u + 1, v), at(u + 1, v + 1), at(u, v + 1)
-    return np.stack(corners, axis=-1).reshape(-1, 4)
 
 
 # trimesh
@@ -95,11 +86,10 @@ def test_a_primitive_and_a_scene_are_refused_with_what_to_give():
 
 
 def test_meshio_keeps_cells_and_data():
-    quads = quads_of_torus()
     lines = np.array([[0, 1], [1, 2]])
     mesh = meshio.Mesh(
         VERTICES,
-        [("line", lines), ("quad", quads[:300]), ("triangle", FACES[600:])],
+        [("line", lines), ("quad", QUADS[:300]), ("triangle", FACES[600:])],
         point_data={"trust": TRUST, "Normals": np.tile([0.0, 0.0, 1.0], (len(VERTICES), 1))},
         cell_data={"patch": [np.arange(2), np.arange(300), np.arange(len(FACES) - 600)]},
         field_data={"inside": np.array([1, 2])},
@@ -107,11 +97,9 @@ def test_meshio_keeps_cells_and_data():
     before = copy.deepcopy(mesh)
     result = msal.denoise(mesh, method="msal", weights="trust")
     assert type(result) is meshio.Mesh
-    fans = np.stack([quads[:300, [0, 1, 2]], quads[:300, [0, 2, 3]]], axis=1).reshape(-1, 3)
-    triangles = np.concatenate([fans, FACES[600:]])
-    assert np.array_equal(result.points, denoised(faces=triangles, weights=TRUST))
+    assert np.array_equal(result.points, denoised(weights=TRUST))
     assert [block.type for block in result.cells] == ["line", "quad", "triangle"]
-    assert np.array_equal(result.cells[1].data, quads[:300])
+    assert np.array_equal(result.cells[1].data, QUADS[:300])
     assert np.array_equal(result.cell_data["patch"][1], np.arange(300))
     assert np.array_equal(result.point_data["trust"], TRUST)
     assert np.array_equal(result.field_data["inside"], [1, 2])
@@ -185,21 +173,19 @@ class FakePolyData:
 
 @pytest.mark.parametrize("n_quads", [0, 400, 800])
 def test_pyvista_polygons_stay_and_normals_follow(n_quads):
-    quads = quads_of_torus()
-    fans = np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
-    polygons = [*quads[:n_quads].tolist(), *fans[2 * n_quads :].tolist()]
-    before = trimesh.Trimesh(VERTICES, fans, process=False)
+    polygons = [*QUADS[:n_quads].tolist(), *FACES[2 * n_quads :].tolist()]
+    before = trimesh.Trimesh(VERTICES, FACES, process=False)
     normals = before.face_normals[: 2 * n_quads : 2], before.face_normals[2 * n_quads :]
     own = fake_class("pyvista.core.pointset", "PolyData", FakePolyData)
-    stored = prepare_mesh(VERTICES, fans).mesh.vertex_normals()
+    stored = prepare_mesh(VERTICES, FACES).mesh.vertex_normals()
     mesh = own(polygons, stored, np.concatenate(normals))
     result = msal.denoise(mesh, method="msal", lock="trust < 0.2")
     assert type(result) is own and result.polygons == polygons
-    assert np.array_equal(result.points, denoised(faces=fans, lock=TRUST < 0.2))
+    assert np.array_equal(result.points, denoised(lock=TRUST < 0.2))
     assert np.array_equal(mesh.points, VERTICES)
     assert np.array_equal(mesh.point_data["Normals"], stored)
-    after = trimesh.Trimesh(result.points, fans, process=False)
-    expected = prepare_mesh(result.points, fans).mesh.vertex_normals()
+    after = trimesh.Trimesh(result.points, FACES, process=False)
+    expected = prepare_mesh(result.points, FACES).mesh.vertex_normals()
     assert np.allclose(result.point_data["Normals"], expected, atol=1e-6)
     triangles = result.cell_data["Normals"][n_quads:]
     assert np.allclose(triangles, after.face_normals[2 * n_quads :], atol=1e-6)

@@ -91,21 +91,12 @@ SLAB = prepare_mesh(box(16, 16, 16)[0] * [1.0, 1.0, 0.2], box(16, 16, 16)[1]).me
 
 
 def prism(sides=6, rows=12):
-    """An open six-sided prism with many rows."""
-    angle = 2 * np.pi * np.arange(sides * 8) / (sides * 8)
-    corner = np.pi / sides
+    """An open prism with many rows."""
+    vertices, faces = grid(rows, sides * 8 + 1)
+    angle, corner = 2 * np.pi * (vertices[:, 0] % (sides * 8)) / (sides * 8), np.pi / sides
     radius = np.cos(corner) / np.cos(angle % (2 * corner) - corner)
-    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    count = len(ring)
-    vertices = np.concatenate(
-        [np.column_stack([ring, np.full(count, 0.2 * row)]) for row in range(rows)]
-    )
-    k = np.arange(count)
-    faces = []
-    for row in range(rows - 1):
-        a, b = row * count + k, row * count + (k + 1) % count
-        faces += [np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])]
-    return Mesh(vertices, np.concatenate(faces).astype(np.int32))
+    places = radius * np.cos(angle), radius * np.sin(angle), 0.2 * vertices[:, 1]
+    return prepare_mesh(np.stack(places, axis=1), faces).mesh
 
 
 def bumpy(height):

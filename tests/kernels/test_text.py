@@ -56,9 +56,6 @@ def value_of(word: bytes) -> float:
 @example(b"1e99999999999999999999")
 @example(b"00000000000000000000000000012.5")
 def test_numbers_are_read_as_python_reads_them(word: bytes) -> None:
-    word = word.translate(None, b"_")
-    if not all(48 <= c <= 57 or c in b"+-.eE" for c in word):
-        return  # \d of a bytes pattern is ascii; kept as a guard for the parse
     assert same_bits(value_of(word), float(word))
 
 
@@ -168,7 +165,8 @@ def test_shortest_double(values: list[float]) -> None:
 
 @given(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), max_size=6))
 @example([16777216.0, 0.1, 2.0**-149, 1.1754943508222875e-38, 3.4028234663852886e38, 1e-5])
-@example([999500032.0])
+# The middle of two float32: right only for readers that take the even one.
+@example([60345808.0, 999500032.0])
 def test_shortest_single(values: list[float]) -> None:
     singles = np.array(values, dtype=np.float32)
     for value, word in zip(
@@ -176,13 +174,6 @@ def test_shortest_single(values: list[float]) -> None:
     ):
         assert np.float32(word).tobytes() == value.tobytes()
         assert n_digits(word) == digits_of_single(value), (word, value)
-
-
-def test_shortest_single_keeps_clear_of_the_middle() -> None:
-    # 6.034581e7 is the middle of two float32, and so is 9.995e8: right only for readers that take
-    # the even one.
-    words = split(*text.print_shortest(np.array([60345808.0, 999500032.0]), True))
-    assert words == ["60345808", "999500030"]
 
 
 # Tokens replaced inside a text

@@ -87,8 +87,8 @@ FACING = rotate(Z, Y, 0.0, 0.0)
 
 
 def square(z=0.0):
-    vertices = np.array([(-1, -1, z), (1, -1, z), (1, 1, z), (-1, 1, z)], dtype=float)
-    return vertices, np.array([(0, 1, 2), (0, 2, 3)], dtype=np.int32)
+    vertices, faces = grid(2, 2)
+    return vertices * 2.0 - (1.0, 1.0, -z), faces
 
 
 def seen(vertices, faces, colours=None, **options):
