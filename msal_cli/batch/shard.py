@@ -50,8 +50,8 @@ def stable_hash(relative: str) -> int:
 def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     """The shard that ``K/N``, ``auto`` or ``auto/N`` means in this environment.
 
-    ``auto`` takes it from the variables of Slurm (array tasks, else tasks of a step), AWS Batch
-    (array jobs) or Kubernetes (indexed jobs), which has no N: that comes from ``auto/N``.
+    ``auto`` takes it from the variables of array jobs of Slurm or AWS Batch, or of indexed jobs of
+    Kubernetes, which has no N: that comes from ``auto/N``.
 
     Raises UsageError if it is none of these, or variables are missing or contradict one another.
     """
@@ -127,18 +127,6 @@ def _read_environment(
         # Tasks with gaps (--array=1,2,7) have no index that could be counted.
         index, rest = divmod(task - lowest, step) if step else (-1, 0)
         yield ("Slurm", variables, -1 if rest else index, count)
-    elif is_set("SLURM_PROCID"):
-        index = number("SLURM_PROCID")
-        in_step = is_set("SLURM_STEP_NUM_TASKS")
-        count = number("SLURM_STEP_NUM_TASKS" if in_step else "SLURM_NTASKS")
-        is_script = is_set("SLURM_JOB_ID") and not is_set("SLURM_STEP_ID")
-        if is_script and index == 0 and count > 1:
-            # It would take the first shard, and no process the others.
-            raise UsageError(
-                f"this is the batch script itself, not one of the {count} tasks of a step",
-                hint="start it with srun, or leave --shard away",
-            )
-        yield ("Slurm", f"SLURM_PROCID={index}", index, count)
     if is_set("AWS_BATCH_JOB_ARRAY_INDEX"):
         index, size = number("AWS_BATCH_JOB_ARRAY_INDEX"), "AWS_BATCH_JOB_ARRAY_SIZE"
         total = number(size) if is_set(size) else None

@@ -225,14 +225,10 @@ def test_what_is_no_shard_is_refused(text):
         parse_shard(text, {"JOB_COMPLETION_INDEX": "0"})
 
 
-BATCH = {"SLURM_JOB_ID": "17", "SLURM_PROCID": "0"}
-
-
 def array(task, lowest=0, step=1, count=4):
     last = lowest + step * (count - 1)
     numbers = {"ID": task, "MIN": lowest, "MAX": last, "STEP": step, "COUNT": count}
-    words = {f"SLURM_ARRAY_TASK_{name}": str(number) for name, number in numbers.items()}
-    return BATCH | {"SLURM_NTASKS": "1"} | words
+    return {f"SLURM_ARRAY_TASK_{name}": str(number) for name, number in numbers.items()}
 
 
 AWS = {"AWS_BATCH_JOB_ARRAY_INDEX": "2", "AWS_BATCH_JOB_ARRAY_SIZE": "10"}
@@ -244,10 +240,6 @@ AWS = {"AWS_BATCH_JOB_ARRAY_INDEX": "2", "AWS_BATCH_JOB_ARRAY_SIZE": "10"}
         ("auto", array(0), "1/4"),
         ("auto", array(9, lowest=3, step=2), "4/4"),
         ("auto/4", array(2), "3/4"),
-        ("auto", {"SLURM_PROCID": "1", "SLURM_NTASKS": "4"}, "2/4"),
-        ("auto", BATCH | {"SLURM_STEP_ID": "0", "SLURM_NTASKS": "4"}, "1/4"),
-        ("auto", {"SLURM_PROCID": "1", "SLURM_NTASKS": "9", "SLURM_STEP_NUM_TASKS": "2"}, "2/2"),
-        ("auto", BATCH | {"SLURM_NTASKS": "1"}, "1/1"),
         ("auto", AWS | {"SLURM_ARRAY_TASK_ID": ""}, "3/10"),
         ("auto/5", {"AWS_BATCH_JOB_ARRAY_INDEX": "2"}, "3/5"),
         ("auto/6", {"JOB_COMPLETION_INDEX": "0"}, "1/6"),
@@ -271,8 +263,6 @@ def test_systems_are_understood(text, environment, expected):
         ("auto", array(7, lowest=1, count=3), "none of 3 shards"),
         ("auto", array(4, lowest=1, step=2, count=2), "none of 2 shards"),
         ("auto", {"SLURM_ARRAY_TASK_ID": "1"}, "SLURM_ARRAY_TASK_MIN"),
-        ("auto", {"SLURM_PROCID": "4", "SLURM_NTASKS": "4"}, "none of 4 shards"),
-        ("auto", BATCH | {"SLURM_NTASKS": "4"}, "the batch script itself"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(text, environment, words):
