@@ -430,22 +430,7 @@ def resolve_parameters(method: Method, assignments: Iterable[Assignment]) -> dic
     values: dict[str, Any] = {}
     labels: dict[str, str] = {}
     for label, name, given in assignments:
-        try:
-            spec = method.spec(name)
-        except UsageError:
-            from msal_cli import methods
-
-            others = [
-                other
-                for other in methods.names()
-                if any(name == spec.name for spec in methods.find(other).parameters)
-            ]
-            if label == name or label.startswith("--set") or not others:
-                raise
-            raise UsageError(
-                f"{label} does not go with {method.name}, which has no parameter '{name}'",
-                hint=f"methods that have it: {', '.join(others)}",
-            ) from None
+        spec = method.spec(name)
         value = spec.validate(given)
         if values.setdefault(spec.name, value) != value:
             raise UsageError(
@@ -462,29 +447,21 @@ def _require_data_term(name: str, parameters: Mapping[str, Any], label: str) -> 
 
     method = methods.find(name)
     if not method.has_data_term(parameters):
-        has_schedules = any(spec.name == "schedule" for spec in method.parameters)
         raise UsageError(
-            f"{label}: a pull to the scanned positions is needed, and {name} has none"
-            + (" with the schedule plain" if has_schedules else ""),
-            hint="choose the schedule constant, multiscale, robust or wiener"
-            if has_schedules
-            else "choose msal",
+            f"{label}: a pull to the scanned positions is needed, and {name} has none as it is set",
+            hint="choose msal, or a schedule other than plain where the method has schedules",
         )
 
 
 def parse_format(text: str, label: str, known: Iterable[str]) -> str:
-    """A format in the spelling of those that are ``known``, a leading dot aside; UsageError, with
-    the closest, if it is none."""
+    """A format in the spelling of those that are ``known``, a leading dot aside; UsageError if it
+    is none."""
     names = [name.lstrip(".") for name in known]
     plain = text.lower().lstrip(".")
     if plain in names:
         return plain
-    import difflib
-
-    close = difflib.get_close_matches(plain, names, n=2, cutoff=0.5)
     raise UsageError(
-        f"{label} {text}: there is no such format",
-        hint=f"did you mean {' or '.join(close)}?" if close else f"known are: {', '.join(names)}",
+        f"{label} {text}: there is no such format", hint=f"known are: {', '.join(names)}"
     )
 
 

@@ -148,7 +148,7 @@ denoise a.ply -o new --keep noise | 'texture', 'edges', 'shape'
 denoise a.ply -o new --prefer speed | 'positions', 'normals', 'volume'
 denoise a.ply -o new --max-move 0 | no length above 0
 denoise a.ply -o new --lock confidence | neither 'boundary' nor
-denoise a.ply -o new --weights q --method al | al has none with the schedule plain
+denoise a.ply -o new --weights q --method al | al has none as it is set
 denoise a.ply -o new --weights q --method taubin | taubin has none
 denoise a.ply -o new --scheduler tcp://host:1 | --scheduler needs --engine dask
 denoise a.ply -o new --engine dask | --engine dask needs --scheduler
