@@ -1,7 +1,5 @@
 """HTML pages taken apart, and held to loading and running nothing but their own."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from html.parser import HTMLParser

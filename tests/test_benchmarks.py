@@ -3,8 +3,6 @@
 Tests that compare with ``methods.names()`` fail for a new method; they say what to run.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the machine and its control groups leave, and what other systems do differently."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

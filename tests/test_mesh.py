@@ -1,7 +1,5 @@
 """The gate: what is refused, what is put aside, and the way back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

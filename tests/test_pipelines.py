@@ -1,7 +1,5 @@
 """Jobs in CI services and on many machines: the action, the hooks and the recipes of the docs."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Noise that is added to meshes."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of a surface and of its change, what it encloses, and what counts as damage."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The noise estimate against noise that was put in, and its readings as noise or texture."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

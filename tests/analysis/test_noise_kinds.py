@@ -1,7 +1,5 @@
 """The kind of noise that the estimate gives, on known kinds, and the trees that say it."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

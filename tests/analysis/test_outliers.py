@@ -1,7 +1,5 @@
 """Outliers planted on known shapes are found and brought back, and what belongs stays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

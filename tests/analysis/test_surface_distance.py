@@ -1,7 +1,5 @@
 """Distances to a surface, and which border points of different meshes are one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """denoise on arrays: the bits of the command, what stays, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import logging
 

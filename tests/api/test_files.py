@@ -1,7 +1,5 @@
 """denoise_file and denoise_folder: files as the command writes them, and errors as exceptions."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import pickle

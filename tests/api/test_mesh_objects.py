@@ -1,7 +1,5 @@
 """Objects of other mesh libraries: the same type back, a copy with everything kept."""
 
-from __future__ import annotations
-
 import copy
 import sys
 import types

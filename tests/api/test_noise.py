@@ -1,7 +1,5 @@
 """compare, estimate_noise and add_noise: the figures and the bits of the commands."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 

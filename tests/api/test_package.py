@@ -1,7 +1,5 @@
 """What import msal_cli is, and that its page says all of it and runs."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

@@ -1,7 +1,5 @@
 """The choice within the family of equation (2)."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Weights of blends: the least of a quadratic, by hand and by the conditions that it must meet."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What is chosen for noise that is not white along the normals, and that it pays."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,7 +1,5 @@
 """Noise that is drawn, and errors of blends against those where the truth is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

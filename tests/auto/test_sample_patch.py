@@ -1,7 +1,5 @@
 """The part of a mesh that stands for the whole, and what kind of surface it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The choice for whole meshes: what is tried, what it promises, and that it pays."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from pathlib import Path

@@ -5,8 +5,6 @@ it, where ``once`` leaves a mark beside the file and spares whoever comes second
 always once.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import hashlib

@@ -1,7 +1,5 @@
 """The engine on Dask: a real cluster on this machine, whose workers are killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

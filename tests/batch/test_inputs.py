@@ -1,7 +1,5 @@
 """Finding the input files of a command on real folders."""
 
-from __future__ import annotations
-
 import os
 import socket
 from pathlib import Path

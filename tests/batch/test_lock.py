@@ -1,7 +1,5 @@
 """Two runs on one folder: the second is refused, the dead hold nothing; and shards."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import socket

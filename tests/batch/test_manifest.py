@@ -1,7 +1,5 @@
 """The manifest survives torn lines and tells the truth about settings."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """Where outputs go, and what is refused before anything is touched."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whole batches of objects in memory; and what is secret in a URL is shown nowhere."""
 
-from __future__ import annotations
-
 import pytest
 
 from msal_cli import methods

@@ -1,7 +1,5 @@
 """The real command against a real S3 server on this machine."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

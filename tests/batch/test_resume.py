@@ -1,7 +1,5 @@
 """What an earlier run has done: case by case, with one file and one line of a manifest."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import os

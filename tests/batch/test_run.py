@@ -1,7 +1,5 @@
 """Whole runs over real folders, with fake work and with real meshes: records, rerun, interrupts."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

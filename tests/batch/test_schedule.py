@@ -1,7 +1,5 @@
 """Which task goes when, and what dead processes leave behind."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

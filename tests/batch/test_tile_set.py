@@ -1,7 +1,5 @@
 """Files that touch, denoised as one mesh; by the command, too, and again."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

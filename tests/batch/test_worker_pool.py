@@ -1,7 +1,5 @@
 """Real processes that crash, hang, chatter, grow and are killed: each costs its task only."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -3,8 +3,6 @@
 python -m pytest tests/campaigns/test_failing_calls.py -m slow -s
 """
 
-from __future__ import annotations
-
 import csv
 import errno
 import io

@@ -3,8 +3,6 @@
 python -m pytest tests/campaigns/test_kills.py -m slow -s
 """
 
-from __future__ import annotations
-
 import collections
 import os
 import random

@@ -1,7 +1,5 @@
 """Scans on disk that tests of several commands share."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, open_scan

@@ -1,7 +1,5 @@
 """Small scans on disk, and the program to run over them."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

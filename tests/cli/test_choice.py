@@ -1,7 +1,5 @@
 """What is chosen for each mesh: the plain command, --auto, --assume, --min-noise, --despike."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """`msal compare`, and `--baseline`: regressions are status 4, and named."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """``msal.toml``: which file counts, what the command line overrules, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

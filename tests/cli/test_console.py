@@ -1,7 +1,5 @@
 """Words go to standard error, data to standard output, all to the log; bars; exit statuses."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import logging

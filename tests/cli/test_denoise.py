@@ -1,7 +1,5 @@
 """`msal denoise` over files: what it writes, says, reports and refuses."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

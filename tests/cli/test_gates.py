@@ -1,7 +1,5 @@
 """`--fail-on`, `--reference`, `--check`, and limits on movement: what is measured and judged."""
 
-from __future__ import annotations
-
 import csv
 import json
 

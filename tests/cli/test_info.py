@@ -1,7 +1,5 @@
 """msal info and msal sweep."""
 
-from __future__ import annotations
-
 import json
 import shlex
 

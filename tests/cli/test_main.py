@@ -1,7 +1,5 @@
 """The program as a whole: help without numpy, errors in one line, pipes, signals."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """msal noise and denoise --fields: what they write, and what they refuse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Values of options, and command lines that are refused: with a message, and nothing is touched."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

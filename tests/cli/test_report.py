@@ -1,7 +1,5 @@
 """``msal report``: runs reported from what they left behind; reports are written whole."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Pipes, holes, devices and private files; what msal made is replaced, and nothing else."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """A mesh through standard input and output, within bounds of memory and time."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import subprocess

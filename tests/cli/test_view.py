@@ -1,7 +1,5 @@
 """`msal view`."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

@@ -1,7 +1,5 @@
 """`msal watch`: what arrives is denoised once, as by `msal denoise`, until the watch is ended."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

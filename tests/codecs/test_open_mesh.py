@@ -1,7 +1,5 @@
 """Which codec a file gets: by its name, the option, or its content."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -5,8 +5,6 @@ All of it: ``python -m tests.frozen.sums``, ``corpus_sums`` and ``record_sums``;
 meant, with ``--write``.
 """
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -3,8 +3,6 @@
 `python -m tests.fuzz.mutants` runs 30,000 of each format and says how fast.
 """
 
-from __future__ import annotations
-
 import gzip
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What is settled for one mesh under --auto: its parameters, clean files and warnings."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

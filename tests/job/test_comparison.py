@@ -1,7 +1,5 @@
 """Two meshes against each other: identities, hand cases, and what cannot be compared."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What keeps vertices near their place: limits, pins and trust, by identities."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What an output must hold before it is written, and which of its ways a result takes."""
 
-from __future__ import annotations
-
 import gzip
 import os
 

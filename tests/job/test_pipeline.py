@@ -1,7 +1,5 @@
 """One file from start to end: bytes kept, records, failures that leave nothing behind."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import gzip

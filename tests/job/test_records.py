@@ -1,7 +1,5 @@
 """Records become plain data and come back, as do names; errors survive pickling."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Settings from what the command and the Python API are given."""
 
-from __future__ import annotations
-
 import pytest
 
 from msal_cli import methods

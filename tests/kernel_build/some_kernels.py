@@ -1,7 +1,5 @@
 """Small kernels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

@@ -1,7 +1,5 @@
 """Kernels in a shared library give what the plain functions give."""
 
-from __future__ import annotations
-
 import ctypes
 import multiprocessing
 import subprocess

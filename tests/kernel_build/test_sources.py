@@ -1,7 +1,5 @@
 """What is read from the source of a kernel: its hash, and the arguments that it writes to."""
 
-from __future__ import annotations
-
 import types
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kernels for other systems are linked and checked."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

@@ -1,7 +1,5 @@
 """Which triangles intersect, by fractions, for all whose boxes overlap: slow, exact, plain."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

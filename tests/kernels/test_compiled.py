@@ -1,7 +1,5 @@
 """Kernels come from the library, or are compiled in a checkout, or are an error; threads."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

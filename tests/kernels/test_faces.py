@@ -1,7 +1,5 @@
 """Faces that share edges and vertices, and floods over them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Normals, areas, volumes, angles and the recomputation of stored normals."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.geometry import (

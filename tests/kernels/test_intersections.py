@@ -1,7 +1,5 @@
 """Faces that intersect each other, compared with exact fractions; and which one a sample shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Descriptors of face normals and the network: what goes in, threads and machine code."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

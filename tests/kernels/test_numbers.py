@@ -1,7 +1,5 @@
 """Numbers by themselves: medians, ranks, quantiles, clusters and exponentials."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

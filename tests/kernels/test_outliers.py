@@ -1,7 +1,5 @@
 """Vertices held against their surroundings, fitted to normals, and what polynomials leave over."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

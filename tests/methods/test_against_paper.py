@@ -1,7 +1,5 @@
 """AL and MSAL against a transcription of the paper; figures of all methods on known truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

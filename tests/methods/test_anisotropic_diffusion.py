@@ -1,7 +1,5 @@
 """Anisotropic diffusion: identities, a literal twin, and measured figures."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The bilateral filters and that of Jones et al.: hand-worked, and against plain twins."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

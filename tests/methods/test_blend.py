@@ -1,7 +1,5 @@
 """The weighted mean of methods: how it is written, and that it is that mean."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The hybrid filter: against a plain twin, on edges, rims and flats, and on real pairs."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """L0 minimisation and mean curvature flow: identities, literal twins and limits."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

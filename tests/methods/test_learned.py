@@ -1,7 +1,5 @@
 """The learned filter: what its weights must do, and how they are read."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import hashlib

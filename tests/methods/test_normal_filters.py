@@ -1,7 +1,5 @@
 """Filters of face normals: hand-worked cases, plain twins from the papers, and sharp edges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Packages, releases and the image: built where there is a builder, else held to rules."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """JSON, JSON Lines and CSV: strict, complete, and as the published schemas say."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

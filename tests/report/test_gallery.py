@@ -1,7 +1,5 @@
 """Pictures for the HTML report: of what is still there, worst first, within bounds."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Gates: what expressions mean, where they are refused, and what is not known."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """The HTML report: whole, within its size, under a strict policy, and names in it are text."""
 
-from __future__ import annotations
-
 import base64
 import json
 

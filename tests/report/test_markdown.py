@@ -1,7 +1,5 @@
 """Markdown that GitHub takes, in which names are text and the worst comes first; JUnit XML."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree as Xml
 

@@ -1,7 +1,5 @@
 """The summary for people, comparisons with earlier runs, and every writer's output."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Objects: whole in, whole out, their marks, and every failure in words."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import re

@@ -1,7 +1,5 @@
 """Materials and textures beside the output."""
 
-from __future__ import annotations
-
 import os
 import re
 

@@ -1,7 +1,5 @@
 """URLs as text: what is one, what lies below it, and what nobody may see of it."""
 
-from __future__ import annotations
-
 import pytest
 
 from msal_cli.errors import UsageError

@@ -1,7 +1,5 @@
 """What the learned filter is trained on, and how."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A headless Chromium that is asked for nothing by the network."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

@@ -1,7 +1,5 @@
 """A scene read back in Python, step by step as the page's script does it (assets/decoding.js)."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

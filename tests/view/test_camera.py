@@ -1,7 +1,5 @@
 """Where pictures are taken from, light and colours, and panels with words."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Colours of vertices as files of each format have them, and numbers as colours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

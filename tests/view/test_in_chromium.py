@@ -1,7 +1,5 @@
 """The page in a real browser: it draws, obeys, and leaves the network alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A scene as a page: what it says, that nothing from outside is markup, and its policy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

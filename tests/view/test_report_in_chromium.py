@@ -1,7 +1,5 @@
 """The HTML report in a real browser: it sorts, filters and unfolds, and names stay text."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

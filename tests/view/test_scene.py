@@ -1,7 +1,5 @@
 """What a page holds of the meshes, read back by a twin of its script; meshes of fewer faces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
