@@ -72,10 +72,56 @@ def _skip_word(buf, at, word):
 
 
 @compiled
+def _skip_two_words(buf, at, word):
+    """The end of ``word`` where it is written as two, as in ``end facet``; else -1."""
+    middle = skip_token(buf, at)
+    tail = _skip_spaces(buf, middle)
+    stop = tail + _LENGTHS[word] - 3
+    if middle - at != 3 or stop > len(buf) or skip_token(buf, tail) != stop:
+        return -1
+    for k in range(_LENGTHS[word]):
+        c = buf[at + k] if k < 3 else buf[tail + k - 3]
+        if (c | np.uint8(32)) != _LETTERS[word, k]:
+            return -1
+    return stop
+
+
+@compiled
 def _is_bare(buf, at, word):
     """Whether the outer loop begins at ``at``, where ``word`` or its numbers should be: a facet
     without a normal."""
     return word == NORMAL and _skip_word(buf, at, OUTER) >= 0
+
+
+@compiled
+def _match(buf, at, word):
+    """The end of ``word`` at ``at``, as it may be written; -1 where another word is there."""
+    stop = _skip_word(buf, at, word)
+    if stop < 0 and word >= ENDLOOP:
+        return _skip_two_words(buf, at, word)
+    if stop < 0 and _is_bare(buf, at, word):
+        return at
+    return stop
+
+
+@compiled
+def _skip_remark(buf, end, at):
+    """The first word behind words that stand on the line of a statement, which ends at ``end``.
+
+    That is ``at``, the next word, where it stands on another line, or is a number or a keyword:
+    one too many is damage.
+    """
+    for k in range(end, at):
+        if buf[k] == 10 or buf[k] == 13:
+            return at
+    if at < len(buf) and (buf[at] == 43 or 45 <= buf[at] <= 46 or 48 <= buf[at] <= 57):
+        return at
+    for word in range(len(_LENGTHS)):
+        if _skip_word(buf, at, word) >= 0:
+            return at
+    while at < len(buf) and buf[at] != 10 and buf[at] != 13:
+        at += 1
+    return _skip_spaces(buf, at)
 
 
 @compiled
@@ -120,12 +166,16 @@ def scan(buf, state, run_at, numbers, solid_at, decimals):
     """
     at, n, n_solids = state[AT], state[FACETS], state[SOLIDS]
     inside = state[INSIDE] != 0
+    behind = -1
     while True:
         at = _skip_spaces(buf, at)
+        if behind >= 0 and _match(buf, at, ENDSOLID) < 0:
+            at = _skip_remark(buf, behind, at)
         state[AT], state[FACETS], state[SOLIDS], state[INSIDE] = at, n, n_solids, inside
         if at >= len(buf):
             return (CUT if inside else WHOLE), at, FACET
-        stop = _skip_word(buf, at, ENDSOLID if inside else SOLID)
+        behind = -1
+        stop = _match(buf, at, ENDSOLID) if inside else _skip_word(buf, at, SOLID)
         if stop >= 0:
             if not inside:
                 if n_solids < len(solid_at):
@@ -142,10 +192,12 @@ def scan(buf, state, run_at, numbers, solid_at, decimals):
             return FULL, at, FACET
         token = 0
         for word in (FACET, NORMAL, OUTER, LOOP, VERTEX, VERTEX, VERTEX, ENDLOOP, ENDFACET):
+            end = at
             at = _skip_spaces(buf, at)
-            stop = _skip_word(buf, at, word)
-            if stop < 0 and _is_bare(buf, at, word):
-                stop = at
+            stop = _match(buf, at, word)
+            if stop < 0 and word >= OUTER and word != LOOP:
+                at = _skip_remark(buf, end, at)
+                stop = _match(buf, at, word)
             if at >= len(buf):
                 return CUT, at, word
             if stop < 0:
@@ -183,6 +235,7 @@ def scan(buf, state, run_at, numbers, solid_at, decimals):
                 token += 1
                 at = stop
         n += 1
+        behind = at
 
 
 RIGHT, WRONG_CORNER, WRONG_NORMAL, WRONG_ATTRIBUTE = range(4)

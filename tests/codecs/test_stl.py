@@ -343,16 +343,39 @@ def test_a_file_without_normals():
 @pytest.mark.parametrize(
     "data",
     [
+        PART.replace(b"endfacet", b"end facet").replace(b"endloop", b"End\tLoop"),
+        PART.replace(b"endsolid part", b"end solid"),
         PART.replace(b"solid part", b"solid a\x01\x1b[0m", 1),
         PART.replace(b"solid part", b"solid a\0\0", 1),
         PART.replace(b"solid part", b"SOLID caf\xe9 \xff (1) [x]", 1),
     ],
 )
-def test_odd_names(data):
+def test_ends_in_two_words_and_odd_names(data):
     file, output = checked(data)
     assert file.warnings == ()
     assert output.splitlines()[0] == data.splitlines()[0]
     assert output.splitlines()[-1] == data.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        (rb"facet normal[^\n]*", rb"\g<0> extra"),
+        (rb"outer loop", rb"\g<0> xyz 7"),
+        (rb"vertex[^\n]*", rb"\g<0>\t; a corner"),
+        (rb"endloop", rb"\g<0> # 1"),
+        (rb"endfacet", rb"\g<0> foo facet"),
+        (rb"endfacet", rb"END FACET foo"),
+        (rb"endsolid[^\n]*", rb"\g<0> extra words"),
+        (rb"(?<!d)solid[^\n]*", rb"\g<0>... facet normal"),
+    ],
+)
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_words_behind_statements_are_kept(word, words, end):
+    data = re.sub(word, words, PART).replace(b"\n", end)
+    file, output = checked(data)
+    assert file.warnings == ()
+    assert ANY_NUMBER.sub(b"", output) == ANY_NUMBER.sub(b"", data)
 
 
 def test_the_shortest_facets_have_room():
