@@ -28,6 +28,7 @@ from msal_cli.job.records import SCHEMA
 from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.campaigns import runs
+from tests.codecs import plain_obj
 from tests.files import tree
 from tests.shapes import noisy, torus
 
@@ -384,10 +385,7 @@ def real_settings(**given):
 
 def obj(seed, around=24, across=12):
     vertices, faces = torus(around, across)
-    vertices = noisy(vertices, seed)
-    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
-    lines += ["f {} {} {}".format(*face) for face in faces + 1]
-    return "\n".join(lines) + "\n"
+    return plain_obj.written(noisy(vertices, seed).round(6), faces).decode()
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from msal_cli.batch.schedule import TaskQueue
 from msal_cli.batch.workers import describe_exit
 from msal_cli.machine import is_alive, start_time
 from msal_cli.storage.atomic import MAX_NAME_BYTES, is_own, sweep, temporary_name
+from tests.files import make_files, tree
 
 
 def order(schedule, at_once=1):
@@ -99,26 +100,21 @@ def test_names_of_our_own():
     assert len(os.fsencode(temporary_name("x" * 255))) <= MAX_NAME_BYTES
 
 
-def touch(folder, *names):
-    for name in names:
-        (folder / name).touch()
-
-
 def names_in(folder):
-    return sorted(path.name for path in folder.iterdir())
+    return list(tree(folder, has_own=True))
 
 
 def test_what_the_dead_left_goes(tmp_path, dead):
     names = [of(dead), of(dead, "new\nline"), of(dead, "\udcff"), of(dead, "x" * 100)]
     keep = [temporary_name("mine"), of(os.getppid()), "a.ply", ".hidden", ".a.msal-1.tmp"]
-    touch(tmp_path, *names, *keep)
+    make_files(tmp_path, *names, *keep)
     assert sweep([tmp_path, tmp_path / "missing"]) == 4
     assert names_in(tmp_path) == sorted(keep)
 
 
 def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
     names = [re.sub(r"-[0-9a-f]{8}", "-00000000", of(dead, name)) for name in ("new", "old")]
-    touch(tmp_path, *names)
+    make_files(tmp_path, *names)
     os.utime(tmp_path / names[1], (0, 0))
     assert sweep([tmp_path]) == 1
     assert sweep([tmp_path], dead) == 0
@@ -127,14 +123,14 @@ def test_of_another_machine_only_what_is_old_goes(tmp_path, dead):
 
 def test_after_a_worker_only_its_own_go(tmp_path, dead):
     names = [of(dead), of(dead + 1), temporary_name("mine")]
-    touch(tmp_path, *names)
+    make_files(tmp_path, *names)
     assert sweep([tmp_path], dead) == 1
     assert names_in(tmp_path) == sorted(names[1:])
 
 
 def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
     mine, earlier = temporary_name("mine"), temporary_name("earlier")
-    touch(tmp_path, mine, earlier)
+    make_files(tmp_path, mine, earlier)
     began = start_time(os.getpid()) or time.time()
     for name, age in ((mine, 5), (earlier, 100)):
         os.utime(tmp_path / name, (began - age, began - age))
@@ -150,7 +146,7 @@ def test_a_process_that_nobody_asked_after_is_dead(tmp_path):
     deadline = time.monotonic() + 10
     while is_alive(process.pid) and time.monotonic() < deadline:
         time.sleep(0.01)
-    touch(tmp_path, of(process.pid))
+    make_files(tmp_path, of(process.pid))
     swept = sweep([tmp_path])
     process.stdout.close()
     process.wait()

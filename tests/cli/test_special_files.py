@@ -5,7 +5,7 @@ import os
 import pytest
 
 from tests.cli.scans import closed_scan, folder_of, msal, open_scan
-from tests.files import time_limit, tree
+from tests.files import time_limit, tree, umask
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
 
@@ -40,13 +40,6 @@ def test_a_pipe_or_a_hole_in_the_place_of_what_msal_keeps(place, name):
         assert msal("report", "out").exit_code == 1
 
 
-@pytest.fixture
-def umask():
-    before = os.umask(0o022)
-    yield
-    os.umask(before)
-
-
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -58,9 +51,10 @@ def umask():
         ("out.png", "sweep in/a.ply --columns K=1 --size 48"),
     ],
 )
-def test_outputs_are_as_private_as_the_mesh(place, umask, name, words):
+def test_outputs_are_as_private_as_the_mesh(place, name, words):
     output = () if "out.ply" in words else ("-o", name)
-    made = msal(*words.split(), *output)
+    with umask(0o022):
+        made = msal(*words.split(), *output)
     assert made.exit_code == 0, made.stderr
     made = sorted(path for path in place.iterdir() if path.name.startswith("out."))
     assert name in [path.name for path in made]

@@ -1,4 +1,4 @@
-"""OBJ read in the plainest way, statement by statement: the tests' own idea of the format."""
+"""OBJ read in the plainest way, statement by statement, and written: the tests' own idea of it."""
 
 from __future__ import annotations
 
@@ -48,6 +48,14 @@ def parsed(data: bytes) -> Plain:
             plain.polygons.append([_index(c[0], len(plain.vertices)) for c in corners])
             plain.corner_normals.append([_index(c[2], len(plain.normals)) for c in corners])
     return plain
+
+
+def written(vertices, polygons, extra: str = "") -> bytes:
+    """A file of positions (n, 3), lines of any kind, and polygons."""
+    lines = ["v " + " ".join(map(repr, map(float, row))) for row in vertices]
+    lines += [extra] * bool(extra)
+    lines += ["f " + " ".join(str(i + 1) for i in row) for row in polygons]
+    return "\n".join(lines).encode() + b"\n"
 
 
 def _index(word: bytes, count: int) -> int:

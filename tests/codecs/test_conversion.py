@@ -13,19 +13,10 @@ from msal_cli.codecs import open_mesh
 from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.errors import UnsupportedError
 from tests.codecs import plain_stl
+from tests.codecs.plain_obj import written as obj
 from tests.shapes import cube, noisy, torus
 
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-
-
-def obj(vertices, polygons, extra: str = "", colours=None) -> bytes:
-    lines = []
-    for k, row in enumerate(vertices):
-        more = "" if colours is None else " " + " ".join(f"{c / 255:.6f}" for c in colours[k])
-        lines.append("v " + " ".join(map(repr, map(float, row))) + more)
-    lines.append(extra)
-    lines += ["f " + " ".join(str(i + 1) for i in row) for row in polygons]
-    return "\n".join(lines).encode() + b"\n"
 
 
 def reopened(data, to):

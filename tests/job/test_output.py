@@ -10,15 +10,14 @@ from msal_cli.errors import InternalError, LossError, OutputError
 from msal_cli.job import output
 from msal_cli.job.settings import Settings, Task
 from tests.cli.scans import ply_text
+from tests.codecs import plain_obj
 from tests.shapes import cube
 
 VERTICES, FACES = cube()
 
 
 def obj(vertices, faces=FACES):
-    lines = ["v " + " ".join(map(repr, map(float, vertex))) for vertex in vertices]
-    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
-    return "\n".join(["mtllib none.mtl", *lines, ""]).encode()
+    return plain_obj.written(vertices, faces, "mtllib none.mtl")
 
 
 def opened():

@@ -5,7 +5,6 @@ import functools
 import gzip
 import hashlib
 import itertools
-import struct
 import time
 
 import numpy as np
@@ -19,6 +18,8 @@ from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
+from tests.codecs import plain_obj
+from tests.ply_files import to_ply
 from tests.shapes import noisy, torus
 
 
@@ -28,22 +29,12 @@ def settings(method="msal", **given):
 
 
 def obj_text(vertices, faces):
-    lines = ["# a scan", "mtllib none.mtl"]
-    lines += ["v " + " ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
-    lines += ["g part", "usemtl skin"]
-    lines += ["f " + " ".join(str(i + 1) for i in face) for face in faces]
-    return "\n".join(lines).encode() + b"\n"
+    more = "# a scan\nmtllib none.mtl\ng part\nusemtl skin"
+    return plain_obj.written(np.round(vertices, 6), faces, more)
 
 
 def ply_binary(vertices, faces):
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment made by a test\n"
-        f"element vertex {len(vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\nproperty float quality\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    body = b"".join(struct.pack("<4f", *vertex, 0.5) for vertex in vertices)
-    return header.encode() + body + b"".join(struct.pack("<B3i", 3, *face) for face in faces)
+    return to_ply(vertices.astype("<f4"), faces, quality=np.full(len(vertices), 0.5))
 
 
 def stl_binary(vertices, faces):

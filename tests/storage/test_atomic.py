@@ -1,6 +1,5 @@
 """Files that appear whole or not at all."""
 
-import contextlib
 import errno
 import os
 import stat
@@ -11,17 +10,8 @@ import pytest
 from msal_cli.errors import OutputError
 from msal_cli.storage import atomic as writing
 from msal_cli.storage.atomic import write_new, write_whole
+from tests.files import umask
 from tests.report.made import HOSTILE_NAMES
-
-
-@contextlib.contextmanager
-def umask(mask):
-    before = os.umask(mask)
-    try:
-        yield
-    finally:
-        os.umask(before)
-
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
 
