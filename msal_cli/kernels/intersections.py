@@ -27,7 +27,7 @@ length, which every double is a multiple of a power of two of.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -343,26 +343,25 @@ _PLANE_ERROR = 5e-16
 def space_signs(a: Floats, b: Floats, c: Floats, d: Floats) -> Signs:
     """The sign of (b - a) x (c - a) . (d - a) for points (n, 3): 1 where d is on the side of the
     plane abc from which a, b, c run counter-clockwise, 0 where it is in the plane."""
-    det, permanent = _space_determinants(b - a, c - a, d - a)
-    signs: Signs = np.sign(det).astype(np.int8)
-    unsure = np.flatnonzero(~(np.abs(det) > _SPACE_ERROR * permanent + _TINY))
-    if len(unsure):
-        a, b, c, d = _whole_numbers(a[unsure], b[unsure], c[unsure], d[unsure])
-        exact, _ = _space_determinants(b - a, c - a, d - a)
-        signs[unsure] = _signs_of_objects(exact)
-    return signs
+    return _signs(_space_determinants, _SPACE_ERROR, a, b, c, d)
 
 
 def plane_signs(a: Floats, b: Floats, c: Floats) -> Signs:
     """The sign of the signed area of triangles abc for points (n, 2): 1 counter-clockwise, 0 where
     they are on a line."""
-    det, permanent = _plane_determinants(b - a, c - a)
+    return _signs(_plane_determinants, _PLANE_ERROR, a, b, c)
+
+
+def _signs(determinants: Callable[..., tuple[Any, Any]], error: float, *points: Floats) -> Signs:
+    """The exact signs of the ``determinants`` of the ways from the first points to the others."""
+    origin, *others = points
+    det, permanent = determinants(*(point - origin for point in others))
     signs: Signs = np.sign(det).astype(np.int8)
-    unsure = np.flatnonzero(~(np.abs(det) > _PLANE_ERROR * permanent + _TINY))
+    unsure = np.flatnonzero(~(np.abs(det) > error * permanent + _TINY))
     if len(unsure):
-        a, b, c = _whole_numbers(a[unsure], b[unsure], c[unsure])
-        exact, _ = _plane_determinants(b - a, c - a)
-        signs[unsure] = _signs_of_objects(exact)
+        origin, *others = _whole_numbers(*(point[unsure] for point in points))
+        exact, _ = determinants(*(point - origin for point in others))
+        signs[unsure] = (exact > 0).astype(np.int8) - (exact < 0).astype(np.int8)
     return signs
 
 
@@ -395,7 +394,3 @@ def _whole_numbers(*points: Floats) -> NDArray[Any]:
     shifts = exponents - exponents.min()
     whole: NDArray[Any] = np.left_shift(numbers.astype(object), shifts.astype(object))
     return whole
-
-
-def _signs_of_objects(values: NDArray[Any]) -> Signs:
-    return (values > 0).astype(np.int8) - (values < 0).astype(np.int8)
