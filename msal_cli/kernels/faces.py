@@ -144,33 +144,24 @@ def _find_face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[In
 
 
 @compiled
-def _centroids(start, stop, vertices, faces, centroids):
+def _corner_means(start, stop, values, faces, means):
     for f in range(start, stop):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        for axis in range(3):
-            centroids[f, axis] = (vertices[a, axis] + vertices[b, axis] + vertices[c, axis]) / 3.0
+        a, b, c = vec.load_corners(faces, f)
+        for column in range(values.shape[1]):
+            means[f, column] = (values[a, column] + values[b, column] + values[c, column]) / 3.0
 
 
 def face_centroids(vertices: Floats, faces: Ints) -> Floats:
     """Means (m, 3) of the three corners of each face, file units."""
-    return fill_array(_centroids, (len(faces), 3), vertices, faces)
+    return fill_array(_corner_means, (len(faces), 3), vertices, faces)
 
 
 def centroid_points(vertices: Floats, faces: Ints) -> Floats:
     """The same, one behind the other, and a zero (3 m + 1,): lanes read four numbers of each."""
     points = np.empty(3 * len(faces) + 1)
-    over_ranges(_centroids, len(faces), vertices, faces, points[:-1].reshape(-1, 3))
+    over_ranges(_corner_means, len(faces), vertices, faces, points[:-1].reshape(-1, 3))
     points[-1] = 0.0
     return points
-
-
-@compiled
-def _corner_means(start, stop, values, faces, means):
-    for f in range(start, stop):
-        a, b, c = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
-        for column in range(values.shape[1]):
-            total = values[a, column] + values[b, column] + values[c, column]
-            means[f, column] = np.float32(total / 3.0)
 
 
 def corner_means(values: Floats, faces: Ints) -> Floats32:

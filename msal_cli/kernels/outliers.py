@@ -153,9 +153,10 @@ def _circle(i, n, faces, face_start, incident, after, before, following, outer):
 
 
 @compiled
-def _roughness(point, n, x, after, following, outer, outer_normals, normals):
+def _roughness(point, n, x, fan):
     """Mean length of the differences between the normals on both sides of the edges in and around
     the faces that a vertex would have at a point."""
+    after, following, outer, normals, outer_normals = fan
     for k in range(n):
         vec.store(normals, k, _normal(point, x, after[k], after[following[k]]))
     total, count = 0.0, 0
@@ -245,11 +246,12 @@ def _height(u, w, c):
 
 
 @compiled
-def _has_flat_side(point, n, x, faces, after, following, outer, normals, outer_normals, flat):
+def _has_flat_side(point, n, x, faces, fan, flat):
     """Whether two of the faces around a vertex and next to those lie on one plane.
 
     Two with a straight link do wherever the vertex is, so they do not count.
     """
+    after, following, outer, normals, outer_normals = fan
     for k in range(n):
         j = following[k]
         a, b, c = after[k], after[j], after[following[j]]
@@ -309,6 +311,7 @@ def _judge(
     after, before = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
     following, outer = np.empty(MAX_FACES, dtype=np.int64), np.empty(MAX_FACES, dtype=np.int64)
     normals, outer_normals = np.empty((MAX_FACES, 3)), np.empty((MAX_FACES, 3))
+    fan = after, following, outer, normals, outer_normals
     local = np.empty((3, MAX_VERTICES))
     weights, rests = np.empty(MAX_VERTICES), np.empty(MAX_VERTICES)
     ranking, lengths = np.empty(MAX_LENGTHS), np.empty(MAX_LENGTHS)
@@ -352,7 +355,7 @@ def _judge(
             if f >= 0:
                 p, q, r = vec.load(faces, f)
                 vec.store(outer_normals, k, _normal(vec.load(x, p), x, q, r))
-        now = _roughness(point, n, x, after, following, outer, outer_normals, normals)
+        now = _roughness(point, n, x, fan)
         for near in range(1, count):
             rests[near] = agreements[found[near]]
         quiet = _rank(rests, count, QUIET, ranking)
@@ -399,7 +402,7 @@ def _judge(
         off = np.sqrt(across * across + along * along)
         if off < MIN_WAY or off * size < MIN_EDGES * edge:
             continue
-        then = _roughness(target, n, x, after, following, outer, outer_normals, normals)
+        then = _roughness(target, n, x, fan)
         if now - then < MIN_GAIN:
             continue
         score = across + ALONG * along + ROUGH * now
@@ -412,10 +415,8 @@ def _judge(
         if nearest < (TOUCHING * size) ** 2:
             continue
         # Of the faces as they are; those with the vertex in its place were the last.
-        _roughness(point, n, x, after, following, outer, outer_normals, normals)
-        if _has_flat_side(
-            point, n, x, faces, after, following, outer, normals, outer_normals, FLAT * edge
-        ):
+        _roughness(point, n, x, fan)
+        if _has_flat_side(point, n, x, faces, fan, FLAT * edge):
             continue
         if _spread(i, x, found, count, ring_start, ring, lengths, ranking) > UNLIKE_EDGES:
             continue

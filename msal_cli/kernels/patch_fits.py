@@ -52,9 +52,9 @@ REACHES = (1, 2, 3, 4, 6)
 TERMS = (3, 6, 10, 10, 10)
 """Their coefficients: a plane, degree 2, and degree 3."""
 
-N_FITS, MAX_RINGS, PLANE_FITS, QUADRIC_FITS, FRAME_RINGS = 5, 6, 1, 2, 2
-"""How many fits there are, the widest of them, those of degree 1 and of at most 2, and over which
-rings the direction of the heights is an average."""
+N_FITS, MAX_RINGS, FRAME_RINGS = 5, 6, 2
+"""How many fits there are, the widest of them, and over which rings the direction of the heights is
+an average."""
 
 
 @compiled
@@ -338,13 +338,8 @@ def _fit_scales(
             added = stop_at
             if rings == 5:
                 continue
-            last = CUBIC_TERMS
-            if fit < PLANE_FITS:
-                last = PLANE_TERMS
-            elif fit < QUADRIC_FITS:
-                last = QUADRIC_TERMS
             _begin_equations(sums, along, own, equations, diagonal)
-            ranks[at, fit] = _eliminate(equations, diagonal, 0, last)
+            ranks[at, fit] = _eliminate(equations, diagonal, 0, TERMS[fit])
             rests[at, fit] = _left_over(equations, along, added, WIDE_ROUNDING) * size * size
             rows[at, fit] = added
             fit += 1

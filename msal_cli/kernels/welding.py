@@ -264,22 +264,17 @@ def widest_gap(positions: Floats, place: Ints, n_places: int) -> float:
 # times, each time for those whose places are in one part of the table, which fits into memory.
 
 _BLOCK_FACETS = 256
-_FACTOR_X = np.uint64(0x9E3779B97F4A7C15)
-_FACTOR_Y = np.uint64(0xC2B2AE3D27D4EB4F)
-_FACTOR_Z = np.uint64(0x94D049BB133111EB)
 
 
 @compiled
 def _slot(x, y, z, shift):
     """The place of a position in a table of ``2 ** (64 - shift)`` places."""
-    a = np.float64(x).view(np.uint64)
-    b = np.float64(y).view(np.uint64)
-    c = np.float64(z).view(np.uint64)
-    # Round numbers have bits at the top only, and a product carries nothing down.
-    a ^= a >> np.uint64(32)
-    b ^= b >> np.uint64(32)
-    c ^= c >> np.uint64(32)
-    return np.int64((a * _FACTOR_X + b * _FACTOR_Y + c * _FACTOR_Z) >> shift)
+    a, b, c = (
+        np.float64(x).view(np.uint64),
+        np.float64(y).view(np.uint64),
+        np.float64(z).view(np.uint64),
+    )
+    return np.int64(hash_bits(a, b, c) >> shift)
 
 
 @compiled
