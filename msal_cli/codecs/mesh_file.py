@@ -282,11 +282,6 @@ class MeshFile(Surface):
             hint="give a PLY, or leave out for this file what names a property",
         )
 
-    def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
-        """What a user should know of the normals that the file stores once its vertices (n, 3) are
-        there."""
-        return ()
-
     def beside(
         self, output: Buffer, vertices: Floats, path: str | None
     ) -> tuple[Buffer, tuple[Companion, ...]]:

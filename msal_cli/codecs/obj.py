@@ -46,9 +46,6 @@ from msal_cli.kernels.parallel import over_ranges, threads
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
-MISFIT_DEG = 30.0
-"""Angle between a face and its ``vn`` from which on it is warned that the vn does not fit."""
-
 _NO_LIMIT = 99
 """Digits of a normal that a file may ask for."""
 
@@ -94,14 +91,6 @@ _ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-@dataclass(eq=False, kw_only=True)
-class _ObjLayout(Layout):
-    """``face_normals`` (m, 3) int32 are the vn of each corner, -1 for none; None where no corner
-    has one."""
-
-    face_normals: Ints | None
-
-
 class ObjFile(MeshFile):
     """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes.
 
@@ -110,81 +99,8 @@ class ObjFile(MeshFile):
     ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
     """
 
-    _layout: _ObjLayout
-
     def __init__(self, data: Buffer) -> None:
         super().__init__(data, "obj", _Reader(data).read())
-
-    def normal_warnings(self, vertices: Floats) -> tuple[str, ...]:
-        """A warning where ``vn`` that several places share cannot fit with the vertices (n, 3)."""
-        layout = self._layout
-        if layout.face_normals is None or np.array_equal(layout.face_normals, self.faces):
-            return ()
-        old, stored = layout.positions[0].values, layout.normals[0].values
-        [(normals, _)] = self._new_normals(vertices)
-        *faces, n_normals = find_misfits(
-            self.faces, layout.face_normals, (old, stored), (vertices, normals)
-        )
-        n_faces = len(layout.sizes)
-        face = np.repeat(np.arange(n_faces), layout.sizes - 2)
-        n_before, n_after = (len(np.unique(face[some])) for some in faces)
-        if n_after <= n_before:
-            return ()
-        before, after = (f"{100.0 * count / n_faces:.1f} %" for count in (n_before, n_after))
-        return (
-            f"{_counted(n_normals, 'vn is', 'vn are')} shared by faces that turned"
-            f" apart: {n_after} of {n_faces} faces ({after}) are now more than {MISFIT_DEG:.0f}"
-            f" degrees off their vn ({before} before); let the program that reads the file compute"
-            " normals, or write PLY (--to ply), which has one for each vertex",
-        )
-
-
-def find_misfits(
-    faces: Ints, face_normals: Ints, old: tuple[Floats, Floats], new: tuple[Floats, Floats]
-) -> tuple[Longs, Longs, int]:
-    """Faces that are far from a normal which they share with other faces at other places.
-
-    A normal at one place is the mean of the faces around it, and fits as well as it can.
-
-    Parameters
-    ----------
-    faces, face_normals : (m, 3), the vertex of each corner and its normal, -1 for none.
-    old, new : vertices (n, 3) and normals (g, 3), of any length, before and after a move.
-
-    Returns the numbers of these faces before and after, and the number of such normals after.
-    """
-    from msal_cli.kernels.geometry import face_normals as unit_normals
-
-    corner = np.flatnonzero(face_normals >= 0)
-    entry = face_normals.reshape(-1)[corner]
-    last = np.zeros(len(old[1]), dtype=np.int64)
-    last[entry] = corner
-    other = last[entry]
-    vertex, other_vertex = (faces.reshape(-1)[of] for of in (corner, other))
-    is_apart = (corner // 3 != other // 3) & (vertex != other_vertex)
-    is_apart[is_apart] = (old[0][vertex[is_apart]] != old[0][other_vertex[is_apart]]).any(axis=1)
-    if not is_apart.any():
-        return corner[:0], corner[:0], 0
-    is_shared = np.bincount(entry, is_apart, len(old[1]))[entry] > 0
-    # Of a face that has one normal for its corners one is enough.
-    is_shared &= (corner % 3 == 0) | (face_normals[corner // 3, 0] != entry)
-    face, entry = corner[is_shared] // 3, entry[is_shared]
-
-    def cosines(vertices: Floats, normals: Floats) -> Floats:
-        unit = unit_normals(vertices, faces)[face]
-        with np.errstate(all="ignore"):
-            scaled = normals / np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
-            scaled /= np.sqrt((scaled * scaled).sum(axis=1, keepdims=True))
-        # NaN, which is not below a limit, for faces without area.
-        found = np.einsum("ij,ij->i", unit, scaled[entry])
-        return np.where(unit.any(axis=1), found, np.nan)
-
-    before, after = cosines(*old), cosines(*new)
-    # A file may store all normals of a part inwards, which is kept.
-    sense = np.where(np.bincount(entry, np.nan_to_num(before)) < 0.0, -1.0, 1.0)[entry]
-    limit = math.cos(math.radians(MISFIT_DEG))
-    is_off = after * sense < limit
-    return face[before * sense < limit], face[is_off], len(np.unique(entry[is_off]))
 
 
 read = ObjFile
@@ -308,7 +224,7 @@ class _Reader:
         counts[0, 0] += self._buf[:2].tobytes() == b"v "
         return counts
 
-    def read(self) -> _ObjLayout:
+    def read(self) -> Layout:
         buf = self._buf
         if len(self._cuts) == 2 or not self._walk_pieces():
             while (result := self._walk(self._state, _ALL)) == scan.FULL:
@@ -334,7 +250,7 @@ class _Reader:
             keywords[keyword] = before + count, first
         self._require_mesh(positions, corners, sizes, keywords)
         faces = cut_polygons(corners, sizes)
-        layout = _ObjLayout(
+        layout = Layout(
             "ascii",
             "text",
             (positions.slots(_Positions, buf, 1),),
@@ -344,7 +260,6 @@ class _Reader:
             properties=_name_properties(state, keywords),
             references=_find_references(self._data, self._libraries[: int(state[scan.LIBRARIES])]),
             warnings=_describe_warnings(state, keywords, functools.partial(line_of, self._data)),
-            face_normals=None,
         )
         corner_normals = self._corner_normals[:n_corners]
         corner_normals[corner_normals >= n_normals] = -1
@@ -352,7 +267,7 @@ class _Reader:
             from msal_cli.kernels.geometry import regroup_normals
 
             stored = normals.values
-            entries = layout.face_normals = cut_polygons(corner_normals, sizes)
+            entries = cut_polygons(corner_normals, sizes)
             slots = normals.slots(Statements, buf, 2)
             slots.unit_length, slots.significant = True, _NO_LIMIT
             layout.normals = (slots,)

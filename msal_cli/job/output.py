@@ -42,7 +42,7 @@ class Output:
     data : its bytes; those of the input itself where nothing has changed.
     references : files that it names, as the input does; a conversion drops them.
     companions : files that it names and that hold a part of it.
-    losses : what its format cannot hold, and normals that cannot fit, as warnings.
+    losses : what its format cannot hold.
     sources : files beside the input that its mesh was read from.
     """
 
@@ -94,10 +94,9 @@ def build_output(
         return Output(output, mesh_file.references, companions, (), mesh_file.sources)
     else:
         output = gzip_streams.expand(source.data, source.name)[0]
-    notes = mesh_file.normal_warnings(vertices)
     output, companions = mesh_file.beside(output, vertices, path)
     output = gzip_streams.compress(output) if compress else output
-    return Output(output, mesh_file.references, companions, notes, mesh_file.sources)
+    return Output(output, mesh_file.references, companions, (), mesh_file.sources)
 
 
 def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats) -> None:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msal_cli.codecs import obj, open_mesh
+from msal_cli.codecs import obj
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
 from tests.codecs.patching import any_float
@@ -424,57 +424,3 @@ def test_the_end_mark_of_old_systems_is_kept(end):
     output = bytes(file.replaced(vertices))
     file.check(output, vertices)
     assert output.endswith(b"f 1 2 3\n" + end)
-
-
-def test_shared_normals_that_cannot_fit_are_counted():
-    file = open_mesh(ROOF.replace(b"0.00 -0.71 0.71", b"0 0 1").replace(b"//2", b"//1"), "a.obj")
-    vertices = file.vertices.copy()
-    vertices[[2, 3], 2] = 0.0
-    assert file.normal_warnings(vertices) == ()
-    (warning,) = open_mesh(bytes(file.replaced(vertices)), "a.obj").normal_warnings(file.vertices)
-    counted = "turned apart: 2 of 3 faces (66.7 %) are now more than 30 degrees off their vn (0.0 %"
-    assert counted in warning
-
-
-UP = np.array([[0.0, 0.0, 1.0]])
-
-
-def strip(*angles_deg: float) -> np.ndarray:
-    """Vertices (4 k, 3) of k separate unit squares, each turned about its side along y."""
-    squares = []
-    for k, angle in enumerate(np.radians(angles_deg)):
-        x, z = math.cos(angle), math.sin(angle)
-        squares.append([[3 * k, 0, 0], [3 * k + x, 0, z], [3 * k + x, 1, z], [3 * k, 1, 0]])
-    return np.array(squares, dtype=np.float64).reshape(-1, 3)
-
-
-def misfits(before, after, entry, up=UP):
-    """The triangles of these squares that do not fit, and how many normals."""
-    both = np.array([[0, 1, 2], [0, 2, 3]])
-    faces = (both + 4 * np.arange(len(before) // 4)[:, None, None]).reshape(-1, 3).astype(np.int32)
-    entry = np.broadcast_to(np.reshape(entry, (len(faces), -1)), faces.shape).astype(np.int32)
-    *found, count = obj.find_misfits(faces, entry, (before, up), (after, up))
-    return *(sorted(set(some.tolist())) for some in found), count
-
-
-def test_faces_that_turn_off_their_shared_normals_are_found():
-    assert misfits(strip(0, 0, 40), strip(29, -31, 40), [0] * 6) == ([4, 5], [2, 3, 4, 5], 1)
-    # Normals that point inwards are compared with the back.
-    assert misfits(strip(0, 0), strip(40, 0), [0] * 4, -UP) == ([], [0, 1], 1)
-    # A triangle without area has no normal.
-    assert misfits(strip(0, 0), 0.0 * strip(0, 0), [0] * 4) == ([], [], 0)
-    two = np.repeat(UP, 2, axis=0)
-    corners = [[0, 1, 1], [-1, -1, -1], [0, 0, 0], [-1, -1, -1]]
-    assert misfits(strip(0, 0), strip(0, 70), corners, two) == ([], [2], 1)
-
-
-def test_a_normal_of_one_face_or_of_one_place_is_not_shared():
-    each = np.repeat(UP, 4, axis=0)
-    assert misfits(strip(0, 0), strip(40, 0), range(4), each) == ([], [], 0)
-    # At one place there are two vertices.
-    before = strip(0, 0)
-    before[4:] = before[:4]
-    corners = [[0, -1, -1], [-1, -1, -1], [0, -1, -1], [-1, -1, -1]]
-    assert misfits(before, strip(40, 0), corners) == ([], [], 0)
-    before[4:] += 1.0
-    assert misfits(before, strip(40, 0), corners) == ([], [0], 1)
