@@ -1,4 +1,4 @@
-"""Files in folders, scripts as modules, and a limit of time for what reads files."""
+"""Files in folders, scripts as modules, and limits of time and of systems."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 """The checkout."""
+
+SAMPLES = ROOT / "sample_meshes"
+
+posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX: links, pipes or signals")
 
 
 def make_files(folder: Path, *names: str) -> None:

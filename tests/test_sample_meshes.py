@@ -22,11 +22,10 @@ from msal_cli.job.settings import is_mesh_name
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
-from tests.files import load_script
+from tests.files import SAMPLES, load_script
 from tests.job.test_pipeline import settings
 from tests.malformed import malformed
 
-FOLDER = Path(__file__).resolve().parents[1] / "sample_meshes"
 NAMES = ("bracket", "dragon_egg", "coin", "bear", "vase", "knot", "toadstool", "rock")
 
 
@@ -61,19 +60,19 @@ def expanded(name: str, data: bytes) -> bytes:
 
 @pytest.mark.ci
 def test_the_folder_holds_what_the_script_makes(made: dict[str, bytes]) -> None:
-    there = {p.name for p in FOLDER.iterdir() if p.suffix not in (".py", "") and p.is_file()}
+    there = {p.name for p in SAMPLES.iterdir() if p.suffix not in (".py", "") and p.is_file()}
     assert there == set(made)
     assert {name.split("_")[0] for name in there if "_noisy" in name} == {
         name.split("_")[0] for name in NAMES
     }
     for name, data in made.items():
-        assert expanded(name, (FOLDER / name).read_bytes()) == expanded(name, data), name
+        assert expanded(name, (SAMPLES / name).read_bytes()) == expanded(name, data), name
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
     model = next(m for m in script.MODELS if m.name == name)
-    (path,) = FOLDER.glob(f"{name}_clean.*")
+    (path,) = SAMPLES.glob(f"{name}_clean.*")
     mesh = codecs.open_mesh(expanded(path.name, path.read_bytes()), path.name.removesuffix(".gz"))
     ready = prepare_mesh(mesh.vertices, mesh.faces)
     defects = ready.defects
@@ -91,9 +90,6 @@ def test_surface_is_as_stated(script: ModuleType, name: str) -> None:
 
 
 # Files through the whole way
-
-
-SAMPLES = Path(__file__).parents[1] / "sample_meshes"
 
 
 def meshes_in(folder: Path) -> list[Path]:

@@ -1,7 +1,6 @@
 """The kind of noise that the estimate gives, on known kinds, and the trees that say it."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +16,9 @@ from msal_cli.analysis.noise_estimate.fits import estimate_white
 from msal_cli.analysis.noise_estimate.level import KINDS as CHARACTERS
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import prepare_mesh
+from tests.files import SAMPLES
 from tests.shapes import ball, box, cube, grid, torus
 
-SAMPLES = Path(__file__).parents[2] / "sample_meshes"
 SLANTED = (1.0, 2.0, -3.0)
 
 

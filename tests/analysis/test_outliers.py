@@ -1,7 +1,5 @@
 """Outliers planted on known shapes are found and brought back, and what belongs stays."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,9 +7,8 @@ from benchmarks import ground_truth, machined_shapes
 from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
 from msal_cli.analysis.outliers import MAX_SHARE, find_outliers
 from msal_cli.mesh import prepare_mesh
+from tests.files import SAMPLES
 from tests.shapes import ball, box, cube, grid, torus
-
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 
 def torus_mesh():

@@ -1,7 +1,6 @@
 """The choice within the family of equation (2)."""
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +13,8 @@ from msal_cli.auto import FAMILY, NONE, adaptive
 from msal_cli.auto.candidates import LINEAR
 from msal_cli.mesh import prepare_mesh
 from tests.auto.test_search import angle
+from tests.files import SAMPLES
 from tests.shapes import cube, torus
-
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 
 def torus_mesh(around=90, across=45):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.risk import Quadratic, Risk
 from msal_cli.kernels import parallel
 from msal_cli.mesh import Mesh, prepare_mesh
+from tests.files import SAMPLES
 from tests.shapes import box, grid, noisy, torus
 
 
@@ -30,9 +30,6 @@ def test_settings_are_allowed(candidate):
         assert values["noise"] == 0.125
     assert candidate.cost > 0.0
     assert {spec.name for spec in method.parameters} >= set(settings)
-
-
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
 
 def scan(around=40, across=20, level=0.05, seed=0):

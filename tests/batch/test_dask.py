@@ -23,12 +23,11 @@ from tests.batch import fakes
 from tests.batch.test_run import fill, obj, statuses
 from tests.campaigns import runs
 from tests.cli.scans import msal
-from tests.files import ROOT, tree
+from tests.files import ROOT, posix, tree
 
 pytestmark = pytest.mark.ci
 
 distributed = pytest.importorskip("distributed", reason="Dask distributed is not installed")
-posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 FAKE = Settings("fake", {"n": 1})
 
 

@@ -9,9 +9,7 @@ import pytest
 from msal_cli.batch.inputs import NothingMatched, Patterns, discover_inputs
 from msal_cli.errors import UsageError
 from msal_cli.storage.atomic import temporary_name
-from tests.files import make_files
-
-posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
+from tests.files import make_files, posix
 
 
 def relatives(*inputs, **options):

@@ -1,7 +1,6 @@
 """Where outputs go, and what is refused before anything is touched."""
 
 import json
-import os
 from pathlib import Path
 
 import pytest
@@ -11,10 +10,7 @@ from msal_cli.batch.inputs import DiscoveredInput, discover_inputs
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan, manifest_key
 from msal_cli.errors import UsageError
-from tests.files import make_files, tree
-
-posix = pytest.mark.skipif(os.name != "posix", reason="needs a POSIX file system")
-
+from tests.files import make_files, posix, tree
 
 OWN = (NAME, ".msal-lock")
 

@@ -29,10 +29,9 @@ from msal_cli.job.settings import Settings
 from tests.batch import fakes
 from tests.campaigns import runs
 from tests.codecs import plain_obj
-from tests.files import tree
+from tests.files import posix, tree
 from tests.shapes import noisy, torus
 
-posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 SETTINGS = Settings("fake", {"n": 1})
 
 

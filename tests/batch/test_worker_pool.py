@@ -22,9 +22,9 @@ from tests.batch import fakes, test_run
 from tests.batch.fakes import lost, pool, results
 from tests.batch.test_run import obj
 from tests.cli.scans import msal
+from tests.files import posix
 from tests.report.made import written
 
-posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux")
 
 

@@ -3,7 +3,6 @@
 import io
 import itertools
 import logging
-import os
 import re
 import sys
 
@@ -157,9 +156,6 @@ def test_a_run_marks_its_failures_once(tmp_path, monkeypatch):
     (tmp_path / "scans" / "bad.ply").write_bytes(BAD_SCAN)
     made = msal("denoise", "bad.ply", "-o", tmp_path / "out.ply", "-q")
     assert made.stderr.count("\n::error file=scans/bad.ply,") == 1
-
-
-POSIX = pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
 
 
 def on_a_terminal(monkeypatch):

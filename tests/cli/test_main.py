@@ -9,8 +9,7 @@ import pytest
 
 from msal_cli import methods
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, process
-
-POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and pipes of POSIX")
+from tests.files import posix
 
 HEAVY = "('numpy', 'numba', 'trimesh', 'meshio', 'tqdm')"
 
@@ -67,7 +66,7 @@ def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
 # The real process
 
 
-@POSIX
+@posix
 def test_a_name_that_is_no_unicode_goes_in_and_out(tmp_path):
     folder = os.fsencode(tmp_path) + b"/in"
     os.mkdir(folder)
@@ -91,7 +90,7 @@ def test_a_name_that_is_no_unicode_goes_in_and_out(tmp_path):
     assert json.loads((tmp_path / "r.json").read_bytes())["records"] == records
 
 
-@POSIX
+@posix
 def test_a_reader_that_goes_away_is_no_noise_and_what_is_to_be_written_is_written(tmp_path):
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
     assert msal("denoise", scan, "-o", tmp_path / "out/", "-q").exit_code == 0

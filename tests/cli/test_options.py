@@ -11,7 +11,7 @@ from msal_cli import methods
 from msal_cli.cli import options
 from msal_cli.errors import UsageError
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal_on, open_scan, ply_text
-from tests.files import time_limit, tree
+from tests.files import posix, time_limit, tree
 
 SIZE = {"500M": 500 * 10**6, "500mb": 500 * 10**6, "2G": 2 * 10**9, "1.5GiB": 3 << 29}
 DURATION = {"90": 90.0, "90s": 90.0, "1.5m": 90.0, "2h": 7200.0, ".5 h": 1800.0, "none": None}
@@ -84,8 +84,6 @@ def test_the_shortcuts_are_parameters_of_methods():
 
 # Command lines that are refused: with a message and a status, nothing printed, nothing touched
 
-
-POSIX = pytest.mark.skipif(os.name != "posix", reason="pipes and links of POSIX")
 
 SCAN = closed_scan()
 
@@ -278,7 +276,7 @@ noise in/a.ply -o b.ply |
 
 def read_refused():
     for status, line, words in re.findall(r"^(\d?) ?([^#\n].*?) \|(.*)$", REFUSED, re.M):
-        marks = [POSIX] if re.search("pipe|hard|soft", line) else []
+        marks = [posix] if re.search("pipe|hard|soft", line) else []
         yield pytest.param(line, words.split("&"), int(status or 2), marks=marks, id=line)
     for one in ("--auto", "--keep edges", "--strength 0", "--prefer normals"):
         for other in ("--method msal", "--iterations 3", "-K 1", "--mollify 0", "--set a=1"):

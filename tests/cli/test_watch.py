@@ -12,9 +12,8 @@ from msal_cli.batch.lock import FolderLock
 from msal_cli.cli.watch import Inbox
 from tests.campaigns import runs
 from tests.cli.scans import BAD_SCAN, MSAL, closed_scan, folder_of, msal, open_scan
-from tests.files import tree
+from tests.files import posix, tree
 
-posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 QUICK = ("--settle", "0.1s", "-n", "1")
 
 

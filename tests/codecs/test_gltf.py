@@ -22,11 +22,10 @@ from msal_cli.errors import ContentError, MsalError, UnsupportedError
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
 from tests.codecs.plain_glb import Scene, content_of
-from tests.files import tree
+from tests.files import posix, tree
 from tests.job.test_pipeline import settings
 from tests.shapes import cube, grid, noisy, torus
 
-posix = pytest.mark.skipif(os.name != "posix", reason="links and pipes")
 PREFIX = "data:application/octet-stream;base64,"
 
 

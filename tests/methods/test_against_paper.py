@@ -1,7 +1,5 @@
 """AL and MSAL against a transcription of the paper; figures of all methods on known truth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from benchmarks.table1 import volumes
 from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, RingOperator
 from msal_cli.mesh import prepare_mesh
 from tests import paper
+from tests.files import SAMPLES
 from tests.methods.runs import PAIRS, SHAPES, all_errors, denoise, errors, opened
 from tests.methods.runs import run_in_file as run
 from tests.shapes import fan, grid, noisy, torus
@@ -71,7 +70,6 @@ def test_constant_fidelity_worked_by_hand():
     assert second[0, 2] == pytest.approx(0.3 + 0.0 - 0.25 * 0.3)
 
 
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 BEAR = opened(SAMPLES / "bear_noisy.obj", SAMPLES / "bear_clean.obj")
 
 

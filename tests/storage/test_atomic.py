@@ -10,10 +10,8 @@ import pytest
 from msal_cli.errors import OutputError
 from msal_cli.storage import atomic as writing
 from msal_cli.storage.atomic import write_new, write_whole
-from tests.files import umask
+from tests.files import posix, umask
 from tests.report.made import HOSTILE_NAMES
-
-posix = pytest.mark.skipif(os.name != "posix", reason="permission bits and links of POSIX")
 
 
 def names(folder):

@@ -8,9 +8,7 @@ import pytest
 from msal_cli.errors import OutputError
 from msal_cli.storage import sidecars
 from msal_cli.storage.sidecars import carry
-from tests.files import tree
-
-posix = pytest.mark.skipif(os.name != "posix", reason="links")
+from tests.files import posix, tree
 
 
 @pytest.fixture
