@@ -64,9 +64,7 @@ def _closed_rings(start, stop, faces, face_start, incident, ring, opened):
     becomes True for all other vertices; what is in their places is of no use.
     """
     # Who follows vertex i is marked i, and, once it has been found to go before it too, -2 - i.
-    mark = np.empty(len(opened), dtype=np.int32)
-    for i in range(len(mark)):
-        mark[i] = -1
+    mark = np.full(len(opened), -1, dtype=np.int32)
     for i in range(start, stop):
         row = face_start[i]
         end = face_start[i + 1]
@@ -229,10 +227,8 @@ def _circles(start, stop, faces, face_start, incident, following):
     range of vertices has the edges from them to vertices of higher number.  All arrays are flat
     and unsigned, so that no index is looked at for its sign.
     """
-    n = np.uint64(len(face_start)) - ONE
-    stamp = np.empty(np.int64(n), dtype=np.uint32)
-    for i in range(n):
-        stamp[i] = n
+    n = len(face_start) - 1
+    stamp = np.full(n, n, dtype=np.uint32)
     first = np.empty_like(stamp)
     last = np.empty_like(stamp)
     for i in range(np.uint64(start), np.uint64(stop)):

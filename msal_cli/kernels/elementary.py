@@ -21,10 +21,6 @@ MIN_ARGUMENT = -700.0
 """Arguments below are taken as this: exp(-700) is 1e-304, nothing beside a weight of 1."""
 
 
-BLOCK = 1024
-"""Numbers to give at a time: three arrays of them fit a first-level cache of 32 KiB."""
-
-
 @compiled
 def exponentials(values, scratch, scratch_bits, count):
     """Replace ``values[:count]``, none above zero, by their exponentials, within 1 ulp or so.

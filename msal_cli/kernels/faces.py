@@ -70,9 +70,7 @@ def _neighbours(start, stop, faces, face_start, incident, following, at_corners,
     Whether a face was met before cannot be predicted: without a branch each is written down, and
     kept by being counted.
     """
-    seen = np.empty(len(faces) // 3, dtype=np.uint32)
-    for face in range(np.uint64(len(seen))):
-        seen[face] = len(seen)
+    seen = np.full(len(faces) // 3, len(faces) // 3, dtype=np.uint32)
     filled = np.uint64(start * most)
     for f in range(np.uint64(start), np.uint64(stop)):
         name = np.uint32(f)
@@ -175,10 +173,8 @@ def corner_means(values: Floats, faces: Ints) -> Floats32:
 def _find_near(start, stop, c, ring_start, ring, radii, most, sizes, near):
     """Find rows as ``find_rows`` wants them; c centroids, flat; ``radii`` one, or one a face."""
     has_own = len(radii) > 1
-    seen = np.empty(len(ring_start) - 1, dtype=np.uint32)
-    none = np.uint32(len(seen))
-    for face in range(np.uint64(len(seen))):
-        seen[face] = none
+    none = np.uint32(len(ring_start) - 1)
+    seen = np.full(len(ring_start) - 1, none, dtype=np.uint32)
     most = np.uint64(most)
     found = np.empty(np.int64(most + longest_row(np.uint64(0), none, ring_start)), np.uint32)
     filled = np.uint64(start) * most
@@ -347,9 +343,7 @@ def _inner(start, stop, ring_start, ring, first_pair, pairs, most, sizes, inner)
     ``pairs`` flat.  Which are cannot be predicted: without a branch each is written down, and kept
     by being counted.
     """
-    member = np.empty(len(ring_start) - 1, dtype=np.uint32)
-    for face in range(np.uint64(len(member))):
-        member[face] = len(member)
+    member = np.full(len(ring_start) - 1, len(ring_start) - 1, dtype=np.uint32)
     filled = np.uint64(start * most)
     for f in range(np.uint64(start), np.uint64(stop)):
         name = np.uint32(f)

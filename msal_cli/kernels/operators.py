@@ -23,6 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from msal_cli.arrays import Flags, Floats, Ints
+from msal_cli.kernels import vectors as vec
 from msal_cli.kernels.compiled import compiled
 from msal_cli.kernels.connectivity import Connectivity
 from msal_cli.kernels.elementary import LOG2_E, exponentials, power_of_two
@@ -190,41 +191,35 @@ def _filter_rings(
         scales, sums, weights, least, factors = PARTS
         for m in range(fewest, most + ONE):
             width = table[m]
-            for at in range(width):
-                room[least + at] = np.inf
-                room[scales + at] = 0.0
-                room[sums + at] = 0.0
-                room[weights + at] = 0.0
-                room[factors + at] = 0.0
-            place = row
-            for _ in range(m):
-                for at in range(width):
-                    h = room[place + at]
-                    room[sums + at] += h
-                    if not is_bilateral:
-                        room[least + at] = min(room[least + at], h * h)
-                place += width
-            for at in range(width):
-                room[sums + at] /= max(m, ONE)
-            place = row
-            for _ in range(m):
-                for at in range(width):
-                    offset = room[place + at] - room[sums + at]
-                    room[scales + at] += abs(offset)
-                    if is_bilateral:
-                        room[factors + at] += offset * offset
-                place += width
-            for at in range(width):
-                scale = 2.0 * room[scales + at] / max(m, ONE)
-                room[scales + at] = scale
-                if is_bilateral:
-                    scale = np.sqrt(room[factors + at] / max(m, ONE))
-                    scale = scale if similarity == 0.0 else similarity
-                scale = scale if scale > floor else floor
-                room[factors + at] = 0.5 * LOG2_E / (scale * scale)
-                room[sums + at] = 0.0
             if is_bilateral:
                 # Exponents by distance are added to those by height.
+                for at in range(width):
+                    room[least + at] = np.inf
+                    room[scales + at] = 0.0
+                    room[sums + at] = 0.0
+                    room[weights + at] = 0.0
+                    room[factors + at] = 0.0
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        room[sums + at] += room[place + at]
+                    place += width
+                for at in range(width):
+                    room[sums + at] /= max(m, ONE)
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        offset = room[place + at] - room[sums + at]
+                        room[scales + at] += abs(offset)
+                        room[factors + at] += offset * offset
+                    place += width
+                for at in range(width):
+                    room[scales + at] = 2.0 * room[scales + at] / max(m, ONE)
+                    scale = np.sqrt(room[factors + at] / max(m, ONE))
+                    scale = scale if similarity == 0.0 else similarity
+                    scale = scale if scale > floor else floor
+                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                    room[sums + at] = 0.0
                 place = row
                 for _ in range(m):
                     for at in range(width):
@@ -233,19 +228,49 @@ def _filter_rings(
                         room[apart + place + at] = exponent
                         room[least + at] = min(room[least + at], exponent)
                     place += width
-            for _ in range(m):
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        g = power_of_two(room[least + at] - room[apart + place + at])
+                        room[weights + at] += g
+                        room[sums + at] += g * room[place + at]
+                    place += width
+                row += m * width
+            else:
                 for at in range(width):
-                    h = room[row + at]
-                    # The largest weight is made 1: the quotient of eq. (5) stays the same, and
-                    # cannot become 0/0 where sigma is tiny.
-                    if is_bilateral:
-                        exponent = room[least + at] - room[apart + row + at]
-                    else:
-                        exponent = (room[least + at] - h * h) * room[factors + at]
-                    g = power_of_two(exponent)
-                    room[weights + at] += g
-                    room[sums + at] += g * h
-                row += width
+                    room[least + at] = np.inf
+                    room[scales + at] = 0.0
+                    room[sums + at] = 0.0
+                    room[weights + at] = 0.0
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        h = room[place + at]
+                        room[sums + at] += h
+                        room[least + at] = min(room[least + at], h * h)
+                    place += width
+                for at in range(width):
+                    room[sums + at] /= max(m, ONE)
+                place = row
+                for _ in range(m):
+                    for at in range(width):
+                        room[scales + at] += abs(room[place + at] - room[sums + at])
+                    place += width
+                for at in range(width):
+                    scale = 2.0 * room[scales + at] / max(m, ONE)
+                    room[scales + at] = scale
+                    scale = scale if scale > floor else floor
+                    room[factors + at] = 0.5 * LOG2_E / (scale * scale)
+                    room[sums + at] = 0.0
+                for _ in range(m):
+                    for at in range(width):
+                        h = room[row + at]
+                        # The largest weight is made 1: the quotient of eq. (5) stays the same,
+                        # and cannot become 0/0 where sigma is tiny.
+                        g = power_of_two((room[least + at] - h * h) * room[factors + at])
+                        room[weights + at] += g
+                        room[sums + at] += g * h
+                    row += width
             scales += width
             sums += width
             weights += width
@@ -434,11 +459,10 @@ def _robust_laplacian(
         if m == 0:
             continue
         for at in range(m):
-            k = ring[row + at]
-            ex, ey, ez = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1], x[k, 2] - x[i, 2]
-            h[at] = ex * normals[i, 0] + ey * normals[i, 1] + ez * normals[i, 2]
+            edge = vec.offset(x, ring[row + at], i)
+            h[at] = vec.dot(edge, vec.load(normals, i))
             if scaling == _EDGE:
-                lengths[at] = np.sqrt(ex * ex + ey * ey + ez * ez)
+                lengths[at] = vec.norm(edge)
         sigma[i] = _sigma(h, m, deviation, scratch)
         if not free[i]:
             continue
