@@ -91,19 +91,14 @@ _ZEROS_LOOKED_AT = 1 << 16
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-class ObjFile(MeshFile):
-    """An opened OBJ file; see ``mesh_file.MeshFile`` for the attributes.
+def read(data: Buffer) -> MeshFile:
+    """Read an OBJ file.
 
     Raises FormatError (binary data, a word that is no number, a statement that is too short),
     TruncatedError (empty, or the last line breaks off), ContentError (``E_NONFINITE``,
     ``E_INDEX``, ``E_NO_FACES``) and TooLargeError, each with the line.
     """
-
-    def __init__(self, data: Buffer) -> None:
-        super().__init__(data, "obj", _Reader(data).read())
-
-
-read = ObjFile
+    return MeshFile(data, "obj", _Reader(data).read())
 
 
 @dataclass(eq=False)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msal_cli.codecs import obj
+from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
 from tests.codecs.patching import any_float
@@ -33,7 +34,7 @@ f 1 4 6
 """
 
 
-def moved(file: obj.ObjFile, seed: int = 0, share: float = 1.0, size: float = 0.01) -> np.ndarray:
+def moved(file: MeshFile, seed: int = 0, share: float = 1.0, size: float = 0.01) -> np.ndarray:
     """The file's vertices, some of them shifted."""
     random = np.random.default_rng(seed)
     shift = random.normal(size=file.vertices.shape) * size
@@ -221,7 +222,7 @@ def files(random: Random) -> bytes:
 FILES = st.builds(files, st.randoms(use_true_random=True))
 
 
-def read_in_pieces(data: bytes, n_pieces: int) -> tuple[obj.ObjFile, bool]:
+def read_in_pieces(data: bytes, n_pieces: int) -> tuple[MeshFile, bool]:
     """The file as that many threads read it, and whether they could."""
     could = []
 
@@ -238,7 +239,7 @@ def read_in_pieces(data: bytes, n_pieces: int) -> tuple[obj.ObjFile, bool]:
         return obj.read(data), could == [True]
 
 
-def facts(file: obj.ObjFile) -> list[object]:
+def facts(file: MeshFile) -> list[object]:
     corners = [list(polygon) for polygon in file.polygons()]
     output = bytes(file.replaced(moved(file)))
     return [
