@@ -25,11 +25,10 @@ Vectors are seen along the axes of the tensor of the normals near, and lengths a
 moving or scaling a mesh changes nothing.
 
 The level of the noise decides what is texture: a given ``noise`` helps most where the texture is as
-fine as the mesh; a greater one smooths more.  A mesh that surely has none comes back as it is, and
-where a trace is unsure, vertices move by no more than that in the mean.  Where the noise is white,
-as noise that is given is taken to be, what the stages took beyond it comes back as in ``wiener``
-(``texture``).  Where it is along the normals, which is measured, the way that vertices came
-sideways is undone (``sliding``; see ``guided_normal``).
+fine as the mesh; a greater one smooths more.  A mesh that has none comes back as it is.  Where the
+noise is white, as noise that is given is taken to be, what the stages took beyond it comes back as
+in ``wiener`` (``texture``).  Where it is along the normals, which is measured, the way that
+vertices came sideways is undone (``sliding``; see ``guided_normal``).
 
 The cost is 10 s per million faces on one core, 6.5 s on two (2 million faces, AMD EPYC).
 docs/training.md describes the files of the weights, and how to train them, with clean meshes of
@@ -45,8 +44,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from msal_cli.arrays import Floats
 from msal_cli.kernels.vertex_update import untangle
 from msal_cli.mesh import Mesh
@@ -59,8 +56,7 @@ BYTES_PER_FACE = 730
 """Memory beyond what every method needs, measured at the defaults; see ``Method``."""
 
 MIN_KNOWN = 0.03
-"""Level, mean edge lengths, below which noise of an unknown kind is not taken for so little, and
-known noise bounds how far vertices move."""
+"""Level, mean edge lengths, below which noise of an unknown kind is not taken for so little."""
 
 STAGE_PASSES = 10
 """Passes over the vertices between two stages, as in training."""
@@ -123,30 +119,20 @@ def denoise(mesh: Mesh, parameters: Parameters, on_sweep: OnSweep) -> Result:
     positions = untangle(positions, normals, mesh.faces, mesh.topology, cascade.free)
     if noise and is_returned:
         positions = return_texture(mesh, positions, noise)
-    if noise is not None and noise < MIN_KNOWN:
-        positions = _limit_moves(mesh, positions, noise)
     return timer.finish(positions)
-
-
-def _limit_moves(mesh: Mesh, positions: Floats, noise: float) -> Floats:
-    """Positions (n, 3) that are no farther from those of ``mesh`` in the mean than so many mean
-    edge lengths."""
-    moves = positions - mesh.vertices
-    mean = float(np.sqrt(np.einsum("ij,ij->i", moves, moves)).mean())
-    most = noise * mesh.mean_edge_length
-    return positions if mean <= most else mesh.vertices + (most / mean) * moves
 
 
 def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool, bool]:
     """The level in mean edge lengths, ``given`` or else estimated, whether the noise is white, and
     whether much of the mesh has hardly any.
 
-    The level is 0 where there is none for sure, and None where none says what is wrong: on
+    The level is 0 where there is none to speak of, and None where none says what is wrong: on
     staircases, and where the estimate finds hardly any noise of an unknown kind.  Where it is
     unsure it is taken for noise: who names the method wants that.  Noise that is given, and a trace
     of it on a clean mesh, is taken for white unless it is uneven.
     """
     from msal_cli.analysis.noise_estimate import NOISE, estimate_noise
+    from msal_cli.analysis.noise_estimate.fits import NEGLIGIBLE
 
     estimate = estimate_noise(mesh)
     level = estimate.assume(NOISE, mesh.mean_edge_length)
@@ -156,6 +142,6 @@ def resolve_noise(mesh: Mesh, given: float) -> tuple[float | None, bool, bool]:
     if kind == "staircase":
         return None, False, False
     if estimate.is_negligible:
-        return level.mean_edges, True, False
+        return (0.0 if level.mean_edges < NEGLIGIBLE else level.mean_edges), True, False
     is_open = kind == "unknown" and level.mean_edges < MIN_KNOWN
     return None if is_open else level.of_noisy_part, kind == "white", is_uneven
