@@ -537,6 +537,7 @@ def _least_probabilities(evidence: Evidence) -> dict[str, float]:
         "white": _may_be_white(evidence),
         "correlated": evidence.colour is None or not evidence.colour.is_pattern,
         "view": evidence.axis is not None,
+        "staircase": steps.n_axes == 3,
         "uneven": evidence.differences is not None,
     }
     least = {kind: 0.0 if is_known.get(kind, True) else math.inf for kind in KIND_NAMES}
