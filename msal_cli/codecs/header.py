@@ -121,8 +121,14 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
             )
         return Header(flavour, most_bytes=most, error=error)
     least += is_text
+    has_strips = "face" not in counts and "tristrips" in counts
     n_triangles = n_faces
-    if "face" not in counts and "range_grid" in counts:
+    if has_strips:
+        # Each item of a strip but its first two is a triangle; how many there are, only reading
+        # the strips tells.
+        n_triangles = (size - least) // (2 if is_text else 4)
+        n_triangles = 4 * counts["tristrips"] if is_packed else n_triangles
+    elif "face" not in counts and "range_grid" in counts:
         # Most of its samples may be empty; a vertex has two triangles.
         n_triangles = 2 * min(counts["range_grid"], n_vertices)
     elif not is_text and (face := header.find("face")) is not None:
@@ -134,7 +140,9 @@ def _read_ply(head: bytes, size: int, is_packed: bool) -> Header:
         elif item_bytes and not any(prop.is_list for prop in others):
             # All list items are corners of polygons.
             n_triangles = max(n_faces, (size - least) // item_bytes - 2 * n_faces)
-    return Header(flavour, least, most, n_vertices, n_faces, n_vertices, n_triangles, error)
+    faces = None if has_strips else n_faces
+    shown = n_vertices, faces, n_vertices, n_triangles
+    return Header(flavour, least, most, *shown, error)
 
 
 def _read_stl(head: bytes, size: int, is_packed: bool) -> Header:

@@ -1,9 +1,9 @@
 """PLY files: positions and normals replaced inside the original bytes.
 
 Read are ascii and both binary encodings, any elements and properties in any order, polygons
-(``vertex_indices`` or ``vertex_index`` of ``face``) and range grids (``range_grid``).  Written is
-a copy of the file in which only ``x y z`` of moved vertices, and the normals ``nx ny nz`` of
-vertices around them, differ.
+(``vertex_indices`` or ``vertex_index`` of ``face``), triangle strips (``tristrips``) and range
+grids (``range_grid``).  Written is a copy of the file in which only ``x y z`` of moved vertices,
+and the normals ``nx ny nz`` of vertices around them, differ.
 
 A range grid, as in the Stanford archive, is a raw scan: a list of no vertex or one for each
 sample, row by row; ``obj_info num_cols`` and ``num_rows`` give its size.  Neighbouring samples are
@@ -32,7 +32,6 @@ from msal_cli.errors import (
     FormatError,
     InputError,
     TooLargeError,
-    UnsupportedError,
     bad_index,
     no_faces,
 )
@@ -98,11 +97,12 @@ MAX_VERTICES = 2**31 - 1
 
 
 class Surface(NamedTuple):
-    """Triangles of all faces, in file order, or of a range grid.
+    """Triangles of all faces, in file order, and behind them those of all strips.
 
     triangles : (m, 3) int32.
     corners, sizes : polygons as in ``Layout``, empty where all are triangles.
-    n_polygons : faces, also those with fewer than three corners, and triangles of a range grid.
+    n_polygons : faces, also those with fewer than three corners, and triangles of strips or of a
+        range grid.
     grid : the samples (rows, columns) of a range grid whose triangles these are, else None.
     """
 
@@ -134,31 +134,27 @@ def corner_list(element: ply_header.Element) -> str:
 def find_surface(
     sections: Mapping[str, Section], header: ply_header.Header, vertices: Floats
 ) -> Surface:
-    """The surface in the element ``face``, or between the samples of a range grid where that has no
-    triangles.
+    """The surface in the elements ``face`` and ``tristrips``, or between the samples of a range
+    grid where these have no triangles.
 
     Raises ContentError (``E_INDEX`` with the face, ``E_NO_FACES``), FormatError (a corner is not
-    a whole number, a range grid of unknown size), UnsupportedError (strips) and TooLargeError.
+    a whole number, a range grid of unknown size) and TooLargeError.
     """
+    from msal_cli.kernels.ply_scan import unroll_strips
+
     n_vertices = len(vertices)
     if n_vertices > MAX_VERTICES:
         raise TooLargeError(f"{n_vertices} vertices are more than the {MAX_VERTICES} that are read")
     warnings: list[str] = []
     corners = np.empty(0, dtype=np.int32)
-    triangles = corners.reshape(0, 3)
+    triangles = strips = corners.reshape(0, 3)
     lengths: Longs | Ints = np.empty(0, dtype=np.int64)
     sizes = lengths
     samples = None
-    strips = header.find("tristrips")
-    if strips is not None and strips.count:
-        raise UnsupportedError(
-            "triangle strips (the element 'tristrips') are not read",
-            hint="open the file in MeshLab, and save it: it writes faces",
-        )
     lists = {
         element: (section, name)
         for element, section in sections.items()
-        if element in ("face", GRID) and (name := corner_list(section.element))
+        if element in ("face", "tristrips", GRID) and (name := corner_list(section.element))
     }
     if "face" in lists:
         faces, name = lists["face"]
@@ -173,15 +169,22 @@ def find_surface(
                 "carried along"
             )
             corners, sizes = corners[np.repeat(is_face, lengths)], lengths[is_face]
-    n_polygons = len(lengths)
-    if not len(triangles):
+    if "tristrips" in lists:
+        items, strip_lengths = _read_corners(*lists["tristrips"], n_vertices, has_ends=True)
+        strips = np.empty((len(items), 3), dtype=np.int32)
+        strips = strips[: unroll_strips(items, np.ascontiguousarray(strip_lengths), strips)].copy()
+    if not len(triangles) and not len(strips):
         if GRID not in lists:
             raise _no_faces_error(sections.get("face"), n_vertices)
         samples = _grid_samples(*lists[GRID], header, n_vertices)
-        triangles = triangulate_grid(samples, vertices)
-        n_polygons += len(triangles)
+        strips = triangulate_grid(samples, vertices)
+    if len(strips):
+        triangles = np.concatenate([triangles, strips])
+        corners = np.concatenate([corners, strips.reshape(-1)])
+        sizes = np.concatenate([sizes, np.full(len(strips), 3)])
     if len(corners) == 3 * len(sizes):
         corners, sizes = corners[:0], sizes[:0]
+    n_polygons = len(lengths) + len(strips)
     return Surface(triangles, corners, sizes, n_polygons, warnings, samples)
 
 
@@ -222,11 +225,13 @@ def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
     return no_faces(message, "element face", hint)
 
 
-def _read_corners(section: Section, name: str, n_vertices: int) -> tuple[Ints, Longs | Ints]:
+def _read_corners(
+    section: Section, name: str, n_vertices: int, *, has_ends: bool = False
+) -> tuple[Ints, Longs | Ints]:
     """The corners (c,) of an element's lists, and how many each record has (count,).
 
-    Raises ContentError (``E_INDEX``) for one that is no vertex, FormatError where it is no whole
-    number.
+    Raises ContentError (``E_INDEX``) for one that is no vertex, nor with ``has_ends`` the -1 that
+    ends a strip, FormatError where it is no whole number.
     """
     items, lengths = section.items(name)
 
@@ -242,13 +247,15 @@ def _read_corners(section: Section, name: str, n_vertices: int) -> tuple[Ints, L
     corners = _as_indices(items)
     # Seen as unsigned, a negative index is a very large one.
     if len(corners) and int(corners.view(np.uint32).max()) >= n_vertices:
-        item = int(np.argmax(corners.view(np.uint32) >= n_vertices))
-        record = record_of(item)
-        raise bad_index(
-            f"{section.element.name} {record} names vertex {items.reshape(-1)[item].item()}, "
-            f"but the vertices go from 0 to {n_vertices - 1}",
-            section.where(record),
-        )
+        is_wrong = (corners.view(np.uint32) >= n_vertices) & ~(has_ends & (corners == -1))
+        if is_wrong.any():
+            item = int(np.argmax(is_wrong))
+            record = record_of(item)
+            raise bad_index(
+                f"{section.element.name} {record} names vertex {items.reshape(-1)[item].item()}, "
+                f"but the vertices go from 0 to {n_vertices - 1}",
+                section.where(record),
+            )
     return corners, lengths
 
 
@@ -273,7 +280,7 @@ def wanted_names(element: ply_header.Element) -> Sequence[str]:
     """Properties whose places are kept: positions, normals, corners."""
     if element.name == "vertex":
         return ply_header.POSITION + ply_header.NORMAL
-    return CORNERS if element.name in ("face", GRID) else ()
+    return CORNERS if element.name in ("face", "tristrips", GRID) else ()
 
 
 def has_normals(element: ply_header.Element) -> bool:
@@ -309,7 +316,7 @@ def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[
         if element.name == GRID and grid is not None:
             carried.append(f"range grid of {grid.shape[0]} rows and {grid.shape[1]} columns")
             continue
-        if element.name not in ("vertex", "face"):
+        if element.name not in ("vertex", "face", "tristrips"):
             carried.append(f"element {element.name} ({element.count})")
             continue
         known = ply_header.POSITION if element.name == "vertex" else (corner_list(element),)

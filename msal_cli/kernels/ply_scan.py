@@ -1,4 +1,4 @@
-"""Walks over PLY data whose records differ in length, and the triangles of polygons.
+"""Walks over PLY data whose records differ in length, and the triangles of polygons and strips.
 
 Ascii records are read by two quick walks, ``read_scalars`` and ``read_lists``; ``walk_text`` finds
 the places of all tokens, and what is wrong where something is.
@@ -314,3 +314,28 @@ def fans(items, lengths, triangles):
             triangles[t, 2] = items[k]
             t += 1
         first += lengths[f]
+
+
+@compiled
+def unroll_strips(items, lengths, triangles):
+    """Triangles of strips: -1 restarts a strip, every second triangle is turned round, and
+    those that name a vertex twice are dropped.  Returns the number of triangles."""
+    first = t = 0
+    for s in range(len(lengths)):
+        run = 0  # corners since the last restart
+        for k in range(first, first + lengths[s]):
+            if items[k] < 0:
+                run = 0
+                continue
+            run += 1
+            if run < 3:
+                continue
+            a, b, c = items[k - 2], items[k - 1], items[k]
+            if a == b or b == c or a == c:
+                continue
+            triangles[t, 0] = a if run % 2 else b
+            triangles[t, 1] = b if run % 2 else a
+            triangles[t, 2] = c
+            t += 1
+        first += lengths[s]
+    return t

@@ -125,7 +125,7 @@ def read(data: bytes) -> Ply:
 
 
 def triangles(ply: Ply) -> list[list[int]]:
-    """Fans of the faces."""
+    """Fans of the faces, then the strips unrolled."""
     result = []
     for element in ply.elements:
         if element.name == "face":
@@ -133,6 +133,16 @@ def triangles(ply: Ply) -> list[list[int]]:
             for row in element.rows:
                 corners = row[k]
                 result += [[corners[0], b, c] for b, c in pairwise(corners[1:])]
+    for element in ply.elements:
+        if element.name == "tristrips":
+            for row in element.rows:
+                run: list[int] = []
+                for corner in row[0]:
+                    run = [] if corner == -1 else [*run, corner]
+                    if len(run) > 2:
+                        a, b, c = run[-3:]
+                        if len({a, b, c}) == 3:
+                            result.append([a, b, c] if len(run) % 2 else [b, a, c])
     return result
 
 

@@ -75,6 +75,13 @@ def test_whole_number_coordinates_are_rounded_with_a_warning(encoding):
     assert [row[2] for row in wide.element("vertex").rows] == [1.5, 1.2, 256.0]
 
 
+def test_an_unsigned_strip_restarts_at_all_ones():
+    vertex = Element("vertex", XYZ, [[k, k * k, 0] for k in range(6)])
+    strips = [("vertex_indices", "uint", "uint")]
+    strip = Element("tristrips", strips, [[[0, 1, 2, 2**32 - 1, 3, 4, 5]]])
+    assert read(Ply(LE, [vertex, strip])).faces.tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_vertex_normals_follow_the_surface_and_keep_their_sense(encoding):
     vertices, faces = grid(6, 5)
@@ -385,9 +392,9 @@ DAMAGED = {
         "vertex 3"),
     "binary: signalling NaN": (tetra(LE).replace(struct.pack("<f", 1.0), b"\x01\x00\x80\x7f"),
         "E_NONFINITE", "vertex 1"),
-    "binary: strips": (binary(
+    "binary: strip index": (binary(
         V4 + "element tristrips 1\nproperty list int int vertex_indices\n",
-        V4_BYTES + struct.pack("<6i", 5, 0, 1, -1, 2, 3)), "E_UNSUPPORTED", ""),
+        V4_BYTES + struct.pack("<6i", 5, 0, 1, -2, 2, 3)), "E_INDEX", "tristrips 0"),
     "point cloud": (binary(V4, V4_BYTES), "E_NO_FACES", ""),
     "faces but no vertices": (tetra(LE, corners=[]), "E_INDEX", "face 0"),
     "faces of two corners": (tetra(LE, [(0, 1), (2, 3)]), "E_NO_FACES", "element face"),

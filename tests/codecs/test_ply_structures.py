@@ -72,6 +72,13 @@ def structure(random: Random, encodings) -> Ply:
         row[at] = random.choices(range(n), k=random.randint(least, most))
     rows[0][at] = list(range(max(3, least)))
     elements = [vertex, Element("face", properties, rows)]
+    if random.random() < 0.5:
+        kind = random.choice(["int", "int32", "short", "char", "int64"])
+        strips = [
+            [random.choices(range(-1, n), k=random.randint(0, 9))]
+            for _ in range(random.randint(0, 3))
+        ]
+        elements.append(Element("tristrips", [("vertex_indices", kind, "int")], strips))
     for k in range(random.randint(0, 2)):
         properties = extras(random, "u", 4)
         rows = rows_of(random, properties, random.randint(0, 3))
@@ -141,7 +148,13 @@ def test_what_is_read_is_what_was_written(file):
     assert np.array_equal(mesh.vertices, positions(file))
     assert mesh.faces.tolist() == plain_ply.triangles(file)
     assert mesh.faces.dtype == np.int32
-    assert mesh.n_polygons == len(file.element("face").rows)
+    strips = len(mesh.faces) - sum(
+        max(len(row[k]) - 2, 0)
+        for row in file.element("face").rows
+        for k, p in enumerate(file.element("face").properties)
+        if p[0].startswith("vertex_ind")
+    )
+    assert mesh.n_polygons == len(file.element("face").rows) + strips
     assert mesh.encoding == file.encoding
     assert bytes(mesh.replaced(mesh.vertices.copy())) == data
 
