@@ -7,7 +7,9 @@ import sys
 
 from click.testing import CliRunner
 
+from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.cli.main import program
+from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, noisy, torus
 
 MSAL = (sys.executable, "-m", "msal_cli")
@@ -35,6 +37,15 @@ def open_scan():
     """A noisy open grid as PLY; 30 vertices."""
     vertices, faces = grid()
     return ply_text(noisy(vertices, 1, 0.05), faces)
+
+
+def torus_scan(level, spikes=(), height=0.0):
+    """A torus of 1,800 vertices with noise along its normals, and some that stand out farther by
+    a height, as PLY; both in mean edge lengths."""
+    mesh = prepare_mesh(*torus(60, 30)).mesh
+    vertices, spikes = add_plain_noise(mesh, "gaussian-normal", level, 1), list(spikes)
+    vertices[spikes] += height * mesh.mean_edge_length * mesh.vertex_normals()[spikes]
+    return ply_text(vertices, mesh.faces)
 
 
 BAD_SCAN = closed_scan().replace(b"\n3 0", b"\n3 9999", 1)

@@ -8,31 +8,27 @@ import pytest
 
 from msal_cli import auto as selection
 from msal_cli import codecs, methods
-from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import adaptive
-from msal_cli.mesh import prepare_mesh
-from tests.cli.scans import closed_scan, folder_of, msal, ply_text, record_of, records_of
+from tests.cli.scans import (
+    closed_scan,
+    folder_of,
+    msal,
+    record_of,
+    records_of,
+    torus_scan,
+)
 from tests.shapes import torus
 
 SPIKED = np.arange(40, 1800, 88)
 READINGS = (Reading(NOISE, 0.08, 0.6), Reading(TEXTURE, 0.0, 0.4))
 
 
-def scan_with(level, is_spiked=False):
-    """A torus with noise, and maybe 20 of its 1,800 vertices two edges off along the normals."""
-    mesh = prepare_mesh(*torus(60, 30)).mesh
-    vertices = add_plain_noise(mesh, "gaussian-normal", level, 1)
-    if is_spiked:
-        vertices[SPIKED] += 2.0 * mesh.mean_edge_length * mesh.vertex_normals()[SPIKED]
-    return ply_text(vertices, mesh.faces)
-
-
 @pytest.fixture(scope="module")
 def scans(tmp_path_factory):
     folder = tmp_path_factory.mktemp("choice")
-    folder_of(folder / "in", clean=scan_with(0.0), fair=scan_with(0.04), loud=scan_with(0.2))
-    folder_of(folder / "spiked", quiet=scan_with(0.0, is_spiked=True))
+    folder_of(folder / "in", clean=torus_scan(0.0), fair=torus_scan(0.04), loud=torus_scan(0.2))
+    folder_of(folder / "spiked", quiet=torus_scan(0.0, SPIKED, 2.0))
     return folder / "in"
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from msal_cli import auto as selection
 from msal_cli import methods
-from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.auto import search
 from msal_cli.cli.options import parse_assignment
@@ -17,8 +16,8 @@ from msal_cli.job import pipeline
 from msal_cli.job.changes import method_warnings
 from msal_cli.job.records import Displacement, NoiseEstimate
 from msal_cli.job.settings import AUTO, Settings, Task, forecast, resolve_parameters
-from msal_cli.mesh import Mesh, prepare_mesh
-from tests.cli.scans import msal, ply_text, record_of
+from msal_cli.mesh import Mesh
+from tests.cli.scans import msal, record_of, torus_scan
 from tests.shapes import noisy, torus
 
 
@@ -115,12 +114,7 @@ def test_auto_leaves_clean_files(path, tmp_path):
 
 
 def scan_with(path, level, spike=0.0):
-    """A torus with noise, and one vertex further out, both in mean edge lengths."""
-    vertices, faces = torus(60, 30)
-    mesh = prepare_mesh(vertices, faces).mesh
-    made = add_plain_noise(mesh, "gaussian-normal", level, 1)
-    made[100] += spike * mesh.mean_edge_length * mesh.vertex_normals("uniform")[100]
-    path.write_bytes(ply_text(made, faces))
+    path.write_bytes(torus_scan(level, [100], spike))
     return path
 
 
