@@ -52,16 +52,10 @@ def real_data() -> Path:
     return Path(folder)
 
 
-@pytest.fixture
-def workers() -> None:
-    """Worker processes, for a test that is about them; others of these folders do without."""
-
-
 @pytest.fixture(autouse=True)
 def run_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Denoise batches in this process in the tests of commands, of the API and of reports."""
-    is_about_others = request.path.parent.name in ("api", "cli", "report")
-    if is_about_others and "workers" not in request.fixturenames:
+    if request.path.parent.name in ("api", "cli", "report"):
         from tests.batch.fakes import InProcess
 
         monkeypatch.setattr("msal_cli.batch.workers.WorkerPool", InProcess)

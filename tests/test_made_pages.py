@@ -24,7 +24,6 @@ def test_the_committed_pages_are_current(tmp_path):
     for maker in (API, COMMAND):
         makers.append(({"page": maker.page()}, {"page": maker.PAGE.read_text("utf-8")}))
     SCHEMA.main(tmp_path)
-    schemas = []
     schemas = (tmp_path.iterdir(), DOCS.glob("*.schema.json"))
     makers.append(
         tuple({path.name: path.read_text("utf-8") for path in paths} for paths in schemas)

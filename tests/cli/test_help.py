@@ -14,8 +14,6 @@ from msal_cli.cli.command import Command, first_clause
 from msal_cli.cli.main import COMMANDS, program
 from tests.cli.scans import msal
 
-"""Commands whose short help leaves nothing out."""
-
 
 def find_command(name: str) -> tuple[Command, click.Context]:
     command = program.get_command(click.Context(program), name)

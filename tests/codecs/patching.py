@@ -13,10 +13,6 @@ from tests.shapes import noisy
 NUMBER = re.compile(rb"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?(?![\w.])")
 
 
-def read(data: bytes, name: str):
-    return open_mesh(data, name)
-
-
 def patched(data: bytes, name: str, moved=None):
     """The file read, its new positions (all but the last moved), and the bytes with them."""
     file = open_mesh(data, name)
