@@ -1,4 +1,7 @@
-"""Vectors, triangles and rows, for kernels to call."""
+"""Vectors, triangles and rows, for kernels to call.
+
+Kernels call those of vectors by the module, as in ``vec.dot``: these are inlined before all else.
+"""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ import pytest
 
 from kernel_build.signatures import arg_types_of, kernel_of, listed
 from kernel_build.written import written_arguments
+from msal_cli.kernels import geometry, umbrellas, vectors
 from msal_cli.kernels.compiled import Kernel, compiled
 from msal_cli.kernels.library import source_hash
 from tests.kernel_build import some_kernels as some
@@ -89,3 +90,11 @@ def test_every_line_names_a_kernel_and_its_arguments():
         code = kernel_of(line).function.__code__
         assert len(arg_types_of(line)) == code.co_argcount, line
     assert list(listed()) == sorted(set(listed()))
+
+
+def test_kernels_that_are_called_by_their_module_belong_to_the_source(monkeypatch):
+    before = source_hash.__wrapped__(geometry._distances)
+    assert source_hash.__wrapped__(geometry._distances) == before
+    monkeypatch.setattr(vectors, "norm", vectors.is_zero)
+    assert source_hash.__wrapped__(geometry._distances) != before
+    assert written_arguments(umbrellas._umbrella) == {5}
