@@ -5,7 +5,6 @@ Tests that compare with ``methods.names()`` fail for a new method; they say what
 
 import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,9 +32,8 @@ from benchmarks.scanner_settings import PEER_SETTINGS
 from msal_cli import codecs, methods
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepare_mesh
+from tests.files import ROOT
 from tests.shapes import ball, torus
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.parametrize("order", giant_mesh.ORDERS)

@@ -20,10 +20,9 @@ from msal_cli.job import records
 from msal_cli.job.records import InfoRecord
 from msal_cli.report.data import Run, Totals
 from tests.cli.scans import msal
-from tests.files import load_script
+from tests.files import ROOT, load_script
 
 refresh = load_script("docs/refresh.py")
-ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
 PAGES = (README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

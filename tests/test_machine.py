@@ -13,6 +13,7 @@ from msal_cli.batch import interrupts
 from msal_cli.errors import OutputError
 from msal_cli.kernels import parallel
 from msal_cli.storage import atomic, urls
+from tests.files import ROOT
 
 MEMINFO = "MemTotal: 100 kB\nMemFree: 10 kB\nMemAvailable:    50 kB\n"
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
@@ -151,9 +152,6 @@ def test_a_peak_is_forgotten():
 
 
 # What Windows and macOS do differently, simulated here: a module gets another ``os``
-
-
-ROOT = Path(__file__).parent.parent
 
 
 class OtherOs:
