@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,22 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats
 from msal_cli.codecs.mesh_file import MeshFile
 
+if TYPE_CHECKING:
+    from msal_cli.codecs.gltf import SceneFile
+
 Colours = NDArray[np.uint8]
+
+UNPAINTED = (204, 204, 204)
+"""The colour of what has none beside what has one."""
 
 _PLY_NAMES = (
     ("red", "green", "blue", "alpha"),
     ("diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"),
 )
 _CONTINUED = re.compile(rb"\\\r?\n")
+
+_GLTF_TYPES = {5126: "<f4", 5121: "<u1", 5123: "<u2"}
+"""Number types of colours; the largest whole number stands for 1."""
 
 
 def vertex_colours(mesh_file: MeshFile) -> Colours | None:
@@ -29,6 +39,16 @@ def vertex_colours(mesh_file: MeshFile) -> Colours | None:
     if mesh_file.format == "obj" and "vertex colours" in mesh_file.properties:
         return _of_obj(mesh_file)
     return None
+
+
+def surface_colours(mesh_file: MeshFile) -> Colours | None:
+    """Colours (n, 3) of the vertices of a file of any format, or None where it has none."""
+    if mesh_file.format in ("glb", "gltf"):
+        from msal_cli.codecs.gltf import SceneFile
+
+        return _of_gltf(mesh_file) if isinstance(mesh_file, SceneFile) else None
+    colours = vertex_colours(mesh_file)
+    return None if colours is None else colours[:, :3]
 
 
 def _to_bytes(colours: Floats, scale: float = 1.0) -> Colours:
@@ -69,3 +89,39 @@ def _of_obj(mesh_file: MeshFile) -> Colours | None:
     if colours.shape != mesh_file.vertices.shape or not np.isfinite(colours).all():
         return None
     return _to_bytes(colours, 255.0 if colours.max(initial=0.0) <= 1.0 else 1.0)
+
+
+def _of_gltf(scene_file: SceneFile) -> Colours | None:
+    """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows."""
+    from msal_cli.codecs.gltf_scene import as_dict, as_dicts
+
+    scene, has_colours = scene_file.scene, False
+    primitives = [
+        as_dict(primitive.get("attributes"))
+        for mesh in as_dicts(scene.content.get("meshes"))
+        for primitive in as_dicts(mesh.get("primitives"))
+    ]
+    whole = []
+    for part in scene.parts.values():
+        shown = np.tile(np.array(UNPAINTED, dtype=np.uint8), (part.positions.count, 1))
+        for attributes in primitives:
+            if attributes.get("POSITION") not in part.accessors or "COLOR_0" not in attributes:
+                continue
+            index = attributes["COLOR_0"]
+            kind = scene.entry("accessors", index).get("type")
+            if kind not in ("VEC3", "VEC4"):
+                continue
+            rows = scene.find_rows(index, _GLTF_TYPES, kind, f"accessor {index!r}")
+            if rows is None or rows.count != len(shown):
+                continue
+            largest = np.iinfo(rows.code).max if rows.code != "<f4" else 1.0
+            shares = rows.rows(scene.data)[:, :3].astype(np.float64) / largest
+            value = np.clip(shares, 0.0, 1.0)
+            # The format says linear, but programs for scans write a screen's bytes as they are.
+            if rows.code != "<u1":
+                # IEC 61966-2-1
+                curve = 1.055 * value ** (1.0 / 2.4) - 0.055
+                value = np.where(value <= 0.0031308, 12.92 * value, curve)
+            shown, has_colours = _to_bytes(value, 255.0), True
+        whole.append(shown)
+    return np.concatenate(whole) if has_colours else None

@@ -17,7 +17,7 @@ from msal_cli.analysis.measures import (
     measure_enclosure,
 )
 from msal_cli.arrays import Floats
-from msal_cli.codecs.colours import vertex_colours
+from msal_cli.codecs.colours import surface_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
 from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
@@ -365,14 +365,19 @@ def open_coloured_surface(path: str, format: str | None = None) -> Surface:
 
 def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
     """The surface in an open file, which is at ``path``, with its colours."""
-    found = SurfaceColours()
+    return replace(comparison.surface_of(mesh_file), colours=_read_colours(mesh_file, path))
+
+
+def _read_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
     try:
-        colours = vertex_colours(mesh_file)
-        if colours is not None and colours[:, :3].max() < _MIN_BRIGHTNESS:
-            found = SurfaceColours(None, ("all of its colours are black, and are not shown",))
-        elif colours is not None:
-            found = SurfaceColours(colours[:, :3])
+        colours = surface_colours(mesh_file)
     except Exception as failure:  # colours are an extra, and files come from strangers
         _log.info("%s: no colours", path, exc_info=True)
-        found = SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
-    return replace(comparison.surface_of(mesh_file), colours=found)
+        return SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
+    if colours is None:
+        return SurfaceColours()
+    if len(colours) != len(mesh_file.vertices):
+        return SurfaceColours(None, ("its colours do not fit its vertices",))
+    if int(colours.max(initial=0)) < _MIN_BRIGHTNESS:
+        return SurfaceColours(None, ("all of its colours are black, and are not shown",))
+    return SurfaceColours(colours)

@@ -6,6 +6,7 @@ import pytest
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.view.pictures import open_coloured_surface, scale_of
+from tests.codecs.plain_glb import Scene
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
 RED_GREEN_BLUE = [[255, 0, 0], [0, 128, 0], [0, 0, 255]]
@@ -17,20 +18,29 @@ def _colours(tmp_path, name, data):
     return open_coloured_surface(str(path)).colours
 
 
-def _ply(prefix, colours):
-    names = "".join(f"property uchar {prefix}{name}\n" for name in ("red", "green", "blue"))
+def _glb(colours=None, code="<f4"):
+    scene = Scene()
+    attributes = {"POSITION": scene.positions(CORNERS)}
+    if colours is not None:
+        attributes["COLOR_0"] = scene.accessor(colours, code, f"VEC{len(colours[0])}")
+    scene.mesh({"attributes": attributes})
+    return scene.data()
+
+
+def _rows(colours):
     pairs = zip(CORNERS, colours, strict=True)
-    rows = "".join(" ".join(map(str, (*place, *colour))) + "\n" for place, colour in pairs)
-    return (
-        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-        f"property float z\n{names}element face 1\nproperty list uchar int vertex_indices\n"
-        f"end_header\n{rows}3 0 1 2\n"
-    )
+    return "".join(" ".join(map(str, (*place, *colour))) + "\n" for place, colour in pairs)
 
 
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
 def test_ply(tmp_path, prefix):
-    found = _colours(tmp_path, "a.ply", _ply(prefix, RED_GREEN_BLUE))
+    names = "".join(f"property uchar {prefix}{name}\n" for name in ("red", "green", "blue"))
+    text = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        f"property float z\n{names}element face 1\nproperty list uchar int vertex_indices\n"
+        f"end_header\n{_rows(RED_GREEN_BLUE)}3 0 1 2\n"
+    )
+    found = _colours(tmp_path, "a.ply", text)
     assert found.vertices.tolist() == RED_GREEN_BLUE and not found.notes
 
 
@@ -39,8 +49,21 @@ def test_obj(tmp_path):
     assert _colours(tmp_path, "a.obj", text).vertices.tolist() == RED_GREEN_BLUE
 
 
+@pytest.mark.parametrize(
+    ("rows", "code"),
+    [
+        (np.array([[*colour, 255] for colour in RED_GREEN_BLUE], np.uint8), "<u1"),
+        # Floats are linear: 0.2158605 is what a screen shows as 128 of 255.
+        (np.array([[1, 0, 0], [0, 0.2158605, 0], [0, 0, 1]], "<f4"), "<f4"),
+    ],
+)
+def test_glb(tmp_path, rows, code):
+    assert _colours(tmp_path, "a.glb", _glb(rows, code)).vertices.tolist() == RED_GREEN_BLUE
+
+
 def test_what_cannot_be_read_is_a_note(tmp_path):
-    found = _colours(tmp_path, "a.ply", _ply("", RED_GREEN_BLUE).replace("128", "none"))
+    data = _glb(np.eye(3, dtype="<f4")).replace(b'"bufferView": 1', b'"bufferView": 7')
+    found = _colours(tmp_path, "a.glb", data)
     assert found.vertices is None and "cannot be read" in found.notes[0]
 
 
