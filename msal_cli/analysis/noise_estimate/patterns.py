@@ -3,7 +3,7 @@
 Around some places the heights over a cubic polynomial are explained by plane waves, the best one
 first, then what is best beside it.  A pattern is explained nearly whole by few waves, and the
 first is as long at every place; what looks like a wave in noise is of another length elsewhere.
-Waves of hardly more than two edges cannot be told from noise.
+Waves of hardly more than two edges cannot be distinguished from noise.
 """
 
 from __future__ import annotations
