@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise
+from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise, has_uneven_edges
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
@@ -176,6 +176,8 @@ class _Search:
         # What looks like noise, and is not, is detail, which outliers exceed as well.
         is_detail = after.is_negligible and after.is_unsure
         if not self._are_beyond(after.high if is_detail else after.rms_edges):
+            return False
+        if is_detail and has_uneven_edges(self.mesh.with_vertices(self.positions)):
             return False
         if after.is_negligible:
             return are_certain

@@ -498,6 +498,8 @@ def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[s
     texts = [f"{noise.file_units:.3g} in file units"]
     if noise.low_edges is not None and noise.high_edges is not None:
         texts[0] = f"{noise.low_edges:.2g} to {noise.high_edges:.2g}; {texts[0]}"
+    if noise.unsure and not isinstance(record, MeshRecord):
+        texts.append(f"unsure: {readings_text(noise)}")
     if noise.negligible:
         is_wanted = isinstance(record, MeshRecord) and is_filtered(record)
         words = "hardly any, filtered all the same" if is_wanted else "none to speak of"
@@ -528,14 +530,18 @@ def unsure_text(record: MeshRecord) -> str:
     noise, choice = record.noise_estimate, record.choice
     if noise is None or choice is None or not noise.unsure or choice.wishes.get("assume"):
         return ""
-    readings = " or ".join(
+    done = "filtered mildly" if is_filtered(record) else "left as it is"
+    return f"{readings_text(noise)}: {done}, --assume noise or texture decides"
+
+
+def readings_text(noise: NoiseEstimate) -> str:
+    """Such as ``noise of 0.08 e (60 %) or texture (40 %)``."""
+    return " or ".join(
         reading.kind
         + (f" of {reading.level_edges:.2g} e" if reading.level_edges else "")
         + f" ({100.0 * reading.probability:.0f} %)"
         for reading in noise.readings
     )
-    done = "filtered mildly" if is_filtered(record) else "left as it is"
-    return f"{readings}: {done}, --assume noise or texture decides"
 
 
 def auto_text(records: Sequence[MeshRecord]) -> str:

@@ -16,8 +16,10 @@ from msal_cli.analysis.noise_estimate import (
     estimate_noise,
     estimate_regions,
 )
+from msal_cli.analysis.noise_estimate.evidence import gather_evidence
+from msal_cli.analysis.noise_estimate.fits import estimate_white
 from msal_cli.mesh import prepare_mesh
-from tests.shapes import grid, torus
+from tests.shapes import grid, noisy, torus
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +106,25 @@ def test_creases_do_not_pass_for_noise():
     assert estimate_noise(prepare_mesh(vertices, faces).mesh).is_negligible
     mesh, amount = with_noise((vertices, faces), 0.1)
     assert estimate_noise(mesh).file_units == pytest.approx(amount, rel=0.08)
+
+
+@pytest.mark.parametrize(("rows", "is_negligible"), [(7, True), (70, False)])
+def test_parts_of_few_vertices_do_not_pass_for_noise(rows, is_negligible):
+    vertices, faces = grid(rows, 7)
+    parts = [vertices + [0.0, 0.0, 9.0 * part] for part in range(40)]
+    moved = np.concatenate(parts)
+    moved[:, 2] += 0.15 * np.random.default_rng(3).standard_normal(len(moved))
+    joined = np.concatenate([faces + len(vertices) * part for part in range(40)])
+    noise = estimate_noise(prepare_mesh(moved, joined).mesh)
+    assert noise.is_negligible == is_negligible
+    assert (noise.character.basis == "parts of few vertices") == is_negligible
+
+
+@pytest.mark.parametrize(("wide", "spread"), [(1.0, 1.5), (30.0, 30.0)])
+def test_evidence_has_the_spread_of_the_edges(wide, spread):
+    vertices, faces = grid(20, 20)
+    mesh = prepare_mesh(noisy(vertices, level=0.01) * [1.0, wide, 1.0], faces).mesh
+    assert gather_evidence(mesh, estimate_white(mesh)).edge_spread == pytest.approx(spread, rel=0.1)
 
 
 def test_texture_on_a_part_does_not_pass_for_noise():

@@ -55,6 +55,7 @@ from msal_cli.analysis.noise_estimate.level import (
 )
 from msal_cli.analysis.noise_estimate.patterns import is_patterned
 from msal_cli.arrays import Floats
+from msal_cli.kernels.connectivity import component_labels
 from msal_cli.kernels.geometry import ring_means
 from msal_cli.mesh import Mesh, cached_by_mesh
 
@@ -67,6 +68,7 @@ __all__ = [
     "Reading",
     "estimate_noise",
     "estimate_regions",
+    "has_uneven_edges",
 ]
 
 WEIGHTS = Path(__file__).with_name("forests.npz")
@@ -125,6 +127,10 @@ QUIET, SURE_NOISE, SURE_DESIGN, SURE_FEW = 0.06, 0.95, 0.9, 0.65
 QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
 """The same for noise that differs by region, as detail of a model does."""
 
+MAX_SPREAD, SURE_SPREAD = 16.0, 0.8
+"""Where 95 % and 5 % of the edges are below lengths with a greater ratio, as in exports of CAD and
+after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other noise this."""
+
 MAX_WHITE = 1.25
 """What fits over two rings leave at the flattest fifth of the places, over the level for white
 noise, above which it is not white: 0.8 to 1.1 for white and isotropic noise on 30 shapes, 1.4 to
@@ -173,6 +179,11 @@ def estimate_noise(mesh: Mesh) -> NoiseLevel:
     of threads.  Its cost hardly depends on the size of the mesh.
     """
     return characterize(mesh).level
+
+
+def has_uneven_edges(mesh: Mesh) -> bool:
+    """Whether edges differ in length as those of a design do, and hardly those of a scan."""
+    return gather_evidence(mesh, estimate_white(mesh)).edge_spread > MAX_SPREAD
 
 
 def estimate_regions(mesh: Mesh) -> Floats:
@@ -393,6 +404,8 @@ def characterize(mesh: Mesh) -> Estimate:
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
     if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
+    if _is_in_pieces(mesh):
+        return _without_noise(white, 1.0, "parts of few vertices")
     has_steps = verdict.kind in STEPPED or evidence.steps.n_axes == 3
     if not has_steps and is_patterned(mesh, evidence.survey):
         probability = min(verdict.noise, MAX_PATTERNED)
@@ -443,6 +456,15 @@ def characterize(mesh: Mesh) -> Estimate:
     return Estimate(noise, white.middles, np.full(len(white.middles), noise.file_units))
 
 
+def _is_in_pieces(mesh: Mesh) -> bool:
+    """Whether most vertices are in connected parts of fewer than ``MIN_VERTICES``: a convex
+    decomposition, say."""
+    used = mesh.topology.has_ring
+    labels = component_labels(len(mesh.vertices), mesh.faces)[used]
+    sizes = np.bincount(labels)[labels]
+    return bool((sizes < MIN_VERTICES).mean() > 0.5)
+
+
 def _with_level(verdict: Verdict, level: float) -> Verdict:
     """The verdict with another level, mean edges, and its interval by as much."""
     scale = level / verdict.level
@@ -489,13 +511,16 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
         level = min(level, evidence.axis.best_level)
     if verdict.kind == "uneven" and level < QUIET_UNEVEN:
         return SURE_UNEVEN
-    if verdict.kind in SHARED_KINDS and level < QUIET:
+    is_uneven = evidence.edge_spread > MAX_SPREAD
+    if verdict.kind in SHARED_KINDS and (level < QUIET or is_uneven):
         return SURE_NOISE
     is_detail = verdict.kind == "uneven" and evidence.loud_correlation > 0.0
     colour = evidence.colour
     is_patchy = verdict.kind == "correlated" and colour is not None and not colour.is_floor
     if is_detail or is_patchy or verdict.kind == "staircase":
         return SURE_DESIGN
+    if is_uneven:
+        return SURE_SPREAD
     return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
 
 

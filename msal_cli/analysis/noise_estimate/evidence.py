@@ -340,6 +340,9 @@ LEVELS = ("white", "rms", "colour", "axis", "axis_colour", "steps", "regions")
 SIZE = len(LEVELS)
 """Which of the numbers is the logarithm of the number of vertices."""
 
+EDGE_LENGTHS = SIZE + 8, SIZE + 12
+"""Which of the numbers are logarithms of the lengths that 5 % and 95 % of the edges are below."""
+
 MISSING = -30.0
 """In place of a number that is not known; all others are greater."""
 
@@ -387,6 +390,12 @@ class Evidence:
     outliers: float
     loud_correlation: float
     numbers: Floats
+
+    @property
+    def edge_spread(self) -> float:
+        """Length that 95 % of the edges are below over that which 5 % are below; 1 if unknown."""
+        low, high = (float(self.numbers[number]) for number in EDGE_LENGTHS)
+        return math.exp(high - low)
 
 
 def gather_evidence(mesh: Mesh, white: WhiteEstimate) -> Evidence:
