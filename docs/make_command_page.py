@@ -20,9 +20,9 @@ HEAD = """<!-- made by docs/make_command_page.py: change the options and run it 
 
 # All commands and options
 
-What each option does, its direction and its default; `msal denoise --help-all` and
-`man msal-denoise` say more, as those of the other commands do, and [usage.md](usage.md) has
-examples. An option that means the same in several commands is explained once.
+What each option does, its direction and its default; `--help-all` and the manual pages say more,
+and [usage.md](usage.md) has examples. An option that means the same in several commands is
+explained once. Every command has `--help`.
 
 """
 
@@ -98,7 +98,7 @@ def section(name: str, seen: set[str]) -> str:
     for title, options in groups(command, context):
         found = {option.opts[-1]: line(option, context) for option in options}
         items = [item for item in found.values() if item not in seen]
-        shared += [name for name, item in found.items() if item in seen]
+        shared += [name for name, item in found.items() if item in seen and "--help" not in name]
         seen.update(items)
         if items:
             text += f"**{title}**\n\n{''.join(items)}\n"

@@ -39,8 +39,8 @@ IS_ON_INDEX = False
 
 PLACEHOLDER = "https://git.example.com/OWNER/msal-cli"
 NOTE = (
-    "The repository has no public address yet: `git.example.com/OWNER` is a placeholder, where "
-    "nothing answers. Put the address of your copy in its place."
+    "The repository has no public address yet: put that of your copy in place of "
+    "`https://git.example.com/OWNER`, where nothing answers."
 )
 
 PAGES = (

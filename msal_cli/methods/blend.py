@@ -2,9 +2,8 @@
 
     x_i <- v_i + sum over the members k of w_k (f_k(v)_i - v_i),   w_k >= 0, sum of w_k <= 1
 
-What the weights leave over to 1 belongs to the input.  Where the errors of filters point in
-different directions, the mean has less of them than the best of them; ``--auto`` finds good
-weights.
+What is missing to 1 is the weight of the input.  Where the errors of filters have different
+directions, their mean has a smaller error than the best of them; ``--auto`` finds good weights.
 
 ``members`` is a sum such as
 

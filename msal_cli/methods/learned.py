@@ -1,38 +1,34 @@
 """Learned filter of face normals: small networks weigh filtered normals of many widths.
 
 For scans of machined parts and of organic shapes under noise of any kind.  The networks were
-trained on meshes made by script.  Each of the ``iterations`` stages looks at every face and the
-faces near it, and makes
+trained on meshes made by script.  Each of the ``iterations`` stages describes every face by
 
-- vectors: the normal, its means over two reaches and three ranges of difference (biweights
-  (1 - |n_i - n_j|^2 / s^2)^2), means guided by other means, planes fitted to the centroids; the
-  normals that other filters give the scan (``wiener``, its sweeps alone, ``windowed_sinc`` with
-  two pass bands), and the own ones filtered by the first of these; from the second stage on the
-  scanned normal, the stage before, and the scanned normals filtered by it;
-- numbers: which part of the weight lies within each range, how the normals and the positions
-  scatter here and around, how rough the surface is when umbrellas are applied once, twice and three
-  times, and how that compares with white noise of the level in the surroundings, which part of what
-  the sweeps took is shape; the same over the whole mesh, or over where the noise is if much has
-  hardly any; the ``noise``, and whether it is white.
+- vectors: its normal; means of the normals near, over two reaches and three ranges of difference
+  (biweights (1 - |n_i - n_j|^2 / s^2)^2), some of them guided by others; planes fitted to the
+  centroids; the normals after ``wiener``, after its sweeps alone, and after ``windowed_sinc`` with
+  two pass bands; its normal filtered with those of ``wiener`` as a guide; from the second stage on
+  also the scanned normal, that of the stage before, and the former guided by the latter;
+- numbers: the share of the weight within each range; how normals and positions scatter here and
+  around; the roughness after one, two and three umbrellas, also against white noise of the local
+  level; how much of what the sweeps took is shape; the same over the whole mesh, or over its noisy
+  part if much has hardly any noise; the ``noise``, and whether it is white.
 
-A network of two hidden layers gives every vector a coefficient; the combination, normalised, is the
-new normal, so that where all vectors are one, nothing changes.  The vertices are then fitted as in
-``guided_normal``, and the next stage looks at the outcome.  At the end the scanned vertices are
-fitted to the normals of the last stage.  Vertices with a face that is still turned from its normal
-by more than 20 degrees are evened out along the surface and fitted again.
+A network of two hidden layers gives every vector a coefficient; the normalised sum is the new
+normal, so that what is flat stays flat.  The vertices are then fitted as in ``guided_normal``, and
+the next stage starts from them.  At the end the scanned vertices are fitted to the normals of the
+last stage; those with a face still more than 20 degrees off are evened out along the surface and
+fitted again.
 
-Vectors are seen along the axes of the tensor of the normals near, and lengths are local: turning,
-moving or scaling a mesh changes nothing.
+Vectors are expressed along the axes of the tensor of the normals near, and lengths are local:
+turning, moving or scaling a mesh changes nothing.
 
-The level of the noise decides what is texture: a given ``noise`` helps most where the texture is as
-fine as the mesh; a greater one smooths more.  A mesh that has none comes back as it is.  Where the
-noise is white, as noise that is given is taken to be, what the stages took beyond it comes back as
-in ``wiener`` (``texture``).  Where it is along the normals, which is measured, the way that
-vertices came sideways is undone (``sliding``; see ``guided_normal``).
+The level of the noise decides what is texture: give ``noise`` where texture is as fine as the mesh;
+a greater one smooths more.  Given noise counts as white.  A mesh without noise comes back as it is.
+Under white noise, what the stages took beyond it comes back as in ``wiener`` (``texture``).  Under
+noise along the normals, moves along the surface are undone (``sliding``; see ``guided_normal``).
 
 The cost is 10 s per million faces on one core, 6.5 s on two (2 million faces, AMD EPYC).
-docs/training.md describes the files of the weights, and how to train them, with clean meshes of
-your own too.
+docs/training.md says how to train the weights, with clean meshes of your own too.
 
 Source: P.-S. Wang, Y. Liu and X. Tong, Mesh denoising via cascaded normal regression, ACM TOG 35
 (6), 2016, 232; combinations whose weights are predicted after S. Bako et al., Kernel-predicting

@@ -4,17 +4,16 @@ For organic and textured scans with noise up to about 0.4 mean edge lengths.  Th
 
 1. ``iterations`` plain sweeps of ``al``.  How far they moved each vertex along its normal is the
    residual: the noise, turned round, and shape that was lost.
-2. The residual is split into five bands from fine to coarse.  Of each, every vertex gets back what
-   is more than noise, by the power Q of the lost shape around it, c the share of white noise in the
-   band, and the ``noise`` s (estimated, unless it is given):
+2. The residual is split into five bands from fine to coarse.  Of each, a vertex gets back the
+   share lambda, with Q the power of the lost shape around it, c the share of white noise in the
+   band, and s the ``noise`` (estimated, unless it is given):
 
        lambda = Q / (Q + 0.4 caution c s^2)
 
    This is ``schedule=wiener`` of ``msal``; docs/algorithm.md has all of it.
 
-3. The noisy normals of the scan are averaged over neighbouring faces, the more a neighbour counts
-   the more alike the two are in the result: a joint bilateral filter, with A areas, c centroids,
-   g the normals of the result,
+3. The noisy normals of the scan are averaged over neighbouring faces that are alike in the result:
+   a joint bilateral filter, with A areas, c centroids, g the normals of the result,
 
        w_ij = A_j exp(-|c_i - c_j|^2 / (2 sigma_c^2)) exp(-|g_i - g_j|^2 / (2 sigma_s^2))
        n'_i = normalised sum of w_ij n_j over i itself and the faces that share a vertex with it
