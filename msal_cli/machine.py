@@ -12,22 +12,19 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-GROUPS = Path("/sys/fs/cgroup")
-MEMBERSHIP = Path("/proc/self/cgroup")
+PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
 
-def group_folders(
-    controller: str, groups: Path = GROUPS, membership: Path = MEMBERSHIP
-) -> Iterator[Path]:
+def _group_folders(controller: str) -> Iterator[Path]:
     """The folders of the groups that ``controller`` (``"cpu"``, ``"memory"``) holds this process
     to, innermost first; both versions of control groups, and nothing where there are none."""
     try:
-        lines = membership.read_text(errors="replace").splitlines()
+        lines = (PROC / "self/cgroup").read_text(errors="replace").splitlines()
     except OSError:
         return
     for line in lines:
         _, controllers, path = (line.split(":", 2) + ["", ""])[:3]
-        base = groups if not controllers else groups / controllers
+        base = GROUPS / controllers
         if controllers and controller not in controllers.split(","):
             continue
         inner = base / path.lstrip("/")
@@ -44,17 +41,17 @@ def usable_cores() -> int:
         cores = len(os.sched_getaffinity(0))
     else:
         cores = os.cpu_count() or 1
-    quota = _quota(GROUPS, MEMBERSHIP)
+    quota = _quota()
     # A quota of 1.5 cores is used up better by two workers than by one.
     return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
 
 
 # Every large kernel needs it, and a quota is not changed while a process runs.
 @functools.cache
-def _quota(groups: Path, membership: Path) -> int | None:
+def _quota() -> int | None:
     """The tightest quota of this process's control groups in thousandths of a core, if any."""
-    quotas = (_quota_of(folder) for folder in group_folders("cpu", groups, membership))
-    return min((one for one in quotas if one is not None), default=None)
+    quotas = map(_quota_of, _group_folders("cpu"))
+    return min((quota for quota in quotas if quota is not None), default=None)
 
 
 def _quota_of(folder: Path) -> int | None:
@@ -70,38 +67,33 @@ def _quota_of(folder: Path) -> int | None:
     return 1000 * microseconds // per if microseconds > 0 and per > 0 else None
 
 
-_PROC = Path("/proc")
-
-
-def available_bytes(proc: Path = _PROC, groups: Path = GROUPS) -> int | None:
+def available_bytes() -> int | None:
     """Memory that may be taken without anything being killed or swapped; None if it is not known.
 
     The least of what the machine has left and what every control group leaves.  Cached files
     count as free: the system drops them when memory is needed.
     """
-    kilobytes = _entry(proc / "meminfo", "MemAvailable:")
+    kilobytes = _entry(PROC / "meminfo", "MemAvailable:")
     limits = [None if kilobytes is None else 1024 * kilobytes]
-    limits += [
-        _of_group(folder) for folder in group_folders("memory", groups, proc / "self" / "cgroup")
-    ]
-    return min((one for one in limits if one is not None), default=None)
+    limits += map(_of_group, _group_folders("memory"))
+    return min((limit for limit in limits if limit is not None), default=None)
 
 
-def oom_kills(proc: Path = _PROC, groups: Path = GROUPS) -> int:
+def oom_kills() -> int:
     """Processes of this one's groups that the system has killed so far because memory ran out.
 
     Where no group counts them, those of the whole machine; 0 where they are not counted.
     """
-    counter = _counter(proc, groups)
+    counter = _counter()
     kills = None if counter is None else _entry(counter, "oom_kill")
-    return (_entry(proc / "vmstat", "oom_kill") or 0) if kills is None else kills
+    return (_entry(PROC / "vmstat", "oom_kill") or 0) if kills is None else kills
 
 
 # It is needed before every file, and looking for it takes longer than reading it.
 @functools.cache
-def _counter(proc: Path, groups: Path) -> Path | None:
+def _counter() -> Path | None:
     """The file in which the innermost group that does so counts its kills."""
-    for folder in group_folders("memory", groups, proc / "self" / "cgroup"):
+    for folder in _group_folders("memory"):
         for name in ("memory.events", "memory.oom_control"):
             if _entry(folder / name, "oom_kill") is not None:
                 return folder / name
@@ -146,7 +138,7 @@ def peak_bytes() -> int | None:
     if sys.platform == "win32":
         return _peak_on_windows()
     # What getrusage gives on Linux counts the process that started this one, too.
-    peak = memory_bytes("self", "VmHWM")
+    peak = memory_bytes("VmHWM")
     if peak:
         return peak
     import resource
@@ -161,9 +153,9 @@ def forget_peak() -> None:
         file.write("5")
 
 
-def memory_bytes(pid: int | str, name: str) -> int:
-    """A figure of ``/proc/PID/status`` such as ``VmRSS``; 0 where it is not known."""
-    return 1024 * (_entry(Path(f"/proc/{pid}/status"), f"{name}:") or 0)
+def memory_bytes(name: str) -> int:
+    """A figure of ``/proc/self/status`` such as ``VmRSS``; 0 where it is not known."""
+    return 1024 * (_entry(PROC / "self/status", f"{name}:") or 0)
 
 
 def _peak_on_windows() -> int | None:

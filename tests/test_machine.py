@@ -20,14 +20,27 @@ linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /
 affinity = pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="needs affinity")
 
 
-def lay_out(folder, membership="", files=None, **proc):
-    """Folders like /proc and /sys/fs/cgroup; ``files`` are those of the groups."""
-    texts = {"proc/self/cgroup": membership} | {f"proc/{name}": text for name, text in proc.items()}
-    texts |= {f"groups/{name}": text for name, text in (files or {}).items()}
-    for name, text in texts.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text, errors="surrogateescape")
-    return folder / "proc", folder / "groups"
+@pytest.fixture
+def lay_out(monkeypatch):
+    """Puts folders in the place of /proc and /sys/fs/cgroup; ``files`` are those of the groups."""
+
+    def lay(folder, membership="", files=None, **proc):
+        texts = {"proc/self/cgroup": membership}
+        texts |= {f"proc/{name}": text for name, text in proc.items()}
+        texts |= {f"groups/{name}": text for name, text in (files or {}).items()}
+        for name, text in texts.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text, errors="surrogateescape")
+        monkeypatch.setattr(machine, "PROC", folder / "proc")
+        monkeypatch.setattr(machine, "GROUPS", folder / "groups")
+        forget()
+
+    def forget():
+        machine._quota.cache_clear()
+        machine._counter.cache_clear()
+
+    yield lay
+    forget()
 
 
 FIRST = {
@@ -61,28 +74,29 @@ STAT = "anon 1\ninactive_file 4000\nactive_file 700\n"
           for text in ("", "x", "MemAvailable:", "MemAvailable: x kB", "\udcff")),
     ],
 )  # fmt: skip
-def test_available_bytes(tmp_path, membership, meminfo, files, expected):
-    assert machine.available_bytes(*lay_out(tmp_path, membership, files, meminfo=meminfo)) == (
-        expected
-    )
+def test_available_bytes(tmp_path, lay_out, membership, meminfo, files, expected):
+    lay_out(tmp_path, membership, files, meminfo=meminfo)
+    assert machine.available_bytes() == expected
 
 
-def test_kills_are_counted_by_the_group_and_else_by_the_machine(tmp_path):
+def test_kills_are_counted_by_the_group_and_else_by_the_machine(tmp_path, lay_out):
     events = "low 0\nhigh 0\nmax 9\noom 8\noom_kill 7\noom_group_kill 0\n"
-    laid = lay_out(tmp_path, "0::/a\n", {"a/memory.events": events}, vmstat="oom_kill 99\n")
-    assert machine.oom_kills(*laid) == 7
+    lay_out(tmp_path, "0::/a\n", {"a/memory.events": events}, vmstat="oom_kill 99\n")
+    assert machine.oom_kills() == 7
     (tmp_path / "groups/a/memory.events").unlink()
-    assert machine.oom_kills(*laid) == 99
+    assert machine.oom_kills() == 99
     control = {"memory/x/memory.oom_control": "oom_kill_disable 0\nunder_oom 0\noom_kill 3\n"}
-    assert machine.oom_kills(*lay_out(tmp_path / "first", "4:memory:/x\n", control)) == 3
+    lay_out(tmp_path / "first", "4:memory:/x\n", control)
+    assert machine.oom_kills() == 3
 
 
 @linux
-def test_this_machine_and_one_without_such_files(tmp_path):
+def test_this_machine_and_one_without_such_files(tmp_path, lay_out):
     assert 0 < machine.available_bytes() < 1 << 50
     assert machine.oom_kills() >= 0
-    assert machine.available_bytes(tmp_path, tmp_path) is None
-    assert machine.oom_kills(tmp_path, tmp_path) == 0
+    lay_out(tmp_path)
+    assert machine.available_bytes() is None
+    assert machine.oom_kills() == 0
 
 
 CFS = {
@@ -108,12 +122,10 @@ CFS = {
     ],
 )  # fmt: skip
 def test_the_smaller_of_affinity_and_quota_counts(
-    tmp_path, monkeypatch, membership, files, expected
+    tmp_path, monkeypatch, lay_out, membership, files, expected
 ):
-    proc, groups = lay_out(tmp_path, membership, files)
+    lay_out(tmp_path, membership, files)
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(8)))
-    monkeypatch.setattr(machine, "GROUPS", groups)
-    monkeypatch.setattr(machine, "MEMBERSHIP", proc / "self/cgroup")
     monkeypatch.delenv("MSAL_THREADS", raising=False)
     assert machine.usable_cores() == parallel.threads() == expected
 

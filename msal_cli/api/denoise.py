@@ -43,7 +43,7 @@ from msal_cli.job.settings import (
 from msal_cli.record_fields import screen_repr
 from msal_cli.report.gates import (
     Gate,
-    names_field,
+    need_intersections,
     parse_gates,
     refuse_without_reference,
     with_gates,
@@ -519,7 +519,7 @@ def _parse(
     """The gates and the settings of a call; gates may need intersections to be counted."""
     gates = parse_gates(to_texts(given["fail_on"]), MeshRecord, given["unit"])
     refuse_without_reference(gates, "measure it with msal_cli.compare")
-    is_checked = given["intersections"] or names_field(gates, "self_intersections")
+    is_checked = given["intersections"] or need_intersections(gates)
     return gates, parse_arguments(function, {**given, "intersections": is_checked})
 
 

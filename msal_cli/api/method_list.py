@@ -106,18 +106,10 @@ class MethodInfo:
 def list_methods() -> tuple[MethodInfo, ...]:
     """All methods with their parameters, as ``msal methods`` shows them.
 
-    Parameters
-    ----------
-    There are none.
-
     Returns
     -------
     A MethodInfo for each, in alphabetical order.  ``"adaptive"`` and ``"auto"``, which choose one,
     are not among them.
-
-    Raises
-    ------
-    Nothing.
     """
     from msal_cli import methods
 

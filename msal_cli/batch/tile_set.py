@@ -120,7 +120,7 @@ def denoise_set(
     run = _SetRun(plan.tasks, settings, on_step, limits)
     limit = limits.memory_bytes
     if limit is not None:  # what this process has beside is not the set's
-        limit += max(0, memory_bytes("self", "VmRSS") - BASE_BYTES)
+        limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
     with (
         interrupts.catch_signals(interrupts.raise_for),
         interrupts.end_if_late(clean),

@@ -625,7 +625,7 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
     try:
         with limited_memory(assignment.memory_bytes):
             result = assignment.function(task, assignment.common, on_progress)
-        outgoing.send("returned", index, result, memory_bytes("self", "VmRSS"))
+        outgoing.send("returned", index, result, memory_bytes("VmRSS"))
     except MemoryError:
         outgoing.send("exhausted")
     except BaseException as error:
@@ -657,7 +657,7 @@ def limited_memory(limit: int | None) -> Iterator[None]:
     _ = np.ones((200, 200)) @ np.ones((200, 200))
     # The peak before may have counted pages of files.
     forget_peak()
-    own = memory_bytes("self", "VmData") - memory_bytes("self", "VmRSS")
+    own = memory_bytes("VmData") - memory_bytes("VmRSS")
     # Kernels will start threads, and a limit may leave less than their stacks.
     own += (usable_cores() + 1) * _STACK_BYTES
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -675,7 +675,7 @@ def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
     """End this process once it has used too much, where the system cannot refuse memory."""
     while True:
         time.sleep(_BETWEEN_LOOKS_S)
-        used = memory_bytes("self", "VmRSS") or peak_bytes() or 0
+        used = memory_bytes("VmRSS") or peak_bytes() or 0
         if used > limit:
             outgoing.send("exhausted")
             os._exit(1)

@@ -95,7 +95,7 @@ def command(request: Request) -> int:
     from msal_cli.job.comparison import compare_files
     from msal_cli.job.records import ComparisonRecord, Failure
     from msal_cli.report.comparison import read_comparisons
-    from msal_cli.report.gates import names_field, parse_gates
+    from msal_cli.report.gates import need_intersections, parse_gates
 
     refuse_conflicts(find_given(request.context))
     gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
@@ -106,7 +106,7 @@ def command(request: Request) -> int:
     before, others, heatmap = request.before, request.others, request.heatmap
     patterns = request.include, request.exclude
     sides = [discover_inputs((path,), *patterns) for path in (before, *others)]
-    is_checked = bool(request.checks) or names_field(gates, "self_intersections")
+    is_checked = bool(request.checks) or need_intersections(gates)
     compare = partial(compare_files, format=request.format, with_intersections=is_checked)
     are_folders = [any(file.root for file in side) for side in sides]
     after = others[0]

@@ -537,9 +537,9 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
     ] + [options.parse_assignment(text) for text in request.assignments]
     given["intersections"] = SELF_INTERSECTIONS in request.checks
     if gates and not given["intersections"]:
-        from msal_cli.report.gates import names_field
+        from msal_cli.report.gates import need_intersections
 
-        given["intersections"] = names_field(gates, "self_intersections")
+        given["intersections"] = need_intersections(gates)
     return parse(given, as_options=True)
 
 

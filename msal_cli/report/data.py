@@ -52,10 +52,7 @@ COMMON_COLUMNS = (
 
 @dataclass(frozen=True)
 class Run:
-    """One call of the program; times are UTC, ISO 8601, to the millisecond.
-
-    ``machine`` describes the system and the libraries; it is empty where that is not known.
-    """
+    """One call of the program; times are to the millisecond."""
 
     version: str = required("version of msal")
     command: tuple[str, ...] = required("the command as it was given, program name first")
@@ -84,12 +81,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Totals:
-    """Sums over the records of a run.
-
-    ``chosen`` counts files by the method that was chosen for them.  ``vertices`` and
-    ``work_seconds`` count the files that were denoised in this run, and ``volume_change_percent``
-    those whose volume can be trusted, up-to-date ones included.
-    """
+    """Sums over the records of a run."""
 
     files: int = required("records in this report")
     written: int = required("files written with some vertex moved, or in another form")
@@ -179,11 +171,7 @@ def plain(value: Any) -> Any:
 
 
 def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
-    """The report as UTF-8.
-
-    The order of keys is fixed; numbers that are not finite are null; names that are not valid
-    Unicode are written as ``display_names.portable`` says.
-    """
+    """The report as UTF-8; the order of keys is fixed."""
     run_data, sums = (plain(dataclasses.asdict(part)) for part in (run, totals(records)))
     # Record by record: the plain data of ten thousand would take several times the text's memory.
     empty = json_bytes({"schema": SCHEMA, **run_data, "totals": sums, "records": []})
@@ -197,10 +185,7 @@ def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
 
 
 def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
-    """The records as UTF-8; each line is a ``MeshRecord`` of the schema ``msal.report/1``.
-
-    Only ASCII is used, because some readers of lines also break at U+2028.
-    """
+    """The records, one a line, in ASCII: some readers of lines also break at U+2028."""
     return b"".join(
         json.dumps(plain_record(record), allow_nan=False, separators=(",", ":")).encode() + b"\n"
         for record in records

@@ -438,12 +438,12 @@ def failure_text(failure: Failure, *, with_code: bool = True) -> str:
     return reason(failure.where, failure.message, failure.code if with_code else "")
 
 
-def failure_lines(name: str, failure: Failure | None, indent: str = "") -> list[Line]:
+def failure_lines(name: str, failure: Failure | None) -> list[Line]:
     """Why a file failed, and what to do about it; nothing if it did not fail."""
     if failure is None:
         return []
-    lines = [Line(f"{indent}{name}: {failure_text(failure)}", "bad")]
-    return lines + ([Line(f"{indent}  hint: {failure.hint}")] if failure.hint else [])
+    lines = [Line(f"{name}: {failure_text(failure)}", "bad")]
+    return lines + ([Line(f"  hint: {failure.hint}")] if failure.hint else [])
 
 
 def list_broken(record: MeshRecord | ComparisonRecord) -> list[GateResult]:

@@ -450,10 +450,10 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
                 )
 
 
-def names_field(gates: Sequence[Gate], field: str) -> bool:
-    """Whether any gate depends on a field of the record, or on one within it."""
-    paths = {path for gate in gates for item in gate.quantities.values() for path in item.fields}
-    return any(path == field or path.startswith(f"{field}.") for path in paths)
+def need_intersections(gates: Sequence[Gate]) -> bool:
+    """Whether any gate depends on ``self_intersections``, which are counted on demand only."""
+    paths = (path for gate in gates for item in gate.quantities.values() for path in item.fields)
+    return any(path.startswith("self_intersections.") for path in paths)
 
 
 def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:

@@ -48,7 +48,7 @@ with array_files.kept_memory() if sys.argv[1] == "kept" else nullcontext():
     for sizes in ((60, 50), (30, 90), (100, 5, 5), (20, 20, 20, 40)):
         arrays = [np.ones(megabytes << 17) for megabytes in sizes]
         del arrays
-print(machine.peak_bytes(), machine.memory_bytes("self", "VmRSS"))
+print(machine.peak_bytes(), machine.memory_bytes("VmRSS"))
 """
 
 
