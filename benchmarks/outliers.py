@@ -29,6 +29,7 @@ from msal_cli.analysis.measures import (
 from msal_cli.analysis.outliers import find_outliers
 from msal_cli.auto import Wishes
 from msal_cli.job import choice as automatic
+from msal_cli.job.settings import ADAPTIVE, AUTO
 from msal_cli.kernels.geometry import distances
 from msal_cli.mesh import Mesh
 
@@ -69,7 +70,8 @@ def detection(shapes: Mapping[str, Mesh]) -> None:
 
 def errors(mesh: Mesh, true: Mesh, wishes: dict[str, Any] | None) -> str:
     """Angle, vertex error and distance to the surface of what is chosen for a mesh."""
-    made = automatic.choose(mesh, wishes, lambda done, total: None)
+    among = ADAPTIVE if wishes is None else AUTO
+    made = automatic.choose(mesh, among, wishes or {}, lambda done, total: None)
     vertices = mesh.vertices
     if made.method is not None:
         run = made.method.denoise(mesh, made.parameters, lambda done, total: None)

@@ -185,10 +185,10 @@ def denoise(
         parameters of AL and MSAL; ``"auto"`` chooses among all methods and their mixtures, which
         takes longer and comes closer to the true surface.  With parameters, None is ``"msal"``.
     prefer : for ``"auto"``, what is to come out best: ``"positions"``, ``"normals"``, ``"volume"``
-        or ``"balanced"``, the default.  This and the next two imply ``method="auto"``.
-    keep : for ``"auto"``, what must not suffer: ``"texture"`` (fine relief), ``"edges"`` (sharp
-        ones) or ``"shape"`` (the smooth shape beneath the noise).
-    strength : for ``"auto"``, -2 to 2: greater is smoother, less keeps more.  0 is the choice.
+        or ``"balanced"``, the default.  It implies ``method="auto"``.
+    keep : what must not suffer: ``"texture"`` (fine relief), or, which imply ``method="auto"``,
+        ``"edges"`` (sharp ones) or ``"shape"`` (the smooth shape beneath the noise).
+    strength : -2 to 2: greater is smoother, less keeps more than what is chosen.
     assume : ``"noise"`` or ``"texture"``: what the roughness of the mesh is where the estimate
         cannot tell (``noise.unsure``); it changes nothing where it can.  None takes a mild filter
         that is not much worse either way.  For every choice, also without ``"auto"``.

@@ -8,6 +8,8 @@ the same file comes out the same everywhere.
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -52,6 +54,11 @@ BYTES = 25_000_000
 run on a part of it.  Measured by benchmarks/peak_memory.py, as ``auto``."""
 
 
+LESS, KEEP_TEXTURE = 0.2, 0.9
+"""By how much less each step of ``Wishes.strength`` below 0 moves vertices, in parts of the choice;
+and the share of it that keeps texture."""
+
+
 @dataclass(frozen=True)
 class Wishes:
     """What the user asks for.
@@ -69,6 +76,21 @@ class Wishes:
     keep: str | None = None
     strength: float = 0.0
     assume: str | None = None
+
+    @property
+    def share(self) -> float:
+        """How much of a choice without them is asked for, above 0 to 1."""
+        share = 1.0 + LESS * min(self.strength, 0.0)
+        return share * (KEEP_TEXTURE if self.keep == "texture" else 1.0)
+
+    @property
+    def weaker(self) -> Wishes | None:
+        """Wishes for the next lesser smoothing; None where no more is asked for than without."""
+        if self.keep == "shape":
+            return dataclasses.replace(self, keep=None)
+        if self.strength > 0.0:
+            return dataclasses.replace(self, strength=math.ceil(self.strength) - 1.0)
+        return None
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ import numpy as np
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import NOISE, NoiseLevel, estimate_noise
 from msal_cli.arrays import Floats
-from msal_cli.auto import FAMILY, NONE, SECONDS, Choice, OnStep, blends
+from msal_cli.auto import FAMILY, NONE, SECONDS, Choice, OnStep, Wishes, blends
 from msal_cli.auto.blends import FLOOR, Case, build_case, hedge
 from msal_cli.auto.candidates import FLATTENER, LINEAR, ROBUST_LEARNED, Candidate, wiener_al
 from msal_cli.auto.noise_model import NoiseModel, is_like_draws
@@ -71,25 +71,31 @@ STRONG = 0.25
 surface."""
 
 
-def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, assume: str | None = None) -> Choice:
+BALANCED = Wishes()
+
+
+def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = BALANCED) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
-    The choice depends on the mesh alone, and on what to ``assume``, see ``Wishes``.
+    The choice depends on the mesh alone, and on the ``wishes`` what to assume, to keep texture, and
+    for more or less.
     """
     step = on_step or (lambda done, total: None)
     estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
-    noise = estimate.assume(assume, edge)
+    noise = estimate.assume(wishes.assume, edge)
     if noise.is_negligible or not noise.mean_edges:
-        why = blends.describe_rest(estimate, noise)
-        choice = _keep_input(noise, f"noise {noise.mean_edges:.2g} e; {why}")
+        what = f"noise {noise.mean_edges:.2g} e; {blends.describe_rest(estimate, noise)}"
+        choice = blends.choose_least(noise, wishes, what, None)
     else:
         assumed = noise.assume(NOISE, edge)
-        choice = _choose_by_risk(mesh, assumed, step, noise.is_unsure)
+        choice = _choose_by_risk(mesh, assumed, step, noise.is_unsure, wishes)
     step(1, 1)
-    return dataclasses.replace(choice, estimate=estimate)
+    return dataclasses.replace(choice, estimate=estimate, among=FAMILY)
 
 
-def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: bool) -> Choice:
+def _choose_by_risk(
+    mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: bool, wishes: Wishes
+) -> Choice:
     """The setting with the least estimated error, or the share of one that has it in the worse case
     where it ``is_unsure`` that there is noise."""
     case = build_case(mesh, noise)
@@ -99,6 +105,7 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: b
     height = case.model.height(mesh.topology.has_ring, normals)
     # Along the normals, at the loudest places, in edges of the mesh that the method gets.
     loudest = case.levels[-1] * mesh.mean_edge_length if case.levels else 0.0
+    evened = case.mesh.vertices - mesh.vertices
     level, mesh = max(height, loudest) / edge, case.mesh
     what = blends.describe_noise(noise, is_unsure)
     part = select_patch(mesh, PART)
@@ -150,17 +157,20 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: b
         scores = np.where(np.maximum(places, tilts) > 0.0, np.inf, both)
     order = np.argsort(scores, kind="stable").tolist()
     if scores[order[0]] >= 0.0:
-        return _keep_input(noise, f"{what}; every setting would add more error than it takes away")
+        what += "; every setting would add more error than it takes away"
+        return blends.choose_least(noise, wishes, what, None)
     errors = errors / edge
     next_best = tuple((candidates[k].label, float(errors[k])) for k in order[1:])
     best = order[0]
+    members, rows = [candidates[best]], weights[:, [best]]
+    if wishes.strength > 0.0:
+        stronger = [*blends.stronger_candidates(round(level, 4))[1:], *_linear(mesh)]
+        members, rows = blends.mix_in_stronger(
+            runs, members, rows, stronger, wishes.strength, case, evened
+        )
+    share = round(float(shares[best]) * wishes.share, 3)
     used, parameters, label = blends.build_recipe(
-        [candidates[best]],
-        weights[:, [best]],
-        round(level, 4),
-        case.levels,
-        case.relax,
-        float(shares[best]),
+        members, rows, round(level, 4), case.levels, case.relax, share
     )
     return Choice(
         used,
@@ -171,7 +181,6 @@ def _choose_by_risk(mesh: Mesh, noise: NoiseLevel, on_step: OnStep, is_unsure: b
         risk=float(errors[best]),
         tried=len(candidates),
         runners_up=next_best,
-        among=FAMILY,
     )
 
 
@@ -226,10 +235,10 @@ def _candidates(
     found.append(SINGLE_SWEEP)
     if is_unsure or (is_drawn and level < WEAK):
         return found
+    return found + _linear(mesh, MILD if is_drawn else None)
+
+
+def _linear(mesh: Mesh, number: int | None = None) -> list[Candidate]:
+    """The first ``number`` of the linear filters, without those that take too long for ``mesh``."""
     is_small = len(mesh.vertices) <= SMALL
-    linear = LINEAR[:MILD] if is_drawn else LINEAR
-    return found + [candidate for candidate in linear if is_small or candidate.cost <= MAX_COST]
-
-
-def _keep_input(noise: NoiseLevel, why: str) -> Choice:
-    return Choice(NONE, {}, f"{why}; left as it is", None, noise, among=FAMILY)
+    return [filter for filter in LINEAR[:number] if is_small or filter.cost <= MAX_COST]

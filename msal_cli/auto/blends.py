@@ -25,7 +25,7 @@ from msal_cli.arrays import Flags, Floats
 from msal_cli.auto import NONE, Choice, Wishes
 from msal_cli.auto.candidates import FARTHER, Candidate, wiener_al
 from msal_cli.auto.noise_model import NoiseModel, build_model
-from msal_cli.auto.risk import Risk, count_relaxing
+from msal_cli.auto.risk import CandidateRuns, Risk, count_relaxing
 from msal_cli.auto.sample_patch import Part
 from msal_cli.mesh import Mesh
 from msal_cli.methods._sliding import even_out
@@ -240,18 +240,8 @@ MIN_NOISE = 0.05
 STRENGTH = 1.2
 """Factor of the assumed noise for each step of ``Wishes.strength``."""
 
-LESS, KEEP_TEXTURE = 0.2, 0.9
-"""By how much less each step of ``Wishes.strength`` below 0 moves vertices, in parts of the choice;
-and the share of it that keeps texture."""
-
 SHAPE = 1.25
 """The same where the smooth shape is to be kept."""
-
-
-def wished_share(wishes: Wishes) -> float:
-    """How much of a choice without them ``wishes`` ask for, above 0 to 1."""
-    share = 1.0 + LESS * min(wishes.strength, 0.0)
-    return share * (KEEP_TEXTURE if wishes.keep == "texture" else 1.0)
 
 
 def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
@@ -338,10 +328,9 @@ def _percent(weights: Floats) -> str:
     return "/".join(f"{100.0 * weight:.0f}" for weight in weights) + "%"
 
 
-def choose_least(noise: NoiseLevel, wishes: Wishes, why: str, surface: str) -> Choice:
-    """The choice for a mesh where ``why`` no filter is worth its harm, such as ``clean``: only a
-    wish for more smoothing smooths it."""
-    what = f"noise {noise.mean_edges:.2g} e; {why}"
+def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | None) -> Choice:
+    """The choice for a mesh where no filter is worth its harm, for ``what`` is said of it, such as
+    ``noise 0 e; clean``: only a wish for more smoothing smooths it."""
     if wishes.strength <= 0.0 and wishes.keep != "shape":
         is_less = wishes.strength < 0.0 or wishes.keep == "texture"
         is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
@@ -372,6 +361,10 @@ STRONGER_TIMES = (1.5, 2.0, 3.0, 5.0, 8.0)
 """Levels of the noise that AL with the Wiener schedule is given, in parts of the estimate."""
 
 
+THOUSANDTHS = 1000
+"""Steps of the weights of such mixtures."""
+
+
 def stronger_candidates(level: float) -> list[Candidate]:
     """Filters that move vertices farther than any for noise of ``level`` mean edge lengths."""
     plain = [dataclasses.replace(wiener_al(times * level), times=times) for times in STRONGER_TIMES]
@@ -383,7 +376,8 @@ def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[
     vertices move farther by ``MORE`` of ``base`` for each step of ``strength``.
 
     Both the mean and the root mean square count.  Of those that reach it, the one that departs
-    least from ``base``; if none does, the one that moves them farthest, by a weight in proportion.
+    least from ``base``; if none does, the one that moves them farthest, and nothing of it where
+    that is not farther than ``base`` does.
     """
     target = (1.0 + MORE * strength) * _mean_and_rms(base)
     found = []
@@ -396,8 +390,9 @@ def strengthen(base: Floats, moves: Sequence[Floats], strength: float) -> tuple[
     if found:
         _, k, weight = min(found)
         return k, weight
-    k = int(np.argmax([_mean_and_rms(move)[0] for move in moves]))
-    return k, 0.5 * strength
+    means = [_mean_and_rms(move)[0] for move in moves]
+    k = int(np.argmax(means))
+    return k, 0.5 * strength if means[k] > _mean_and_rms(base)[0] else 0.0
 
 
 def _mean_and_rms(moves: Floats) -> Floats:
@@ -406,3 +401,36 @@ def _mean_and_rms(moves: Floats) -> Floats:
     return (
         np.array([np.sqrt(squares).mean(), np.sqrt(squares.mean())]) if len(moves) else np.zeros(2)
     )
+
+
+def mix_in_stronger(
+    runs: CandidateRuns,
+    members: Sequence[Candidate],
+    rows: Floats,
+    stronger: Sequence[Candidate],
+    strength: float,
+    case: Case,
+    evened: Floats,
+) -> tuple[list[Candidate], Floats]:
+    """The ``members`` and their weights (levels, k) with one more of the ``stronger``, so that
+    vertices move as much farther as the ``strength`` asks for.
+
+    ``runs`` are of the members on a part of the mesh of the ``case``, whose vertices (n, 3) were
+    ``evened`` out by so much before.
+    """
+    if not stronger:
+        return list(members), rows
+    part = runs.part
+    numbers = slice(None) if part.numbers is None else part.numbers
+    before = evened[numbers][part.judged]
+    base = np.zeros_like(part.mesh.vertices)
+    for k in np.flatnonzero(rows.any(axis=0)).tolist():
+        weight = rows[0, k]
+        if case.levels:
+            weight = np.interp(case.local[numbers], case.levels, rows[:, k])[:, None]
+        base += weight * runs.moves(members[k])
+    moves = [runs.moves(candidate)[part.judged] + before for candidate in stronger]
+    k, share = strengthen(base[part.judged] + before, moves, strength)
+    mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
+    weights = np.stack([round_weights(row, THOUSANDTHS) for row in mixed])
+    return [*members, stronger[k]], weights

@@ -96,9 +96,6 @@ WEAK = 0.1
 _RUNS = 4
 """Runs of a candidate in a search: its own, two probes, a simulation."""
 
-THOUSANDTHS = 1000
-"""Steps of weights."""
-
 Judge = tuple[SteinRisk | SimulatedRisk, float]
 """An estimate of errors, and how much it counts, from 0."""
 
@@ -123,7 +120,8 @@ def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> 
     is_unsure = noise.is_unsure
     if noise.is_negligible or not mesh.topology.has_ring.any():
         step(1, 1)
-        choice = blends.choose_least(noise, wishes, blends.describe_rest(estimate, noise), CLEAN)
+        what = f"noise {noise.mean_edges:.2g} e; {blends.describe_rest(estimate, noise)}"
+        choice = blends.choose_least(noise, wishes, what, CLEAN)
     else:
         noise = noise.assume(NOISE, edge)
         choice = _Search(mesh, wishes, noise, step, is_unsure).choose()
@@ -154,7 +152,7 @@ class _Search:
         self.level = self.unit = edges * factor * mesh.mean_edge_length
         self.most_cost = MOST_COST if len(mesh.vertices) >= LARGE else np.inf
         self._done = self._total = 0
-        case = blends.build_case(mesh, noise)
+        self.case = case = blends.build_case(mesh, noise)
         self.mesh, self.relax = case.mesh, case.relax
         self.evened = self.mesh.vertices - mesh.vertices
         self.model = case.model.at_level(self.level)
@@ -241,28 +239,16 @@ class _Search:
     ) -> tuple[list[Candidate], Floats]:
         """The members and weights (levels, k) with one more, so that vertices move as much farther
         as the ``strength`` asks for."""
-        part, used = study.part, np.flatnonzero(rows.any(axis=0)).tolist()
+        used = np.flatnonzero(rows.any(axis=0)).tolist()
         spare = self.most_cost - sum(members[k].cost for k in used)
         stronger = [
             candidate
             for candidate in blends.stronger_candidates(self._noise_edges())
             if candidate.cost <= spare and self._is_usable(candidate)
         ]
-        if not stronger:
-            return list(members), rows
-        numbers = slice(None) if part.numbers is None else part.numbers
-        evened = self.evened[numbers][part.judged]
-        base = np.zeros_like(part.mesh.vertices)
-        for k in used:
-            weight = rows[0, k]
-            if self.levels:
-                weight = np.interp(self.local[numbers], self.levels, rows[:, k])[:, None]
-            base += weight * study.moves(members[k])
-        moves = [study.moves(candidate)[part.judged] + evened for candidate in stronger]
-        k, share = blends.strengthen(base[part.judged] + evened, moves, strength)
-        mixed = np.hstack([(1.0 - share) * rows, np.full((len(rows), 1), share)])
-        weights = np.stack([blends.round_weights(row, THOUSANDTHS) for row in mixed])
-        return [*members, stronger[k]], weights
+        return blends.mix_in_stronger(
+            study, members, rows, stronger, strength, self.case, self.evened
+        )
 
     def _trials(self) -> CandidateRuns:
         """Runs on a sample of the mesh."""
@@ -370,9 +356,7 @@ class _Search:
         risks = _risks(judges)
         weights = self._settle(members, self._prune(members, risks), surface)
         rows = self._by_level(study.part, judges, weights)
-        share = blends.wished_share(self.wishes) * (
-            _hedge(risks, weights) if self.is_unsure else 1.0
-        )
+        share = self.wishes.share * (_hedge(risks, weights) if self.is_unsure else 1.0)
         # Only the smooth shape is wanted: farther, whatever the filters make of more noise.
         strength = self.wishes.strength + (1.0 if self.wishes.keep == "shape" else 0.0)
         is_strengthened = strength > 0.0 and bool(rows.any())
@@ -404,7 +388,8 @@ class _Search:
             self.noise,
         )
         if method == NONE:
-            choice = blends.choose_least(self.noise, self.wishes, f"{surface}; {HARM}", surface)
+            what = f"noise {self.noise.mean_edges:.2g} e; {surface}; {HARM}"
+            choice = blends.choose_least(self.noise, self.wishes, what, surface)
         return dataclasses.replace(
             choice,
             risk=together,

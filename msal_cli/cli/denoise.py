@@ -103,7 +103,7 @@ more:
         """
 --auto
     Choose method and parameters for each mesh; from its noise and its surface. The report says
-    what was chosen, and why. --keep, --strength and --prefer imply it.
+    what was chosen, and why. --prefer and --keep edges or shape imply it.
 --keep [texture|edges|shape]
     What must not suffer; fine relief, sharp edges, or the smooth shape beneath the noise.
     [default: as the surface looks]

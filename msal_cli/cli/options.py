@@ -321,7 +321,7 @@ INPUTS = click.Argument(["inputs"], metavar="INPUT...", nargs=-1, required=True,
 # Options that contradict or need each other, as tables that one function reads
 
 AUTOMATIC = ("auto", "keep", "strength", "prefer")
-"""Options of which each implies ``--auto``."""
+"""Options of the automatic choice."""
 
 BY_HAND = ("method", "iterations", "K", "mollify", "schedule", "assignments")
 """Options that give a method and its parameters."""
@@ -333,8 +333,8 @@ _FOR_FILES = (
 )
 
 _AUTO_HINT = (
-    "--keep, --strength and --prefer imply --auto: let it choose, or give method and parameters "
-    "by hand"
+    "--keep, --strength and --prefer are for the choice of a method: let it choose, or give "
+    "method and parameters by hand"
 )
 _ASSUME_HINT = "--assume is for the choice of a method: leave it away, or the method"
 _ROWS = """
@@ -373,7 +373,8 @@ stdout as_json: the mesh and --json cannot both go to standard output
 # Two names of ``find_given`` that do not go together, a message in place of the usual one, a hint.
 _CONFLICTS: tuple[tuple[str, str, str, str], ...] = (
     *re.findall(r"(\w+) (\w+)(?:: (.*))?\n    (.*)\n", _ROWS),
-    *((first, other, "", _AUTO_HINT) for first in AUTOMATIC for other in ("adaptive", *BY_HAND)),
+    *((first, other, "", _AUTO_HINT) for first in AUTOMATIC for other in BY_HAND),
+    *((first, "adaptive", "", _AUTO_HINT) for first in ("auto", "prefer")),
     *((first, other, "", _AUTO_HINT) for first in ("automatic", "adaptive") for other in BY_HAND),
     *(("assume", other, "", _ASSUME_HINT) for other in BY_HAND),
     *(

@@ -6,7 +6,7 @@ All of it counts as the stage ``choose`` of a record.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from msal_cli.auto import NONE, Wishes
@@ -30,6 +30,7 @@ class Preparation:
     parameters : all parameters of the method.
     known : fields of the record.
     warnings : for the record.
+    share : how much of what would be done without wishes is done, above 0 to 1.
     """
 
     mesh: Mesh
@@ -37,6 +38,7 @@ class Preparation:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     known: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    share: float = 1.0
 
 
 def looks_at_mesh(settings: Settings) -> bool:
@@ -83,8 +85,7 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
     if is_named:
         method = methods.find(settings.method)
         return Preparation(mesh, method, settings.parameters, known, warnings)
-    wishes = settings.parameters if settings.method == AUTO else None
-    made = choose(mesh, wishes, on_step, assume=settings.assume)
+    made = choose(mesh, settings.method, settings.parameters, on_step)
     if despiked:
         first = made.known["choice"]
         reason = first.reason.replace("left as it is", "the rest left as it is")
@@ -94,26 +95,22 @@ def prepare(mesh: Mesh, settings: Settings, on_step: Callable[[int, int], None])
 
 
 def choose(
-    mesh: Mesh,
-    wishes: Mapping[str, Any] | None,
-    on_step: Callable[[int, int], None],
-    assume: str | None = None,
+    mesh: Mesh, among: str, given: Mapping[str, Any], on_step: Callable[[int, int], None]
 ) -> Preparation:
-    """The choice for ``mesh``: among all methods by ``wishes``, the fields of ``Wishes``, or within
-    the family of equation (2) where they are None, with what to ``assume``."""
+    """The choice for ``mesh`` by the wishes ``given``, fields of ``Wishes``: ``among`` all methods,
+    ``AUTO``, or within the family of equation (2), ``ADAPTIVE``."""
     from msal_cli import methods
 
-    auto_seconds = None
-    if wishes is None:
-        from msal_cli.auto import adaptive
-
-        choice = adaptive.choose_adaptive(mesh, on_step, assume)
-        auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
-        wishes = {} if assume is None else {"assume": assume}
-    else:
+    auto_seconds, wishes = None, Wishes(**given)
+    if among == AUTO:
         from msal_cli.auto import search
 
-        choice = search.choose_method(mesh, Wishes(**wishes), on_step)
+        choice = search.choose_method(mesh, wishes, on_step)
+    else:
+        from msal_cli.auto import adaptive
+
+        choice = adaptive.choose_adaptive(mesh, on_step, wishes)
+        auto_seconds = adaptive.seconds_of_better(choice, len(mesh.vertices))
     method = None if choice.method == NONE else methods.find(choice.method)
     # Checked as if the user had given them.
     parameters = {} if method is None else method.validate(choice.parameters)
@@ -124,7 +121,7 @@ def choose(
         risk_edges=choice.risk,
         tried=choice.tried,
         runners_up=tuple(RunnerUp(label, risk) for label, risk in choice.runners_up),
-        wishes=dict(wishes),
+        wishes=dict(given),
         repeat=options_of(method, parameters),
         among=choice.among,
         auto_seconds=auto_seconds,
@@ -134,7 +131,30 @@ def choose(
         # A choice avoids this where it can.
         warnings = (f"--weights has no effect: {method.name} has no pull to the scanned positions",)
     known = {"method": MethodUsed(choice.method, parameters), "choice": made}
-    return Preparation(mesh, method, parameters, known, warnings)
+    return Preparation(mesh, method, parameters, known, warnings, wishes.share)
+
+
+def choose_weaker(
+    mesh: Mesh, settings: Settings, choice: ChoiceMade, harm: Harm
+) -> tuple[Settings, Preparation] | None:
+    """The choice where that for more smoothing would damage a mesh: by the next lesser wishes, with
+    the settings that have them.  None where no more is wished for than the choice without.
+
+    So the result is never less than that of lesser wishes.
+    """
+    wishes = Wishes(**settings.parameters)
+    if wishes.weaker is None:
+        return None
+    was = "--keep shape" if wishes.keep == "shape" else f"--strength {wishes.strength:g}"
+    settings = replace(settings, parameters=asdict(wishes.weaker))
+    chosen = prepare(mesh, settings, lambda done, total: None)
+    made = replace(chosen.known["choice"], wishes=choice.wishes)
+    why = f"{was} would damage the mesh ({harm.reason}): smoothed less"
+    return settings, replace(
+        chosen,
+        known=chosen.known | {"choice": made},
+        warnings=(*chosen.warnings, why),
+    )
 
 
 MILDER = (0.5, 0.25, 0.0)
@@ -150,8 +170,11 @@ def soften_choice(
 
     ``choice`` is the first one, before anything was milder.
     """
+    import numpy as np
+
     from msal_cli import methods
     from msal_cli.analysis.noise_estimate import estimate_noise
+    from msal_cli.auto.blends import build_recipe
     from msal_cli.auto.candidates import wiener_al
 
     despiked = chosen.known.get("despiked")
@@ -171,18 +194,19 @@ def soften_choice(
         why = f"every choice would damage the mesh ({harm.reason}): left as it is"
         return Preparation(given, None, {}, known, (why,))
     level = round(share * estimate_noise(chosen.mesh).mean_edges, 4)
-    candidate = wiener_al(level)
-    method = methods.find(candidate.method)
-    parameters = method.validate(candidate.settings(level))
+    name, parameters, label = build_recipe(
+        [wiener_al(level)], np.ones(1), level, share=chosen.share
+    )
+    method = methods.find(name)
     what = f"smoothed for noise of {level:.2g} e only"
     repeat = options_of(method, parameters)
     made = replace(
         choice,
-        reason=f"{choice.reason}; rejected, for {harm.reason}; {what}; {candidate.label}",
+        reason=f"{choice.reason}; rejected, for {harm.reason}; {what}; {label}",
         risk_edges=None,
         repeat=(*repeat, "--despike") if despiked else repeat,
     )
-    known = chosen.known | {"method": MethodUsed(candidate.method, parameters), "choice": made}
+    known = chosen.known | {"method": MethodUsed(name, parameters), "choice": made}
     why = f"the first choice would damage the mesh ({harm.reason}): {what}"
     return replace(chosen, method=method, parameters=parameters, known=known, warnings=(why,))
 

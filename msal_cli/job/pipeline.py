@@ -19,7 +19,14 @@ from msal_cli import machine
 from msal_cli.codecs import header
 from msal_cli.errors import InternalError
 from msal_cli.job import changes, output, room
-from msal_cli.job.choice import MILDER, Preparation, looks_at_mesh, prepare, soften_choice
+from msal_cli.job.choice import (
+    MILDER,
+    Preparation,
+    choose_weaker,
+    looks_at_mesh,
+    prepare,
+    soften_choice,
+)
 from msal_cli.job.records import (
     Failure,
     FieldsFile,
@@ -281,13 +288,27 @@ class FileRun:
         self.know(**chosen.known)
         self.warn(*chosen.warnings)
         choice = self._record.choice
-        for share in (*MILDER, None):
+        milder = iter(MILDER)
+        while True:
             moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
             with self.stage("measure"):
                 measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
-            if measured.harm is None or choice is None or share is None:
+                harm = measured.harm
+                if chosen.share < 1.0:
+                    # A part of a result is taken only where all of it would be.
+                    start = chosen.mesh.vertices
+                    whole = start + (moved - start) / chosen.share
+                    harm = changes.measure(ready, whole, chosen.mesh, is_named=False).harm
+            if harm is None or choice is None:
                 break
-            chosen = soften_choice(mesh, chosen, choice, measured.harm, share)
+            weaker = choose_weaker(mesh, settings, choice, harm)
+            if weaker is not None:
+                settings, chosen = weaker
+                choice = chosen.known["choice"]
+            elif (share := next(milder, None)) is not None:
+                chosen = soften_choice(mesh, chosen, choice, harm, share)
+            else:
+                break
             self.know(**chosen.known)
         if chosen is not first:
             self.warn(*chosen.warnings)

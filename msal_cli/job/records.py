@@ -161,7 +161,7 @@ class ChoiceMade:
     risk_edges: float | None = required("estimated error, mean edge lengths; null if not estimated")
     tried: int = required("candidates that were looked at")
     runners_up: tuple[RunnerUp, ...] = required("at most three next best, best first")
-    wishes: dict[str, Any] = required("what was wished for; without --auto only assume, or nothing")
+    wishes: dict[str, Any] = required("what was wished for: all with --auto, else what was given")
     repeat: tuple[str, ...] = required("options of msal denoise that do the same without --auto")
     among: str = known(
         "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "

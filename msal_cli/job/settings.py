@@ -54,7 +54,7 @@ class Settings:
     Attributes
     ----------
     method, parameters : the method's name and all its parameters, resolved; with
-        ``AUTO`` the fields of ``auto.Wishes``, with ``ADAPTIVE`` none but ``assume``.
+        ``AUTO`` the fields of ``auto.Wishes``, with ``ADAPTIVE`` those of them that were given.
     to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
         output name's.
     encoding : ``same``, ``ascii`` or ``binary``.
@@ -393,9 +393,10 @@ def _choose_method(
 ) -> tuple[str, dict[str, Any]]:
     """The method's name and all its parameters; for ``CHOOSING`` the wishes."""
     is_adaptive = method == ADAPTIVE or (method is None and not assignments)
-    if method == AUTO or (method is None and wishes.keys() - {"assume"}):
+    needs_all = "prefer" in wishes or wishes.get("keep") in ("edges", "shape")
+    if method == AUTO or (method is None and needs_all):
         choice = AUTO
-    elif wishes.keys() <= {"assume"} and (is_adaptive or (wishes and method is None)):
+    elif not needs_all and (is_adaptive or (wishes and method is None)):
         choice = ADAPTIVE
     elif wishes:
         raise UsageError(
@@ -415,7 +416,7 @@ def _choose_method(
             hint="give a method, such as 'msal', or leave the parameters out",
         )
     if choice == ADAPTIVE:
-        return ADAPTIVE, dict(wishes)
+        return ADAPTIVE, {name: wish for name, wish in wishes.items() if wish}
     from msal_cli.auto import Wishes
 
     return AUTO, {**dataclasses.asdict(Wishes()), **wishes}

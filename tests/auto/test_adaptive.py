@@ -9,7 +9,7 @@ from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, NoiseCharacter, Reading, estimate_noise
-from msal_cli.auto import FAMILY, NONE, adaptive
+from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
 from msal_cli.auto.candidates import LINEAR
 from msal_cli.mesh import prepare_mesh
 from tests.auto.test_search import angle
@@ -58,7 +58,7 @@ def test_a_few_hundred_vertices_are_filtered_where_they_are_said_to_be_noise():
     noisy = few.with_vertices(add_plain_noise(few, "gaussian-normal", 0.3, 1))
     choice = adaptive.choose_adaptive(noisy)
     assert choice.method == NONE and choice.noise.is_unsure
-    assert adaptive.choose_adaptive(noisy, assume="noise").method != NONE
+    assert adaptive.choose_adaptive(noisy, wishes=Wishes(assume="noise")).method != NONE
 
 
 @pytest.mark.parametrize(("level", "mollify"), [(0.1, 1), (0.2, 1), (0.4, 2)])
@@ -87,8 +87,8 @@ def test_noise_or_texture_comes_out_well_either_way(monkeypatch):
     # As texture: what it moves.  As noise: what is left of it.
     assert 0.3 * distance(true, mesh) < distance(mesh, made) < 0.65 * distance(true, mesh)
     assert distance(true, made) < 0.65 * distance(true, mesh)
-    assert adaptive.choose_adaptive(mesh, assume=TEXTURE).method == NONE
-    noise = adaptive.choose_adaptive(mesh, assume=NOISE)
+    assert adaptive.choose_adaptive(mesh, wishes=Wishes(assume=TEXTURE)).method == NONE
+    noise = adaptive.choose_adaptive(mesh, wishes=Wishes(assume=NOISE))
     assert distance(true, result_of(mesh, noise.method, noise.parameters)) < distance(true, made)
 
 

@@ -128,6 +128,7 @@ def test_the_mixture_moves_farther_by_as_much_as_is_asked_for(strength):
     assert 1.0 + MORE * strength <= ratio < 1.0 + MORE * strength + 0.05
 
 
-def test_if_none_moves_far_enough_the_farthest_is_mixed_in():
+def test_if_none_moves_far_enough_the_farthest_is_mixed_in_but_never_less_than_there_is():
     base = np.ones((10, 3))
-    assert strengthen(base, [0.2 * base, 0.9 * base], 2.0) == (1, 1.0)
+    assert strengthen(base, [0.2 * base, 1.01 * base], 2.0) == (1, 1.0)
+    assert strengthen(base, [0.2 * base, 0.9 * base], 2.0) == (1, 0.0)

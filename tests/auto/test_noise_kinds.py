@@ -68,7 +68,7 @@ def test_auto_takes_most_of_it_away(kind):
 @pytest.mark.parametrize("kind", ["isotropic", "half"])
 def test_the_plain_command_knows_direction_and_place(kind):
     mesh, _ = pair(kind)
-    choice = adaptive.choose_adaptive(mesh, assume="noise")
+    choice = adaptive.choose_adaptive(mesh, wishes=Wishes(assume="noise"))
     assert (choice.method, choice.among) == ("blend", FAMILY)
     assert WORDS[kind] in choice.reason or choice.estimate.is_unsure
     left = angle_to_true(kind, made_by(choice, mesh))

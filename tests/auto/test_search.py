@@ -11,7 +11,7 @@ from msal_cli import methods
 from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
-from msal_cli.auto import NONE, Wishes, search
+from msal_cli.auto import NONE, Wishes, adaptive, search
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.risk import Quadratic, Risk
 from msal_cli.kernels import parallel
@@ -254,11 +254,15 @@ def relief(mesh):
     return float(np.sqrt(((totals / counts - mesh.vertices) ** 2).sum(axis=1).mean()))
 
 
-def check_wishes(mesh, **more):
+def choose_plainly(mesh, **wishes):
+    return adaptive.choose_adaptive(mesh, wishes=Wishes(**wishes))
+
+
+def check_wishes(mesh, choose, **more):
     """Wishes for less move less, and those for more farther, always."""
 
     def made(**wishes):
-        return made_by(chosen(mesh, **more, **wishes), mesh)
+        return made_by(choose(mesh, **more, **wishes), mesh)
 
     fewer, less, plain, more_, most = (made(strength=x) for x in (-2.0, -1.0, 0.0, 1.0, 2.0))
     moved = [moved_edges(mesh, after) for after in (fewer, less, plain, more_, most)]
@@ -271,9 +275,10 @@ def check_wishes(mesh, **more):
     return moved, plain, texture
 
 
+@pytest.mark.parametrize("choose", [choose_plainly, chosen])
 @pytest.mark.parametrize("mesh", list(wish_corpus()))
-def test_wishes_move_less_and_more_than_the_choice(mesh):
-    moved, plain, texture = check_wishes(mesh)
+def test_wishes_move_less_and_more_than_the_choice(mesh, choose):
+    moved, plain, texture = check_wishes(mesh, choose)
     assert moved[0] < 0.65 * moved[2] or moved[0] == moved[2] == 0.0 < moved[3]
     assert relief(texture) >= relief(plain) * (1.0 - 1e-12)
 

@@ -9,7 +9,9 @@ import pytest
 from msal_cli import auto as selection
 from msal_cli import codecs, methods
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
-from msal_cli.auto import adaptive
+from msal_cli.auto import adaptive, candidates
+from msal_cli.auto.blends import build_recipe
+from msal_cli.auto.candidates import Candidate
 from tests.cli.scans import (
     closed_scan,
     folder_of,
@@ -100,6 +102,50 @@ def test_a_choice_that_damages_is_softened_or_rejected(tmp_path, monkeypatch, co
     record = denoise(scan, "-o", tmp_path / "b.ply", "--method", "umbrella", "-n", "1000")
     assert record["status"] == "written"
     assert any("damage" in warning for warning in record["warnings"])
+
+
+def choose_by(monkeypatch, filters):
+    """Let the plain command choose filters with so many sweeps by strength, and as much of what
+    they move as the wishes ask for."""
+
+    def choose(mesh, on_step, wishes):
+        name, sweeps = filters[max(wishes.strength, 0.0)]
+        members = [Candidate(name, {"iterations": sweeps}, 1.0)]
+        monkeypatch.setitem(candidates._LABELS, ("umbrella", None), ("umbrella", ""))
+        name, values, label = build_recipe(members, np.ones(1), 0.1, share=wishes.share)
+        return selection.Choice(name, values, label, None, estimate_noise(mesh))
+
+    monkeypatch.setattr(adaptive, "choose_adaptive", choose)
+
+
+def test_less_of_what_damages_is_less_of_what_is_milder(tmp_path, monkeypatch):
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(closed_scan())
+    choose_by(monkeypatch, {0.0: ("umbrella", 40)})
+    moved = []
+    for words in ([], ["--keep", "texture"], ["--strength", "-1"], ["--strength", "-2"]):
+        record = denoise(scan, "-o", tmp_path / "out.ply", "--force", *words)
+        assert "; rejected, for the volume changed by -" in record["choice"]["reason"]
+        moved.append(record["displacement"]["mean_edges"])
+    assert moved == pytest.approx([moved[0], 0.9 * moved[0], 0.8 * moved[0], 0.6 * moved[0]], 1e-3)
+    denoise(scan, "-o", tmp_path / "by hand.ply", *record["choice"]["repeat"])
+    assert (tmp_path / "out.ply").read_bytes() == (tmp_path / "by hand.ply").read_bytes()
+
+
+def test_where_more_would_damage_the_next_lesser_wish_is_done(tmp_path, monkeypatch):
+    scan = tmp_path / "scan.ply"
+    scan.write_bytes(closed_scan())
+    choose_by(monkeypatch, {0.0: ("taubin", 2), 1.0: ("taubin", 4), 2.0: ("umbrella", 1000)})
+    made = {}
+    for strength in ("0", "1", "2"):
+        made[strength] = denoise(scan, "-o", tmp_path / f"{strength}.ply", "--strength", strength)
+    assert (tmp_path / "2.ply").read_bytes() == (tmp_path / "1.ply").read_bytes()
+    moved = [record["displacement"]["mean_edges"] for record in made.values()]
+    assert moved[0] < moved[1] == moved[2]
+    assert made["2"]["choice"]["wishes"] == {"strength": 2.0}
+    (warning,) = made["2"]["warnings"]
+    assert warning.startswith("--strength 2 would damage the mesh (the volume changed by -")
+    assert not made["1"]["warnings"]
 
 
 # --assume

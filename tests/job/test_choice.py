@@ -30,7 +30,7 @@ def mesh():
 def choose_as(monkeypatch, mesh, name, given):
     choice = selection.Choice(name, given, "because", "organic", estimate_noise(mesh))
     monkeypatch.setattr("msal_cli.auto.search.choose_method", lambda *ignored: choice)
-    return automatic.choose(mesh, {}, lambda done, total: None)
+    return automatic.choose(mesh, AUTO, {}, lambda done, total: None)
 
 
 @pytest.mark.parametrize("name", methods.names())

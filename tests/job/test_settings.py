@@ -17,7 +17,9 @@ def test_what_is_chosen_among():
     assert parsed() == parsed(method="adaptive") == Settings("adaptive")
     assert parsed(assume="noise").parameters == {"assume": "noise"}
     assert parsed(method=None, max_move=None, lock=()) == Settings("adaptive")
-    assert parsed(strength=0).method == parsed(method="auto", assume="noise").method == "auto"
+    assert parsed(strength=0) == Settings("adaptive")
+    assert parsed(strength=1, keep="texture").parameters == {"strength": 1, "keep": "texture"}
+    assert parsed(keep="shape").method == parsed(method="auto", assume="noise").method == "auto"
     wishes = {"prefer": "volume", "keep": "edges", "strength": -1.5}
     expected = Settings("auto", wishes | {"assume": None})
     assert parsed(**wishes) == parsed(method="auto", **wishes) == expected
