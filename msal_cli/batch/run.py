@@ -6,8 +6,8 @@ import functools
 import logging
 import os
 import signal
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -141,9 +141,9 @@ class _BatchRun:
                 self._journal.read()
                 todo = self._journal.find_outdated(self._emit_finished)[0]
             if self.plan.is_set and todo:
-                from msal_cli.batch.tile_set import survey_set
+                from msal_cli.batch.tile_set import SetRun
 
-                records = survey_set(self.plan, self.settings)
+                records = SetRun(self.plan.tasks, self.settings).survey()
             else:
                 options = (self.settings, self.limits)
                 records = {
@@ -167,10 +167,12 @@ class _BatchRun:
                 if self._journal is not None:
                     todo = self._journal.begin(stack, self.opened, command, self._emit_finished)
             if self.plan.is_set and todo:
-                from msal_cli.batch.tile_set import denoise_set
+                from msal_cli.batch.tile_set import SetRun
 
-                options = (self.on_event, self.stop_after_failures, self.limits, self.cancellation)
-                self._finish(denoise_set(self.plan, self.settings, *options))
+                set_run = SetRun(self.plan.tasks, self.settings, self.on_event, self.limits)
+                with self._end_on_signals():
+                    records = set_run.denoise(self.stop_after_failures)
+                self._finish(records)
             elif is_single or self.plan.is_in_process:
                 self._run_in_process(todo)
             elif todo:
@@ -192,11 +194,18 @@ class _BatchRun:
 
     # The work
 
-    def _run_in_process(self, todo: list[int]) -> None:
+    @contextmanager
+    def _end_on_signals(self) -> Iterator[None]:
+        """While this process itself denoises, a signal ends the run, in time even in a kernel."""
+
         def clean() -> None:
             sweep(output_folders(self.plan.tasks), os.getpid())
 
         with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
+            yield
+
+    def _run_in_process(self, todo: list[int]) -> None:
+        with self._end_on_signals():
             for index in todo:
                 task = self.plan.tasks[index]
                 self.on_event(Started(index))

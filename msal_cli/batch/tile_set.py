@@ -8,8 +8,7 @@ read again and written with its part of the new positions.
 from __future__ import annotations
 
 import itertools
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +22,6 @@ from msal_cli.analysis.shared_borders import (
     find_border,
     share_borders,
 )
-from msal_cli.batch import interrupts
-from msal_cli.batch.plan import output_folders
 from msal_cli.batch.schedule import Progress
 from msal_cli.batch.workers import limited_memory
 from msal_cli.codecs.header import BASE_BYTES
@@ -44,17 +41,12 @@ from msal_cli.job.settings import (
     parse_lock,
 )
 from msal_cli.machine import memory_bytes
-from msal_cli.storage.atomic import sweep
 
 if TYPE_CHECKING:
     from msal_cli.arrays import Flags, Floats, Ints
-    from msal_cli.batch.plan import Plan
     from msal_cli.batch.schedule import OnEvent
     from msal_cli.codecs.mesh_file import MeshFile
     from msal_cli.job.pipeline import OnProgress
-
-OnStep = Callable[[int, str, int, int], None]
-"""Called as ``on_step(index, stage, done, total)`` with the index of a task."""
 
 _SHARED_FIELDS = (
     "method",
@@ -94,70 +86,31 @@ class JoinedMesh(Surface):
         return self.properties[name]
 
 
-def denoise_set(
-    plan: Plan,
-    settings: Settings,
-    on_event: OnEvent = lambda event: None,
-    max_failures: int | None = None,
-    limits: Limits = NO_LIMITS,
-    cancellation: interrupts.Cancellation | None = None,
-) -> dict[int, MeshRecord]:
-    """Denoise the files of a plan as one mesh: the records of all that were dealt with, by the
-    numbers of their tasks.
-
-    A file that cannot be read fails; what its neighbours may share with it stays where it is.  Once
-    ``max_failures`` files cannot be read, no other is written: their records are not there.
-    """
-
-    def on_step(index: int, stage: str, done: int, total: int) -> None:
-        if cancellation is not None:
-            cancellation.check()
-        on_event(Progress(index, stage, done, total))
-
-    def clean() -> None:
-        sweep(output_folders(plan.tasks), os.getpid())
-
-    run = _SetRun(plan.tasks, settings, on_step, limits)
-    limit = limits.memory_bytes
-    if limit is not None:  # what this process has beside is not the set's
-        limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
-    with (
-        interrupts.catch_signals(interrupts.raise_for),
-        interrupts.end_if_late(clean),
-        limited_memory(limit),
-    ):
-        return run.denoise(max_failures)
-
-
-def survey_set(plan: Plan, settings: Settings) -> dict[int, MeshRecord]:
-    """What a set holds, without denoising it: records with ``tile_set``, or failures."""
-    return _SetRun(plan.tasks, settings).survey()
-
-
 def memory_of_set(tasks: Sequence[Task], settings: Settings) -> int:
     """Bytes of memory that denoising these files as one will need."""
     needs = [forecast(task, settings).memory_bytes or BASE_BYTES for task in tasks]
     return BASE_BYTES + sum(max(0, need - BASE_BYTES) for need in needs)
 
 
-class _SetRun:
+class SetRun:
     """One set on its way; a *place* is the number of a file among those that could be read."""
 
     def __init__(
         self,
         tasks: Sequence[Task],
         settings: Settings,
-        on_step: OnStep = lambda index, stage, done, total: None,
+        on_event: OnEvent = lambda event: None,
         limits: Limits = NO_LIMITS,
     ) -> None:
         self._tasks, self._settings = tasks, settings
-        self._on_step, self._limits = on_step, limits
+        self._on_event, self._limits = on_event, limits
         self._members: list[Member] = []
         # Vertices (n, 3), faces (m, 3) and properties of each member, until they are joined.
         self._arrays: list[tuple[Floats, Ints, dict[str, Floats]]] = []
         self._records: dict[int, MeshRecord] = {}
 
     def survey(self) -> dict[int, MeshRecord]:
+        """What the set holds, without denoising it: records with ``tile_set``, or failures."""
         for index in range(len(self._tasks)):
             self._scan(index)
             self._arrays.clear()
@@ -168,11 +121,24 @@ class _SetRun:
             )
         return self._records
 
-    def denoise(self, max_failures: int | None) -> dict[int, MeshRecord]:
+    def denoise(self, max_failures: int | None = None) -> dict[int, MeshRecord]:
+        """Denoise the files as one mesh: the records of all that were dealt with, by the numbers
+        of their tasks.
+
+        A file that cannot be read fails; what its neighbours may share with it stays where it is.
+        Once ``max_failures`` files cannot be read, no other is written: their records are not
+        there.
+        """
+        limit = self._limits.memory_bytes
+        if limit is not None:  # what this process has beside is not the set's
+            limit += max(0, memory_bytes("VmRSS") - BASE_BYTES)
         try:
             work = f"denoising these {len(self._tasks)} files as one"
             needed = memory_of_set(self._tasks, self._settings)
-            with use_scratch(find_scratch(work, needed, self._limits, self._tasks[0].output)):
+            with (
+                limited_memory(limit),
+                use_scratch(find_scratch(work, needed, self._limits, self._tasks[0].output)),
+            ):
                 for index in range(len(self._tasks)):
                     self._scan(index)
                 has_given_up = max_failures is not None and len(self._records) >= max_failures
@@ -190,7 +156,7 @@ class _SetRun:
         return self._records
 
     def _progress_of(self, index: int) -> OnProgress:
-        return lambda stage, done, total: self._on_step(index, stage, done, total)
+        return lambda stage, done, total: self._on_event(Progress(index, stage, done, total))
 
     def _scan(self, index: int) -> None:
         """Read a file for the first time: a member, or the record of its failure."""

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from msal_cli import methods
-from msal_cli.batch import tile_set
-from msal_cli.batch.plan import Plan
 from msal_cli.batch.schedule import Progress
+from msal_cli.batch.tile_set import SetRun
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings
 from tests.batch.tile_files import (
@@ -28,10 +27,9 @@ from tests.ply_files import to_ply
 MSAL = Settings("msal", methods.find("msal").validate({}), tile_set=True)
 
 
-def denoise_set(tasks, settings, **more):
+def denoise_set(tasks, settings, max_failures=None, **more):
     """The records of all tasks that were dealt with, in order."""
-    plan = Plan(tuple(tasks), is_set=True)
-    records = tile_set.denoise_set(plan, settings, **more)
+    records = SetRun(tasks, settings, **more).denoise(max_failures)
     return [records[index] for index in sorted(records)]
 
 
