@@ -165,22 +165,15 @@ EngineFactory = Callable[[Work], Engine]
 class TaskQueue:
     """The tasks that are yet to be handed out; indices in the order of the plan.
 
-    Those with ``weights`` go first, heaviest first, so that none is left to run alone at the end.
+    Those with weights go first, heaviest first, so that none is left to run alone at the end.
     """
 
-    def __init__(
-        self,
-        tasks: Iterable[int],
-        weights: Mapping[int, int] | None = None,
-        light_bytes: int = 0,
-        budget_bytes: int | None = None,
-    ) -> None:
-        self._weights = weights or {}
-        self._light_bytes = light_bytes
-        self._budget = budget_bytes
-        indices = sorted(tasks, key=lambda index: -self._weights.get(index, 0))
-        self._heavy = collections.deque(index for index in indices if index in self._weights)
-        self._light = collections.deque(index for index in indices if index not in self._weights)
+    def __init__(self, work: Work) -> None:
+        self._weights, self._light_bytes = work.weights, work.light_bytes
+        self._budget = work.budget_bytes
+        heavy = sorted(self._weights, key=lambda index: -self._weights[index])
+        self._heavy = collections.deque(heavy)
+        self._light = collections.deque(index for index in work.tasks if index not in self._weights)
         self._retries: collections.deque[int] = collections.deque()
 
     def __len__(self) -> int:

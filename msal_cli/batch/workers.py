@@ -105,7 +105,7 @@ class WorkerPool:
         self._work = work
         self._limits = work.limits
         self._jobs = max(1, min(work.jobs, len(work.tasks)))
-        self._queue = TaskQueue(work.tasks, work.weights, work.light_bytes, work.budget_bytes)
+        self._queue = TaskQueue(work)
         # Of tasks that were lost with their workers: how often each, and why the last time.
         self._n_losses: collections.Counter[int] = collections.Counter()
         self._reasons: dict[int, str] = {}

@@ -9,11 +9,15 @@ import time
 
 import pytest
 
-from msal_cli.batch.schedule import TaskQueue
+from msal_cli.batch.schedule import TaskQueue, Work
 from msal_cli.batch.workers import describe_exit
 from msal_cli.machine import is_alive, start_time
 from msal_cli.storage.atomic import MAX_NAME_BYTES, is_own, sweep, temporary_name
 from tests.files import make_files, tree
+
+
+def queue_of(indices, **weights):
+    return TaskQueue(Work(dict.fromkeys(indices), print, None, **weights))
 
 
 def order(schedule, at_once=1):
@@ -34,12 +38,12 @@ def order(schedule, at_once=1):
 
 
 def test_what_fits_beside_no_other_goes_alone_and_before_all():
-    schedule = TaskQueue(range(4), weights={2: 95, 3: 60}, light_bytes=10, budget_bytes=100)
+    schedule = queue_of(range(4), weights={2: 95, 3: 60}, light_bytes=10, budget_bytes=100)
     assert order(schedule, 4) == [[2, "alone"], 3, 0, 1]
 
 
 def test_small_ones_do_not_keep_a_large_one_waiting_for_ever():
-    schedule = TaskQueue(range(5), weights={0: 80}, light_bytes=15, budget_bytes=100)
+    schedule = queue_of(range(5), weights={0: 80}, light_bytes=15, budget_bytes=100)
     schedule.pop([], 0)
     schedule.put_back(0)
     assert schedule.pop([1, 2], 0) is None
@@ -47,13 +51,13 @@ def test_small_ones_do_not_keep_a_large_one_waiting_for_ever():
 
 
 def test_a_retried_task_waits_for_all_others_and_goes_alone():
-    queue = TaskQueue(range(3))
+    queue = queue_of(range(3))
     queue.retry(queue.pop([], 0))
     assert order(queue) == [1, 2, [0, "alone"]]
 
 
 def test_dropped_tasks_are_gone_but_second_tries_stay():
-    schedule = TaskQueue(range(3), weights={0: 9}, budget_bytes=8)
+    schedule = queue_of(range(3), weights={0: 9}, budget_bytes=8)
     schedule.retry(schedule.pop_exclusive())
     schedule.drop()
     assert order(schedule) == [[0, "alone"]]
@@ -64,7 +68,7 @@ def test_every_task_goes_once_and_never_beyond_the_budget():
     for _ in range(200):
         n, budget = generator.randrange(1, 30), generator.randrange(10, 200)
         weights = {k: generator.randrange(1, 250) for k in range(n) if generator.random() < 0.5}
-        schedule = TaskQueue(range(n), weights=weights, light_bytes=9, budget_bytes=budget)
+        schedule = queue_of(range(n), weights=weights, light_bytes=9, budget_bytes=budget)
         done, current_task = [], []
         while not schedule.is_empty or current_task:
             if schedule.is_next_exclusive:
