@@ -116,7 +116,7 @@ def build_plan(
     if in_place:
         _check_in_place(found, output, to, backup)
         tasks = [_in_place_task(file, backup) for file in found]
-    elif output is None:
+    elif not output:
         raise UsageError("there is no output", hint="name one with -o, or give --in-place")
     elif _is_file_output(found, output):
         if not is_mesh_name(output):

@@ -81,7 +81,13 @@ class Command(click.Command):
         """Parse the command line, with values of a configuration file where it gives none."""
         if ctx.resilient_parsing or not self.configurable:
             return super().parse_args(ctx, args)
-        return config.parse_args(ctx, args, super().parse_args)
+        rest = config.parse_args(ctx, args, super().parse_args)
+        for parameter in self.params:
+            value = ctx.params.get(str(parameter.name))
+            # As of a variable of the shell that is not set; -o '' would be the current folder.
+            if value == "" or (isinstance(value, tuple) and "" in value):
+                raise click.BadParameter("it is empty", ctx, parameter)
+        return rest
 
     def _has_more(self) -> bool:
         """Whether ``--help-all`` shows more than ``--help``."""

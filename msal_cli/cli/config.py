@@ -193,8 +193,8 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     is_named, without = "config" in given, "no_config" in given
     if is_named and without:
         raise UsageError("--config and --no-config contradict each other", hint="give one of them")
-    path: str | None = None if is_help or without else given.get("config") or _find_file()
-    if path is None:
+    path: str | None = given["config"] if is_named else _find_file()
+    if path is None or is_help or without:
         return parse(ctx, args)
     values = read_config(path, ctx, is_named=is_named)
     ctx.meta[_FOUND], ctx.default_map = not is_named, dict(values)

@@ -63,7 +63,7 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
             "the mesh would go to the terminal",
             hint="redirect it (> out.ply), name a file with -o, or insist with -o -",
         )
-    if output is not None and os.path.isdir(output):
+    if output is not None and (os.path.isdir(output) or output.endswith(("/", os.sep))):
         raise UsageError(
             f"the output {output!r} is a folder, and standard input has no name to put there",
             hint="name a file with -o",

@@ -407,7 +407,7 @@ def _choose_method(
     else:
         from msal_cli import methods
 
-        found = methods.find(method or "msal")
+        found = methods.find("msal" if method is None else method)
         return found.name, resolve_parameters(found, assignments)
     if assignments:
         raise UsageError(

@@ -157,7 +157,15 @@ denoise in -o new --tile-set --shard 1/2 | the files of a tile set are one mesh
 denoise in -o new --tile-set --timeout 5 | the files of a tile set are one mesh
 denoise in -o new --tile-set --engine dask --scheduler tcp://host:1 | of a tile set are one mesh
 denoise in -o new --fail-on 'volume_chnge > 1%' | the gate 'volume_chnge > 1%', column & hint:
-denoise in -o new --fail-on '' | the gate '', column & hint:
+denoise in -o new --fail-on 'x > ' | the gate 'x >', column & hint:
+# As of a variable that is not set.
+denoise in -o '' | '--output': it is empty
+denoise in '' -o new | 'INPUT...': it is empty
+denoise in -o new --fail-on '' | '--fail-on': it is empty
+denoise in -o new --method '' | '--method': it is empty
+denoise in -o new --weights '' | '--weights': it is empty
+denoise in -o new --config '' | cannot be read
+view '' | 'A': it is empty
 denoise in -o new --fail-on 'hausdorff > 0' | against a reference & give --reference TRUTH
 denoise a.ply -o new.ply --reference none.ply | none.ply
 denoise a.ply -o - --reference b.ply | --reference
@@ -181,6 +189,7 @@ denoise a.ply a.ply -o - | hold one mesh, not several
 denoise in -o - | is a folder
 denoise nowhere.ply -o - | is no file
 denoise - -o in | has no name to put there
+denoise - -o new/ | has no name to put there
 denoise - --report - | needs the name of a file
 denoise - -o new.ply --to stl | say two formats
 denoise - -o y.stp | no mesh format
