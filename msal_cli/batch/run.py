@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import numbers
 import os
 import signal
 from collections.abc import Iterator, Mapping, Sequence
@@ -329,14 +330,16 @@ def check_options(
 ) -> None:
     """UsageError for limits within which no file can be denoised, and for numbers that mean
     nothing."""
-    if jobs is not None and jobs < 1:
-        raise UsageError(f"the number of jobs must be at least 1, not {jobs}")
-    if stop_after_failures is not None and stop_after_failures < 1:
-        raise UsageError(
-            f"the number of failures to stop after must be at least 1, not {stop_after_failures}"
-        )
-    if retries < 0:
-        raise UsageError(f"the number of retries must be at least 0, not {retries}")
+    for value in (limits.timeout_s, limits.memory_bytes, jobs, retries, stop_after_failures):
+        if not isinstance(value, numbers.Real | None):
+            raise UsageError(
+                f"{value!r} is not a number",
+                hint="a timeout is in seconds, a memory limit in bytes",
+            )
+    counts = (("jobs", jobs, 1), ("failures to stop after", stop_after_failures, 1))
+    for what, value, least in (*counts, ("retries", retries, 0)):
+        if value is not None and value < least:
+            raise UsageError(f"the number of {what} must be at least {least}, not {value}")
     if limits.timeout_s is not None and not limits.timeout_s > 0.0:
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.memory_bytes is not None and limits.memory_bytes < BASE_BYTES:

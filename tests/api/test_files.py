@@ -114,7 +114,10 @@ def test_arguments_are_checked_before_the_first_record(scans, tmp_path):
     records = msal.denoise_folder(scans, tmp_path / "out")
     assert inspect.isgenerator(records) and not (tmp_path / "out").exists()
     records.close()
-    for wrong in ({"jobs": 0}, {"retries": -1}, {"timeout": 0}, {"memory_limit": 1}, {"K": 2}):
+    for wrong in (
+        *({"jobs": 0}, {"retries": -1}, {"timeout": 0}, {"memory_limit": 1}, {"K": 2}),
+        *({"jobs": "2"}, {"timeout": "10m"}, {"memory_limit": "4G"}, {"method": ""}),
+    ):
         with pytest.raises(msal.UsageError):
             msal.denoise_folder(scans, tmp_path / "out", **wrong)
 
