@@ -19,6 +19,7 @@ from msal_cli.batch import interrupts as signals
 from msal_cli.cli import console
 from msal_cli.errors import MsalError, OutputError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.machine import is_out_of_memory
 from msal_cli.version import __version__
 
 COMPLETE_VARIABLE = "_MSAL_COMPLETE"
@@ -166,11 +167,13 @@ def _status(group: Msal, arguments: tuple[str, ...]) -> int:
     except BrokenPipeError:
         _abandon_output()
         return console.READER_GONE
-    except MemoryError:
-        console.say("msal: error: not enough memory (E_MEMORY)", "bad")
-        return console.FATAL
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+        if is_out_of_memory(error):
+            words = "msal: error: not enough memory (E_MEMORY)"
+        elif isinstance(error, FileNotFoundError) and error.filename is None:
+            # os.getcwd fails without a name.
+            words = "msal: error: the current folder does not exist any more (E_READ)"
+        elif isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             words = f"msal: error: the output cannot be written: {error.strerror} (E_WRITE)"
         else:
             what = escape_for_display(f"{type(error).__name__}: {error}")

@@ -79,7 +79,9 @@ def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
             hint="please report this line; developers: add the signature to "
             f"kernel_build/signatures.txt and run {_REBUILD}",
         )
-    if entry.source_hash and source_hash(kernel) != entry.source_hash:
+    # python -OO drops docstrings, which count as constants.
+    is_checked = entry.source_hash and sys.flags.optimize < 2
+    if is_checked and source_hash(kernel) != entry.source_hash:
         raise InternalError(
             f"the kernel library does not have {kernel.name} as its source is now",
             hint=f"build it: {_REBUILD} (numba is needed: pip install -e '.[dev]')",

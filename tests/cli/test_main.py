@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from unittest.mock import Mock
 
 import pytest
 
@@ -48,6 +49,21 @@ def test_the_help_of_denoise_tells_the_real_defaults():
         assert after[after.index("[default: ") :].startswith(
             f"[default: chosen for each mesh; {defaults[name]} with --method msal]"
         )
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (RuntimeError("can't start new thread"), "not enough memory (E_MEMORY)"),
+        (FileNotFoundError(2, "none"), "the current folder does not exist any more (E_READ)"),
+    ],
+    ids=repr,
+)
+def test_a_fault_of_the_system_is_no_internal_error(error, words, monkeypatch, tmp_path):
+    monkeypatch.setattr("msal_cli.job.inspection.inspect_file", Mock(side_effect=error))
+    folder_of(tmp_path, a=closed_scan())
+    made = msal("info", tmp_path)
+    assert (made.exit_code, made.stderr) == (1, f"msal: error: {words}\n")
 
 
 def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
