@@ -60,7 +60,7 @@ class _Selection:
     """
 
     def __init__(self, parts: Sequence[str]) -> None:
-        self._matcher = Patterns(["/".join(parts)] if parts else [], whole=True)
+        self._parts = parts
         last = parts[-1] if parts else ""
         self._takes_any_name = "." in last and not has_magic(last.rpartition(".")[2])
         self._depth = len(parts) if parts and "**" not in parts else None
@@ -69,16 +69,22 @@ class _Selection:
         self.with_hidden = any(part.startswith(".") for part in parts)
 
     def takes(self, relative: str) -> bool:
-        if self._matcher and not self._matcher.matches(relative):
+        if not self._matches(relative):
             return False
-        is_named = self._takes_any_name and self._matcher.is_exact(relative)
+        is_named = self._takes_any_name and _match(self._parts, relative.split("/"))
         return is_named or is_mesh_name(relative.rpartition("/")[2])
 
     def may_lie_below(self, relative: str) -> bool:
         """Whether files below this folder may be taken."""
         if self._depth is None or relative.count("/") + 1 < self._depth:
             return True
-        return self._matcher.matches(relative)
+        return self._matches(relative)
+
+    def _matches(self, relative: str) -> bool:
+        """Whether the pattern, if there is one, matches ``relative`` or a folder that holds it."""
+        names = relative.split("/")
+        stops = range(len(names), 0, -1)
+        return not self._parts or any(_match(self._parts, names[:stop]) for stop in stops)
 
 
 def discover_inputs(
@@ -135,7 +141,7 @@ def discover_inputs(
             file
             for file in found
             if (not include or included.matches(file.relative))
-            and not (exclude and excluded.matches(file.relative))
+            and not excluded.matches(file.relative)
         ]
         empty += [] if kept else [text]
         for file in kept:
@@ -382,29 +388,19 @@ class Patterns:
     relative path, its name alone, or a folder that holds it, so ``old`` and ``old/`` match all
     that lies in a folder ``old`` anywhere, and ``left/**/*.ply`` for ``left/a.ply`` as well as for
     ``left/b/c.ply``.  As in a shell, a wildcard at the start of a name does not match a dot.
-    With ``whole`` set, only the whole relative path or that of a holding folder counts.
     Case counts, but for Windows.
 
     Raises UsageError for an empty pattern.
     """
 
-    def __init__(self, patterns: Iterable[str], *, whole: bool = False) -> None:
-        self._whole = whole
+    def __init__(self, patterns: Iterable[str]) -> None:
         self._patterns = [_split(pattern) for pattern in patterns]
-
-    def __bool__(self) -> bool:
-        return bool(self._patterns)
-
-    def is_exact(self, relative: str) -> bool:
-        """Whether a pattern matches ``relative`` itself, not only a folder that holds it."""
-        return any(_match(pattern, relative.split("/")) for pattern in self._patterns)
 
     def matches(self, relative: str) -> bool:
         """Whether a pattern matches ``relative``, its name or a folder that holds it."""
         parts = relative.split("/")
         return any(
-            _match(pattern, parts[:stop])
-            or (not self._whole and _match(pattern, parts[stop - 1 : stop]))
+            _match(pattern, parts[:stop]) or _match(pattern, parts[stop - 1 : stop])
             for pattern in self._patterns
             for stop in range(len(parts), 0, -1)
         )

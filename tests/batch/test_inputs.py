@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch.inputs import NothingMatched, Patterns, discover_inputs
+from msal_cli.batch.inputs import NothingMatched, Patterns, _Selection, discover_inputs
 from msal_cli.errors import UsageError
 from msal_cli.storage.atomic import temporary_name
 from tests.files import make_files, posix
@@ -205,7 +205,8 @@ def test_a_pattern_matches_what_a_shell_user_expects(pattern, path, expected):
     assert Patterns([pattern]).matches(path) is expected
 
 
-def test_whole_patterns_do_not_match_a_name_alone():
-    assert not Patterns(["*.ply"], whole=True).matches("left/a.ply")
-    assert Patterns(["left"], whole=True).matches("left/a.ply")
-    assert not Patterns(["left"], whole=True).is_exact("left/a.ply")
+def test_the_pattern_of_an_input_matches_whole_paths_and_folders():
+    assert not _Selection(["*.ply"]).takes("left/a.ply")
+    assert _Selection(["left"]).takes("left/a.ply")
+    assert _Selection(["*.x"]).takes("a.x")
+    assert not _Selection(["*.x"]).takes("left.x/a.x")
