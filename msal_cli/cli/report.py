@@ -149,6 +149,8 @@ def _summarize(names: Sequence[str]) -> tuple[Run, list[MeshRecord], list[str], 
         new_runs, new_rows = history
         runs += new_runs
         rows += new_rows
+    if not runs and not rows:
+        remarks.append(f"{', '.join(map(repr, names))}: no run is recorded, it is empty or damaged")
     records = _newest_records(rows)
     is_finished = not remarks and all(record.status != "planned" for record in records)
     run = _combine(runs, is_finished) if runs else _unknown_run(rows, is_finished)
@@ -164,7 +166,6 @@ def _missing_parts(runs: Sequence[RunEntry], name: str) -> list[str]:
     if at_work:
         return [f"{' and '.join(at_work[:3])} still at work on {name!r}"]
     if not runs:
-        # Manifests of older versions have no lines about runs.
         return []
     newest = runs[-1]
     alike = [run for run in runs if run.configuration == newest.configuration]

@@ -99,6 +99,8 @@ class TestOneFolder:
         assert "2 not done" in one.stderr and "did not come to its end" in one.stderr
         denoised()
         assert ran("report", "out", "--check").exit_code == 0
+        path.write_bytes(b"\0" * 4096)
+        assert ran("report", "out", "--check").exit_code == 3
 
     def test_a_run_at_work_is_named(self, done):
         with FolderLock("out", Shard(1, 2)):
@@ -156,6 +158,7 @@ def test_the_newest_record_of_a_file_counts(scans):
         *(((f"{name}.{suffix}",), 1, "no report of msal denoise")
           for name in ("null", "nested", "no schema", "latin") for suffix in ("json", "jsonl")),
         (("empty.jsonl",), 0, "0 files"),
+        (("empty.jsonl", "--check"), 3, "no run is recorded"),
         (("killed.jsonl",), 0, "0 files"),
     ],
 )  # fmt: skip
