@@ -182,7 +182,8 @@ def _copy(source: Path, target: Path) -> None:
                 "names",
                 code="E_SIDECAR",
                 path=os.fspath(target),
-                hint="write meshes with different materials to separate output folders",
+                hint="delete it if it is an old copy; write meshes with different materials to "
+                "separate output folders",
             )
     except OSError as failure:
         raise OutputError(
