@@ -91,7 +91,7 @@ def describe(function: Any, seen: set[tuple[str, str]]) -> str:
     parts = [*prose(first.strip("\n"), "")][:1]
     for title, body in zip(rest[::2], rest[1::2], strict=True):
         if title == "Parameters":
-            found = re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body.strip("\n"), re.M)
+            found = re.findall(r"^(\S.*?) : ((?:.*\n?)(?:^ .*\n?)*)", body.strip("\n") + "\n", re.M)
             new = [entry for entry in found if entry not in seen]
             seen.update(new)
             parts.append(
