@@ -86,7 +86,7 @@ def build_output(
     if how != ("same", "same"):
         output = mesh_file.encoded(vertices, *how)
         _check_reopened(output, target, mesh_file, vertices)
-    elif not np.array_equal(vertices, mesh_file.vertices):
+    elif not np.array_equal(vertices := _keep_stored(vertices, mesh_file), mesh_file.vertices):
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
@@ -97,6 +97,20 @@ def build_output(
     output, companions = mesh_file.beside(output, vertices, path)
     output = gzip_streams.compress(output) if compress else output
     return Output(output, mesh_file.references, companions, (), mesh_file.sources)
+
+
+def _keep_stored(vertices: Floats, mesh_file: MeshFile) -> Floats:
+    """New positions (n, 3), those that float32 rounds to the stored ones as they are stored.
+
+    They did not move in the file, so normals around them keep their bytes.
+    """
+    if mesh_file.precision != "float32":
+        return vertices
+    stored = mesh_file.vertices
+    with np.errstate(over="ignore"):
+        is_same = (vertices.astype(np.float32) == stored).all(axis=1)
+    is_same &= (vertices != stored).any(axis=1)
+    return np.where(is_same[:, None], stored, vertices) if is_same.any() else vertices
 
 
 def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats) -> None:

@@ -3,6 +3,7 @@
 import gzip
 import os
 
+import numpy as np
 import pytest
 
 from msal_cli.codecs import conversion, open_mesh
@@ -10,7 +11,7 @@ from msal_cli.errors import InternalError, LossError, OutputError
 from msal_cli.job import output
 from msal_cli.job.settings import Settings, Task
 from tests.cli.scans import ply_text
-from tests.codecs import plain_obj
+from tests.codecs import plain_obj, plain_stl
 from tests.shapes import cube
 
 VERTICES, FACES = cube()
@@ -62,6 +63,19 @@ def test_whole_numbers_are_rounded_when_they_are_encoded_anew(monkeypatch):
     monkeypatch.setattr(type(whole), "encoded", lambda *given: other)
     with pytest.raises(InternalError, match="other positions"):
         output.build_output(whole, whole.vertices, settings, "out.ply", source)
+
+
+def test_what_moves_by_less_than_float32_can_hold_keeps_its_normals():
+    data = bytearray(plain_stl.binary(VERTICES[FACES].reshape(-1, 9) + 10.0))
+    stl = open_mesh(bytes(data), "in.stl")
+    source = output.Source(bytes(data), "in.stl", False)
+    nudged = stl.vertices + 1e-9 * np.arange(stl.vertices.size).reshape(-1, 3)
+    same = output.build_output(stl, nudged, Settings("none", {}), "out.stl", source)
+    assert bytes(same.data) == data
+    nudged[0] += 0.5
+    made = output.build_output(stl, nudged, Settings("none", {}), "out.stl", source).data
+    before, after = (np.frombuffer(d, "V50", offset=84) for d in (bytes(data), bytes(made)))
+    assert ((before != after) == (stl.faces == 0).any(axis=1)).all()
 
 
 def test_a_wrong_writer_is_noticed(monkeypatch):
