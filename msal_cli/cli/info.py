@@ -57,7 +57,7 @@ def command(request: Request) -> int:
         inspect_file(
             path,
             format,
-            data=read_stream() if path == STREAM else None,
+            data=read_stream() if STREAM in request.inputs else None,
             with_intersections=is_checked,
         )
         for path in paths

@@ -71,6 +71,12 @@ def test_standard_input():
     assert (record["input"], record["vertices"]) == ("-", 576)
 
 
+def test_a_file_may_be_called_like_standard_input(tmp_path, monkeypatch):
+    (tmp_path / "-").write_bytes(closed_scan())
+    monkeypatch.chdir(tmp_path)
+    assert record_of(msal_on(b"", "info", "./-", "--json"))["vertices"] == 576
+
+
 def test_the_commands_of_a_sweep_make_what_its_numbers_say(tmp_path):
     scan = folder_of(tmp_path, a=closed_scan()) / "a.ply"
     grid = ("--rows", "iterations=1,40", "--columns", "mollify=0,2", "--method", "al")
