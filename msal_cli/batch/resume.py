@@ -313,9 +313,9 @@ class Journal:
                     todo.append(state.index)
                     restored += [state.index] if state.restores else []
         if obstacles:
-            more = f" (and of {len(obstacles) - 1} more)" if len(obstacles) > 1 else ""
+            more = f" and {len(obstacles) - 1} more" if len(obstacles) > 1 else ""
             raise UsageError(
-                f"the backup {obstacles[0]!r} exists and is not the file to be replaced{more}",
+                f"a backup exists that is not the file to be replaced: {obstacles[0]!r}{more}",
                 hint="the original is in it: move it back, or choose another --backup suffix",
                 path=obstacles[0],
             )
