@@ -246,7 +246,10 @@ def _mark(system: Any, path: str) -> ObjectMark | None:
     system.invalidate_cache()
     try:
         info: dict[str, Any] = system.info(path)
-    except (FileNotFoundError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError) as failure:
+        # Of a web server that cannot be reached fsspec says that, too.
+        if isinstance(failure.__cause__, OSError):
+            raise failure.__cause__ from None
         return None
     return None if info.get("type") == "directory" else _mark_of(info)
 

@@ -164,4 +164,7 @@ def test_a_web_server_is_read(tmp_path):
         url = f"http://127.0.0.1:{server.server_port}/a.ply"
         assert read_whole(url) == data == header.read_input(url)
         assert remote.read_beginning(url, 100) == (data[:100], len(data))
+        assert mark(url + "x") is None
         server.shutdown()
+    with pytest.raises(InputError, match="the store cannot be reached"):
+        mark(url)
