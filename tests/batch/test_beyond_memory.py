@@ -163,7 +163,7 @@ def test_stl_in_random_order_gives_the_same_bytes(n, tmp_path, small, monkeypatc
     source.write_bytes(data[:80] + len(facets).to_bytes(4, "little") + facets.tobytes())
     monkeypatch.setattr(spatial_order, "is_random", lambda faces: len(faces) > 0)
     monkeypatch.setattr(spatial_order, "BLOCK_BYTES", 10_000)
-    same_bytes(source, Settings("msal"), tmp_path)
+    same_bytes(source, Settings("umbrella"), tmp_path)
 
 
 @linux
