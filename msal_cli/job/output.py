@@ -108,8 +108,9 @@ def _keep_stored(vertices: Floats, mesh_file: MeshFile) -> Floats:
         return vertices
     stored = mesh_file.vertices
     with np.errstate(over="ignore"):
-        is_same = (vertices.astype(np.float32) == stored).all(axis=1)
-    is_same &= (vertices != stored).any(axis=1)
+        equal = vertices.astype(np.float32) == stored
+    # Column by column, which is several times as fast as a reduction over three.
+    is_same = equal[:, 0] & equal[:, 1] & equal[:, 2]
     return np.where(is_same[:, None], stored, vertices) if is_same.any() else vertices
 
 
