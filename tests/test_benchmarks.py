@@ -23,6 +23,7 @@ from benchmarks import (
     scanners,
     small_file,
     stages,
+    wishes,
 )
 from benchmarks.accuracy_grid import Setting, defaults, grid
 from benchmarks.accuracy_outcomes import AUTO, NOISY, Outcome
@@ -240,6 +241,7 @@ def test_a_script_prints_its_tables(tmp_path, monkeypatch, capsys):
         (auto_seconds, "--across 12 --cores one --repeats 1 --folder ."),
         (batch, "--files 6 --most 300 --sample 1 --repeats 1 --folder ."),
         (clean_files, f"{ROOT / 'sample_meshes'} --most 1"),
+        (wishes, f"{ROOT / 'sample_meshes'} --most 1"),
     ],
 )
 def test_other_scripts_print_a_table(script, words, tmp_path, monkeypatch, capsys):
