@@ -217,8 +217,8 @@ def give_back_large_arrays() -> None:
     """Have large arrays in mappings of their own, which end with them; once for a process.
 
     Of its own accord glibc puts arrays of up to 32 MB among small ones as soon as one such array
-    has been let go of; what is let go of later then stays with the process, or keeps others from
-    being given back.  Where the C library is another, or the environment says how it shall keep
+    has been freed; what is freed later then stays with the process, or keeps others from being
+    released.  Where the C library is another, or the environment says how it shall keep
     memory, nothing is done.
     """
     is_told = any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ)

@@ -72,13 +72,14 @@ surface."""
 
 
 BALANCED = Wishes()
+"""No wish."""
 
 
 def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = BALANCED) -> Choice:
     """Parameters for ``mesh`` within the family of equation (2), or none.
 
-    The choice depends on the mesh alone, and on the ``wishes`` what to assume, to keep texture, and
-    for more or less.
+    The choice depends on the mesh and the ``wishes`` alone; of these ``assume``, ``strength`` and
+    ``keep`` texture count.
     """
     step = on_step or (lambda done, total: None)
     estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
@@ -241,4 +242,4 @@ def _candidates(
 def _linear(mesh: Mesh, number: int | None = None) -> list[Candidate]:
     """The first ``number`` of the linear filters, without those that take too long for ``mesh``."""
     is_small = len(mesh.vertices) <= SMALL
-    return [filter for filter in LINEAR[:number] if is_small or filter.cost <= MAX_COST]
+    return [candidate for candidate in LINEAR[:number] if is_small or candidate.cost <= MAX_COST]

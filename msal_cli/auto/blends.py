@@ -329,8 +329,8 @@ def _percent(weights: Floats) -> str:
 
 
 def choose_least(noise: NoiseLevel, wishes: Wishes, what: str, surface: str | None) -> Choice:
-    """The choice for a mesh where no filter is worth its harm, for ``what`` is said of it, such as
-    ``noise 0 e; clean``: only a wish for more smoothing smooths it."""
+    """The choice for a mesh that every filter would harm: it stays as it is, unless the ``wishes``
+    are for more smoothing.  ``what`` begins the reason, such as ``noise 0 e; clean``."""
     if wishes.strength <= 0.0 and wishes.keep != "shape":
         is_less = wishes.strength < 0.0 or wishes.keep == "texture"
         is_wish = (wishes.prefer, wishes.keep) != ("balanced", None) and not is_less
@@ -415,8 +415,8 @@ def mix_in_stronger(
     """The ``members`` and their weights (levels, k) with one more of the ``stronger``, so that
     vertices move as much farther as the ``strength`` asks for.
 
-    ``runs`` are of the members on a part of the mesh of the ``case``, whose vertices (n, 3) were
-    ``evened`` out by so much before.
+    ``runs`` are those of the members on a part of the mesh of the ``case``, and ``evened`` (n, 3)
+    is what evening out its triangles moved its vertices by before, file units.
     """
     if not stronger:
         return list(members), rows

@@ -175,7 +175,7 @@ class _Search:
             elif not is_drawn:
                 return self._choose_by_mirror(surface)
             elif surface == MACHINED and self.wishes.prefer == "balanced":
-                # Of what is not known to be white nothing is given back.
+                # Of what is not known to be white nothing is restored.
                 is_white = self.noise.character.kind != "unknown"
                 usable = [LEARNED if is_white else ROBUST_LEARNED]
         self._total = _RUNS * len(usable) + 1

@@ -95,7 +95,7 @@ def catch_signals(on_signal: Callable[[int], None]) -> Iterator[None]:
     """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or the like; the second ends at once.
 
     Only signals that no other code handles are taken over, only in the main thread (Python offers
-    no other), and all are given back at the end.
+    no other), and all are restored at the end.
     """
     is_first = True
 

@@ -82,7 +82,7 @@ more:
     --method msal]
 --schedule [plain|constant|multiscale|robust|wiener]
     How the sweeps of msal, al, umbrella and the like go on: alike, with a constant pull to the
-    data, multiscale, robust beside spikes, or with what is more than noise given back at the end.
+    data, multiscale, robust beside spikes, or with what exceeds the noise restored at the end.
     It selects msal, as -n does. [default: chosen for each mesh; multiscale with --method msal,
     else plain]
 --despike/--no-despike

@@ -250,7 +250,7 @@ def _as_ply(mesh: _Mesh, encoding: str, single: bool) -> Buffer:
 
 def _as_obj(mesh: _Mesh, points: Floats, single: bool) -> Buffer:
     if mesh.colours is not None:
-        # Five digits give back each of 256 steps.
+        # Five digits keep each of 256 steps apart.
         shades = np.round(mesh.colours[:, :3] / 255.0, 5)
         points, single = np.concatenate([points, shades], axis=1), False
     pieces = [float_lines(points, single=single, prefix=b"v ")]

@@ -250,7 +250,7 @@ class MeshFile(Surface):
             if not len(layout.sizes):
                 raise no_faces(
                     f"the file has no surface faces; it holds {layout.held or 'nothing'}",
-                    hint="msal denoises surfaces; make one of the points or the volume first",
+                    hint="msal denoises surfaces: make one of these points or cells first",
                 )
             require_finite(self.vertices)
             corners = layout.corners.astype(np.int64, copy=False)

@@ -137,10 +137,10 @@ def choose(
 def choose_weaker(
     mesh: Mesh, settings: Settings, choice: ChoiceMade, harm: Harm
 ) -> tuple[Settings, Preparation] | None:
-    """The choice where that for more smoothing would damage a mesh: by the next lesser wishes, with
-    the settings that have them.  None where no more is wished for than the choice without.
+    """The choice by the next lesser wishes, and the settings that have them, for a mesh that the
+    ``choice`` for more smoothing would damage by ``harm``; None where no more is wished for.
 
-    So the result is never less than that of lesser wishes.
+    So more strength never moves vertices less.
     """
     wishes = Wishes(**settings.parameters)
     if wishes.weaker is None:

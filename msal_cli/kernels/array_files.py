@@ -85,7 +85,7 @@ def kept_memory() -> Iterator[None]:
     """Have large arrays, which are made in this thread and by kernels, take memory of those that
     have ended: what the system gives has to be cleared first, and it may take long to find.
 
-    With the arrays it is no more than these have taken, and at the end it is given back.
+    With the arrays it is no more than these have taken, and at the end it is released.
     """
     global _keepers
     if not can_use_files():

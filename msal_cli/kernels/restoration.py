@@ -134,7 +134,7 @@ def restoration(
     ----------
     ring_start, ring : the one-rings.
     noise : standard deviation of the noise, in the unit of the residual.
-    caution : greater gives back less.
+    caution : greater restores less.
 
     Returns
     -------

@@ -67,7 +67,7 @@ CAUTION = 1.0
 """See ``restoration``."""
 
 DOUBT = 0.01
-"""Power, over the noise's, of which a half is given back; noise alone gives hardly any."""
+"""Power, over the noise's, of which a half is restored; noise alone gives hardly any."""
 
 
 class Cascade:
@@ -127,7 +127,7 @@ class Cascade:
 
 
 def return_texture(mesh: Mesh, positions: Floats, noise: float) -> Floats:
-    """Positions (n, 3) with what a filter took from ``mesh`` beyond white noise given back.
+    """Positions (n, 3) with what a filter took from ``mesh`` beyond white noise restored.
 
     What it took along its outcome's normals is ``restoration``'s residual.  ``noise``, in mean edge
     lengths, counts as greater where the finest ripples of the residual are, compared with those of

@@ -1,4 +1,4 @@
-"""A scan without white noise: sweeps of AL, what they took beyond noise given back, normals fitted.
+"""A scan without white noise: sweeps of AL, what they took beyond noise restored, normals fitted.
 
 It is what ``wiener`` does, and what the learned filter looks at.
 """
@@ -72,8 +72,8 @@ class Restored:
 
     Attributes
     ----------
-    smooth, positions : (n, 3) after the sweeps, and with what they took beyond noise given back.
-    returned : (n,) what was given back along the normals, file units.
+    smooth, positions : (n, 3) after the sweeps, and with what they took beyond noise restored.
+    returned : (n,) what was restored along the normals, file units.
     share : (n,) which part of what was taken that is.
     """
 

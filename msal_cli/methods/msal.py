@@ -15,10 +15,10 @@ Many sweeps lead back to the input: four are a stable default.
 ``schedule`` is not in the paper.  One spike or torn triangle has a sigma so large that every other
 lambda is almost zero; ``robust`` takes in place of max sigma a ``quantile`` of the sigma above
 zero: lambda_i = min(1, sigma_i / quantile).  It stays closer to the scan, and suits noise up to
-0.1.  ``wiener`` sweeps with tau = 1 and no pull, as ``al``, and then gives back of what it removed
-what is more than ``noise`` (docs/algorithm.md).  On organic and textured objects it comes closer to
-the truth than the paper's schedule at its best.  A given ``noise`` helps most where texture is as
-fine as the mesh.
+0.1.  ``wiener`` sweeps with tau = 1 and no pull, as ``al``, and then restores the part of what it
+removed that exceeds ``noise`` (docs/algorithm.md).  On organic and textured objects it comes closer
+to the truth than the paper's schedule at its best.  A given ``noise`` helps most where texture is
+as fine as the mesh.
 
 ``weights`` and ``deviation`` are those of ``al``, where ``schedule=multiscale`` with a ``scaling``
 is the form for mixed triangle sizes.  On a mesh that is planar everywhere (max sigma = 0) lambda is

@@ -1,4 +1,4 @@
-"""Wiener-filtered residual: smooths, and gives back what is more than noise; then the normals.
+"""Wiener-filtered residual: smooths, restores what exceeds the noise; then the normals.
 
 For organic and textured scans with noise up to about 0.4 mean edge lengths.  Three steps:
 
