@@ -164,7 +164,7 @@ def _to_word(value: Any, place: str) -> str:
     return str(value)
 
 
-_FOUND = "msal_cli.config_was_found"
+_FOUND, _PATH = "msal_cli.config_was_found", "msal_cli.config_path"
 
 Parse = Callable[[click.Context, list[str]], list[str]]
 
@@ -197,7 +197,7 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     if path is None or is_help or without:
         return parse(ctx, args)
     values = read_config(path, ctx, is_named=is_named)
-    ctx.meta[_FOUND], ctx.default_map = not is_named, dict(values)
+    ctx.meta[_FOUND], ctx.meta[_PATH], ctx.default_map = not is_named, path, dict(values)
     words = list(args)
     try:
         rest = parse(ctx, args)
@@ -213,6 +213,20 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     ctx.default_map = {k: v for k, v in values.items() if k not in overruled}
     ctx.params.clear()
     return parse(ctx, words)
+
+
+def name_file(ctx: click.Context, error: UsageError) -> UsageError:
+    """The error about values of options, with what the file gives of them."""
+    given = [
+        key_of(option)
+        for option in ctx.command.params
+        if isinstance(option, click.Option)
+        and ctx.get_parameter_source(str(option.name)) is ParameterSource.DEFAULT_MAP
+    ]
+    if not given:
+        return error
+    words = f"{error.message} ({ctx.meta[_PATH]} gives {', '.join(given)})"
+    return UsageError(words, hint=error.hint)
 
 
 def is_from_found_file(ctx: click.Context, name: str) -> bool:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from msal_cli.batch import interrupts
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.config import is_from_found_file
+from msal_cli.cli.config import is_from_found_file, name_file
 from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import STREAM, group
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
@@ -540,7 +540,10 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
         from msal_cli.report.gates import need_intersections
 
         given["intersections"] = need_intersections(gates)
-    return parse(given, as_options=True)
+    try:
+        return parse(given, as_options=True)
+    except UsageError as error:
+        raise name_file(request.context, error) from None
 
 
 def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:

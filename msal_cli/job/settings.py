@@ -381,7 +381,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
         if given.get(name) not in (None, ())
     }
     wishes = {name: values.pop(name) for name in _WISHES if name in values}
-    method, parameters = _choose_method(given.get("method"), given["parameters"], wishes)
+    method, parameters = _choose_method(given.get("method"), given["parameters"], wishes, label)
     if "weights" in values and method not in CHOOSING:
         _require_data_term(method, parameters, label("weights"))
     checks = (SELF_INTERSECTIONS,) if given.get("intersections") else ()
@@ -389,7 +389,10 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
 
 
 def _choose_method(
-    method: str | None, assignments: Sequence[Assignment], wishes: Mapping[str, Any]
+    method: str | None,
+    assignments: Sequence[Assignment],
+    wishes: Mapping[str, Any],
+    label: Callable[[str], str],
 ) -> tuple[str, dict[str, Any]]:
     """The method's name and all its parameters; for ``CHOOSING`` the wishes."""
     is_adaptive = method == ADAPTIVE or (method is None and not assignments)
@@ -400,9 +403,10 @@ def _choose_method(
         choice = ADAPTIVE
     elif wishes:
         raise UsageError(
-            f"{', '.join(wishes)}: this is for the automatic choice, and the method is {method!r}",
-            hint="leave the method out, or give method='auto'; a parameter of a method that has "
-            f"this name goes into parameters={{{next(iter(wishes))!r}: ...}}",
+            f"{', '.join(map(label, wishes))}: this is for the automatic choice, and the method is "
+            f"{method!r}",
+            hint="leave the method out; a parameter of a method that has this name is given among "
+            "its parameters",
         )
     else:
         from msal_cli import methods
