@@ -81,8 +81,6 @@ def mutant(format: str, number: int) -> bytes:
 
 def change(format: str, data: bytes, dice: random.Random) -> bytes:
     """One change of the content of a file, most often one that its format has a name for."""
-    if format == "gz":
-        return _repacked(data, dice)
     if format == "glb":
         return _changed_scene(data, dice)
     if format == "gltf":
@@ -291,15 +289,6 @@ def _packed(data: bytes, changes: int, dice: random.Random) -> bytes:
     for _ in range(changes * (not is_inside)):
         packed = _bytes("gz", packed, dice)
     return packed
-
-
-def _repacked(data: bytes, dice: random.Random) -> bytes:
-    """Valid gzip around changed content, since a checksum stops nearly all other mutants."""
-    try:
-        content = zlib.decompressobj(wbits=31).decompress(data, 1 << 16)
-    except zlib.error:
-        content = data
-    return _in_members(_bytes("gz", content, dice), 0.1, dice)
 
 
 def _in_members(data: bytes, chance: float, dice: random.Random) -> bytes:

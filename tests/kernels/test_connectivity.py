@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 
 from msal_cli.kernels import spatial_order
 from msal_cli.kernels.connectivity import (
-    averaging_ring,
-    boundary_curves,
     connectivity,
     count_components,
     faces_to_flip,
@@ -95,25 +93,6 @@ def test_a_moebius_band_is_left_alone():
     flip, unorientable = faces_to_flip(faces, links)
     assert unorientable == 1
     assert not flip.any()
-
-
-def listed(start, row):
-    return [sorted(row[a:b].tolist()) for a, b in itertools.pairwise(start)]
-
-
-def test_the_rim_of_a_grid_worked_by_hand():
-    # 0 1 2
-    # 3 4 5   with diagonals 0-4, 1-5, 3-7 and 4-8
-    # 6 7 8
-    vertices, faces = grid(3, 3)
-    links = connectivity(len(vertices), faces)
-    rim = [[1, 3], [0, 2], [1, 5], [0, 6], [], [2, 8], [3, 7], [6, 8], [5, 7]]
-    assert listed(*boundary_curves(faces, links)) == rim
-    middle = [0, 1, 3, 5, 7, 8]
-    rim[4] = middle
-    assert listed(*averaging_ring(faces, links, "curve")) == rim
-    fixed = [[]] * 4 + [middle] + [[]] * 4
-    assert listed(*averaging_ring(faces, links, "fixed")) == fixed
 
 
 @pytest.mark.parametrize("facet", [0, 255, 256, 999])

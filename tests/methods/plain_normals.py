@@ -40,18 +40,22 @@ def mean_distance(centroids: np.ndarray, across) -> float:
     return float(np.mean([np.linalg.norm(centroids[f] - centroids[g]) for f, g in pairs]))
 
 
+def flood(first: int, beside, points: np.ndarray, centre: np.ndarray, radius: float) -> set[int]:
+    """What ``beside`` leads to from the first through points within the radius of a centre."""
+    found, waiting = {first}, [first]
+    while waiting:
+        for k in set(beside[waiting.pop()]) - found:
+            if np.linalg.norm(points[k] - centre) <= radius:
+                found.add(k)
+                waiting.append(k)
+    return found
+
+
 def near(centroids: np.ndarray, touching: list[set[int]], radius: float) -> list[set[int]]:
     """The faces within the radius that touch the face or others found before."""
-    result = []
-    for f in range(len(touching)):
-        found, waiting = {f}, [f]
-        while waiting:
-            for g in touching[waiting.pop()] - found:
-                if np.linalg.norm(centroids[g] - centroids[f]) <= radius:
-                    found.add(g)
-                    waiting.append(g)
-        result.append(found - {f})
-    return result
+    return [
+        flood(f, touching, centroids, centre, radius) - {f} for f, centre in enumerate(centroids)
+    ]
 
 
 def guides(
@@ -132,7 +136,7 @@ def global_matrix(n, areas, c, rows, widths, fidelity: float) -> np.ndarray:
     return (1 - fidelity) * m.T @ m + fidelity * np.eye(len(n))
 
 
-def threshold_filter(v, faces, T=0.5, passes=20, vertex_passes=50, kind="vertex", fixed=True):
+def threshold_filter(v, faces, T, passes, vertex_passes, kind, fixed):
     """Sun et al.: weights max(0, n_i . n_j - T)^2, the face itself among its neighbours."""
     n, _ = normals_and_areas(v, faces)
     rows = neighbours(faces, kind)
@@ -155,9 +159,7 @@ def _prepare(v, faces, widths, kind):
     return *normals_and_areas(v, faces), c, neighbours(faces, kind), absolute
 
 
-def local_filter(
-    v, faces, widths=(1.0, 0.35), passes=20, vertex_passes=10, kind="vertex", fixed=True
-):
+def local_filter(v, faces, widths, passes, vertex_passes, kind, fixed):
     """Zheng et al.: normalised sums of w_ij n_j; sigma_c in mean distances, and sigma_s."""
     n, areas, c, rows, absolute = _prepare(v, faces, widths, kind)
     for _ in range(passes):
@@ -166,9 +168,7 @@ def local_filter(
     return moved(v, n, faces, inner(v, faces, fixed), vertex_passes)
 
 
-def global_filter(
-    v, faces, widths=(1.0, 0.35), fidelity=0.01, vertex_passes=10, kind="vertex", fixed=True
-):
+def global_filter(v, faces, widths, fidelity, vertex_passes, kind, fixed):
     """The same by one solve; also the least length of a solution before it is normalised."""
     n, *prepared = _prepare(v, faces, widths, kind)
     solution = np.linalg.solve(global_matrix(n, *prepared, fidelity), fidelity * n)

@@ -8,7 +8,7 @@ import pytest
 from msal_cli import methods
 from msal_cli.errors import UsageError
 from tests import paper
-from tests.methods.plain_normals import normals_and_areas
+from tests.methods.plain_normals import flood, normals_and_areas, sharing
 from tests.methods.runs import SHAPES, run_in_file
 from tests.shapes import grid, noisy
 
@@ -17,17 +17,6 @@ run = functools.partial(run_in_file, "bilateral")
 
 def mean_edge(v, rings):
     return np.mean([np.linalg.norm(v[k] - v[i]) for i, ring in enumerate(rings) for k in ring])
-
-
-def flooded(x, rings, i, radius):
-    """Vertices that edges join to i through vertices within the radius, i itself among them."""
-    found, waiting = {i}, [i]
-    while waiting:
-        for k in rings[waiting.pop()]:
-            if k not in found and np.linalg.norm(x[k] - x[i]) <= radius:
-                found.add(k)
-                waiting.append(k)
-    return sorted(found)
 
 
 def twin(
@@ -52,7 +41,7 @@ def twin(
                 sigma_c = (closeness or radius / 2) * unit
                 if not sigma_c:
                     sigma_c = min(np.linalg.norm(x[k] - x[i]) for k in ring)
-                near = flooded(x, rings, i, radius * unit or 2 * sigma_c)
+                near = sorted(flood(i, rings, x, x[i], radius * unit or 2 * sigma_c))
                 h = (x[near] - x[i]) @ n[i]
                 sigma_s = similarity * unit or np.std(np.abs(h))
             if sigma_s <= 1e-9 * unit:
@@ -102,22 +91,6 @@ def test_a_radius_needs_the_variant_that_has_one():
 run_jones = functools.partial(run_in_file, "bilateral_non_iterative")
 
 
-def faces_flooded(i, x, faces, centroids, radius):
-    """Faces within the radius of i that meet it, or a face found, at a vertex."""
-    near = np.linalg.norm(centroids - x[i], axis=1) <= radius
-    corners, found = {i}, set()
-    while True:
-        more = {
-            f
-            for f in np.flatnonzero(near).tolist()
-            if f not in found and corners & set(faces[f].tolist())
-        }
-        if not more:
-            return sorted(found)
-        found |= more
-        corners |= set(faces[sorted(more)].reshape(-1).tolist())
-
-
 def gauss(t, width):
     return np.exp(-(t**2) / (2 * width**2))
 
@@ -128,7 +101,12 @@ def jones_twin(v, faces, sigma_f, sigma_g):
     sigma_f, sigma_g = sigma_f * unit, sigma_g * unit
     c = v[faces].mean(axis=1)
     _, area = normals_and_areas(v, faces)
-    around = [faces_flooded(i, v, faces, c, 2 * sigma_f) for i in range(len(v))]
+    touching, around = sharing(faces, 1), []
+    for i, centre in enumerate(v):
+        is_near = np.linalg.norm(c - centre, axis=1) <= 2 * sigma_f
+        first = np.flatnonzero((faces == i).any(axis=1) & is_near).tolist()
+        floods = (flood(f, touching, c, centre, 2 * sigma_f) for f in first)
+        around.append(sorted(set().union(*floods)))
     smooth = v.copy()
     for i, near in enumerate(around):
         if near:  # a limit that the paper leaves out

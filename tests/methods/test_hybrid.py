@@ -9,7 +9,7 @@ from msal_cli import methods
 from msal_cli.mesh import prepare_mesh
 from tests import paper
 from tests.methods import runs
-from tests.shapes import cube, grid, noisy, roof
+from tests.shapes import cube, noisy, roof
 
 
 def result(vertices, faces, **given):
@@ -93,25 +93,6 @@ def test_it_does_what_it_says(shape, given):
     assert (out.fields["feature"] == feature).all()
     size = np.ptp(vertices, axis=0).max()
     assert np.abs(out.vertices + ready.origin - expected).max() <= 1e-12 * size
-
-
-def test_flat_triangles_become_even_and_the_rim_stays():
-    # Vertices pushed about within a plane: there is nothing to denoise.
-    vertices, faces = grid(8, 8)
-    flat = noisy(vertices, 6, 0.2) * [1.0, 1.0, 0.0]
-    edge = prepare_mesh(flat, faces).mesh.topology.boundary
-    inner = ~edge
-    for share in (0.0, 0.25, 1.0):
-        out = run(flat, faces, regularize=share, iterations=10)
-        assert (out[edge] == flat[edge]).all()
-        assert (out[:, 2] == 0).all()
-        off = np.linalg.norm((out - vertices)[inner], axis=1).mean()
-        if share == 0.0:
-            assert (out == flat).all()
-            before = off
-        else:
-            assert off < 0.85 * before
-            before = off
 
 
 def test_vertices_whose_normal_cannot_be_told_stay():

@@ -36,7 +36,7 @@ def rough(is_closed, seed):
 
 @pytest.mark.parametrize(
     ("name", "most_deg"),
-    [("guided_normal", 2.0), ("static_dynamic", 1.0), ("normal_threshold", 3.0)],
+    [("guided_normal", 2.0), ("static_dynamic", 1.0), ("normal_threshold", 3.0), ("l0", 1.0)],
 )
 def test_a_sharp_edge_comes_back_under_noise(name, most_deg):
     vertices, faces = roof(24, 25)
@@ -72,16 +72,6 @@ def test_global_bilateral_is_the_formula(seed, widths, sharing, boundary, is_clo
     )
     # Conjugate gradients stop at 1e-4; what they leave counts more where normals nearly cancel.
     assert np.abs(out - expected).max() <= 1e-4 / least * np.ptp(mesh.vertices)
-
-
-def test_the_defaults_are_the_authors():
-    mesh = scan(0.1, 1, around=7, across=5)
-    expected = plain.local_filter(mesh.vertices, mesh.faces)
-    assert_twin(mesh, denoise("bilateral_normal", mesh), expected)
-    expected, least = plain.global_filter(mesh.vertices, mesh.faces)
-    assert_twin(mesh, denoise("bilateral_normal", mesh, variant="global"), expected, 1e-4 / least)
-    expected = plain.threshold_filter(mesh.vertices, mesh.faces)
-    assert_twin(mesh, denoise("normal_threshold", mesh), expected)
 
 
 # Threshold
