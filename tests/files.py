@@ -6,6 +6,7 @@ import importlib.util
 import io
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -70,6 +71,15 @@ def time_limit(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+
+
+def run_python(code: str, *words: object, **variables: str) -> str:
+    """What another Python prints that runs some code with words as arguments; it must end well."""
+    command = [sys.executable, "-c", code, *map(str, words)]
+    options = {"cwd": ROOT, "env": {**os.environ, **variables}}
+    made = subprocess.run(command, **options, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    return made.stdout
 
 
 def load_script(path: str) -> ModuleType:

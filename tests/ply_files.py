@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+XYZ = ("float x", "float y", "float z")
 
-def to_ply(vertices, faces, encoding="binary_little_endian", **properties) -> bytes:
+
+def to_ply(vertices, faces, **properties) -> bytes:
     """Positions in their own type, float32 or float64, and double properties of vertices."""
     kind = {"f4": "float", "f8": "double"}[vertices.dtype.str[1:]]
     columns = [(name, vertices.dtype.str, kind) for name in "xyz"]
@@ -17,15 +19,23 @@ def to_ply(vertices, faces, encoding="binary_little_endian", **properties) -> by
         table[name] = values
     rows = np.empty(len(faces), dtype=[("n", "u1"), ("corners", "<i4", 3)])
     rows["n"], rows["corners"] = 3, faces
-    header = ["ply", f"format {encoding} 1.0", f"element vertex {len(vertices)}"]
-    header += [f"property {kind} {name}" for name, _, kind in columns]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    top = "\n".join(header).encode() + b"\n"
-    if encoding == "ascii":
-        lines = [" ".join(f"{number:.9g}" for number in row) for row in table.tolist()]
-        lines += [f"3 {a} {b} {c}" for a, b, c in faces]
-        return top + "\n".join(lines).encode() + b"\n"
-    return top + table.tobytes() + rows.tobytes()
+    named = [f"{kind} {name}" for name, _, kind in columns]
+    head = _head("binary_little_endian", named, len(vertices), len(faces))
+    return head + table.tobytes() + rows.tobytes()
+
+
+def to_ascii_ply(properties, rows, faces=((0, 1, 2),), comment="") -> bytes:
+    """Vertices with these properties, such as "float x", a text of numbers for each; and faces."""
+    head = _head("ascii", properties, len(rows), len(faces), [f"comment {comment}"] * bool(comment))
+    corners = [f"3 {a} {b} {c}" for a, b, c in faces]
+    return head + "\n".join([*rows, *corners, ""]).encode()
+
+
+def _head(encoding: str, properties, n_vertices: int, n_faces: int, comments=()) -> bytes:
+    lines = ["ply", f"format {encoding} 1.0", *comments, f"element vertex {n_vertices}"]
+    lines += [f"property {one}" for one in properties]
+    lines += [f"element face {n_faces}", "property list uchar int vertex_indices", "end_header"]
+    return "\n".join(lines).encode() + b"\n"
 
 
 def positions_of(data: bytes, like, n_properties: int = 0):

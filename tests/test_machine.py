@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from msal_cli.batch import interrupts
 from msal_cli.errors import OutputError
 from msal_cli.kernels import parallel
 from msal_cli.storage import atomic, urls
-from tests.files import ROOT
+from tests.files import run_python
 
 MEMINFO = "MemTotal: 100 kB\nMemFree: 10 kB\nMemAvailable:    50 kB\n"
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
@@ -150,8 +149,7 @@ print(resident() - before < 16 << 20)
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_what_is_let_go_of_goes_back():
-    run = subprocess.run([sys.executable, "-c", SEEN], capture_output=True, text=True, check=True)
-    assert run.stdout == "True\n"
+    assert run_python(SEEN) == "True\n"
 
 
 @linux
@@ -295,7 +293,7 @@ def test_the_program_starts_without_modules_of_posix():
         "import msal_cli.cli.denoise, msal_cli.cli.watch, msal_cli.batch.run\n"
         "import msal_cli.batch.lock, msal_cli.batch.workers, msal_cli.job.pipeline"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+    run_python(code)
 
 
 # The workflow

@@ -18,15 +18,11 @@ from msal_cli.analysis.added_noise import KINDS
 from msal_cli.api.method_list import MethodName, MethodParameters
 from msal_cli.job.settings import NoiseKind
 from tests.cli.scans import closed_scan, folder_of
+from tests.files import run_python
 from tests.ply_files import to_ply
 from tests.shapes import noisy, torus
 
 PACKAGE = Path(msal.__file__).parent
-
-
-def run_python(code):
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def test_importing_loads_nothing_else():

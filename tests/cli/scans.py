@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.cli.main import program
 from msal_cli.mesh import prepare_mesh
+from tests.ply_files import XYZ, to_ascii_ply
 from tests.shapes import grid, noisy, torus
 
 MSAL = (sys.executable, "-m", "msal_cli")
@@ -17,14 +18,8 @@ MSAL = (sys.executable, "-m", "msal_cli")
 
 def ply_text(vertices, faces):
     """An ASCII PLY file as bytes."""
-    header = (
-        f"ply\nformat ascii 1.0\ncomment a scan\nelement vertex {len(vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    lines = [" ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
-    lines += ["3 " + " ".join(str(i) for i in face) for face in faces]
-    return header.encode() + "\n".join(lines).encode() + b"\n"
+    rows = [" ".join(f"{x:.6f}" for x in vertex) for vertex in vertices]
+    return to_ascii_ply(XYZ, rows, faces, "a scan")
 
 
 def closed_scan(seed=0):

@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +14,7 @@ from msal_cli.batch.schedule import Finished
 from msal_cli.cli.denoise import command
 from msal_cli.errors import OutputError
 from tests.cli.scans import BAD_SCAN, msal
-from tests.files import tree
+from tests.files import run_python, tree
 from tests.report.made import load_schema
 
 # One file
@@ -156,7 +154,5 @@ def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
         "except SystemExit: pass\n"
         f"print([n for n in {unwanted} if 'msal_cli.' + n in sys.modules], 'PIL' in sys.modules)"
     )
-    words = [sys.executable, "-c", code, "denoise", str(scan), "-o", str(tmp_path / "o.ply"), "-q"]
-    words += ["--method", "msal"]
-    made = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert made.stdout.strip() == "[] False"
+    words = ("denoise", scan, "-o", tmp_path / "o.ply", "-q", "--method", "msal")
+    assert run_python(code, *words) == "[] False\n"

@@ -16,7 +16,7 @@ import pytest
 from msal_cli.codecs import open_mesh, slots
 from msal_cli.errors import ContentError, InternalError, MsalError, TruncatedError
 from msal_cli.kernels import parallel
-from tests.codecs.patching import texts_between_numbers
+from tests.codecs.patching import rewritten, texts_between_numbers
 from tests.frozen import corpus_sums
 from tests.fuzz.seeds import seeds
 
@@ -101,8 +101,7 @@ def test_what_is_written_is_the_same_mesh_with_other_positions(format, data, sha
     vertices = moved(file)
     vertices[0, 0] = -0.0
     wanted = vertices.copy()
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
+    output = rewritten(file, vertices)
     assert np.array_equal(vertices, wanted), "the array that was given is left alone"
     assert bytes(file.encoded(vertices, "same", "same")) == output
     again = open_mesh(output, f"a.{format}")
@@ -185,7 +184,7 @@ def test_what_cannot_be_a_position_is_refused(format, data):
         vertices = file.vertices.copy()
         vertices[1, 2] = bad
         with pytest.raises((InternalError, ContentError)):
-            file.check(file.replaced(vertices), vertices)
+            rewritten(file, vertices)
         with pytest.raises((InternalError, ContentError)):
             file.check(data, vertices)
     for work in (file.replaced, functools.partial(file.check, data)):
@@ -208,7 +207,7 @@ def test_a_file_is_freed_with_its_last_reference(format, data):
     try:
         file = open_mesh(data, f"a.{format}")
         vertices = moved(file)
-        file.check(file.replaced(vertices), vertices)
+        rewritten(file, vertices)
         del file
         gc.set_debug(gc.DEBUG_SAVEALL)
         gc.collect()

@@ -14,6 +14,7 @@ from msal_cli.codecs.conversion import WRITABLE, convert
 from msal_cli.errors import UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_obj import written as obj
+from tests.ply_files import XYZ, to_ascii_ply
 from tests.shapes import cube, noisy, torus
 
 QUADS = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -96,22 +97,12 @@ def test_soup_becomes_an_indexed_mesh():
 COLOURS = np.arange(24).reshape(8, 3) * 10
 
 
-def ply(properties: str, rows: list[str], faces) -> bytes:
-    head = f"ply\nformat ascii 1.0\ncomment made\nelement vertex {len(rows)}\n{properties}"
-    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    body = "\n".join([*rows, *("3 " + " ".join(map(str, row)) for row in faces)])
-    return (head + body + "\n").encode()
-
-
-XYZ = "property float x\nproperty float y\nproperty float z\n"
-RGB = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
-
-
 def coloured(kind: str = "uchar") -> bytes:
     vertices, faces = cube()
     colours = COLOURS if kind == "uchar" else COLOURS / 255
     rows = [" ".join(map(str, (*v, *c))) for v, c in zip(vertices, colours, strict=True)]
-    return ply(XYZ + RGB.replace("uchar", kind), rows, faces)
+    names = [f"{kind} {name}" for name in ("red", "green", "blue")]
+    return to_ascii_ply([*XYZ, *names], rows, faces, "made")
 
 
 @pytest.mark.parametrize("kind", ["uchar", "float"])

@@ -16,7 +16,7 @@ from msal_cli.codecs import obj
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.errors import InputError, InternalError
 from msal_cli.kernels import obj_scan, text
-from tests.codecs.patching import any_float
+from tests.codecs.patching import any_float, rewritten
 from tests.codecs.plain_obj import blanked, parsed, tokens
 
 ROOF = b"""# two sides that meet at an edge, one normal each, and a face without any
@@ -74,10 +74,9 @@ def test_normals_follow_the_faces_that_use_them() -> None:
     file = obj.read(ROOF)
     vertices = file.vertices.copy()
     vertices[[0, 1], 2] = 1.0  # the first side becomes level, the second stays
-    output = bytes(file.replaced(vertices))
+    output = rewritten(file, vertices)
     assert b"vn 0.00 0.000000 1.000000\nvn 0.0 0.7 0.7\n" in output
     assert blanked(output) == blanked(ROOF)
-    file.check(output, vertices)
 
 
 # Number of digits
@@ -98,9 +97,8 @@ def test_as_many_decimals_as_the_extent_asks_for(scale: float, token: bytes) -> 
         file = obj.read(data.replace(b".0 0\n", b" 0\n"))
     vertices = file.vertices.copy()
     vertices[0, 2] = scale / 4
-    output = bytes(file.replaced(vertices))
+    output = rewritten(file, vertices)
     assert tokens(output, "v")[0][2] == token
-    file.check(output, vertices)
 
 
 # What else a file says
@@ -146,9 +144,8 @@ V 1 2 3
     assert len(file.warnings) == 6
     assert file.faces.tolist() == [[0, 1, 2]] * 2
     vertices = moved(file)
-    output = bytes(file.replaced(vertices))
+    output = rewritten(file, vertices)
     assert blanked(output) == blanked(data)
-    file.check(output, vertices)
 
 
 # Arrays that grow
@@ -298,8 +295,7 @@ def test_only_the_numbers_of_what_moved_differ(data: bytes, seed: int, share: fl
     assert file.faces.tolist() == plain.triangles()
     assert [list(one) for one in file.polygons()] == plain.polygons
     vertices = moved(file, seed, share, size=1e3)
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
+    output = rewritten(file, vertices)
     is_moved = (vertices != file.vertices).any(axis=1)
     if not is_moved.any():
         assert output == data
@@ -345,7 +341,6 @@ F = b"f 1 2 3\n"
 # name: data, code, place
 DAMAGED = {
     # nothing there
-    "empty": (b"", "E_TRUNCATED", ""),
     "no faces": (V, "E_NO_FACES", ""),
     "only short faces": (V + b"f 1 2\nf 3\n", "E_NO_FACES", ""),
     "capitals": ((V + F).upper(), "E_NO_FACES", ""),
@@ -419,6 +414,5 @@ def test_the_end_mark_of_old_systems_is_kept(end):
     file = obj.read(data)
     assert len(file.warnings) == 1 and "no statement that is known" in file.warnings[0]
     vertices = file.vertices * 0.5
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
+    output = rewritten(file, vertices)
     assert output.endswith(b"f 1 2 3\n" + end)

@@ -12,13 +12,10 @@ from msal_cli.codecs.header import read_header
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError
 from tests.codecs import plain_stl
 from tests.codecs.plain_stl import tetrahedron
+from tests.ply_files import XYZ, to_ascii_ply
 
-PLY_HEADER = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(
-    f"property float {name}\n" for name in "xyz"
-)
 TEXTS = {
-    "a.ply": PLY_HEADER + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-    "0 0 0\n1{0}5 0 0\n0 1 0\n3 0 1 2\n",
+    "a.ply": to_ascii_ply(XYZ, ["0 0 0", "1{0}5 0 0", "0 1 0"]).decode(),
     "a.obj": "v 0 0 0\nv 1{0}5 0 0\nv 0 1 0\nf 1 2 3\n",
     "a.off": "OFF\n3 1 0\n0 0 0\n1{0}5 0 0\n0 1 0\n3 0 1 2\n",
     "a.stl": "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1{0}5 0 0\n"

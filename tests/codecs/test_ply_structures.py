@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from msal_cli.codecs import ply, ply_body
 from msal_cli.errors import InputError, MsalError
 from tests.codecs import plain_ply
-from tests.codecs.patching import any_float, any_integer
+from tests.codecs.patching import any_float, any_integer, rewritten
 from tests.codecs.plain_ply import FLOATS, PACK, Element, Ply, single
+from tests.ply_files import XYZ, to_ascii_ply
 
 INTEGERS = [name for name in PACK if name not in FLOATS]
 SMALL = [name for name in INTEGERS if not name.endswith("64")]
@@ -163,8 +164,7 @@ def test_what_is_read_is_what_was_written(file):
 def test_binary_differs_in_moved_coordinates_and_normals_only(file):
     mesh = ply.read(plain_ply.written(file))
     vertices = moved(mesh.vertices)
-    output = bytes(mesh.replaced(vertices))
-    mesh.check(output, vertices)
+    output = rewritten(mesh, vertices)
     expected = file.with_columns("vertex", stored_positions(file, vertices))
     result = plain_ply.read(output)
     for element, name in normal_names(file):
@@ -178,8 +178,7 @@ def test_ascii_differs_in_moved_tokens_only(file):
     data = plain_ply.written(file)
     mesh = ply.read(data)
     vertices = moved(mesh.vertices)
-    output = bytes(mesh.replaced(vertices))
-    mesh.check(output, vertices)
+    output = rewritten(mesh, vertices)
     result = plain_ply.read(output)
     assert np.abs(positions(result) - vertices).max() <= text_rounding(mesh.vertices)
     # Token for token and blank for blank: only coordinates that differ, and normals, may.
@@ -263,8 +262,7 @@ def outcome(data: bytes, seed: int) -> list[Any]:
         return [str(error), error.where]
     vertices = file.vertices.copy()
     vertices += np.random.default_rng(seed).normal(size=vertices.shape) * [[1e-2, 1e-9, 0.0]]
-    output = bytes(file.replaced(vertices))
-    file.check(output, vertices)
+    output = rewritten(file, vertices)
     arrays = (file.vertices, file.faces)
     return [*(one.tobytes() for one in arrays), file.n_polygons, file.warnings, output]
 
@@ -283,31 +281,18 @@ def test_both_walks_read_and_write_the_same(file, random, noise):
 
 def test_a_normal_that_stays_keeps_its_spelling(monkeypatch):
     names = ("double x", "double y", "double z", "double nx", "double ny", "double nz")
-    rows = "0 0 0 0 -0.0 1.00\n1 0 0 0 -0.0 1.00\n0 1 0 0 -0.0 1.00"
-    expected = [b"0 -0.0 1.00"] * 3
+    rows = [f"{place} 0 -0.0 1.00" for place in ("0 0 0", "1 0 0", "0 1 0")]
     for is_slow in (False, True):
         if is_slow:
             monkeypatch.setattr(ply_body, "_plain_lines", lambda *_: None)
-        file = ply.read(vertices_of(*names, rows=rows))
+        file = ply.read(to_ascii_ply(names, rows))
         lines = bytes(file.replaced(file.vertices * [[2.0, 1.0, 1.0]])).splitlines()
         vertices = lines[lines.index(b"end_header") + 1 :][:3]
-        assert [line.split(b" ", 3)[3] for line in vertices] == expected
+        assert [line.split(b" ", 3)[3] for line in vertices] == [b"0 -0.0 1.00"] * 3
         assert vertices[1].startswith(b"2")
-
-
-def vertices_of(*properties: str, rows: str) -> bytes:
-    """An ascii PLY file of three vertices and one triangle."""
-    head = [
-        "ply",
-        "format ascii 1.0",
-        "element vertex 3",
-        *(f"property {one}" for one in properties),
-    ]
-    head += ["element face 1", "property list uchar int vertex_indices", "end_header"]
-    return "\n".join([*head, rows, "3 0 1 2", ""]).encode()
 
 
 @pytest.mark.parametrize("line", ["# one", "comment one", "0 0 0.25 comment"])
 def test_other_words_among_records_are_refused(line):
     with pytest.raises(MsalError):
-        ply.read(vertices_of("float x", "float y", "float z", rows=f"0 0 0\n{line}\n1 0 0\n0 1 0"))
+        ply.read(to_ascii_ply(XYZ, ["0 0 0", f"{line}\n1 0 0", "0 1 0"]))

@@ -4,11 +4,7 @@
 """
 
 import gzip
-import os
-import subprocess
-import sys
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +12,7 @@ import pytest
 from msal_cli import codecs
 from msal_cli.job import pipeline
 from msal_cli.job.settings import Task
+from tests.files import run_python
 from tests.frozen import corpus_sums
 from tests.fuzz import mutants, survival
 from tests.fuzz.seeds import CORPUS, kept
@@ -55,15 +52,7 @@ def test_no_kernel_leaves_its_arrays(format):
         "from tests.fuzz import seeds, survival\n"
         "for data in seeds.kept(sys.argv[1]).values(): survival.outcome(data, sys.argv[1])\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, format],
-        env={**os.environ, "MSAL_INTERPRET_KERNELS": "1"},
-        cwd=Path(__file__).parents[2],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    run_python(code, format, MSAL_INTERPRET_KERNELS="1")
 
 
 @pytest.mark.parametrize("format", corpus_sums.formats())

@@ -1,12 +1,10 @@
 """The memory of arrays that have ended, which the next ones take."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
 from msal_cli.kernels import array_files
+from tests.files import run_python
 
 pytestmark = pytest.mark.skipif(not array_files.can_use_files(), reason="maps memory as numpy does")
 
@@ -53,16 +51,8 @@ print(machine.peak_bytes(), machine.memory_bytes("VmRSS"))
 
 
 def test_no_more_is_kept_than_arrays_took():
-    found = {
-        word: [int(number) for number in run.stdout.split()]
-        for word in ("kept", "not")
-        for run in [
-            subprocess.run(
-                [sys.executable, "-c", WAY, word], capture_output=True, text=True, check=True
-            )
-        ]
-    }
-    for kept, usual in zip(found["kept"], found["not"], strict=True):
+    found = (map(int, run_python(WAY, word).split()) for word in ("kept", "not"))
+    for kept, usual in zip(*found, strict=True):
         assert kept < usual + (8 << 20)
 
 

@@ -7,6 +7,7 @@ from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.view.pictures import open_coloured_surface, scale_of
 from tests.codecs.plain_glb import Scene
+from tests.ply_files import XYZ, to_ascii_ply
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
 RED_GREEN_BLUE = [[255, 0, 0], [0, 128, 0], [0, 0, 255]]
@@ -27,20 +28,11 @@ def _glb(colours=None, code="<f4"):
     return scene.data()
 
 
-def _rows(colours):
-    pairs = zip(CORNERS, colours, strict=True)
-    return "".join(" ".join(map(str, (*place, *colour))) + "\n" for place, colour in pairs)
-
-
 @pytest.mark.parametrize("prefix", ["", "diffuse_"])
 def test_ply(tmp_path, prefix):
-    names = "".join(f"property uchar {prefix}{name}\n" for name in ("red", "green", "blue"))
-    text = (
-        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-        f"property float z\n{names}element face 1\nproperty list uchar int vertex_indices\n"
-        f"end_header\n{_rows(RED_GREEN_BLUE)}3 0 1 2\n"
-    )
-    found = _colours(tmp_path, "a.ply", text)
+    names = [f"uchar {prefix}{name}" for name in ("red", "green", "blue")]
+    rows = [" ".join(map(str, row)) for row in np.hstack([CORNERS, RED_GREEN_BLUE])]
+    found = _colours(tmp_path, "a.ply", to_ascii_ply([*XYZ, *names], rows))
     assert found.vertices.tolist() == RED_GREEN_BLUE and not found.notes
 
 
