@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 
 from benchmarks.hostile_headers import MOST_BYTES, MOST_SECONDS, lies, refused
@@ -21,8 +20,8 @@ from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.mesh import prepare_mesh
-from msal_cli.storage import gzip_streams
 from tests.files import SAMPLES, load_script
+from tests.fuzz import survival
 from tests.job.test_pipeline import settings
 from tests.malformed import malformed
 
@@ -98,24 +97,14 @@ def meshes_in(folder: Path) -> list[Path]:
 
 
 def require_same(name: str, data: bytes) -> None:
-    """Through the whole way of a file, and through each part of it alone."""
+    """Through the whole way of a file; a small one also displaced, encoded anew and read again."""
     output, record = pipeline.denoise_bytes(data, name, settings(iterations=0))
     assert record.error is None, record.error
     assert record.status == "unchanged"
     assert output is not None and bytes(output) == data
-    whole, _ = gzip_streams.expand(data, name)
-    file = codecs.open_mesh(whole, name)
-    ready = prepare_mesh(file.vertices, file.faces)
-    back = ready.to_file_vertices(ready.mesh.vertices.copy(), file.vertices)
-    assert np.array_equal(back, file.vertices)
-    assert bytes(file.replaced(back)) == bytes(whole)
-    file.check(whole, back)
-    if len(file.faces) <= 1_000:
-        # One vertex there and, from what was written, back again: nothing else may have moved.
-        moved = file.vertices.copy()
-        moved[0] += 0.5
-        there = codecs.open_mesh(bytes(file.replaced(moved)), name, file.format)
-        assert np.array_equal(there.vertices[1:], file.vertices[1:])
+    if len(data) <= 200_000:
+        format = "gz" if name.endswith(".gz") else detection.format_of_name(name)
+        assert survival.outcome(data, format) == "ok"
 
 
 @pytest.mark.parametrize("path", meshes_in(SAMPLES), ids=lambda path: path.name)

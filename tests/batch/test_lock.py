@@ -44,20 +44,6 @@ def unsupported(handle, **how):
     raise OSError(38, "Function not implemented")
 
 
-def test_the_second_is_told_who_is_first_and_the_dead_hold_nothing(tmp_path):
-    with locked_elsewhere(tmp_path) as holder:
-        with pytest.raises(UsageError) as caught:
-            FolderLock(str(tmp_path))
-        assert caught.value.code == "E_LOCKED"
-        assert f"process {holder.pid} " in caught.value.message
-        assert str(tmp_path) in caught.value.message
-    assert (tmp_path / NAME).exists()
-    one = FolderLock(str(tmp_path))
-    assert (tmp_path / NAME).read_text().split() == [str(os.getpid()), socket.gethostname()]
-    one.release()
-    one.release()
-
-
 def test_a_file_that_its_last_owner_removes_meanwhile_locks_nothing(tmp_path, monkeypatch):
     real, removed = lock._flock, []
 
@@ -142,14 +128,23 @@ class TestShards:
             assert own in locks_in(tmp_path)
         FolderLock(str(tmp_path), second).release()
 
-    def test_the_dead_hold_nothing(self, tmp_path):
-        with locked_elsewhere(tmp_path, 2, 4):
-            pass
-        assert f"{NAME}-2-of-4" in locks_in(tmp_path)
-        FolderLock(str(tmp_path), Shard(2, 4)).release()
-        with locked_elsewhere(tmp_path, 1, 3):
-            pass
-        FolderLock(str(tmp_path)).release()
+    @pytest.mark.parametrize(
+        ("first", "second"), [((), None), ((2, 4), Shard(2, 4)), ((1, 3), None)], ids=str
+    )
+    def test_the_second_is_told_who_is_first_and_the_dead_hold_nothing(
+        self, tmp_path, first, second
+    ):
+        with (
+            locked_elsewhere(tmp_path, *first) as holder,
+            pytest.raises(UsageError, match=f"process {holder.pid} .*'{tmp_path}'"),
+        ):
+            FolderLock(str(tmp_path), second)
+        assert locks_in(tmp_path)
+        one = FolderLock(str(tmp_path), second)
+        own = NAME if second is None else f"{NAME}-{second.file_part}"
+        assert (tmp_path / own).read_text().split() == [str(os.getpid()), socket.gethostname()]
+        for _ in range(2):
+            one.release()
 
     def test_who_works_is_told_without_a_trace(self, tmp_path):
         assert lock_owners(str(tmp_path)) == lock_owners(str(tmp_path / "missing")) == ()

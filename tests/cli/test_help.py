@@ -112,9 +112,3 @@ def test_json():
     factor = next(spec for spec in one["parameters"] if spec["name"] == "K")
     assert (factor["low"], factor["high"], factor["low_open"]) == (0.0, 1.0, True)
     assert (factor["kind"], factor["default"]) == ("float", 0.5)
-
-
-def test_an_unknown_method_gets_a_suggestion():
-    made = msal("methods", "msl")
-    assert (made.exit_code, made.stdout) == (2, "")
-    assert made.stderr == "msal: error: there is no method 'msl'\nhint: did you mean msal?\n"

@@ -6,6 +6,8 @@ import pytest
 from msal_cli import codecs
 from msal_cli.job import fields
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, ply_text, record_of
+from tests.codecs import plain_ply
+from tests.codecs.patching import changed_lines
 from tests.files import tree
 from tests.shapes import ball, torus
 
@@ -16,9 +18,9 @@ def test_only_positions_change(scan, kind):
     made = msal("noise", scan, "-o", target, "--kind", kind, "--level", "0.3", "--seed", 5)
     assert (made.exit_code, made.stdout) == (0, "")
     assert f"{kind} noise of 0.3 mean edge lengths" in made.stderr
-    before, after = scan.read_bytes().splitlines(), target.read_bytes().splitlines()
-    changed = [at for at, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
-    start = before.index(b"end_header") + 1
+    before = scan.read_bytes()
+    changed = changed_lines(before, target.read_bytes())
+    start = before.splitlines().index(b"end_header") + 1
     assert changed
     assert all(start <= at < start + 576 for at in changed)
 
@@ -50,16 +52,10 @@ ALL = ",".join(fields.KINDS)
 
 
 def table(path):
-    """The columns of the vertices of a binary PLY, by name."""
-    data = path.read_bytes()
-    head, _, body = data.partition(b"end_header\n")
-    types = {"float": "<f4", "double": "<f8", "uchar": "u1"}
-    lines = [line.split() for line in head.decode().splitlines()]
-    names = [
-        (word[2], types[word[1]]) for word in lines if word[0] == "property" and len(word) == 3
-    ]
-    count = next(int(word[2]) for word in lines if word[:2] == ["element", "vertex"])
-    return np.frombuffer(body, dtype=names, count=count)
+    """The columns of the vertices of a PLY, by name."""
+    vertex = plain_ply.read(path.read_bytes()).element("vertex")
+    names = [name for name, *_ in vertex.properties]
+    return dict(zip(names, np.array(vertex.rows).T, strict=True))
 
 
 def test_the_fields_of_a_file(scan, tmp_path):

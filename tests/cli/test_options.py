@@ -115,12 +115,10 @@ frob | hint: msal --help shows how it is used
 den | hint: msal --help shows how it is used
 # Options have no abbreviations.
 denoise a.ply -o new.ply --iter=3 | --iter
-denoise a.ply -o new.ply --meth=al | --meth
-denoise a.ply -o new.ply --out=x | --out
 denoise a.ply -o new.ply --dry | --dry
-denoise a.ply -o new.ply --jso | --jso
 
 denoise a.ply | there is no output & -o OUT, or replace the inputs with --in-place
+methods msl | there is no method 'msl' & hint: did you mean msal?
 denoise a.ply -o new --method msaal | there is no method 'msaal' & did you mean msal
 denoise a.ply -o new -n 3 --set iterations=4 | two different values & once
 denoise a.ply -o new --encoding hex | 'hex' is not one of & denoise --help
@@ -171,15 +169,6 @@ denoise a.ply -o new.ply --reference none.ply | none.ply
 denoise a.ply -o - --reference b.ply | --reference
 
 # Streams
-denoise - -o new.ply --include x | --include is for files, not for standard input
-denoise - -o new.ply --timeout 5 | --timeout is for files, not for standard input
-denoise - -o new.ply --memory-limit 2G | --memory-limit is for files, not for standard input
-denoise - -o new.ply --dry-run | --dry-run is for files, not for standard input
-denoise - -o new.ply --shard 1/2 | --shard is for files, not for standard input
-denoise - -o new.ply --retries 0 | --retries is for files
-denoise - -o new.ply --max-failures 1 | --max-failures is for files
-denoise - -o new.ply --retry-failed | --retry-failed is for files
-denoise - -o new.ply --fields sigma | --fields is for files
 denoise - -o new.ply --engine dask | --engine dask is for files
 denoise - --in-place | --in-place is for files
 denoise - -o - --reference b.ply | --reference measures a file
@@ -283,10 +272,17 @@ noise in/a.ply -o b.ply |
 """
 
 
+FOR_FILES = ("--include x", "--timeout 5", "--memory-limit 2G", "--dry-run", "--shard 1/2")
+FOR_FILES += ("--retries 0", "--max-failures 1", "--retry-failed", "--fields sigma")
+
+
 def read_refused():
     for status, line, words in re.findall(r"^(\d?) ?([^#\n].*?) \|(.*)$", REFUSED, re.M):
         marks = [posix] if re.search("pipe|hard|soft", line) else []
         yield pytest.param(line, words.split("&"), int(status or 2), marks=marks, id=line)
+    for one in FOR_FILES:
+        words = [f"{one.split()[0]} is for files, not for standard input"]
+        yield pytest.param(f"denoise - -o new.ply {one}", words, 2)
     for one in ("--auto", "--keep edges", "--strength 0", "--prefer normals"):
         for other in ("--method msal", "--iterations 3", "-K 1", "--mollify 0", "--set a=1"):
             words = [f"{one.split()[0]} ", f" and {other.split()[0]}"]

@@ -165,20 +165,6 @@ def test_locked_vertices_keep_their_very_bytes(method, encoding):
     assert (after[~is_locked] != before[~is_locked]).any(axis=1).mean() > 0.9
 
 
-@pytest.mark.parametrize("method", ["msal", "umbrella", "bilateral_normal", "l0"])
-def test_neighbours_see_locked_vertices_where_they_are(method):
-    """Pinning afterwards would give other positions: the sweeps know of the pins."""
-    ready = prepare_mesh(*noisy())
-    held = np.zeros(len(ready.mesh.vertices), dtype=bool)
-    held[::3] = True
-    found = methods.find(method)
-    parameters = found.validate({})
-    free = found.denoise(ready.mesh, parameters).vertices
-    pinned = found.denoise(ready.mesh.with_constraints(held, None), parameters).vertices
-    assert np.array_equal(pinned[held], ready.mesh.vertices[held])
-    assert np.abs(pinned - free)[~held].max() > 1e-3 * ready.mesh.mean_edge_length
-
-
 def test_the_boundary_is_locked_as_boundary_fixed_does():
     data = to_ply(*noisy(grid))
     locked, record = denoised(data, lock=("boundary",))

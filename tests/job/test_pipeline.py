@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-import trimesh
 
 from msal_cli import codecs, methods
 from msal_cli.codecs import header
@@ -18,7 +17,7 @@ from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.methods import _contract
 from tests.cli.scans import ply_text
-from tests.codecs import plain_obj
+from tests.codecs import plain_obj, plain_stl
 from tests.ply_files import to_ply
 from tests.shapes import noisy, torus
 
@@ -38,12 +37,11 @@ def ply_binary(vertices, faces):
 
 
 def stl_binary(vertices, faces):
-    return trimesh.Trimesh(vertices, faces, process=False).export(file_type="stl")
+    return plain_stl.binary(vertices[faces].reshape(-1, 9))
 
 
 def stl_ascii(vertices, faces):
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return mesh.export(file_type="stl_ascii").encode() + b"\n"
+    return plain_stl.text(vertices[faces].reshape(-1, 9)).encode()
 
 
 WRITERS = {

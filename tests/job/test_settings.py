@@ -6,7 +6,7 @@ from msal_cli import methods
 from msal_cli.errors import UsageError
 from msal_cli.job.settings import Settings, parse, resolve_parameters
 
-MSAL, HC, TAUBIN = map(methods.find, ("msal", "hc", "taubin"))
+MSAL, HC = map(methods.find, ("msal", "hc"))
 
 
 def parsed(as_options=False, parameters=(), **given):
@@ -97,21 +97,6 @@ def given(*texts):
 
 
 @pytest.mark.parametrize(
-    ("texts", "name", "value"),
-    [
-        (["K=0.25"], "K", 0.25),
-        (["-n 7"], "iterations", 7),
-        (["n=9"], "iterations", 9),
-        (["iterations=4", "-n 04"], "iterations", 4),
-    ],
-)
-def test_all_parameters_are_resolved(texts, name, value):
-    values = resolve_parameters(MSAL, given(*texts))
-    assert values[name] == value
-    assert set(values) == {spec.name for spec in MSAL.parameters}
-
-
-@pytest.mark.parametrize(
     ("method", "assignments", "words", "hint"),
     [
         (MSAL, given("-n 4", "n=5"), "-n 4 and --set n=5 give iterations two different", "once"),
@@ -120,8 +105,6 @@ def test_all_parameters_are_resolved(texts, name, value):
         (MSAL, given("normals=angle"), "normals = angle is not allowed", "uniform | area"),
         (MSAL, given("iteratons=3"), "no parameter 'iteratons'", "iterations"),
         (HC, [("-K 1", "K", "1")], "hc has no parameter 'K'", "it has"),
-        # Each goes with something, but not with the other.
-        (TAUBIN, given("lambda=0.1", "mu=-1"), "lambda = 0.1 and mu = -1 amplify", "-0.106"),
     ],
 )
 def test_parameters_that_are_refused(method, assignments, words, hint):

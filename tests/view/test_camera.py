@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from msal_cli.job.display_names import escape_for_display
 from msal_cli.view.camera import choose_camera, frame_vertices, rotate
 from msal_cli.view.panels import Legend, draw_panels, fit_text, png_bytes
 from msal_cli.view.shading import shade
+from tests.report.made import HOSTILE_NAMES
 from tests.shapes import ball, cube, grid
 
 X, Y, Z = np.eye(3)
@@ -147,20 +149,9 @@ def test_the_legend_shows_its_colours_in_order():
     assert reds[0] == 0 and reds[-1] == 255
 
 
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [
-        ("a\nb", "\\n"),
-        ("\x1b[31mred", "\\x1b"),
-        ("evil\u202egnp.ply", "\\u202e"),
-        ("byte\udcff.ply", "\\xff"),
-        ("<script>alert(1)</script>", "<script>"),
-    ],
-)
-def test_names_are_drawn_as_data(name, part):
-    words, _ = fit_text(name, 14, 10_000)
-    assert part in words
-    assert words.isprintable()
+@pytest.mark.parametrize("name", [*HOSTILE_NAMES, "byte\udcff.ply"])
+def test_names_are_drawn_as_data(name):
+    assert fit_text(name, 14, 10_000)[0] == escape_for_display(name)
     draw_panels([(plain(1), name, [name])], footer=[name])
 
 
