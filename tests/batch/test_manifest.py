@@ -21,24 +21,17 @@ from msal_cli.batch.manifest import (
 from msal_cli.batch.resume import hash_settings
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
-from msal_cli.job.records import MeshRecord, Volume
 from msal_cli.job.settings import Settings
+from tests.report.made import written
 
 SETTINGS = Settings("msal", {"K": 0.5, "iterations": 4})
 
 
 def record(tmp_path, name="a.ply", **changes):
     (tmp_path / name).write_bytes(b"out")
-    values = {
-        "input": "in",
-        "output": str(tmp_path / name),
-        "status": "written",
-        "input_sha256": "i" * 64,
-        "output_sha256": "o" * 64,
-        "volume": Volume(1.0, 0.5, -0.5, -50.0, True, ""),
-        "warnings": ("w\n", "bytes \udcff"),
-    }
-    return MeshRecord(**(values | changes))
+    sums = {"input_sha256": "i" * 64, "output_sha256": "o" * 64}
+    values = {"output": str(tmp_path / name), "warnings": ("w\n", "bytes \udcff"), **sums}
+    return written("in", **(values | changes))
 
 
 def opened(folder, shard=None):

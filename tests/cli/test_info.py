@@ -16,17 +16,6 @@ from tests.cli.scans import (
 from tests.report.made import load_schema
 
 
-def test_a_closed_file(mixed):
-    made = msal("info", mixed / "closed.ply")
-    assert (made.exit_code, made.stderr) == (0, "")
-    lines = made.stdout.splitlines()
-    assert lines[0] == str(mixed / "closed.ply")
-    facts = {line[2:17].strip(): line[18:] for line in lines[1:]}
-    assert (facts["vertices"], facts["surface"]) == ("576", "closed")
-    assert facts["faces"] == "1,152 (1,152 triangles)"
-    assert float(facts["volume"]) == pytest.approx(59, rel=0.1)
-
-
 def test_one_is_singular(tmp_path):
     path = tmp_path / "line.off"
     path.write_text("OFF\n4 1 0\n0 0 0\n1 0 0\n2 0 0\n5 5 5\n3 0 1 2\n")

@@ -166,21 +166,12 @@ DAMAGED = {
 }  # fmt: skip
 
 
-MESHIO = [
-    ("vtk", {"file_format": "vtk", "binary": True}),
-    ("vtk", {"file_format": "vtk", "binary": False}),
-    ("vtk", {"file_format": "vtk42", "binary": True}),
-    ("vtk", {"file_format": "vtk42", "binary": False}),
-    ("vtu", {"binary": True}),
-    ("vtu", {"binary": True, "compression": None}),
-    ("vtu", {"binary": False}),
-]
-
-
-@pytest.mark.parametrize(("suffix", "more"), MESHIO)
-def test_meshio_reads_what_became_of_its_files(tmp_path, suffix, more):
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize("kind", ["vtk", "vtk42", "vtu"])
+def test_meshio_reads_what_became_of_its_files(tmp_path, kind, binary):
     vertices, faces = torus(12, 8)
-    path = tmp_path / f"a.{suffix}"
+    path = tmp_path / f"a.{kind[:3]}"
+    more = {"binary": binary} if kind == "vtu" else {"binary": binary, "file_format": kind}
     meshio.Mesh(vertices, [("triangle", faces)]).write(path, **more)
     file = open_mesh(path.read_bytes(), path.name)
     assert np.allclose(file.vertices, vertices, rtol=0, atol=1e-10)

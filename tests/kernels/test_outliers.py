@@ -70,12 +70,11 @@ def graph_of(height, rows=14, columns=12, uneven=0.25, seed=0):
     return prepare_mesh(vertices, faces).mesh
 
 
-def fits_of(mesh, chosen=None):
-    links = mesh.topology
-    up = np.zeros_like(mesh.vertices)
-    up[:, 2] = 1.0
-    chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
-    return fit_patches(chosen, mesh.vertices, up, links.ring_start, links.ring)
+def fits_of(mesh, fit=fit_patches, chosen=None):
+    """What a fit gives for all vertices of a graph, or some."""
+    chosen = np.arange(len(mesh.vertices)) if chosen is None else chosen
+    up = np.tile([0.0, 0.0, 1.0], (len(mesh.vertices), 1))
+    return fit(chosen, mesh.vertices, up, mesh.topology.ring_start, mesh.topology.ring)
 
 
 @pytest.mark.parametrize(
@@ -109,18 +108,6 @@ def test_white_noise_leaves_its_variance(uneven):
     assert gaps[inner].std() > 0.1
 
 
-def wide_fits_of(mesh, chosen=None):
-    """Variances by the degrees of freedom, and these; then what else ``fit_scales`` gives."""
-    up = np.zeros_like(mesh.vertices)
-    up[:, 2] = 1.0
-    chosen = np.arange(len(mesh.vertices)) if chosen is None else np.array(chosen)
-    rests, rows, ranks, frames, offsets = fit_scales(
-        chosen, mesh.vertices, up, mesh.topology.ring_start, mesh.topology.ring
-    )
-    freedoms = np.maximum(rows - ranks, 0)
-    return rests / np.maximum(freedoms, 1), freedoms, rows, frames, offsets
-
-
 def averaged(mesh, heights, rings):
     """White numbers averaged over closed one-rings, with a root mean square of 1."""
     starts, ring = mesh.topology.ring_start, mesh.topology.ring
@@ -142,7 +129,8 @@ def test_the_table_of_shared_noise(rings):
     vertices[:, 2] = heights
     mesh = prepare_mesh(vertices, faces).mesh
     inside = np.flatnonzero((np.abs(mesh.vertices[:, :2]) < 52).all(axis=1))
-    variances, _, _, _, _ = wide_fits_of(mesh, inside)
+    rests, rows, ranks, _, _ = fits_of(mesh, fit_scales, inside)
+    variances = rests / np.maximum(rows - ranks, 1)
     assert variances.mean(axis=0) == pytest.approx(LEFT[rings], rel=0.07)
     # Of chi square with f degrees of freedom the variance is 2 / f, relative to the square mean.
     freedoms = 2.0 / (variances.std(axis=0) / variances.mean(axis=0)) ** 2

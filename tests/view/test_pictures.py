@@ -11,17 +11,6 @@ from tests.shapes import ball, cube, grid
 NAMES = ("before.ply", "after.ply")
 
 
-def test_a_ball_that_grows_moves_outwards_everywhere():
-    vertices, faces = ball()
-    shifted = vertices + (10.0, 0.0, -4.0)
-    scene = pictures.scene_of(
-        Surface(shifted, faces), Surface(shifted + 0.1 * vertices, faces), NAMES
-    )
-    assert scene.is_signed
-    assert scene.deviation == pytest.approx(np.full(len(vertices), 0.1), abs=2e-3)
-    assert scene.record.displacement.mean == pytest.approx(0.1)
-
-
 def test_outwards_is_away_from_the_solid_where_the_surface_is_inside_out():
     vertices, faces = ball()
     turned = faces[:, ::-1]

@@ -37,21 +37,21 @@ def test_positions_come_back_within_the_rounding(name):
     assert nearest.max(axis=2).min(axis=0).max() <= drawn.rounding * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("shift", [0.0, 4_650_000.0])
-def test_a_vertex_keeps_its_number_on_both_sides(shift):
+@pytest.mark.parametrize(("shift", "most"), [(0.0, 576), (4_650_000.0, 576), (0.0, 200)])
+def test_a_vertex_keeps_its_number_on_both_sides(shift, most):
     vertices, faces = torus()
     before, after = noisy(vertices) + shift, vertices + shift
     values = np.arange(float(len(vertices)))
-    drawn = scene.encode_scene(Mesh(before, faces), Mesh(after, faces), values)
+    drawn = scene.encode_scene(Mesh(before, faces), Mesh(after, faces), values, max_faces=most)
     header, [(ticks, found), (moved, same)], deviation = decoded(drawn.text)
     assert header["meshes"][1]["moved"] and same is found
+    assert drawn.counts == ((576, len(found)),) * 2 and len(found) <= most
     low = np.minimum(before.min(axis=0), after.min(axis=0))
     who = np.rint(deviation).astype(int)
-    assert np.array_equal(np.sort(who), np.arange(len(vertices)))
     for got, given in ((ticks, before), (moved, after)):
         off = np.abs(places(header, got, low) - given[who])
         assert off.max() <= drawn.rounding * (1 + 1e-6)
-    assert {tuple(np.roll(f, -f.argmin())) for f in who[found]} == {
+    assert most < 576 or {tuple(np.roll(f, -f.argmin())) for f in who[found]} == {
         tuple(np.roll(f, -f.argmin())) for f in faces
     }
 
@@ -63,20 +63,6 @@ def test_meshes_with_other_faces_stand_side_by_side():
     assert (len(before), len(after)) == (len(first.faces), len(second.faces))
     assert len(ticks) == len(deviation) == 8
     assert drawn.counts[1] == (12, 12)
-
-
-def test_both_sides_are_decimated_alike():
-    vertices, faces = torus(60, 40)
-    after = Mesh(vertices, faces)
-    values = np.arange(float(len(vertices)))
-    before = Mesh(noisy(vertices), faces)
-    drawn = scene.encode_scene(before, after, values, max_faces=1000)
-    header, [(ticks, found), (moved, _)], deviation = decoded(drawn.text)
-    assert drawn.counts == ((len(faces), len(found)),) * 2 and len(found) <= 1000
-    who = np.rint(deviation).astype(int)
-    low = np.minimum(before.vertices.min(axis=0), vertices.min(axis=0))
-    assert np.abs(places(header, ticks, low) - before.vertices[who]).max() <= drawn.rounding * 1.001
-    assert np.abs(places(header, moved, low) - vertices[who]).max() <= drawn.rounding * 1.001
 
 
 def test_the_scale_of_colours():
