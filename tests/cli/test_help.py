@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 
@@ -100,3 +101,14 @@ def test_a_page_tells_parameters_ranges_directions_and_source(name):
         assert not spec.more or f"more is {spec.more}" in made.stdout
         also = {"iterations": "-n", "mollify": "--mollify", "schedule": "--schedule"}.get(spec.name)
         assert not also or f"  {spec.name} = {spec.default}   (also {also}" in made.stdout
+
+
+def test_json():
+    made = msal("methods", "--json")
+    data = json.loads(made.stdout)
+    assert data["schema"] == "msal.methods/1"
+    assert [one["name"] for one in data["methods"]] == list(methods.names())
+    (one,) = json.loads(msal("methods", "msal", "--json").stdout)["methods"]
+    factor = next(spec for spec in one["parameters"] if spec["name"] == "K")
+    assert (factor["low"], factor["high"], factor["low_open"]) == (0.0, 1.0, True)
+    assert (factor["kind"], factor["default"]) == ("float", 0.5)

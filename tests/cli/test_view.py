@@ -24,6 +24,7 @@ def test_options_change_the_picture(scans):
         ("--up=-x",),
         ("--shading", "flat"),
         ("--size", "81"),
+        (scans / "b.ply",),
     ]
     assert len({picture(*one) for one in options}) == len(options)
 

@@ -14,9 +14,12 @@ from hypothesis.extra import numpy as arrays
 
 from msal_cli.codecs import header, stl
 from msal_cli.codecs.stl import MIN_FACET_BYTES
+from msal_cli.job import comparison, inspection, pipeline
+from msal_cli.job.settings import Task
 from tests.codecs import plain_stl
 from tests.codecs.patching import rewritten, texts_between_numbers
 from tests.codecs.plain_stl import tetrahedron
+from tests.job.test_pipeline import settings
 
 COORDINATES = st.floats(-1e6, 1e6, width=32)
 
@@ -135,6 +138,20 @@ def test_a_binary_file_that_begins_with_solid_is_binary():
 
 
 # Re-encoding
+
+
+def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(plain_stl.binary(tetrahedron()))
+    task = Task(str(path), str(tmp_path / "b.stl"), "a.stl")
+    done = pipeline.denoise_file(task, settings("al", iterations=1))
+    assert done.status == "written"
+    for record in (inspection.inspect_file(str(path)), done):
+        assert (record.vertices, record.corners, record.welded_vertices) == (4, 12, 8)
+        assert record.unreferenced_vertices == 0
+    compared = comparison.compare_files(str(path), str(tmp_path / "b.stl"))
+    assert (compared.vertices_before, compared.corners_before) == (4, 12)
+    assert (compared.vertices_after, compared.corners_after) == (4, 12)
 
 
 BINARY = plain_stl.binary(tetrahedron(), attributes=[1, 2, 3, 4], header=b"COLOR=rgba")

@@ -86,15 +86,20 @@ def joint(n, like, areas, c, rows, sigma_s: float, sigma_r: float) -> np.ndarray
     return result
 
 
+def edge_faces(faces: np.ndarray) -> dict[tuple[int, int], list[int]]:
+    """Every edge as (i, k) with i < k, and the numbers of its faces."""
+    edges: dict[tuple[int, int], list[int]] = {}
+    for f, face in enumerate(faces.tolist()):
+        for edge in itertools.combinations(sorted(face), 2):
+            edges.setdefault(edge, []).append(f)
+    return edges
+
+
 def inner(x: np.ndarray, faces: np.ndarray, fixed: bool = True) -> np.ndarray:
     """Which vertices are no ends of an edge that one face has; all unless ``fixed``."""
-    count: dict[frozenset[int], int] = {}
-    for face in faces.tolist():
-        for edge in itertools.combinations(face, 2):
-            count[frozenset(edge)] = count.get(frozenset(edge), 0) + 1
     free = np.ones(len(x), dtype=bool)
     if fixed:
-        free[[i for edge, number in count.items() if number == 1 for i in edge]] = False
+        free[[i for edge, own in edge_faces(faces).items() if len(own) == 1 for i in edge]] = False
     return free
 
 

@@ -9,26 +9,18 @@ from msal_cli.kernels.curvature import edge_curvatures
 from msal_cli.kernels.faces import flaps
 from msal_cli.kernels.geometry import area_and_volume
 from msal_cli.mesh import prepare_mesh
+from tests.methods.plain_normals import edge_faces
 from tests.methods.runs import assert_twin, denoise, free_vertices, scan, small_scan
 from tests.shapes import box
 
 diffused = functools.partial(denoise, "anisotropic_diffusion")
 
 
-def edges_with_faces(faces):
-    """Every edge as (i, k) with i < k, and the numbers of its faces."""
-    edges = {}
-    for f, face in enumerate(faces.tolist()):
-        for a, b in zip(face, face[1:] + face[:1], strict=True):
-            edges.setdefault((min(a, b), max(a, b)), []).append(f)
-    return {edge: two for edge, two in edges.items() if len(two) == 2}
-
-
 def twin(mesh, variant, tau, iterations, threshold, r, free):
     """Vertex by vertex, from the formulas; the step's limit of stability left out."""
     x = mesh.vertices.copy()
     faces = mesh.faces
-    edges = edges_with_faces(faces)
+    edges = {edge: two for edge, two in edge_faces(faces).items() if len(two) == 2}
     n = len(x)
     lam = threshold * mesh.mean_edge_length
     for _ in range(iterations):

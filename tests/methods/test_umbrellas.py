@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 import pytest
 
 from msal_cli import methods
 from msal_cli.errors import UsageError
 from msal_cli.kernels.umbrellas import sinc_coefficients
+from tests.methods.plain_normals import edge_faces
 from tests.methods.runs import SHAPES, assert_twin, denoise, run
 from tests.shapes import grid, torus
 
@@ -19,9 +18,7 @@ BOUNDARIES = pytest.mark.parametrize("boundary", ["curve", "free", "fixed"])
 
 def rows(n: int, faces: np.ndarray, boundary: str) -> list[list[int]]:
     """The neighbours that each vertex is averaged with under a rule at open edges."""
-    edges = Counter(
-        tuple(sorted(pair)) for a, b, c in faces.tolist() for pair in ((a, b), (b, c), (c, a))
-    )
+    edges = {edge: len(own) for edge, own in edge_faces(faces).items()}
     rim = {i for edge, count in edges.items() if count == 1 for i in edge}
     result: list[list[int]] = [[] for _ in range(n)]
     for (a, b), count in edges.items():
