@@ -116,7 +116,13 @@ def test_arguments_are_checked_before_the_first_record(scans, tmp_path):
     records.close()
     for wrong in (
         *({"jobs": 0}, {"retries": -1}, {"timeout": 0}, {"memory_limit": 1}, {"K": 2}),
-        *({"jobs": "2"}, {"timeout": "10m"}, {"memory_limit": "4G"}, {"method": ""}),
+        *(
+            {"max_failures": 0},
+            {"jobs": "2"},
+            {"timeout": "10m"},
+            {"memory_limit": "4G"},
+            {"method": ""},
+        ),
     ):
         with pytest.raises(msal.UsageError):
             msal.denoise_folder(scans, tmp_path / "out", **wrong)

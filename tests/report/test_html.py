@@ -1,14 +1,21 @@
-"""The HTML report: whole, within its size, under a strict policy, and names in it are text."""
+"""The HTML report: whole, within its size, names in it are text; and the pictures for it."""
 
 import base64
+import io
 import json
+import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
+from PIL import Image
 
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.report import gallery
 from msal_cli.report import html as as_html
+from msal_cli.report.data import read_json
 from msal_cli.report.html import Gallery, Pictures
+from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, open_scan
 from tests.html_pages import Page, assert_self_contained
 from tests.report.made import HOSTILE_NAMES, RECORDS, RUN, failed, gated, written
 
@@ -55,3 +62,89 @@ def test_pictures_stand_in_the_order_of_the_rows():
 def test_two_thousand_files_are_a_small_page():
     records = [written(f"scans/{at}.ply") for at in range(2_000)]
     assert len(as_html.render(RUN, records)) < 1_200_000
+
+
+def denoised(folder, *options):
+    """Denoise a folder of three scans, one of them bad; the records."""
+    folder_of(folder / "in", a=closed_scan(), b=open_scan(), bad=BAD_SCAN)
+    if "--in-place" not in options:
+        options = (*options, "-o", folder / "out")
+    options = (*options, "--method", "msal", "-q", "-j", 1)
+    msal("denoise", folder / "in", *options, "--report", folder / "r.json")
+    return read_json((folder / "r.json").read_bytes(), "r.json")[1]
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """Of a run whose files stay as they are."""
+    return denoised(tmp_path_factory.mktemp("run"))
+
+
+def shown(records, found):
+    return sorted(records[at].input.rpartition("/")[2] for at in found.pictures)
+
+
+def test_every_file_that_was_written_is_shown(records):
+    found = gallery.build_gallery(records)
+    assert shown(records, found) == ["a.ply", "b.ply"]
+    assert set(found.scenes) == set(found.pictures)
+    for one in found.pictures.values():
+        images = [Image.open(io.BytesIO(data)) for data in (one.before, one.after, one.deviation)]
+        assert {image.format for image in images} == {"JPEG"} and len({i.size for i in images}) == 1
+        assert one.before != one.after != one.deviation
+
+
+def test_a_file_that_changed_since_has_no_picture(records):
+    other = [replace(one, output_sha256="0" * 64) for one in records if one.output_sha256]
+    assert gallery.build_gallery(other).pictures == {}
+
+
+def test_in_place_the_backup_is_the_input(tmp_path):
+    records = denoised(tmp_path, "--in-place", "--backup", ".raw")
+    assert shown(records, gallery.build_gallery(records, backup=".raw")) == ["a.ply", "b.ply"]
+    assert gallery.build_gallery(records, backup=".orig").pictures == {}
+
+
+def test_the_bounds_are_kept_and_said(records, monkeypatch):
+    def built(**bounds):
+        with monkeypatch.context() as patch:
+            for name, value in bounds.items():
+                patch.setattr(gallery, name, value)
+            return gallery.build_gallery(records)
+
+    found = built(MAX_SECONDS=-1.0)
+    assert found.pictures == {} and found.remarks[0].startswith("2 files without")
+    found = built(MAX_FACES=100)
+    assert shown(records, found) == ["b.ply"] and found.remarks[0].startswith("1 file without")
+    found = built(MAX_PICTURE_BYTES=0)
+    assert len(found.pictures) == 1 and found.remarks[0].startswith("1 file without")
+    found = built(MAX_SCENES=1)
+    (at,) = found.scenes
+    worst = max(found.pictures, key=lambda at: records[at].displacement.max_edges)
+    assert at == worst
+    found = built(MAX_SCENE_FACES=100)
+    assert "decimated" in found.remarks[0]
+
+
+def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):
+    from msal_cli.view import pictures
+
+    def broken(*_):
+        raise RuntimeError
+
+    monkeypatch.setattr(pictures, "camera_of", broken)
+    assert gallery.build_gallery(records).pictures == {}
+
+
+def test_the_report_of_a_run_has_its_pictures(tmp_path):
+    folder_of(tmp_path / "in", a=closed_scan(), bad=BAD_SCAN)
+    page = tmp_path / "run.html"
+    msal("denoise", tmp_path / "in", "-o", tmp_path / "out", "--report", page, "-q")
+    again = tmp_path / "again.html"
+    msal("report", tmp_path / "out", "-o", again, "-q")
+    for one in (page, again):
+        text = one.read_text()
+        found = re.search(r'id="pictures">(.*?)</script>', text)[1]
+        assert [one is not None for one in json.loads(found)] == [False, True]
+        assert text.count('class="msal-scene"') == 1
+        assert "The worst file in 3D" in text and "mean edge lengths (outwards)" in text
