@@ -40,6 +40,19 @@ def tree(folder: Path, has_own: bool = False) -> dict[str, bytes]:
     }
 
 
+def write_sparse(path: Path, beginning: bytes, size: int) -> Path:
+    """Make a file that takes no room on the disk however large it is."""
+    with path.open("wb") as file:
+        file.write(beginning)
+        try:
+            file.truncate(size)
+        except OSError:
+            pytest.skip("this file system has no files so large")
+    if path.stat().st_blocks * 512 > max(1 << 20, 2 * len(beginning)):
+        pytest.skip("this file system has no sparse files")
+    return path
+
+
 class Terminal(io.StringIO):
     """A stream that says it is a terminal."""
 

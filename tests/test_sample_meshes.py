@@ -20,10 +20,11 @@ from msal_cli.job import pipeline
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.kernels.geometry import area_and_volume, face_normals_and_areas
 from msal_cli.mesh import prepare_mesh
+from tests.codecs import test_gltf, test_obj, test_off, test_ply, test_stl, test_threemf, test_vtk
 from tests.files import SAMPLES, load_script
 from tests.fuzz import survival
 from tests.job.test_pipeline import settings
-from tests.malformed import malformed
+from tests.storage import test_gzip_streams
 
 NAMES = ("bracket", "dragon_egg", "coin", "bear", "vase", "knot", "toadstool", "rock")
 
@@ -124,7 +125,42 @@ def test_real_scans(path, real_data):
     require_same(path.name, path.read_bytes())
 
 
-MALFORMED = malformed()
+TRIANGLE = "v {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 2 3\n"
+OTHER_FACES = "v 0 0 0\nv 1 0 0\nv 0 1 0\n{}\n"
+
+UNUSABLE = {
+    "too far.obj": (TRIANGLE.format("1e61").encode(), "E_RANGE"),
+    "too near.obj": (TRIANGLE.format("1e-61").encode(), "E_RANGE"),
+    "extent beyond a double.obj": (
+        TRIANGLE.format("1e308").replace("v 0", "v -1e308").encode(),
+        "E_RANGE",
+    ),
+    "one point.obj": (TRIANGLE.format("0").encode(), "E_NO_FACES"),
+    "repeated corners.obj": (OTHER_FACES.format("f 1 1 2\nf 3 2 3").encode(), "E_NO_FACES"),
+    "another format.obj": (b"ply\nformat ascii 1.0\nend_header\n", "E_FORMAT"),
+    "another format.stl": (TRIANGLE.format("1").encode(), "E_FORMAT"),
+    "another format in gzip.ply.gz": (gzip.compress(b"glTF" + bytes(40), mtime=0), "E_FORMAT"),
+    "gzip in gzip.ply.gz": (gzip.compress(gzip.compress(b"ply\n", mtime=0), mtime=0), "E_FORMAT"),
+    "empty in gzip.ply.gz": (gzip.compress(b"", mtime=0), "E_TRUNCATED"),
+    "no such format.fbx": (b"Kaydara FBX Binary", "E_UNSUPPORTED"),
+    "no format": (b"hello world", "E_FORMAT"),
+}
+"""Files that parse, or that no reader takes: what the way of a file refuses beside its codec."""
+
+TABLES = {
+    ".ply": test_ply.DAMAGED,
+    ".obj": test_obj.DAMAGED,
+    ".stl": test_stl.DAMAGED,
+    ".glb": test_gltf.DAMAGED_GLB,
+    ".gltf": test_gltf.DAMAGED,
+    ".3mf": test_threemf.DAMAGED,
+    ".ply.gz": test_gzip_streams.DAMAGED,
+    "": UNUSABLE | test_off.DAMAGED | test_vtk.DAMAGED | test_vtk.DAMAGED_XML,
+}
+MALFORMED = {
+    name + suffix: (*row, "")[:3] for suffix, table in TABLES.items() for name, row in table.items()
+}
+"""Content, code and a part of the place by file name; the suffix tells the format."""
 
 
 @pytest.mark.parametrize("name", MALFORMED)

@@ -32,7 +32,7 @@ from msal_cli.kernels import array_files, spatial_order
 from msal_cli.kernels.parallel import over_ranges
 from tests.batch.tile_files import cut, mixed, read
 from tests.cli.scans import closed_scan, folder_of, msal
-from tests.files import tree
+from tests.files import tree, write_sparse
 from tests.ply_files import to_ply
 from tests.shapes import grid
 
@@ -44,10 +44,7 @@ def sparse(path: Path, n_vertices: int, n_faces: int) -> Path:
     header = to_ply(np.empty((0, 3), "<f4"), np.empty((0, 3)))
     header = header.replace(b"vertex 0", b"vertex %d" % n_vertices)
     header = header.replace(b"face 0", b"face %d" % n_faces)
-    with path.open("wb") as file:
-        file.write(header)
-        file.truncate(len(header) + 12 * n_vertices + 13 * n_faces)
-    return path
+    return write_sparse(path, header, len(header) + 12 * n_vertices + 13 * n_faces)
 
 
 def waves(path: Path, n: int) -> Path:

@@ -19,7 +19,7 @@ from msal_cli.job.settings import Settings, Task
 from msal_cli.job.settings import forecast as forecast_task
 from msal_cli.storage import gzip_streams
 from tests.codecs import plain_ply, plain_stl, test_gltf
-from tests.files import run_python
+from tests.files import run_python, write_sparse
 from tests.job.test_pipeline import WRITERS
 from tests.ply_files import to_ply
 from tests.shapes import grid, noisy, torus
@@ -151,25 +151,12 @@ TERABYTES = {
 LARGE += [lie(name, code, data, size=size) for name, (data, size, code) in TERABYTES.items()]
 
 
-def sparse(path, beginning: bytes, size: int) -> str:
-    """A file that takes no room on the disk however large it is."""
-    with path.open("wb") as file:
-        file.write(beginning)
-        try:
-            file.truncate(size)
-        except OSError:
-            pytest.skip("this file system has no files so large")
-    if path.stat().st_blocks * 512 > max(1 << 20, 2 * len(beginning)):
-        pytest.skip("this file system has no sparse files")
-    return str(path)
-
-
 @pytest.mark.parametrize("one", LARGE, ids=lambda one: one.name)
 def test_a_lie_is_refused_before_it_is_loaded(one, tmp_path):
-    path = sparse(tmp_path / one.name, b"".join(one.pieces()), one.size)
+    path = write_sparse(tmp_path / one.name, b"".join(one.pieces()), one.size)
     tracemalloc.start()
     with pytest.raises(InputError) as caught:
-        read_input(path)
+        read_input(str(path))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert caught.value.code == one.code

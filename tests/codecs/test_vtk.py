@@ -21,13 +21,6 @@ POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [1, 0,
 CODES = {"float": ">f4", "double": ">f8", "int": ">i4", "vtktypeint64": ">i8", "char": ">i1"}
 
 
-def numbers(values, kind: str, is_text: bool) -> bytes:
-    values = np.asarray(values)
-    if is_text:
-        return " ".join(str(one) for one in values.reshape(-1).tolist()).encode() + b"\n"
-    return values.astype(CODES[kind]).tobytes() + b"\n"
-
-
 class Writer:
     """A file put together piece by piece, as text or binary."""
 
@@ -40,8 +33,12 @@ class Writer:
 
     def add(self, line: str, values=(), kind: str = "int") -> Writer:
         self.data += line.encode() + b"\n"
-        if len(values):
-            self.data += numbers(values, kind, self.is_text)
+        values = np.asarray(values)
+        if self.is_text:
+            self.data += " ".join(map(str, values.reshape(-1).tolist())).encode()
+        else:
+            self.data += values.astype(CODES[kind]).tobytes()
+        self.data += b"\n" * (len(values) > 0)
         return self
 
     def points(self, values=POINTS, kind: str = "double") -> Writer:

@@ -7,6 +7,7 @@ from benchmarks.table1 import volumes
 from msal_cli.kernels.operators import DEVIATIONS, SCALINGS, WEIGHTS, RingOperator
 from msal_cli.mesh import prepare_mesh
 from tests import paper
+from tests.methods.plain_normals import normals_and_areas
 from tests.methods.runs import PAIRS, SHAPES, all_errors, denoise
 from tests.methods.runs import run_in_file as run
 from tests.shapes import fan, grid, noisy, torus
@@ -92,9 +93,7 @@ def twin(v, faces, iterations, kind, deviation, scaling, tau):
     for _ in range(iterations):
         d = np.zeros(len(v))
         areas = np.zeros(len(v))
-        for face in faces.tolist():
-            a, b, c = x[face]
-            areas[face] += np.linalg.norm(np.cross(b - a, c - a)) / 2
+        np.add.at(areas, faces, normals_and_areas(x, faces)[1][:, None])
         for i, ring in enumerate(rings):
             e = x[ring] - x[i]
             h, length = e @ normals[i], np.linalg.norm(e, axis=1)

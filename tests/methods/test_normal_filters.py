@@ -1,5 +1,7 @@
 """Filters of face normals: hand-worked cases, plain twins from the papers, and sharp edges."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -192,14 +194,10 @@ def diffusion_twin(mesh, rounds, steps, passes, similarity, time_step, free):
     """Face by face and vertex by vertex, from the formulas."""
     x, faces = mesh.vertices.copy(), mesh.faces
     tau = time_step * mesh.mean_edge_length**2
-    beside = [
-        [
-            (g, sorted(set(face) & set(other)))
-            for g, other in enumerate(faces.tolist())
-            if len(set(face) & set(other)) == 2
-        ]
-        for face in faces.tolist()
-    ]
+    beside = [[] for _ in faces]
+    for edge, own in plain.edge_faces(faces).items():
+        for f, g in itertools.permutations(own, 2):
+            beside[f].append((g, edge))
     for _ in range(rounds):
         n, areas = plain.normals_and_areas(x, faces)
         middle = x[faces].mean(axis=1)
