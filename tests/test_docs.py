@@ -271,9 +271,6 @@ def test_the_checker_finds_what_is_wrong(tmp_path):
     assert CHECKER.problems(tmp_path / "none")[0]
 
 
-LARGEST_PICTURE = 150_000
-
-
 def rows_of(page: str, name: str) -> list[str]:
     """The rows of a made table, without its head."""
     text = (DOCS / page).read_text("utf-8")
@@ -290,7 +287,7 @@ def test_every_example_has_its_row_and_picture(monkeypatch):
     rows = rows_of("noise.md", "your scanner")
     for example, row, picture in zip(EXAMPLES, rows, pictures, strict=True):
         assert all(part in row for part in (example.scanner, example.noise, example.does, picture))
-        assert (DOCS / picture).stat().st_size < LARGEST_PICTURE
+        assert (DOCS / picture).stat().st_size < 150_000
     assert {path.name for path in (DOCS / "images/scanners").iterdir()} == {
         picture.rpartition("/")[2] for picture in pictures
     }

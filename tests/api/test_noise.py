@@ -10,7 +10,7 @@ import trimesh
 
 import msal_cli as msal
 from tests.cli.scans import msal as run_command
-from tests.ply_files import positions_of, to_ply
+from tests.ply_files import to_ply
 from tests.shapes import noisy, torus
 
 CLEAN, FACES = torus(40, 20)
@@ -46,10 +46,11 @@ def test_the_bits_are_those_of_the_command(tmp_path, arguments, options):
     kind = ["--kind", arguments["kind"]] if "kind" in arguments else []
     done = run_command("noise", tmp_path / "a.ply", "-o", tmp_path / "b.ply", *kind, *options)
     assert done.exit_code == 0, done.stderr
-    expected = positions_of((tmp_path / "b.ply").read_bytes(), vertices)
+    assert " noise of " in done.stderr
     noisy_vertices = msal.add_noise(vertices, FACES, **arguments)
     assert noisy_vertices.dtype == np.float32
-    assert noisy_vertices.tobytes() == expected.tobytes()
+    # Nothing else of the file has changed.
+    assert (tmp_path / "b.ply").read_bytes() == to_ply(noisy_vertices, FACES)
 
 
 def test_an_object_comes_back_as_one():

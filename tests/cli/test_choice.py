@@ -12,14 +12,7 @@ from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_n
 from msal_cli.auto import adaptive, candidates
 from msal_cli.auto.blends import build_recipe
 from msal_cli.auto.candidates import Candidate
-from tests.cli.scans import (
-    closed_scan,
-    folder_of,
-    msal,
-    record_of,
-    records_of,
-    torus_scan,
-)
+from tests.cli.scans import closed_scan, folder_of, msal, record_of, records_of, torus_scan
 from tests.shapes import torus
 
 SPIKED = np.arange(40, 1800, 88)

@@ -17,17 +17,16 @@ from msal_cli.cli.main import COMMANDS, program
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal, process
 from tests.files import posix, run_python
 
-HEAVY = "('numpy', 'numba', 'trimesh', 'meshio', 'tqdm')"
-
 
 def heavy_modules_after(*arguments):
     code = f"""
 import sys
 from msal_cli.cli.main import program
+heavy = ("numpy", "numba", "trimesh", "meshio", "tqdm")
 try:
     program.main({list(arguments)!r})
 except SystemExit as end:
-    print(end.code, [name for name in {HEAVY} if name in sys.modules])
+    print(end.code, [name for name in heavy if name in sys.modules])
 """
     return run_python(code).splitlines()[-1]
 

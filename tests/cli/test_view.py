@@ -11,13 +11,7 @@ import pytest
 from jsonschema import Draft202012Validator
 from PIL import Image
 
-from tests.cli.scans import (
-    closed_scan,
-    folder_of,
-    msal,
-    msal_on,
-    record_of,
-)
+from tests.cli.scans import closed_scan, folder_of, msal, msal_on, record_of
 from tests.report.made import load_schema
 
 

@@ -315,6 +315,11 @@ def tetra(encoding: str = "ascii", faces=((0, 1, 2),), **changes) -> bytes:
     return plain_ply.written(Ply(encoding, elements))
 
 
+def cells(second: str = "1 0 0", face: str = "3 0 1 2") -> bytes:
+    """An ascii file of four vertices, the second of which may be another, and a face."""
+    return text(V4 + F1, V4_TEXT.replace("1 0 0", second) + face + "\n")
+
+
 V4 = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
 F1 = "element face 1\nproperty list uchar int vertex_indices\n"
 V4_TEXT = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
@@ -395,28 +400,19 @@ DAMAGED = {
         "E_FORMAT", "vertex 4, line 14"),
     "ascii: 1e19 faces": (text(V4 + F1.replace("face 1", "face 1" + "0" * 19),
         V4_TEXT + "3 0 1 2\n"), "E_TRUNCATED", "face 1"),
-    "ascii: too few values": (text(V4 + F1, V4_TEXT.replace("1 0 0", "1 0") + "3 0 1 2\n"),
-        "E_FORMAT", "vertex 1, line 11"),
-    "ascii: too many values": (text(V4 + F1, V4_TEXT.replace("1 0 0", "1 0 0 0") + "3 0 1 2\n"),
-        "E_FORMAT", "vertex 1, line 11"),
-    "ascii: a record on two lines": (text(V4 + F1, V4_TEXT + "3 0\n1 2\n"), "E_FORMAT",
-        "face 0, line 14"),
+    "ascii: too few values": (cells("1 0"), "E_FORMAT", "vertex 1, line 11"),
+    "ascii: too many values": (cells("1 0 0 0"), "E_FORMAT", "vertex 1, line 11"),
+    "ascii: a record on two lines": (cells(face="3 0\n1 2"), "E_FORMAT", "face 0, line 14"),
     "ascii: list shorter than its count": (text(V4 + F1.replace("face 1", "face 2"),
         V4_TEXT + "4 0 1 2\n3 0 1 2\n"), "E_FORMAT", "face 0, line 14"),
-    "ascii: fractional list count": (text(V4 + F1, V4_TEXT + "3.0 0 1 2\n"), "E_FORMAT",
-        "face 0, line 14"),
-    "ascii: word for a coordinate": (text(V4 + F1, V4_TEXT.replace("1 0 0",
-        "1 zero 0") + "3 0 1 2\n"), "E_FORMAT", "line 11"),
-    **{f"ascii: coordinate {word[:9]}": (text(V4 + F1, V4_TEXT.replace("1 0 0",
-        f"1 {word} 0") + "3 0 1 2\n"), "E_FORMAT", "line 11")
-        for word in ("0.5^2", "0,5", "1e-5x", "0.1234567890123456789_1", "1.0`1")},
-    **{f"ascii: corner {word[:9]}": (text(V4 + F1, V4_TEXT + f"3 0 {word} 2\n"), "E_FORMAT",
-        "line 14") for word in ("one", "1.5", "9" * 30)},
-    "ascii: index too large": (text(V4 + F1, V4_TEXT + "\n3 0 1 4\n"), "E_INDEX",
-        "face 0, line 15"),
-    "ascii: index negative": (text(V4 + F1, V4_TEXT + "3 0 1 -1\n"), "E_INDEX", "line 14"),
-    "ascii: nan": (text(V4 + F1, V4_TEXT.replace("1 0 0", "1 nan 0") + "3 0 1 2\n"), "E_NONFINITE",
-        "vertex 1, line 11"),
+    "ascii: fractional list count": (cells(face="3.0 0 1 2"), "E_FORMAT", "face 0, line 14"),
+    **{f"ascii: coordinate {word[:9]}": (cells(f"1 {word} 0"), "E_FORMAT", "line 11")
+        for word in ("zero", "0.5^2", "0,5", "1e-5x", "0.1234567890123456789_1", "1.0`1")},
+    **{f"ascii: corner {word[:9]}": (cells(face=f"3 0 {word} 2"), "E_FORMAT", "line 14")
+        for word in ("one", "1.5", "9" * 30)},
+    "ascii: index too large": (cells(face="\n3 0 1 4"), "E_INDEX", "face 0, line 15"),
+    "ascii: index negative": (cells(face="3 0 1 -1"), "E_INDEX", "line 14"),
+    "ascii: nan": (cells("1 nan 0"), "E_NONFINITE", "vertex 1, line 11"),
     "ascii said, binary data": (tetra(LE).replace(LE.encode(), b"ascii"), "E_FORMAT", "line 2"),
     "ascii: word for a normal": (text(
         V4 + "property float nx\nproperty float ny\nproperty float nz\n" + F1,

@@ -58,24 +58,24 @@ def test_a_seam_that_opened_is_told():
     assert made.displacement.max == 0.0
 
 
-class TestOtherFaces:
-    def test_surfaces_are_compared(self):
-        vertices, faces = cube()
-        other = faces[::-1]
-        made = between((vertices, faces), (vertices + 5.0, other))
-        assert made.correspondence == "surface"
-        assert made.mean_angular_error_deg is made.displacement is made.flipped_faces is None
-        assert made.hausdorff == pytest.approx(5 * np.sqrt(3))
-        assert made.hausdorff_edges == pytest.approx(5 * np.sqrt(3) / made.mean_edge_length)
-        assert made.volume_change_percent == pytest.approx(0.0, abs=1e-9)
-        expected = 100.0 * made.distance_to_before.mean / made.mean_edge_length
-        assert made.vertex_error_percent == expected
+def test_meshes_of_other_faces_are_compared_as_surfaces():
+    vertices, faces = cube()
+    other = faces[::-1]
+    made = between((vertices, faces), (vertices + 5.0, other))
+    assert made.correspondence == "surface"
+    assert made.mean_angular_error_deg is made.displacement is made.flipped_faces is None
+    assert made.hausdorff == pytest.approx(5 * np.sqrt(3))
+    assert made.hausdorff_edges == pytest.approx(5 * np.sqrt(3) / made.mean_edge_length)
+    assert made.volume_change_percent == pytest.approx(0.0, abs=1e-9)
+    expected = 100.0 * made.distance_to_before.mean / made.mean_edge_length
+    assert made.vertex_error_percent == expected
 
-    def test_the_deviation_of_each_vertex(self):
-        vertices, faces = grid(3, 3)
-        raised = np.concatenate([vertices, [[0.5, 0.5, 0.5]]])
-        got = comparison.deviations(Surface(vertices, faces), Surface(raised, faces))
-        assert got == pytest.approx([0.0] * 9 + [0.5])
+
+def test_the_deviation_of_each_vertex():
+    vertices, faces = grid(3, 3)
+    raised = np.concatenate([vertices, [[0.5, 0.5, 0.5]]])
+    got = comparison.deviations(Surface(vertices, faces), Surface(raised, faces))
+    assert got == pytest.approx([0.0] * 9 + [0.5])
 
 
 def test_a_position_that_is_not_finite():

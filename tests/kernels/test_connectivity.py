@@ -12,11 +12,7 @@ from hypothesis import strategies as st
 from msal_cli.errors import TooLargeError
 from msal_cli.kernels import faces as module
 from msal_cli.kernels import spatial_order
-from msal_cli.kernels.connectivity import (
-    connectivity,
-    count_components,
-    faces_to_flip,
-)
+from msal_cli.kernels.connectivity import connectivity, count_components, faces_to_flip
 from msal_cli.kernels.faces import MAX_AROUND, face_centroids, face_rings, faces_within
 from msal_cli.kernels.welding import first_alike, weld_corners
 from tests.methods.plain_normals import neighbours

@@ -7,12 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from msal_cli.kernels import (
-    near_blocks,
-    normal_descriptors,
-    normal_regression,
-    regression_network,
-)
+from msal_cli.kernels import near_blocks, normal_descriptors, normal_regression, regression_network
 from msal_cli.kernels import vectors as small_vectors
 from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.faces import face_rings
