@@ -34,15 +34,26 @@ Array = NDArray[Any]
 MAX_RINGS_KINDS = ("white", "correlated", "view", "quantised", "uneven")
 """Kinds whose neighbours may share noise."""
 
-WEIGHTS = [{"none": 1.5, "uneven": 0.6}.get(name, 1.0) for name in KIND_NAMES]
+WEIGHTS = [
+    {"none": 1.5, "uneven": 0.6, "correlated": 0.5, "view": 0.57}.get(name, 1.0)
+    for name in KIND_NAMES
+]
 """How much samples of each kind count: what is clean must stay, and detail that is on a part of a
-design only is more frequent than noise that is."""
+design only is more frequent than noise that is.  Of shared noise there are twice as many as of
+others, for their levels."""
 
 MAX_LOG_ERROR = 3.0
 """Samples whose level was measured still worse, by its logarithm, teach nothing about levels."""
 
 NEAR = 0.15
 """Relative error of a level that is good enough, in what is reported."""
+
+OF_SCANS = ("correlated", "view", "staircase")
+"""Kinds whose levels scans teach, too.  Scans with white noise are off by more than that noise."""
+
+LEVEL_FORESTS, PART = 3, 0.5
+"""How many forests give a level, which is their mean, and the part of the samples that each sees:
+on shapes like none of these they err less than one forest of all."""
 
 FOLDS = 4
 """Parts of the shapes, each judged by trees that the others grew, for calibration."""
@@ -54,8 +65,10 @@ def build_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("-o", "--output", type=Path, required=True, metavar="FILE.npz")
     add("--seed", type=int, default=1)
-    add("--designs", type=int, default=1500, help="clean meshes besides the sampled shapes")
+    add("--designs", type=int, default=6000, help="clean meshes besides the sampled shapes")
     add("--jobs", type=int, default=1, help="processes that make and measure meshes")
+    keep = "train the levels only, and keep the trees of kinds and rings that FILE.npz has"
+    add("--levels-only", action="store_true", help=keep)
     return parser
 
 
@@ -63,7 +76,13 @@ def main(words: list[str] | None = None) -> int:
     """Make the meshes, measure them, train, and write the trees."""
     options = build_parser().parse_args(words)
     samples, shapes = collect_samples(options.seed, options.designs, options.jobs, print)
-    arrays = train(samples, np.array(shapes))
+    arrays: Arrays = {}
+    if options.levels_only:
+        with np.load(options.output, allow_pickle=False) as earlier:
+            arrays |= dict(earlier)
+    else:
+        arrays |= train_kinds(samples, np.array(shapes))
+    arrays |= train_levels(samples, np.array(shapes))
     np.savez_compressed(options.output, allow_pickle=False, **arrays)
     return 0
 
@@ -93,39 +112,47 @@ def _sample_design(task: tuple[int, int, int]) -> list[NoiseSample]:
     return list(draw_samples(maker, points, faces.astype(np.int32), generator))
 
 
-def train(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) -> Arrays:
-    """The arrays of the forests, of samples and the number of the shape each is of."""
-    numbers = np.stack([sample.numbers for sample in samples]).astype(np.float32)
-    kinds = np.array([KIND_NAMES.index(sample.kind) for sample in samples])
-    levels = np.array([sample.level for sample in samples])
+def train_kinds(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) -> Arrays:
+    """The arrays of the forests of kinds and rings, of samples and the number of the shape each is
+    of."""
+    numbers, kinds = _numbers_of(samples)
     rings = np.array([sample.rings for sample in samples])
-    arrays: Arrays = {}
-    sharpness = _calibrate(numbers, kinds, shapes, report)
+    arrays: Arrays = {"sharpness": np.array(_calibrate(numbers, kinds, shapes, report))}
     classifier = _grow_classifier(numbers, kinds)
     arrays |= _export("kinds", classifier._predictors, classifier._baseline_prediction[0])
-    arrays["sharpness"] = np.array(sharpness)
+    shared = np.isin(kinds, [KIND_NAMES.index(kind) for kind in MAX_RINGS_KINDS])
+    model = _grow_rings(numbers[shared], rings[shared].astype(np.float64))
+    start = np.atleast_1d(np.squeeze(model._baseline_prediction))
+    return arrays | _export("rings", model._predictors, start)
 
-    # A staircase is the only kind that is never added.
+
+def train_levels(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) -> Arrays:
+    """The arrays of the forests of levels, and how far these are off, likewise."""
+    numbers, kinds = _numbers_of(samples)
+    levels = np.array([sample.level for sample in samples])
     is_added = np.array([not sample.is_scan for sample in samples])
     has_level = (kinds > 0) & (levels > 0.0)
-    has_level &= is_added | (kinds == KIND_NAMES.index("staircase"))
+    has_level &= is_added | np.isin(kinds, [KIND_NAMES.index(kind) for kind in OF_SCANS])
     target = np.log(np.maximum(levels, 1e-6)) - find_bases(numbers, kinds)
     has_level &= np.abs(target) < MAX_LOG_ERROR
-    arrays["spreads"] = _spread_of_levels(numbers, target, kinds, has_level, shapes, report)
+    spreads = _spread_of_levels(numbers, target, kinds, has_level, shapes, report)
     grown = []
     for kind in map(KIND_NAMES.index, CORRECTED):
         some = has_level & (kinds == kind)
         grown.append(_grow_levels(numbers[some], target[some]))
-    forests = zip(*(model._predictors for model in grown), strict=True)
-    rounds = [[trees[0] for trees in round_of_all] for round_of_all in forests]
-    starts = [float(np.squeeze(model._baseline_prediction)) for model in grown]
-    arrays |= _export("levels", rounds, np.array(starts))
+    rounds = [
+        [trees[0] for trees in of_round]
+        for member in zip(*grown, strict=True)
+        for of_round in zip(*(model._predictors for model in member), strict=True)
+    ]
+    starts = [np.mean([np.squeeze(m._baseline_prediction) for m in models]) for models in grown]
+    return {"spreads": spreads, **_export("levels", rounds, np.array(starts), LEVEL_FORESTS)}
 
-    shared = np.isin(kinds, [KIND_NAMES.index(kind) for kind in MAX_RINGS_KINDS])
-    model = _grow_rings(numbers[shared], rings[shared].astype(np.float64))
-    start = np.atleast_1d(np.squeeze(model._baseline_prediction))
-    arrays |= _export("rings", model._predictors, start)
-    return arrays
+
+def _numbers_of(samples: Sequence[NoiseSample]) -> tuple[Array, Array]:
+    """The numbers (s, k) of samples and the indices (s,) of their kinds."""
+    numbers = np.stack([sample.numbers for sample in samples]).astype(np.float32)
+    return numbers, np.array([KIND_NAMES.index(sample.kind) for sample in samples])
 
 
 def find_bases(numbers: Array, kinds: Array) -> Array:
@@ -204,8 +231,8 @@ def _spread_of_levels(
         if name in CORRECTED:
             for fold in range(FOLDS):
                 held = shapes[some] % FOLDS == fold
-                model = _grow_levels(numbers[some][~held], target[some][~held])
-                off[held] -= model.predict(numbers[some][held])
+                models = _grow_levels(numbers[some][~held], target[some][~held])
+                off[held] -= np.mean([m.predict(numbers[some][held]) for m in models], axis=0)
         if len(off):
             spreads[kind] = np.exp(np.quantile(off, [0.1, 0.9]))
             near = np.mean(np.abs(np.expm1(-off)) < NEAR)
@@ -213,25 +240,29 @@ def _spread_of_levels(
     return spreads
 
 
-def _grow_levels(numbers: Array, target: Array) -> Any:
+def _grow_levels(numbers: Array, target: Array) -> list[Any]:
     from sklearn.ensemble import HistGradientBoostingRegressor
 
-    model = HistGradientBoostingRegressor(
-        loss="absolute_error",
-        learning_rate=0.12,
-        max_iter=60,
-        max_leaf_nodes=10,
-        min_samples_leaf=20,
-        l2_regularization=2.0,
-        max_features=0.35,
-        early_stopping=False,
-        random_state=2,
-    )
-    return model.fit(numbers, target)
+    models = []
+    for seed in range(LEVEL_FORESTS):
+        model = HistGradientBoostingRegressor(
+            loss="absolute_error",
+            learning_rate=0.12,
+            max_iter=80,
+            max_leaf_nodes=15,
+            min_samples_leaf=20,
+            l2_regularization=2.0,
+            max_features=0.1,
+            early_stopping=False,
+            random_state=seed,
+        )
+        some = np.random.default_rng(seed).random(len(target)) < PART
+        models.append(model.fit(numbers[some], target[some]))
+    return models
 
 
-def _export(name: str, rounds: Any, start: Array) -> Arrays:
-    """The arrays of a forest, out of the trees of each round and output."""
+def _export(name: str, rounds: Any, start: Array, n_forests: int = 1) -> Arrays:
+    """The arrays of a forest, or of the mean of some, out of the trees of each round and output."""
     features: list[Array] = []
     thresholds: list[Array] = []
     left: list[Array] = []
@@ -249,7 +280,7 @@ def _export(name: str, rounds: Any, start: Array) -> Arrays:
             thresholds.append(np.where(leaf, 0.0, nodes["num_threshold"]).astype(np.float32))
             left.append(first + np.where(leaf, own, nodes["left"]))
             right.append(first + np.where(leaf, own, nodes["right"]))
-            values.append(np.where(leaf, nodes["value"], 0.0).astype(np.float32))
+            values.append(np.where(leaf, nodes["value"] / n_forests, 0.0).astype(np.float32))
             roots.append(first)
             outputs.append(output)
             depth = max(depth, int(nodes["depth"].max()))

@@ -21,7 +21,7 @@ from training.scans import draw_scan_of
 from training.surface import LabelledMesh
 
 NOISY_SHARE = {
-    "sampled": 20.0,
+    "sampled": 30.0,
     "sculpture": 6.0,
     "textured": 6.0,
     "medal": 10.0,
@@ -155,8 +155,8 @@ ADDED = (
     _Added("view", "none", 1.0, 0.003, 0.035, (0, 3)),
     _Added("gaussian-normal", "white", 9.0, 0.025, 0.7),
     _Added("gaussian", "isotropic", 5.0, 0.04, 0.5),
-    _Added("correlated", "correlated", 8.0, 0.08, 0.5, (1, 4)),
-    _Added("view", "view", 6.0, 0.06, 0.5, (0, 2)),
+    _Added("correlated", "correlated", 16.0, 0.08, 0.5, (1, 4)),
+    _Added("view", "view", 12.0, 0.06, 0.5, (0, 2)),
     _Added("grazing", "view", 2.0, 0.04, 0.2, (0, 1)),
     _Added("quantised", "quantised", 4.0, 0.01, 0.3, (0, 1)),
     _Added("half", "uneven", 3.0, 0.08, 0.5, (0, 1)),
