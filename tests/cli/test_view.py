@@ -80,7 +80,7 @@ def test_a_folder_is_a_table(mixed):
     assert head.split() == ["file", "format", "vertices", "faces", "noise", "surface", "problems"]
     name, *cells = row.split()
     assert name.endswith("closed.ply")
-    assert cells == ["ply", "576", "1,152", "0.3", "closed"]
+    assert cells == ["ply", "576", "1,152", "0.31", "closed"]
     assert open_row.split()[5:] == ["open", "18", "boundary", "edges"]
     assert "-v" in foot
     assert made.stderr.startswith(f"msal: error: {mixed / 'bad.ply'}: ")
