@@ -113,8 +113,8 @@ def _sample_design(task: tuple[int, int, int]) -> list[NoiseSample]:
 
 
 def train_kinds(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) -> Arrays:
-    """The arrays of the forests of kinds and rings, of samples and the number of the shape each is
-    of."""
+    """The arrays of the forests of kinds and rings, of s samples and the numbers (s,) of the shapes
+    that they are of."""
     numbers, kinds = _numbers_of(samples)
     rings = np.array([sample.rings for sample in samples])
     arrays: Arrays = {"sharpness": np.array(_calibrate(numbers, kinds, shapes, report))}
@@ -127,7 +127,7 @@ def train_kinds(samples: Sequence[NoiseSample], shapes: Array, report: Any = pri
 
 
 def train_levels(samples: Sequence[NoiseSample], shapes: Array, report: Any = print) -> Arrays:
-    """The arrays of the forests of levels, and how far these are off, likewise."""
+    """The arrays of the forests of levels, and how far these are off (``spreads``), likewise."""
     numbers, kinds = _numbers_of(samples)
     levels = np.array([sample.level for sample in samples])
     is_added = np.array([not sample.is_scan for sample in samples])

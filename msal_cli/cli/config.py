@@ -14,7 +14,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from msal_cli.cli.options import find_overruled, group
+from msal_cli.cli.options import BY_HAND, find_overruled, group
 from msal_cli.errors import UsageError
 
 FILE_NAME = "msal.toml"
@@ -216,12 +216,13 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
 
 
 def name_file(ctx: click.Context, error: UsageError) -> UsageError:
-    """The error about values of options, with what the file gives of them."""
+    """The error about settings, with which of those that it may be about the file gives."""
     given = [
         key_of(option)
         for option in ctx.command.params
         if isinstance(option, click.Option)
         and ctx.get_parameter_source(str(option.name)) is ParameterSource.DEFAULT_MAP
+        and (option.name in BY_HAND or key_of(option) in error.message)
     ]
     if not given:
         return error
