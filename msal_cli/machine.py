@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import errno
 import functools
 import os
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
+
+Value = TypeVar("Value")
 
 PROC, GROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
@@ -44,6 +49,37 @@ def usable_cores() -> int:
     quota = _quota()
     # A quota of 1.5 cores is used up better by two workers than by one.
     return max(1, cores if quota is None else min(cores, -(-quota // 1000)))
+
+
+def in_background(task: Callable[[], Value]) -> Callable[[], Value]:
+    """Begin ``task`` in a thread of its own; call what is returned for its result, or exception.
+
+    Where the system gives no more threads the task runs at once.
+    """
+    results: list[Value] = []
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            results.append(task())
+        except BaseException as failure:
+            failures.append(failure)
+
+    # Where numpy keeps arrays is a matter of the context, which threads do not inherit.
+    thread = threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True)
+    try:
+        thread.start()
+    except RuntimeError:
+        run()
+
+    def wait() -> Value:
+        if thread.ident is not None:
+            thread.join()
+        if failures:
+            raise failures[0]
+        return results[0]
+
+    return wait
 
 
 # Every large kernel needs it, and a quota is not changed while a process runs.

@@ -44,6 +44,7 @@ from msal_cli.job.settings import (
     Task,
 )
 from msal_cli.kernels import array_files
+from msal_cli.kernels.parallel import is_worth_it
 from msal_cli.storage import atomic, gzip_streams
 from msal_cli.version import __version__
 
@@ -270,6 +271,8 @@ class FileRun:
 
         Its arrays are freed before the output is built, which takes as much memory again.
         """
+        from msal_cli.analysis.noise_estimate import estimate_noise
+
         settings = self._settings
         with self.stage("connectivity"):
             ready = self.prepare_mesh(mesh_file)
@@ -288,10 +291,17 @@ class FileRun:
         self.know(**chosen.known)
         self.warn(*chosen.warnings)
         choice = self._record.choice
+        estimate = functools.partial(estimate_noise, chosen.mesh)
+        # A choice knows it; else one core estimates it while the others smooth.
+        is_beside = (
+            choice is None and is_worth_it(len(mesh.vertices)) and not array_files.are_used()
+        )
+        wait_for_noise = machine.in_background(estimate) if is_beside else estimate
         milder = iter(MILDER)
         while True:
             moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
             with self.stage("measure"):
+                wait_for_noise()
                 measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
                 harm = measured.harm
                 if chosen.share < 1.0:

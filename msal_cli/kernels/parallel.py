@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import contextvars
+import functools
 import os
-import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from msal_cli.arrays import Floats
-from msal_cli.machine import usable_cores
+from msal_cli.machine import in_background, usable_cores
+
+Value = TypeVar("Value")
 
 MIN_RANGE = 32_768
 """Items per thread below which starting a thread costs more than it saves."""
@@ -54,7 +55,9 @@ def over_ranges(
     if parts == 1:
         return [kernel(0, count, *arguments)]
     bounds = [count * part // parts for part in range(parts + 1)]
-    return _run([(kernel, *bounds[part : part + 2], *arguments) for part in range(parts)])
+    return _run(
+        [functools.partial(kernel, *bounds[part : part + 2], *arguments) for part in range(parts)]
+    )
 
 
 def fill_array(
@@ -79,32 +82,18 @@ def at_once(count: int, *tasks: Callable[[], Any]) -> list[Any]:
 
     The first exception, in the order of the tasks, is raised here.
     """
-    return _run([(task,) for task in tasks]) if is_worth_it(count) else [task() for task in tasks]
+    return _run(tasks) if is_worth_it(count) else [task() for task in tasks]
 
 
-def _run(calls: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """What the calls, functions and their arguments, return; each in a thread, the first here."""
-    results: list[Any] = [None] * len(calls)
-    failures: list[BaseException | None] = [None] * len(calls)
-
-    def run(at: int) -> None:
+def _run(calls: Sequence[Callable[[], Value]]) -> list[Value]:
+    """What the calls return; each in a thread, the first here."""
+    results: list[Value] = []
+    failures: list[BaseException] = []
+    for wait in (calls[0], *[in_background(call) for call in calls[1:]]):
         try:
-            function, *arguments = calls[at]
-            results[at] = function(*arguments)
+            results.append(wait())
         except BaseException as failure:
-            failures[at] = failure
-
-    # Where numpy keeps arrays is a matter of the context, which threads do not inherit.
-    others = [
-        threading.Thread(target=contextvars.copy_context().run, args=(run, at), daemon=True)
-        for at in range(1, len(calls))
-    ]
-    for other in others:
-        other.start()
-    run(0)
-    for other in others:
-        other.join()
-    for failure in failures:
-        if failure is not None:
-            raise failure
+            failures.append(failure)
+    if failures:
+        raise failures[0]
     return results

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from typing import BinaryIO
 
 from msal_cli.errors import FormatError, InputError, MissingFileError, TooLargeError, cut_short
+from msal_cli.machine import in_background
 from msal_cli.storage import regular
 from msal_cli.storage.urls import is_url
 
@@ -220,19 +220,6 @@ def sha256_meanwhile(data: regular.Buffer) -> Callable[[], str]:
     Other threads run on: a second core hashes while the first one parses, and even a single core
     hashes while the disk writes.
     """
-    state = hashlib.sha256()
-    thread = threading.Thread(target=state.update, args=(data,), daemon=True)
-    try:
-        if len(data) >= THREAD_BYTES:
-            thread.start()
-    except RuntimeError:
-        pass  # the system gives no more threads
-    if thread.ident is None:
-        state.update(data)
-        return state.hexdigest
-
-    def wait() -> str:
-        thread.join()
-        return state.hexdigest()
-
-    return wait
+    if len(data) >= THREAD_BYTES:
+        return in_background(lambda: hashlib.sha256(data).hexdigest())
+    return hashlib.sha256(data).hexdigest
