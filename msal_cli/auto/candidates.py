@@ -43,6 +43,8 @@ class Candidate:
         """In words: ``MSAL (K = 0.5, 1 mollification)``."""
         name, words = _LABELS[self.method, self.given.get("schedule")]
         words = re.sub(r"\b1 (\w+)s\b", r"1 \1", words.format(**self.given))
+        if self.method == "learned" and "iterations" in self.given:
+            words = "{iterations} stages".format(**self.given)
         if self.times != 1.0:
             words = f"noise times {self.times:g}"
         return f"{name} ({words})" if words else name
@@ -89,6 +91,18 @@ BLIND = Candidate("learned", {**_SLIDING, "texture": "lost"}, LEARNED.cost)
 FARTHER = dataclasses.replace(ROBUST_LEARNED, times=2.0)
 """The same for noise that reaches farther than the estimate sees: neighbours share it, or a scanner
 has smoothed it."""
+
+STAGES, LARGE_STAGES, SHARP_PASSES = 5, 4, 60
+"""Stages of the learned filter on machined parts and on large ones, and its last passes there.  On
+parts of ``training.solids`` under white noise of 0.15 to 0.5 five leave 0.78 to 0.84 of the angle
+that three do, on relief up to 1.08 of it."""
+
+
+def sharpen(candidate: Candidate, stages: int) -> Candidate:
+    """The learned filter with more stages, for a machined part."""
+    given = {**candidate.given, "iterations": stages, "vertex_iterations": SHARP_PASSES}
+    return dataclasses.replace(candidate, given=given, cost=candidate.cost * stages / 3.0)
+
 
 LINEAR = (
     Candidate("taubin", {}, 1.8),

@@ -30,11 +30,14 @@ from msal_cli.auto.candidates import (
     BLIND,
     CANDIDATES,
     FARTHER,
+    LARGE_STAGES,
     LEARNED,
     LINEAR,
     PULLED,
     ROBUST_LEARNED,
+    STAGES,
     Candidate,
+    sharpen,
 )
 from msal_cli.auto.noise_model import is_like_draws
 from msal_cli.auto.risk import (
@@ -177,7 +180,7 @@ class _Search:
             elif surface == MACHINED and self.wishes.prefer == "balanced":
                 # Of what is not known to be white nothing is restored.
                 is_white = self.noise.character.kind != "unknown"
-                usable = [LEARNED if is_white else ROBUST_LEARNED]
+                usable = [self._sharpen(LEARNED if is_white else ROBUST_LEARNED)]
         self._total = _RUNS * len(usable) + 1
         first = study.result(pilot).vertices
         judges: list[Judge] = []
@@ -192,7 +195,7 @@ class _Search:
         return self._choice(study, usable, judges, surface)
 
     def _choose_by_mirror(self, surface: str) -> Choice:
-        """The best blend of the learned filter and wide linear ones.
+        """The best blend of the learned filter and wide linear ones, which blur machined parts.
 
         The first result is that of the learned filter; on texture, where it may take too much away,
         a linear one counts as much.
@@ -202,9 +205,11 @@ class _Search:
         self.level = max(self.level, self.noise.of_noisy_part * self.wished * edge)
         self.model = self.model.at_level(self.level)
         study = self._trials()
-        members = (ROBUST_LEARNED, FARTHER, *LINEAR)
+        members: tuple[Candidate, ...] = (ROBUST_LEARNED, FARTHER, *LINEAR)
+        if surface == MACHINED:
+            members = (self._sharpen(ROBUST_LEARNED), FARTHER)
         self._total = 3 * len(members)
-        pilots = [ROBUST_LEARNED]
+        pilots = [members[0]]
         if surface == TEXTURED:
             pilots.append(LINEAR[0])
         elif surface == ORGANIC and not self.noise.is_uneven:
@@ -214,6 +219,9 @@ class _Search:
         ]
         self.unit = mirrors[0].level
         return self._choice(study, members, [(judge, 1.0) for judge in mirrors], surface)
+
+    def _sharpen(self, candidate: Candidate) -> Candidate:
+        return sharpen(candidate, LARGE_STAGES if np.isfinite(self.most_cost) else STAGES)
 
     def _by_level(self, part: Part, judges: Sequence[Judge], weights: Floats) -> Floats:
         """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level
@@ -337,7 +345,8 @@ class _Search:
         total = float(weights.sum())
         if surface == MACHINED and self.wishes.prefer == "balanced" and total >= MOST:
             return blends.round_weights(weights / total)
-        if members[0] is ROBUST_LEARNED and self.noise.character.rings:
+        is_robust = members[0].given.get("texture") == ROBUST_LEARNED.given["texture"]
+        if is_robust and self.noise.character.rings:
             is_learned = np.array([member.method == LEARNED.method for member in members])
             if weights[is_learned].sum() < MIN_LEARNED:
                 halved = 0.5 * weights

@@ -71,7 +71,7 @@ class Parameters:
         high=100,
     )
     vertex_iterations: int = fields.vertex_passes(
-        20, "passes that fit the scanned vertices to the normals of the last stage"
+        30, "passes that fit the scanned vertices to the normals of the last stage"
     )
     noise: float = fields.noise(of="")
     boundary: str = fields.boundary("free")
