@@ -18,7 +18,7 @@ LIST = Path(__file__).with_name("signatures.txt")
 
 @functools.cache
 def listed() -> tuple[str, ...]:
-    """The lines of the list, such as ``quantiles._counted(u8[::1], i8[::1])``."""
+    """The lines of the list, such as ``welding._mark(i4[::1], b1[::1])``."""
     return tuple(LIST.read_text(encoding="utf-8").splitlines())
 
 

@@ -35,15 +35,13 @@ class DistanceStatistics:
 
 def distance_statistics(lengths: Floats) -> DistanceStatistics:
     """Statistics of distances (n,), zeros for none."""
-    from msal_cli.kernels.quantiles import select_ranks
-
     if not len(lengths):
         return DistanceStatistics(0.0, 0.0, 0.0, 0.0, 0)
     rank = min(len(lengths) - 1, int(np.ceil(0.95 * len(lengths))) - 1)
     return DistanceStatistics(
         mean=float(lengths.mean()),
         rms=float(np.sqrt((lengths * lengths).mean())),
-        p95=select_ranks(lengths, rank)[0],
+        p95=float(np.partition(lengths, rank)[rank]),
         max=float(lengths.max()),
         n_moved=int(np.count_nonzero(lengths)),
     )

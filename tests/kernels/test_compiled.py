@@ -9,7 +9,7 @@ import pytest
 
 from kernel_build import signatures
 from msal_cli.errors import InternalError
-from msal_cli.kernels import geometry, library, parallel, quantiles, z_buffer
+from msal_cli.kernels import geometry, library, parallel, welding, z_buffer
 from msal_cli.kernels.compiled import Kernel, arg_type
 from msal_cli.kernels.conjugate_gradient import RowMatrix, conjugate_gradients
 from msal_cli.kernels.connectivity import connectivity
@@ -19,13 +19,13 @@ from msal_cli.kernels.library import source_hash
 from msal_cli.kernels.parallel import MIN_COUNT, at_once, is_worth_it
 from tests.shapes import grid, noisy, torus
 
-LINE = "quantiles._count(u8[::1], i8[::1])"
+LINE = "welding._mark(i4[::1], b1[::1])"
 
 
 @pytest.fixture
 def kernel():
     """A kernel as a new process sees it."""
-    return Kernel(quantiles._count.function)
+    return Kernel(welding._mark.function)
 
 
 @pytest.fixture
@@ -36,10 +36,10 @@ def entries(monkeypatch):
     return entries
 
 
-def count(kernel, dtype=np.uint64):
-    counts = np.zeros(1 << 16, dtype=np.int64)
-    kernel(np.zeros(3, dtype=dtype), counts)
-    return counts.sum()
+def mark(kernel, dtype=np.int32):
+    marks = np.zeros(3, dtype=bool)
+    kernel(np.zeros(3, dtype=dtype), marks)
+    return marks.sum()
 
 
 def test_the_library_is_up_to_date():
@@ -50,9 +50,9 @@ def test_the_library_is_up_to_date():
 
 
 def test_other_types_are_an_error_with_their_names(kernel):
-    message = r"has no quantiles._count\(f4\[::1\], i8\[::1\]\)$"
+    message = r"has no welding._mark\(f4\[::1\], b1\[::1\]\)$"
     with pytest.raises(InternalError, match=message) as error:
-        count(kernel, np.float32)
+        mark(kernel, np.float32)
     assert error.value.code == "E_INTERNAL"
     assert "signatures.txt" in error.value.hint
 
@@ -60,7 +60,7 @@ def test_other_types_are_an_error_with_their_names(kernel):
 def test_an_edited_kernel_is_an_error(kernel, entries):
     entries[LINE] = entries[LINE]._replace(source_hash="0123")
     with pytest.raises(InternalError, match="as its source is now") as error:
-        count(kernel)
+        mark(kernel)
     assert "python -m kernel_build" in error.value.hint
 
 
@@ -70,7 +70,7 @@ def test_a_library_that_is_not_there_is_an_error(kernel, monkeypatch, tmp_path, 
     for function in (library._entries, library.open_library):
         monkeypatch.setattr(library, function.__name__, function.__wrapped__)
     with pytest.raises(InternalError, match="the library of compiled kernels") as error:
-        count(kernel)
+        mark(kernel)
     assert "install msal again" in error.value.hint
 
 
@@ -94,14 +94,14 @@ def test_threads_that_start_together_load_once(kernel, monkeypatch):
     loaded = []
     real = library.load
     monkeypatch.setattr(library, "load", lambda *given: loaded.append(given) or real(*given))
-    counts = [np.zeros(1 << 16, dtype=np.int64) for _ in range(8)]
-    bits = np.zeros(3, dtype=np.uint64)
-    threads = [threading.Thread(target=kernel, args=(bits, counter)) for counter in counts]
+    marks = [np.zeros(3, dtype=bool) for _ in range(8)]
+    items = np.zeros(3, dtype=np.int32)
+    threads = [threading.Thread(target=kernel, args=(items, marked)) for marked in marks]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(loaded) == 1 and [counter.sum() for counter in counts] == [3] * 8
+    assert len(loaded) == 1 and [marked.sum() for marked in marks] == [1] * 8
 
 
 _REFUSE_CODE_IN_DATA = """
@@ -110,10 +110,10 @@ PR_SET_MDWE, REFUSE_EXEC_GAIN = 65, 1
 if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_MDWE, REFUSE_EXEC_GAIN, 0, 0, 0):
     sys.exit(77)
 import numpy as np
-from msal_cli.kernels import quantiles as quantiles
-counts = np.zeros(1 << 16, dtype=np.int64)
-quantiles._count(np.zeros(3, dtype=np.uint64), counts)
-print(counts.sum())
+from msal_cli.kernels import welding
+marks = np.zeros(3, dtype=bool)
+welding._mark(np.zeros(3, dtype=np.int32), marks)
+print(marks.sum())
 """
 
 
@@ -123,7 +123,7 @@ def test_kernels_run_where_memory_that_was_written_is_never_executed():
     ran = subprocess.run(command, capture_output=True, text=True)
     if ran.returncode == 77:
         pytest.skip("Linux before 6.3 has no PR_SET_MDWE")
-    assert ran.stdout == "3\n", ran.stderr
+    assert ran.stdout == "1\n", ran.stderr
 
 
 # Threads

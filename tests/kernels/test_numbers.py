@@ -1,4 +1,4 @@
-"""Numbers by themselves: medians, ranks, quantiles, clusters and exponentials."""
+"""Numbers by themselves: medians, quantiles, clusters and exponentials."""
 
 import numpy as np
 import pytest
@@ -12,23 +12,6 @@ from msal_cli.kernels import elementary, quantiles
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30))
 def test_it_is_that_of_numpy(values):
     assert quantiles.median(np.array(values)) == np.median(values)
-
-
-@pytest.mark.parametrize("odd", [0, 1])
-@pytest.mark.parametrize("kind", ["normal", "few", "equal", "wide", "tiny"])
-def test_many_numbers(kind, odd):
-    rng = np.random.default_rng(odd)
-    n = quantiles.MANY + odd
-    values = {
-        "normal": rng.normal(size=n),
-        "few": rng.integers(-2, 3, n) * 1.0,
-        "equal": np.full(n, -7.25),
-        "wide": rng.normal(size=n) * 10.0 ** rng.integers(-300, 300, n),
-        "tiny": rng.integers(-3, 4, n) * 5e-324,
-    }[kind]
-    assert quantiles.median(values) == np.median(values)
-    ranks = (0, 1, n // 3, n - 1)
-    assert quantiles.select_ranks(values, *ranks) == np.sort(values)[list(ranks)].tolist()
 
 
 @pytest.mark.parametrize("count", [2, 3, 7])
