@@ -20,9 +20,8 @@ from msal_cli import codecs
 from msal_cli.codecs import detection
 from msal_cli.kernels.normal_descriptors import WIDE_FILTERED
 from msal_cli.kernels.normal_regression import EARLIER, Network, count_vectors
-from msal_cli.methods._cascade import write_networks
 from msal_cli.storage import gzip_streams
-from training.regression import Schedule, train_network
+from training.regression import Schedule, train_network, write_networks
 from training.samples import NoisyMesh, Shape, collect_samples, draw_meshes
 from training.shapes import build_shapes
 

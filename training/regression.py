@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.kernels.normal_regression import Network
+from msal_cli.methods._cascade import FORMAT
 
 Singles = NDArray[np.float32]
 
@@ -49,7 +53,7 @@ def train_network(
 
     Parameters
     ----------
-    inputs : (k, d), as ``Descriptors.inputs`` has them: ``n_vectors`` vectors come first.
+    inputs : (k, d), as ``collect_inputs`` gives them: ``n_vectors`` vectors come first.
     targets : (k, 3), the true unit normals along the axes of each face.
     weights : (k,), how much each sample counts.
     base : the vector that counts before anything is learned.
@@ -140,3 +144,20 @@ def _backward(values: list[Singles], matrices: list[Singles], gradient: Singles)
             gradient = gradient @ matrices[at].T
             gradient *= np.where(values[at] > 0.0, np.float32(1.0), LEAK)
     return by_matrix[::-1] + by_bias[::-1]
+
+
+def write_networks(header_path: Path, networks: tuple[Network, ...], about: dict[str, str]) -> None:
+    """Write what ``read_networks`` reads; ``about`` says in the header how they were trained."""
+    parts = [part for one in networks for layer in one.layers for part in layer]
+    data = b"".join([part.astype("<f4").tobytes() for part in parts])
+    stages = [
+        [one.layers[0][1].shape[1], *[len(bias) for bias, _ in one.layers]] for one in networks
+    ]
+    header = {
+        "format": FORMAT,
+        **about,
+        "stages": stages,
+        "sha256": hashlib.sha256(data).hexdigest(),
+    }
+    header_path.with_suffix(".f32").write_bytes(data)
+    header_path.write_text(json.dumps(header, indent=2) + "\n", encoding="utf-8")

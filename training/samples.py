@@ -16,6 +16,7 @@ from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.methods._cascade import Cascade
 from msal_cli.methods.learned import STAGE_PASSES, resolve_noise
 from training import relief
+from training.inputs import collect_inputs
 from training.noise_mixture import draw_noise
 from training.scans import draw_scan
 from training.surface import LabelledMesh
@@ -282,7 +283,7 @@ def collect_samples(
         chosen = np.sort(generator.permutation(known)[:per_mesh])
         descriptors = one.describe()
         n_vectors = descriptors.n_vectors
-        inputs.append(descriptors.collect()[0][chosen])
+        inputs.append(collect_inputs(descriptors)[0][chosen])
         axes = descriptors.axes[chosen]
         targets.append(np.einsum("kij,kj->ki", axes, one.truth[chosen].astype(np.float32)))
         weights.append(np.full(len(chosen), one.weight, dtype=np.float32))

@@ -17,14 +17,13 @@ from msal_cli.kernels.normal_descriptors import (
     AXES,
     DEVIATION,
     KNOWN,
-    NUMBERS,
     OWN_NUMBERS,
     VECTORS,
     describe,
 )
 from msal_cli.kernels.parallel import over_ranges
 from msal_cli.kernels.quantiles import median
-from msal_cli.kernels.regression_network import TILE, collect_inputs, predict_normals
+from msal_cli.kernels.regression_network import TILE, predict_normals
 from msal_cli.kernels.vectors import ONE, THREE, TWO
 
 MAX_NEAR = 63
@@ -222,18 +221,6 @@ class Descriptors:
     def n_vectors(self) -> int:
         """Candidates for the normal of a face."""
         return count_vectors(int(self.is_later))
-
-    def collect(self) -> tuple[Floats32, Floats32]:
-        """What the network sees of each face, and the candidates (m, k, 3) for its normal.
-
-        The inputs are the candidates along axes of the face, NUMBERS, STATISTICS and GLOBALS.
-        """
-        m, k = len(self.sources[1]), self.n_vectors
-        own = np.empty((m, 3 * k + NUMBERS + STATISTICS), dtype=np.float32)
-        vectors = np.empty((m, 3 * k), dtype=np.float32)
-        over_ranges(collect_inputs, m, *self.sources, self.is_later, own, vectors)
-        shared = np.broadcast_to(self.globals, (m, GLOBALS))
-        return np.concatenate([own, shared], axis=1), vectors.reshape(m, k, 3)
 
     def predict(self, network: Network, normals: Floats | None = None) -> Floats:
         """The unit normals (m, 3) that the network gives, in the memory of ``normals``."""

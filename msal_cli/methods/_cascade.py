@@ -205,23 +205,6 @@ def _check_sizes(stages: list[list[int]], count: int) -> None:
         )
 
 
-def write_networks(header_path: Path, networks: tuple[Network, ...], about: dict[str, str]) -> None:
-    """Write what ``read_networks`` reads; ``about`` says in the header how they were trained."""
-    parts = [part for one in networks for layer in one.layers for part in layer]
-    data = b"".join([part.astype("<f4").tobytes() for part in parts])
-    stages = [
-        [one.layers[0][1].shape[1], *[len(bias) for bias, _ in one.layers]] for one in networks
-    ]
-    header = {
-        "format": FORMAT,
-        **about,
-        "stages": stages,
-        "sha256": hashlib.sha256(data).hexdigest(),
-    }
-    header_path.with_suffix(".f32").write_bytes(data)
-    header_path.write_text(json.dumps(header, indent=2) + "\n", encoding="utf-8")
-
-
 # Evidence
 
 

@@ -12,9 +12,9 @@ from msal_cli.kernels import vectors as small_vectors
 from msal_cli.kernels.compiled import Kernel
 from msal_cli.kernels.faces import face_rings
 from msal_cli.kernels.geometry import face_normals_and_areas
+from msal_cli.kernels.normal_descriptors import NUMBERS
 from msal_cli.kernels.normal_regression import (
     GLOBALS,
-    NUMBERS,
     OTHERS,
     STATISTICS,
     VECTORS,
@@ -26,6 +26,7 @@ from msal_cli.kernels.normal_regression import (
 )
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, noisy, torus
+from training.inputs import collect_inputs
 
 
 def evidence_of(mesh):
@@ -91,8 +92,8 @@ def test_evidence_stands_behind_the_own_vectors_and_numbers(scan):
     given = evidence_of(scan)
     descriptors = described(scan, make_evidence=evidence_of)[0]
     others = given.normals.reshape(-1, OTHERS, 3)
-    assert (descriptors.collect()[1][:, VECTORS : VECTORS + OTHERS] == others).all()
-    numbers = descriptors.collect()[0][:, 3 * descriptors.n_vectors : -GLOBALS]
+    assert (collect_inputs(descriptors)[1][:, VECTORS : VECTORS + OTHERS] == others).all()
+    numbers = collect_inputs(descriptors)[0][:, 3 * descriptors.n_vectors : -GLOBALS]
     assert (numbers[:, NUMBERS:] == given.statistics).all()
 
 
@@ -122,7 +123,7 @@ def test_a_face_without_area_takes_the_normal_of_those_around():
     mesh = prepare_mesh(vertices, faces).mesh
     assert mesh.flat_faces
     descriptors, _ = described(mesh)
-    inputs, vectors = descriptors.collect()
+    inputs, vectors = collect_inputs(descriptors)
     assert np.isfinite(inputs).all()
     assert (np.abs(vectors[:, :, 2]) > 0.999).all()
 
@@ -134,7 +135,7 @@ def test_normals_that_others_do_not_give_are_the_own(scan):
         return given
 
     own = face_normals_and_areas(scan.vertices, scan.faces)[0]
-    vectors = described(scan, make_evidence=without_first)[0].collect()[1]
+    vectors = collect_inputs(described(scan, make_evidence=without_first)[0])[1]
     assert np.abs(vectors[:, VECTORS + 1] - own).max() < 1e-6
 
 

@@ -16,6 +16,7 @@ from msal_cli.methods import _cascade
 from msal_cli.methods.learned import resolve_noise
 from tests.methods.runs import denoise, error_deg
 from tests.shapes import ball, box, grid, torus
+from training.regression import write_networks
 
 run = functools.partial(denoise, "learned")
 
@@ -36,7 +37,7 @@ def test_the_weights_fit_into_400_kb():
 
 def test_networks_come_back_as_they_were_written(tmp_path):
     networks = _cascade.load_networks()
-    _cascade.write_networks(tmp_path / "own.json", networks, {"trained_by": "a test"})
+    write_networks(tmp_path / "own.json", networks, {"trained_by": "a test"})
     again = _cascade.read_networks(tmp_path / "own.json")
     for network, copy in zip(networks, again, strict=True):
         for layer, same in zip(network.layers, copy.layers, strict=True):
@@ -56,7 +57,7 @@ def test_networks_come_back_as_they_were_written(tmp_path):
 )
 def test_damaged_weights_are_refused(tmp_path, harm, words):
     path, data = tmp_path / "own.json", tmp_path / "own.f32"
-    _cascade.write_networks(path, _cascade.load_networks(), {})
+    write_networks(path, _cascade.load_networks(), {})
     header, floats = json.loads(path.read_text()), data.read_bytes()
     if harm in ("cut", "too short"):
         data.write_bytes(floats[:-4])
