@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli import methods
-from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.mesh import Mesh, prepare_mesh
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks import machined_shapes
 from msal_cli import codecs
-from msal_cli.analysis.added_noise import add_plain_noise
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.mesh import Mesh, prepare_mesh
 from msal_cli.storage import gzip_streams
 
@@ -72,6 +72,13 @@ def pair(folder: Path) -> tuple[Mesh, Mesh]:
         both.append(codecs.open_mesh(gzip_streams.read_whole(str(folder / name)), name))
     ready = prepare_mesh(both[0].vertices, both[0].faces)
     return ready.mesh, ready.mesh.with_vertices(both[1].vertices - ready.origin)
+
+
+def add_plain_noise(
+    mesh: Mesh, kind: str, level: float, seed: int, fraction: float = 0.1
+) -> Floats:
+    """Short for ``add_noise`` where a kind has no other settings."""
+    return add_noise(mesh, AddedNoise(kind, level, seed, fraction))
 
 
 def corrupted(

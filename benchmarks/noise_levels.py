@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import ground_truth, machine
-from msal_cli.analysis.added_noise import add_plain_noise
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli.analysis.noise_estimate import NoiseLevel, characterize, estimate_noise
 from msal_cli.mesh import Mesh
 

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 import msal_cli
-from msal_cli.analysis.added_noise import add_plain_noise
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli.analysis.noise_estimate import estimate_noise
 from msal_cli.arrays import Floats
 from msal_cli.kernels.geometry import face_normals

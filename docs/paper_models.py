@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import ground_truth
 from msal_cli import methods
-from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.measures import measure_surface_change, vertex_error_percent
 from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
@@ -36,7 +36,7 @@ def opened(folder: Path, name: str) -> PreparedMesh:
 
 def corrupted(clean: Mesh, kind: str = "mixed", level: float = LEVEL) -> Mesh:
     """The mesh with noise of ``level`` mean edge lengths."""
-    return clean.with_vertices(noise.add_plain_noise(clean, kind, level, SEED))
+    return clean.with_vertices(ground_truth.add_plain_noise(clean, kind, level, SEED))
 
 
 def after(mesh: Mesh, method: str, **given: Any) -> Mesh:

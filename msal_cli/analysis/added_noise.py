@@ -189,13 +189,6 @@ def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:
     return result
 
 
-def add_plain_noise(
-    mesh: Mesh, kind: str, level: float, seed: int, fraction: float = 0.1
-) -> Floats:
-    """Short for ``add_noise`` where a kind has no other settings."""
-    return add_noise(mesh, AddedNoise(kind, level, seed, fraction))
-
-
 def grazing_growth(normals: Floats, axis: Floats) -> Floats:
     """Growth (n,) of the noise along the unit vector ``axis`` (3,) for unit normals (n, 3).
 

@@ -5,12 +5,12 @@ import hashlib
 import numpy as np
 import pytest
 
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli.analysis.added_noise import (
     GRAZING_CAP,
     KINDS,
     AddedNoise,
     add_noise,
-    add_plain_noise,
     grazing_growth,
 )
 from msal_cli.errors import UsageError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msal_cli.analysis import added_noise as noise
+from benchmarks import ground_truth
 from msal_cli.analysis import measures
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import ball, cube, fan, grid, torus
@@ -139,7 +139,7 @@ def test_what_noise_does_not_explain_is_harm():
 @pytest.mark.parametrize("shape", [ball, lambda: torus(96, 48)])
 def test_the_true_surface_is_no_harm(shape, kind, level):
     clean = prepare_mesh(*shape()).mesh
-    noisy = clean.with_vertices(noise.add_plain_noise(clean, kind, level, seed=3))
+    noisy = clean.with_vertices(ground_truth.add_plain_noise(clean, kind, level, seed=3))
     read = level * clean.mean_edge_length / noisy.mean_edge_length
     assert excess_of(noisy, clean, read) is None
 
@@ -162,7 +162,7 @@ def test_flips_on_a_smooth_mesh_are_harm():
 @pytest.mark.parametrize("level", [0.2, 0.4, 0.6])
 def test_unfolding_what_noise_folded_is_no_harm(level):
     clean = prepare_mesh(*ball()).mesh
-    noisy = clean.with_vertices(noise.add_plain_noise(clean, "gaussian", level, seed=3))
+    noisy = clean.with_vertices(ground_truth.add_plain_noise(clean, "gaussian", level, seed=3))
     assert measures.measure_surface_change(noisy, clean).flipped_faces > 0.02 * len(clean.faces)
     assert measures.folded_faces(noisy) > 0
     assert harm_of(noisy, clean) is None

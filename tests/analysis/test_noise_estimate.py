@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import ground_truth
-from msal_cli.analysis.added_noise import add_plain_noise
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli.analysis.noise_estimate import (
     NOISE,
     TEXTURE,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth, machined_shapes
-from msal_cli.analysis.added_noise import AddedNoise, add_noise, add_plain_noise
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.analysis.outliers import MAX_SHARE, find_outliers
 from msal_cli.mesh import prepare_mesh
 from tests.files import SAMPLES
@@ -115,7 +115,9 @@ def test_outliers_in_one_plane_of_a_design_are_not_clear(spread, is_clear):
 )
 def test_noise_alone_has_hardly_any(kind, level):
     mesh = torus_mesh()
-    rough = add_plain_noise(mesh, "gaussian-normal" if kind == "half" else kind, level, 3, 0.5)
+    rough = ground_truth.add_plain_noise(
+        mesh, "gaussian-normal" if kind == "half" else kind, level, 3, 0.5
+    )
     if kind == "half":
         rough = np.where(mesh.vertices[:, :1] > 0.0, rough, mesh.vertices)
     found = find_outliers(mesh.with_vertices(rough))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks import ground_truth
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli import methods
-from msal_cli.analysis.added_noise import add_plain_noise
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, NoiseCharacter, Reading, estimate_noise
 from msal_cli.auto import FAMILY, NONE, Wishes, adaptive
 from msal_cli.auto.candidates import LINEAR

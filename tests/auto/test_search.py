@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks import ground_truth
 from msal_cli import methods
-from msal_cli.analysis import added_noise as noise
 from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
 from msal_cli.auto import NONE, Wishes, adaptive, search
@@ -46,7 +45,7 @@ def mesh():
 def spiky():
     """A scan with noise at one vertex in ten, and none at the others."""
     true = prepare_mesh(*torus(40, 20)).mesh
-    return true.with_vertices(noise.add_plain_noise(true, "impulsive", 0.5, 3, fraction=0.1))
+    return true.with_vertices(ground_truth.add_plain_noise(true, "impulsive", 0.5, 3, fraction=0.1))
 
 
 def chosen(mesh, **wishes):
@@ -96,7 +95,7 @@ def test_it_is_free_of_scale_and_place():
 @pytest.mark.ci
 def test_what_is_preferred_comes_out_better():
     true = prepare_mesh(*torus(60, 48)).mesh
-    scan = true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", 0.4, 1))
+    scan = true.with_vertices(ground_truth.add_plain_noise(true, "gaussian-normal", 0.4, 1))
     errors = {}
     for prefer in ("positions", "normals", "volume"):
         made = made_by(chosen(scan, prefer=prefer), scan)
@@ -235,9 +234,9 @@ def wish_corpus():
     true = prepare_mesh(*torus(40, 20)).mesh
     kinds = (("gaussian-normal", 0.2), ("gaussian", 0.15), ("impulsive", 0.4))
     for kind, level in kinds:
-        rough = true.with_vertices(noise.add_plain_noise(true, kind, level, 1))
+        rough = true.with_vertices(ground_truth.add_plain_noise(true, kind, level, 1))
         yield pytest.param(rough, id=kind, marks=[pytest.mark.ci] if kind == "gaussian" else [])
-    half = noise.add_plain_noise(true, "gaussian-normal", 0.3, 1)
+    half = ground_truth.add_plain_noise(true, "gaussian-normal", 0.3, 1)
     half[true.vertices[:, 0] < 0.0] = true.vertices[true.vertices[:, 0] < 0.0]
     yield pytest.param(true.with_vertices(half), id="uneven", marks=pytest.mark.ci)
     bumps = true.vertices.copy()
@@ -307,7 +306,7 @@ def test_progress_goes_up_and_ends_at_the_total(mesh, spiky):
 )
 def test_it_is_better_than_the_default_and_than_the_scan(name, level):
     true = ground_truth.opened(SAMPLES / name)
-    rough = true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", level, 7))
+    rough = true.with_vertices(ground_truth.add_plain_noise(true, "gaussian-normal", level, 7))
     default = methods.find("msal")
     plain = rough.with_vertices(default.denoise(rough, default.validate({})).vertices)
     choice = chosen(rough)
@@ -328,7 +327,7 @@ def test_clean_samples_hardly_move(name):
 @pytest.fixture(scope="module")
 def box_scan():
     true = prepare_mesh(*box(16, 12, 10)).mesh
-    return true.with_vertices(noise.add_plain_noise(true, "gaussian-normal", 0.2, 1))
+    return true.with_vertices(ground_truth.add_plain_noise(true, "gaussian-normal", 0.2, 1))
 
 
 def test_of_a_machined_part_nothing_is_given_back_unless_noise_is_white(box_scan, monkeypatch):

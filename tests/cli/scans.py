@@ -7,7 +7,7 @@ import sys
 
 from click.testing import CliRunner
 
-from msal_cli.analysis.added_noise import add_plain_noise
+from benchmarks.ground_truth import add_plain_noise
 from msal_cli.cli.main import program
 from msal_cli.mesh import prepare_mesh
 from tests.ply_files import XYZ, to_ascii_ply
