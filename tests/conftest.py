@@ -43,6 +43,17 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if re.search(r"^pytestmark = [^\]\n]*(\[[^\]]*)?mark\.ci\b", text, re.M) else None
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Test no kernels but those that the sources have now; once, not in each worker."""
+    if not hasattr(session.config, "workerinput"):
+        from kernel_build.sources import check_library
+
+        try:
+            check_library()
+        except SystemExit as edited:
+            pytest.exit(str(edited), 1)
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real scans, named by the environment variable MSAL_DATA."""

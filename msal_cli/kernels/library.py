@@ -6,8 +6,7 @@
 
 It gives, separated by tabs, the signature (numpy's codes of types; ``f8[:, ::1]`` is an array in
 C order, ``[::1, :]`` in Fortran order), the symbol, the types of the results, the positions of the
-arguments that the kernel writes to, and a hash of its source.  Only in a checkout is there a hash:
-a kernel that was edited since is an error.
+arguments that the kernel writes to, and a hash of its source, in a checkout.
 
 On x86-64 the library has code for two levels of processor; ``MSAL_CPU=v2`` chooses the lower.
 """
@@ -16,15 +15,12 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import hashlib
 import os
 import sys
 import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from msal_cli.errors import InternalError
 
@@ -58,7 +54,6 @@ class Entry(NamedTuple):
     symbol: str
     results: str
     written: frozenset[int]
-    source_hash: str
 
 
 def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
@@ -67,7 +62,7 @@ def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
     Raises
     ------
     InternalError
-        where the library does not have it, or not as its source is now.
+        where the library does not have it.
     """
     text = signature(kernel.name, arg_types)
     entry = _entries().get(text)
@@ -78,13 +73,6 @@ def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
             f"the kernel library has no {text}",
             hint="please report this line; developers: add the signature to "
             f"kernel_build/signatures.txt and run {_REBUILD}",
-        )
-    # python -OO drops docstrings, which count as constants.
-    is_checked = entry.source_hash and sys.flags.optimize < 2
-    if is_checked and source_hash(kernel) != entry.source_hash:
-        raise InternalError(
-            f"the kernel library does not have {kernel.name} as its source is now",
-            hint=f"build it: {_REBUILD} (numba is needed: pip install -e '.[dev]')",
         )
     return bind(open_library(), entry, arg_types)
 
@@ -109,9 +97,9 @@ def read_table(text: str) -> dict[str, Entry]:
     """The entries of a table by their signatures."""
     entries = {}
     for line in text.splitlines():
-        key, symbol, results, written, source_hash = line.split("\t")
+        key, symbol, results, written, _ = line.split("\t")
         positions = frozenset([int(at) for at in written.split()])
-        entries[key] = Entry(symbol, results, positions, source_hash)
+        entries[key] = Entry(symbol, results, positions)
     return entries
 
 
@@ -232,55 +220,6 @@ def _structure(names: tuple[str, ...]) -> Any:
     return type("Result", (ctypes.Structure,), {"_fields_": fields or [("none", ctypes.c_void_p)]})
 
 
-# Sources
-
-
-@functools.cache
-def source_hash(kernel: Any) -> str:
-    """A hash of the byte code and constants of a ``Kernel`` and of all kernels that it calls."""
-    parts: list[Any] = []
-    waiting, seen = [kernel], {id(kernel)}
-    while waiting:
-        one = waiting.pop()
-        code, known = one.function.__code__, one.function.__globals__
-        # Names of attributes are among these too; to hash too much does no harm.
-        modules = [value for value in known.values() if is_kernel_module(value)]
-        known = {name: value for of in (*map(vars, modules), known) for name, value in of.items()}
-        values = {name: known[name] for name in _names(code) if name in known}
-        parts.append((_plain_code(code), [(name, _plain(one)) for name, one in values.items()]))
-        for value in values.values():
-            if isinstance(value, type(kernel)) and id(value) not in seen:
-                seen.add(id(value))
-                waiting.append(value)
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
-
-
 def is_kernel_module(value: Any) -> bool:
     """Whether it is a module of kernels, whose functions kernels call by its name."""
     return isinstance(value, types.ModuleType) and value.__name__.startswith(f"{__package__}.")
-
-
-def _names(code: types.CodeType) -> list[str]:
-    """The names of globals, and of attributes, in the order in which the code has them."""
-    names = list(code.co_names)
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            names += _names(constant)
-    return names
-
-
-def _plain_code(code: types.CodeType) -> tuple[Any, ...]:
-    constants = [
-        _plain_code(one) if isinstance(one, types.CodeType) else _plain(one)
-        for one in code.co_consts
-    ]
-    return code.co_code, constants, code.co_names, code.co_varnames, code.co_flags
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
-    if value is None or isinstance(value, bool | int | float | str | bytes | tuple | np.generic):
-        # The type counts too: 1, 1.0 and True are compiled differently.
-        return type(value).__name__, repr(value)
-    return getattr(value, "__name__", type(value).__name__)

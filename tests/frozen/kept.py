@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from kernel_build.sources import check_library
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -70,6 +72,7 @@ def options(description: str) -> argparse.ArgumentParser:
 
 def settle(path: Path, found: Iterable[tuple[str, Any]], here: dict[str, str], write: bool) -> None:
     """Print which sums differ from those in a file, and exit with 1, or replace them there."""
+    check_library()
     document = json.loads(path.read_text())
     sums, n_different = {}, 0
     for name, made in found:

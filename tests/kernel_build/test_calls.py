@@ -55,7 +55,7 @@ def build(tmp_path_factory):
         symbol = f"kernel{len(entries)}"
         lowered = compiler_process.submit(lower_small, kernel.__name__, line)
         ir, entry, results = lowered.result()
-        entries[line] = library.Entry(symbol, results, written_arguments(kernel), "")
+        entries[line] = library.Entry(symbol, results, written_arguments(kernel))
         for suffix, processor in target.processors.items():
             files.append(folder / f"{symbol}{suffix}.o")
             made = objects.to_object(ir, entry, symbol + suffix, target.triple, processor)

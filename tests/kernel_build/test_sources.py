@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from kernel_build.signatures import arg_types_of, kernel_of, listed
+from kernel_build.sources import check_library, source_hash
 from kernel_build.written import written_arguments
-from msal_cli.kernels import geometry, umbrellas, vectors
+from msal_cli.kernels import geometry, library, umbrellas, vectors
 from msal_cli.kernels.compiled import Kernel, compiled
-from msal_cli.kernels.library import source_hash
 from tests.kernel_build import some_kernels as some
 
 
@@ -90,6 +90,14 @@ def test_every_line_names_a_kernel_and_its_arguments():
         code = kernel_of(line).function.__code__
         assert len(arg_types_of(line)) == code.co_argcount, line
     assert list(listed()) == sorted(set(listed()))
+
+
+def test_an_edited_kernel_is_an_error(monkeypatch, tmp_path):
+    check_library()
+    monkeypatch.setattr(library, "TABLE", tmp_path / "table.txt")
+    library.TABLE.write_text(f"{listed()[0]}\tsymbol\tf8\t0\t0123\n")
+    with pytest.raises(SystemExit, match="was edited: python -m kernel_build"):
+        check_library()
 
 
 def test_kernels_that_are_called_by_their_module_belong_to_the_source(monkeypatch):
