@@ -31,6 +31,7 @@ from msal_cli.cli.denoise import (
 from msal_cli.cli.options import PATH, STREAM, group
 from msal_cli.errors import OutputError, ResourceError, UsageError
 from msal_cli.job.display_names import escape_for_display
+from msal_cli.job.settings import output_name
 from msal_cli.storage.urls import is_url
 
 if TYPE_CHECKING:
@@ -189,8 +190,6 @@ class _Watch:
 
     def _plan(self, files: Sequence[DiscoveredInput]) -> Iterator[Plan]:
         """One plan of all files, or a plan of each that can be done if some cannot."""
-        from msal_cli.job.records import Failure, MeshRecord
-
         try:
             plan = plan_files(self._request, self._settings, files)
             for task in plan.tasks:
@@ -207,10 +206,31 @@ class _Watch:
                 for file in files:
                     yield from self._plan([file])
                 return
-            record = MeshRecord(files[0].path, "failed", None, error=Failure.of(error))
-            self._count(files[0].relative, record)
+            self._refuse(files[0], error)
         else:
             yield plan
+
+    def _refuse(self, file: DiscoveredInput, error: UsageError) -> None:
+        """Count a file that has no plan, and record it in the manifest, once for its content."""
+        from msal_cli.batch.manifest import done_line
+        from msal_cli.batch.resume import hash_file
+        from msal_cli.job.records import Failure, MeshRecord
+
+        output = self._request.output
+        manifest = self._manifests[output]
+        # The entry of the output is another file's, or there is none; no output has this name.
+        name = f"/{file.relative}"
+        earlier, sha256 = manifest.get(name), hash_file(file.path)
+        is_known = earlier is not None and earlier.input_sha256 == sha256
+        failure = Failure.of(error)
+        record = MeshRecord(
+            file.path, "failed", input_sha256=sha256, error=failure, remembered=is_known
+        )
+        if not is_known:
+            target = os.path.join(output, output_name(file.relative, self._settings.to))
+            manifest.open()
+            manifest.append([done_line(name, "", record, file.path, target)])
+        self._count(file.relative, record)
 
     def _run(self, plan: Plan) -> None:
         from msal_cli.batch.run import run
