@@ -59,6 +59,11 @@ OnProgress = Callable[[str, int, int], None]
 """Called as ``on_progress(stage, done, total)``; the stages are those of ``records.Seconds``."""
 
 
+# What a record says of an output; that of a file that failed has none.
+_OF_OUTPUT = ("volume", "area", "displacement", "normal_change", "flipped_faces", "seam_gap")
+_OF_OUTPUT += ("clamped_vertices", "locked_vertices", "despiked", "self_intersections", "fields")
+
+
 def start_record(name: str, settings: Settings) -> MeshRecord:
     """The record of a file before anything is known of it; it counts as failed until it is not."""
     method = MethodUsed(settings.method, dict(settings.parameters))
@@ -172,7 +177,7 @@ class FileRun:
     def fail(self, error: Exception) -> MeshRecord:
         """The record of a file that was not written, for any error."""
         failure = Failure.of(room.to_known_error(error, self._record.input))
-        return self._close_record(status="failed", error=failure)
+        return self._close_record(status="failed", error=failure, **dict.fromkeys(_OF_OUTPUT))
 
     # The way of a file
 

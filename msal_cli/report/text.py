@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from msal_cli.job.display_names import columns, escape_for_display, figure, pad_name, shorten_name
-from msal_cli.job.records import DONE, WITH_OUTPUT, InfoRecord, MeshRecord, Planned
+from msal_cli.job.records import DONE, InfoRecord, MeshRecord, Planned
 from msal_cli.machine import megabytes
 from msal_cli.report import facts
 from msal_cli.report.data import Run, known_values, totals
@@ -209,8 +209,7 @@ def _batch_lines(
         yield Line(f"({len(listed):,} files: -v lists them all, and so does --report)", "faint")
     yield from list_problems(records, verbose)
     sums = totals(records)
-    done = [record for record in records if record.status in WITH_OUTPUT]
-    yield from (Line(f"{fact.word}: {fact.text}") for fact in facts.total_facts(done, sums))
+    yield from (Line(f"{fact.word}: {fact.text}") for fact in facts.total_facts(records, sums))
     is_bad = sums.failed or sums.gate_broken or run.interrupted
     yield Line(
         "; ".join(filter(None, (facts.totals_text(sums), facts.speed_text(run, sums)))),
