@@ -80,6 +80,19 @@ def hash_file(path: str, is_stopped: Callable[[], bool] = lambda: False) -> str:
     return digest.hexdigest()
 
 
+def is_same_file(
+    path: str,
+    then: FileStat | ObjectMark | None,
+    sha256: str,
+    is_stopped: Callable[[], bool] = lambda: False,
+) -> bool:
+    """Whether a file is as it was ``then``, when it had this hash."""
+    now = FileStat.of(path)
+    if not sha256 or now is None or (isinstance(then, FileStat) and then.size != now.size):
+        return False
+    return hash_file(path, is_stopped) == sha256
+
+
 @dataclass(frozen=True, slots=True)
 class FileState:
     """What is to be done about one task.
@@ -193,12 +206,7 @@ class _FreshnessCheck:
             now = now or self.plan.objects.get(path)
             # Without a tag an object of the same size may be another.
             return now is not None and now == then and bool(now.tag)
-        stat_now = FileStat.of(path)
-        if not sha256 or stat_now is None:
-            return False
-        if isinstance(then, FileStat) and then.size != stat_now.size:
-            return False
-        return self._hash(path) == sha256
+        return is_same_file(path, then, sha256, self.is_stopped.is_set)
 
     def _hash(self, path: str) -> str:
         return hash_file(path, self.is_stopped.is_set)
@@ -444,6 +452,17 @@ def read_history(views: Sequence[LogView], place: str) -> RunHistory:
     runs = [run for view in views for run in _parse_runs(view)]
     rows = [_row(entry, place) for entry in manifests.merge_entries(views).values()]
     return sorted(runs, key=lambda run: run.at), rows
+
+
+def list_lost(views: Sequence[LogView], folder: str) -> list[str]:
+    """The outputs in a folder that are gone, or not as they were written."""
+    entries = manifests.merge_entries(views).values()
+    done = ((os.path.join(folder, entry.name), entry) for entry in entries if entry.status in DONE)
+    return [
+        path
+        for path, entry in done
+        if not is_same_file(path, entry.output_version, entry.output_sha256)
+    ]
 
 
 def _parse_runs(view: LogView) -> list[RunEntry]:

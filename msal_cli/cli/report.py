@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     As in msal denoise: exit with 4 if this is so for any file; implies --check. Repeatable.
 --unit
 --check
-    Exit with 1 if all files failed, 3 if some failed or are not finished, 4 if a gate in the
-    report is broken.
+    Exit with 1 if all files failed, 3 if some failed, are not finished, or are gone or changed
+    since they were written (compared by hash), 4 if a gate in the report is broken.
 """,
     ),
     group(MESSAGES, "--quiet\n-v, --verbose ...\n    List every file.\n"),
@@ -72,7 +72,8 @@ def command(request: Request) -> int:
     # Checked before a large folder is read.
     report_files.check(outputs, (), csv_columns)
     gates = parse_gates(request.fail_on, MeshRecord, request.unit)
-    run, found, remarks, paths = _summarize(request.runs)
+    is_checked = request.check or bool(gates)
+    run, found, remarks, paths = _summarize(request.runs, is_checked)
     done = [record for record in found if record.error is None and record.output]
     if done and all(record.reference is None for record in done):
         refuse_without_reference(gates, "name a JSON report of msal denoise --reference")
@@ -85,7 +86,6 @@ def command(request: Request) -> int:
         console.say_lines(text.list_problems(records, False, "Broken gates"))
     for remark in remarks:
         console.say(remark, "bad")
-    is_checked = request.check or bool(gates)
     if is_checked:
         report_files.annotate(records)
     try:
@@ -105,9 +105,13 @@ def command(request: Request) -> int:
 _WHAT_TO_NAME = "name an output folder, a manifest in it, or a report in .json or .jsonl"
 
 
-def _summarize(names: Sequence[str]) -> tuple[Run, list[MeshRecord], list[str], list[str]]:
+def _summarize(
+    names: Sequence[str], is_checked: bool
+) -> tuple[Run, list[MeshRecord], list[str], list[str]]:
     """The run and the records of these output folders, manifests and reports; remarks on what is
     missing or still going on; and the paths of the files that were read.
+
+    ``is_checked`` also compares the outputs in folders of this machine with their hashes.
 
     Of several records of a file, distinguished by the paths of its input and output, the newest
     counts.  The run is the newest one; its times span all runs of the same version and settings,
@@ -134,6 +138,9 @@ def _summarize(names: Sequence[str]) -> tuple[Run, list[MeshRecord], list[str], 
                 )
             history = resume.read_history(views, name)
             remarks += _missing_parts(history[0], name)
+            if lost := resume.list_lost(views, name) if is_checked and not is_url(name) else []:
+                more = f" and {len(lost) - 3} more" if len(lost) > 3 else ""
+                remarks.append(f"gone or changed: {', '.join(map(repr, lost[:3]))}{more}")
             paths += [] if is_url(name) else map(str, manifest.list_manifests(name))
         elif path.is_file():
             history = _read_file(path)

@@ -73,6 +73,10 @@ class TestOneFolder:
         assert 0.0 < again["seconds"] <= own["seconds"]
 
     def test_every_format_and_the_summary(self, done):
+        (done.parent / "out/s1.ply").write_bytes(b"ply")
+        one = ran("report", "out", "--check")
+        assert (one.exit_code, "gone or changed: 'out/s1.ply'\n" in one.stderr) == (3, True)
+        denoised()
         one = ran("report", "out", "-o", "new/r.json", "-o", "r.jsonl", "-o", "r.csv", "--check")
         assert one.exit_code == 0 and one.stdout == ""
         assert "3 files: 3 written" in one.stderr
