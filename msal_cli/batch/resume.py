@@ -27,6 +27,7 @@ from msal_cli.machine import iso_timestamp
 from msal_cli.record_fields import from_data
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
+from msal_cli.storage.sidecars import are_in_place
 from msal_cli.storage.urls import ObjectMark, is_url
 from msal_cli.version import __version__
 
@@ -166,6 +167,8 @@ class _FreshnessCheck:
             if not is_current or not (task.in_place or self._is_same_input(task, entry)):
                 return None
             record = entry.record() or MeshRecord(input=task.input, status="up-to-date")
+            if not (is_url(task.output) or self._has_side_files(task, record)):
+                return None
             method = record.method
             return replace(
                 record,
@@ -186,6 +189,14 @@ class _FreshnessCheck:
         if not self._is_same_input(task, entry):
             return None
         return replace(failed, input=task.input, output=None, remembered=True)
+
+    def _has_side_files(self, task: Task, record: MeshRecord) -> bool:
+        """Whether materials and textures are beside an output, and its fields as they were."""
+        if (fields := record.fields) is not None:
+            path = os.path.join(os.path.dirname(task.output), os.path.basename(fields.path))
+            if self._hash(path) != fields.sha256:
+                return False
+        return are_in_place(record.sidecars, task.input, task.output)
 
     def _is_same_input(self, task: Task, entry: ManifestEntry) -> bool:
         if suffix(task.input) == ".gltf":

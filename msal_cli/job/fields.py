@@ -6,6 +6,7 @@ leave all the rest in one colour.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -145,7 +146,8 @@ def build_file(
     data = ply_write.with_fields(
         mesh_file, vertices, values, colours.map_colours(shown, low, high, kind.map), comments
     )
-    return data, FieldsFile(path, tuple(values), name, kind.map, low, high)
+    digest = hashlib.sha256(data).hexdigest()
+    return data, FieldsFile(path, tuple(values), name, kind.map, low, high, digest)
 
 
 def write_file(data: Buffer, described: FieldsFile, sources: Sources) -> None:

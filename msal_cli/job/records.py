@@ -262,6 +262,7 @@ class FieldsFile:
     map: str = required("sequential: pale to dark; diverging: blue, pale, brown")
     low: float = required("value of the first colour, in the unit of the field")
     high: float = required("value of the last colour, in the unit of the field")
+    sha256: str = known("SHA-256 of its bytes, hexadecimal", "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -173,8 +173,9 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
             yield Fact("gate", gate_text(gate), "good")
     if record.self_intersections is not None:
         yield Fact("intersecting", self_intersections_text(record.self_intersections))
-    for sidecar in record.sidecars:
-        yield Fact("beside it", sidecar)
+    for sidecar in record.sidecars if record.status in DONE else ():
+        if not sidecar.startswith("warning: "):
+            yield Fact("beside it", sidecar)
 
 
 def fact_lines(facts: Iterable[Fact], width: int) -> Iterator[Line]:

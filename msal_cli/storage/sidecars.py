@@ -26,6 +26,7 @@ MAX_REFERENCES = 10_000
 MAX_BYTES = 4 << 30
 """Bytes of all files together that are carried for one mesh; a sparse file may say any size."""
 
+_IN_PLACE = " is in place already"
 _PIECE = 8 << 20
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _OPTION = (
@@ -96,6 +97,19 @@ def carry(
     return tuple(note for note in notes if note)
 
 
+def are_in_place(
+    notes: Sequence[str],
+    input_path: str | os.PathLike[str],
+    output_path: str | os.PathLike[str],
+) -> bool:
+    """Whether the files that ``carry`` made sure of, by what it returned, are there still."""
+    folder = Path(output_path).parent
+    found = (note.removeprefix("copied ").removesuffix(_IN_PLACE) for note in notes)
+    names = (name for name, note in zip(found, notes, strict=True) if name != note)
+    places = (_relative(name, Path(input_path).parent) for name in names)
+    return all(place is None or (folder / place).exists() for place in places)
+
+
 def _is_absolute(reference: str) -> bool:
     return (
         PurePosixPath(reference).is_absolute()
@@ -139,7 +153,7 @@ def _carry(reference: str, source_folder: Path, target_folder: Path, budget: lis
             )
         budget[0] -= size
         if target.exists() and _is_same(source, target):
-            return f"{reference} is in place already"
+            return f"{reference}{_IN_PLACE}"
     except OSError as failure:
         return f"warning: {reference} cannot be compared: {failure.strerror}"
     if not _is_within(target.parent, target_folder):

@@ -11,7 +11,7 @@ import pytest
 from msal_cli.batch import resume
 from msal_cli.batch.manifest import FileStat, done_line, encode_line, intent_line, parse_line
 from msal_cli.batch.plan import Plan, manifest_key
-from msal_cli.job.records import Failure, MeshRecord, MethodUsed
+from msal_cli.job.records import Failure, FieldsFile, MeshRecord, MethodUsed
 from msal_cli.job.settings import Task
 from msal_cli.storage.urls import ObjectMark
 
@@ -95,6 +95,8 @@ def test_an_output_that_is_current(case):
         lambda case: case.finish(status="failed"),
         lambda case: case.finish(input_sha256=""),
         lambda case: case.finish(output_sha256=""),
+        lambda case: case.finish(sidecars=("copied a.mtl",)),
+        lambda case: case.finish(fields=FieldsFile("a.fields.ply", (), "", "", 0.0, 1.0, "hash")),
         lambda case: case.options.update(fresh=True),
         lambda case: case.begin(),
     ],
