@@ -160,7 +160,8 @@ def _input_type(text: str) -> tuple[str, ObjectMark | None]:
     """``file``, ``folder`` or ``pattern``, and the mark of an object.
 
     In a store only what may be a single object is looked up; a folder is listed later.
-    Raises UsageError if there is nothing, or the store does not answer.
+    A link to nothing, or a mesh of a store that does not answer, is a file, so that it ends as a
+    failed row with its reason.  Raises UsageError if there is nothing, or nothing is known of it.
     """
     if not is_url(text):
         return _local_type(text), None
@@ -169,7 +170,12 @@ def _input_type(text: str) -> tuple[str, ObjectMark | None]:
         raise UsageError(f"{text!r} names no bucket or folder", path=text)
     other = "pattern" if has_magic(path) else "folder"
     may_be_object = not text.endswith("/") and (other == "pattern" or is_mesh_name(urls.name(text)))
-    mark = _object_mark(text) if may_be_object else None
+    try:
+        mark = _object_mark(text) if may_be_object else None
+    except UsageError as error:
+        if other == "folder" and isinstance(error.__cause__, InputError):
+            return "file", None
+        raise
     return (other, None) if mark is None else ("file", mark)
 
 
@@ -180,11 +186,11 @@ def _local_type(text: str) -> str:
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:
-        if isinstance(error, OSError) and has_magic(text) and not path.is_symlink():
+        if os.path.islink(text):
+            return "file"
+        if isinstance(error, OSError) and has_magic(text):
             return "pattern"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
-            if path.is_symlink():
-                raise MissingInputError(f"the link {text!r} leads to nothing", path=text) from None
             raise MissingInputError(f"there is no file or folder {text!r}", path=text) from None
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise UsageError(f"{text!r} cannot be opened: {reason}", path=text) from None
@@ -239,7 +245,7 @@ def _list_store(
             return [DiscoveredInput(url, urls.name(url), "", mark)]
         raise UsageError(
             f"there is no object or folder {url!r}",
-            hint="check the bucket, the name, and AWS_ENDPOINT_URL or its like",
+            hint="check the name, and of a store the bucket and AWS_ENDPOINT_URL or its like",
             path=url,
         )
     root = urls.identity(urls.folder(url))
@@ -271,7 +277,7 @@ def _ask_store(request: Callable[[], T]) -> T:
     try:
         return request()
     except InputError as error:
-        raise UsageError(error.message, hint=error.hint, path=error.path) from None
+        raise UsageError(error.message, hint=error.hint, path=error.path) from error
 
 
 # On this machine

@@ -60,8 +60,10 @@ OnProgress = Callable[[str, int, int], None]
 
 
 # What a record says of an output; that of a file that failed has none.
-_OF_OUTPUT = ("volume", "area", "displacement", "normal_change", "flipped_faces", "seam_gap")
-_OF_OUTPUT += ("clamped_vertices", "locked_vertices", "despiked", "self_intersections", "fields")
+_OF_OUTPUT = (
+    *("volume", "area", "displacement", "normal_change", "flipped_faces", "seam_gap"),
+    *("clamped_vertices", "locked_vertices", "despiked", "self_intersections", "fields"),
+)
 
 
 def start_record(name: str, settings: Settings) -> MeshRecord:

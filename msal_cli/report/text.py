@@ -65,8 +65,9 @@ def listing(records: Sequence[MeshRecord]) -> Iterator[Line]:
         elif record.status == "up-to-date":
             yield Line(f"{_output_name(record)} is up to date")
         else:
-            ending = "" if record.planned is None else f": {_planned_text(record.planned)}"
-            yield Line(f"{file_name(record.input)} -> {_output_name(record)}{ending}")
+            parts = [f"{file_name(record.input)} -> {_output_name(record)}"]
+            parts += [] if record.planned is None else [_planned_text(record.planned)]
+            yield Line(": ".join(filter(None, parts)))
             if (part := record.tile_set) is not None:
                 shared = format_count(part.shared_vertices, "vertex")
                 touches = f"{', '.join(part.neighbours)}: {shared}"

@@ -306,7 +306,7 @@ def _explain(failure: BaseException) -> tuple[str, str]:
     if any(map(_UNREACHABLE.fullmatch, kinds)):
         return (
             f"the store cannot be reached ({said})",
-            "check the network and, where it is set, AWS_ENDPOINT_URL; then run again",
+            "check the address (of S3 AWS_ENDPOINT_URL) and the network; then run again",
         )
     if "NotImplementedError" in kinds:
         return "its file system cannot do that", "name another place"

@@ -97,6 +97,8 @@ def test_urls_stand_for_objects_folders_and_patterns(scans):
 def test_what_is_not_there_is_refused(url):
     with pytest.raises(UsageError):
         discover_inputs([url])
+    # Its store does not answer, so the run says why it cannot be read.
+    assert paths("http://127.0.0.1:9/scans/a.ply") == ["/a.ply"]
 
 
 def test_the_output_below_the_input_is_no_input(scans):
