@@ -14,6 +14,7 @@ import click
 
 from msal_cli.cli import config, console
 from msal_cli.cli.options import MESSAGES, OptionGroup
+from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -75,7 +76,11 @@ class Command(click.Command):
         assert self.callback is not None
         verbosity = -1 if ctx.params.get("quiet") else ctx.params.get("verbose", 0)
         with console.log_to_console(verbosity):
-            return ctx.invoke(self.callback, Request(**ctx.params, context=ctx))
+            try:
+                return ctx.invoke(self.callback, Request(**ctx.params, context=ctx))
+            except UsageError as error:
+                config.name_file(ctx, error)
+                raise
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the command line, with values of a configuration file where it gives none."""

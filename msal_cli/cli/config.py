@@ -7,6 +7,7 @@ dashes.  The command line wins.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -108,7 +109,7 @@ def read_config(path: str, ctx: click.Context, *, is_named: bool) -> dict[str, A
     return values
 
 
-def key_of(option: click.Option) -> str:
+def key_of(option: click.Parameter) -> str:
     """The name of an option in a file: ``fail-on``, ``K``."""
     return max(option.opts, key=len).lstrip("-")
 
@@ -215,19 +216,22 @@ def parse_args(ctx: click.Context, args: list[str], parse: Parse) -> list[str]:
     return parse(ctx, words)
 
 
-def name_file(ctx: click.Context, error: UsageError) -> UsageError:
-    """The error about settings, with which of those that it may be about the file gives."""
-    given = [
-        key_of(option)
-        for option in ctx.command.params
-        if isinstance(option, click.Option)
-        and ctx.get_parameter_source(str(option.name)) is ParameterSource.DEFAULT_MAP
-        and (option.name in BY_HAND or key_of(option) in error.message)
-    ]
-    if not given:
-        return error
-    words = f"{error.message} ({ctx.meta[_PATH]} gives {', '.join(given)})"
-    return UsageError(words, hint=error.hint)
+def name_file(ctx: click.Context, error: UsageError, *, is_on_method: bool = False) -> None:
+    """Say in an error which of the options that it is about, or may be, the file gives."""
+    given = []
+    for option in ctx.command.params:
+        name = str(option.name)
+        if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT_MAP:
+            continue
+        key, value = key_of(option), ctx.params[name]
+        is_named = re.search(rf"--{key}(?![\w-])", error.message)
+        texts = value if isinstance(value, tuple) else (value,)
+        is_quoted = any(repr(text) in error.message for text in texts if isinstance(text, str))
+        if is_named or is_quoted or (is_on_method and name in BY_HAND):
+            given.append(key)
+    what = f" ({ctx.meta.get(_PATH)} gives "
+    if given and what not in error.message:
+        error.message += f"{what}{', '.join(given)})"
 
 
 def is_from_found_file(ctx: click.Context, name: str) -> bool:

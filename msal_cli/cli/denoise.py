@@ -543,7 +543,8 @@ def build_settings(request: Request, gates: Sequence[Gate]) -> Settings:
     try:
         return parse(given, as_options=True)
     except UsageError as error:
-        raise name_file(request.context, error) from None
+        name_file(request.context, error, is_on_method=True)
+        raise
 
 
 def plan_files(request: Request, settings: Settings, found: Sequence[DiscoveredInput]) -> Plan:

@@ -110,6 +110,7 @@ def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
         ("[denoise]\nauto = 'yes'", ("[denoise] auto is 'yes'", "true or false")),
         ("[denoise]\njobs = 0", ("msal.toml: [denoise] jobs", "neither auto nor")),
         ("[denoise]\njobs = 1\nmethod = 'foo'", ("no method 'foo' (msal.toml gives method)",)),
+        ("[denoise]\nfields = 'noise,nope'", ("no field 'nope' (msal.toml gives fields)",)),
         ("[denoise]\nencoding = 'hex'", ("msal.toml: [denoise] encoding", "'hex'")),
         ("[denoise]\nverbose = true", ("whole number",)),
         ("[denoise]\nmethod = 1979-05-27", ("[denoise] method",)),
