@@ -296,9 +296,9 @@ _SHARED = f"""
 --retries N
     How often a file is tried again, alone, that was lost to a crash, memory or time. [default: 1]
 --fail-fast
-    Begin no more files once one has failed.
+    Begin no more files once one has failed in this run; a rerun goes on behind it.
 --max-failures N
-    Begin no more files once N have failed. [default: none]
+    Begin no more files once N have failed in this run. [default: none]
 -q, --quiet
     No progress and no summary; only errors.
 -v, --verbose ...
