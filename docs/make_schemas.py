@@ -33,22 +33,25 @@ Schema = dict[str, Any]
 
 def build_schemas() -> dict[str, Schema]:
     """The schemas by file name: of a JSON report (a line of a JSON Lines report is its
-    ``#/$defs/MeshRecord``), of ``msal info --json``, and of ``msal compare --json`` for folders
-    (for two files it prints a ``#/$defs/ComparisonRecord``)."""
+    ``#/$defs/MeshRecord``), of ``msal info --json``, and of ``msal compare --json``, which prints
+    for two files a ``#/$defs/ComparisonRecord``."""
     builder = _Builder()
     totals = builder.of(Totals) | {"description": "sums over the records"}
     run = {**builder.of_fields(Run)["properties"], "totals": totals}
     version = {"version": {"type": "string", "description": "version of msal"}}
     by_input = "one record per input file, in the order of the inputs"
     by_pair = "one record per pair of files, by relative path"
+    compared = _Builder().document(
+        "msal compare", ComparisonRecord.schema, version, ComparisonRecord, by_pair
+    )
+    several = {"required": compared.pop("required")}
+    compared["anyOf"] = [several, {"$ref": "#/$defs/ComparisonRecord"}]
     return {
         "report.schema.json": builder.document("msal report", SCHEMA, run, MeshRecord, by_input),
         "info.schema.json": _Builder().document(
             "msal info", InfoRecord.schema, version, InfoRecord, by_input
         ),
-        "compare.schema.json": _Builder().document(
-            "msal compare", ComparisonRecord.schema, version, ComparisonRecord, by_pair
-        ),
+        "compare.schema.json": compared,
     }
 
 
