@@ -274,7 +274,8 @@ class _Parser:
                 raise self._error(third.col_offset + 1, why, hint)
             case ast.Call(func=function, args=parts, keywords=[]):
                 return self._call(ast.unparse(function), at, parts)
-        raise self._error(at, f"{ast.unparse(node)!r} means nothing here")
+        source = ast.get_source_segment(self._text, node)
+        raise self._error(at, f"{source!r} means nothing here")
 
     def _call(self, word: str, at: int, arguments: Sequence[ast.AST]) -> _Meaning:
         if word not in _MAX_PARTS:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from collections.abc import Sequence
 from xml.etree import ElementTree as Xml
 
@@ -60,7 +61,7 @@ def _suite(run: Run, at: int, folder: str, records: Sequence[MeshRecord]) -> Xml
     properties = Xml.SubElement(suite, "properties")
     properties_of_run = (
         ("msal.version", run.version),
-        ("msal.command", " ".join(run.command)),
+        ("msal.command", shlex.join(run.command)),
         *((f"msal.settings.{name}", text) for name, text in facts.setting_texts(run.settings)),
     )
     for name, value in properties_of_run:

@@ -95,7 +95,7 @@ RECORDS = st.builds(any_records, st.randoms(use_true_random=True))
 
 RUN = Run(
     version="1.2.3",
-    command=("msal", "denoise", "scans", "-o", "out"),
+    command=("msal", "denoise", "scans", "-o", "an out"),
     settings={"method": "msal", "parameters": {"K": 0.5}, "to": None},
     started="2026-01-02T03:04:05.678Z",
     finished="2026-01-02T03:04:15.678Z",

@@ -102,6 +102,7 @@ def test_verdicts_by_hand(text, is_broken):
         ("faces > __", 9, "no record has a number '__'"),
         ("abs(faces, x=1) > 1", 13, "'=' means nothing"),
         ("faces > (1, 2)", 9, "means nothing"),
+        ("faces > 2,000", 1, "'faces > 2,000' means nothing"),
         ("sqrt(faces) > 1", 1, "no function sqrt"),
         ("abs(faces, 1) > 1", 1, "abs takes one value"),
         ("min() > 1", 1, "min takes 1 to 9 values"),
