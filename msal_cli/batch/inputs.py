@@ -430,4 +430,6 @@ def _match(pattern: Sequence[str], parts: Sequence[str]) -> bool:
         return not rest or any(_match(rest, parts[at:]) for at in range(len(parts)))
     if parts[0].startswith(".") and first[0:1] in ("*", "?", "["):
         return False
-    return fnmatch.fnmatch(parts[0], first) and _match(rest, parts[1:])
+    # A name may be written with the marks of patterns.
+    is_match = parts[0] == first or fnmatch.fnmatch(parts[0], first)
+    return is_match and _match(rest, parts[1:])

@@ -145,9 +145,9 @@ def _to_words(option: click.Option, value: Any, place: str) -> Any:
             raise UsageError(f"{place} is {value!r}", hint="write true or false")
         return value
     if option.count:
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= 9:
-            raise UsageError(f"{place} is {value!r}", hint="write a whole number such as 1")
-        return value
+        if not isinstance(value, int) or not 0 <= value <= 9:
+            raise UsageError(f"{place} is {value!r}", hint="write true, or a number such as 2")
+        return int(value)
     if isinstance(value, dict) and option.multiple:
         # [denoise.set] iterations = 4
         value = [f"{name}={_to_word(word, f'{place}.{name}')}" for name, word in value.items()]

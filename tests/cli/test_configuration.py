@@ -112,7 +112,7 @@ def test_a_parent_counts_within_a_repository_only(project, monkeypatch):
         ("[denoise]\njobs = 1\nmethod = 'foo'", ("no method 'foo' (msal.toml gives method)",)),
         ("[denoise]\nfields = 'noise,nope'", ("no field 'nope' (msal.toml gives fields)",)),
         ("[denoise]\nencoding = 'hex'", ("msal.toml: [denoise] encoding", "'hex'")),
-        ("[denoise]\nverbose = true", ("whole number",)),
+        ("[denoise]\nverbose = 'x'", ("write true",)),
         ("[denoise]\nmethod = 1979-05-27", ("[denoise] method",)),
         ("[denoise]\nfail-on = [[1]]", ("[denoise] fail-on",)),
         ("[denoise\n", ("msal.toml: this is not TOML", "line 1")),
@@ -152,7 +152,9 @@ def test_a_named_file_must_be_there(project):
 
 
 def test_other_commands_have_tables_too(project):
-    write(project, '[info]\nexclude = ["*"]\n[noise]\nlevel = 0.0\n[view]\nsize = 64')
+    write(
+        project, '[info]\nexclude = ["*"]\n[noise]\nlevel = 0.0\n[view]\nsize = 64\nverbose = true'
+    )
     assert msal("info", "in").exit_code == 5
     assert msal("noise", "in/a.ply", "-o", "n.ply", "-q").exit_code == 0
     assert (project / "n.ply").read_bytes() == (project / "in/a.ply").read_bytes()
