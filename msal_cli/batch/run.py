@@ -344,6 +344,6 @@ def check_options(
         raise UsageError(f"a file cannot be done within {limits.timeout_s:g} s")
     if limits.memory_bytes is not None and limits.memory_bytes < BASE_BYTES:
         raise UsageError(
-            f"a memory limit of {limits.memory_bytes / 1e6:.0f} MB is not enough for any file",
+            f"a memory limit of {limits.memory_bytes / 1e6:g} MB is not enough for any file",
             hint=f"msal itself takes {BASE_BYTES / 1e6:.0f} MB",
         )

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import augment_usage_errors
 
 from msal_cli.cli import config, console
 from msal_cli.cli.options import MESSAGES, OptionGroup
@@ -86,7 +87,9 @@ class Command(click.Command):
         """Parse the command line, with values of a configuration file where it gives none."""
         if ctx.resilient_parsing or not self.configurable:
             return super().parse_args(ctx, args)
-        rest = config.parse_args(ctx, args, super().parse_args)
+        # Click leaves out the command where an option has no value.
+        with augment_usage_errors(ctx):
+            rest = config.parse_args(ctx, args, super().parse_args)
         for parameter in self.params:
             value = ctx.params.get(str(parameter.name))
             # As of a variable of the shell that is not set; -o '' would be the current folder.
