@@ -13,7 +13,15 @@ import click
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts, resolve_format
+from msal_cli.cli.options import (
+    MESSAGES,
+    PATH,
+    STREAM,
+    find_given,
+    group,
+    refuse_conflicts,
+    resolve_format,
+)
 from msal_cli.errors import UsageError
 from msal_cli.record_fields import as_data
 from msal_cli.storage import gzip_streams
@@ -99,6 +107,8 @@ def command(request: Request) -> int:
 
     refuse_conflicts(find_given(request.context))
     gates = parse_gates(request.fail_on, ComparisonRecord, request.unit)
+    if STREAM in (request.before, *request.others):
+        raise UsageError("A and B are files", hint="write the stream to a file first")
     earlier = None
     if (baseline := request.baseline) is not None:
         earlier = read_comparisons(bytes(gzip_streams.read_whole(baseline)), baseline)

@@ -229,8 +229,11 @@ def command(request: Request) -> int:
 
 
 def read_limits(request: Request) -> Limits:
-    """What one file may take; UsageError for a number of threads that is none."""
+    """What one file may take; UsageError for a number of threads or a folder that is none."""
     options.check_threads_variable()
+    # The machines of a cluster may have another disk.
+    if request.scratch and request.engine != "dask" and not os.path.isdir(request.scratch):
+        raise UsageError(f"--scratch {request.scratch}: there is no such folder")
     return Limits(request.timeout, request.memory_limit, request.scratch)
 
 

@@ -72,15 +72,6 @@ def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = 
             raise UsageError(f"the report {name!r} is given twice")
         seen.add(path)
         refuse_target(name, "the report", taken, replaces=REPORT)
-        if is_remote:
-            continue
-        # The folder itself may still have to be made, as that of the outputs often has.
-        folder = next(parent for parent in Path(name).absolute().parents if parent.exists())
-        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
-            raise UsageError(
-                f"the report {name!r} cannot be written to the folder {str(folder)!r}",
-                hint="choose another place",
-            )
 
 
 def write(
@@ -175,8 +166,17 @@ def refuse_target(
     for path in taken:
         if here == (identify_file(path) or os.path.realpath(path)):
             raise UsageError(f"{what} {name!r} would replace {path!r}", hint=_ANOTHER)
+    if is_remote:
+        return
+    # The folder itself may still have to be made, as that of the outputs often has.
+    folder = next(parent for parent in Path(name).absolute().parents if parent.exists())
+    if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+        raise UsageError(
+            f"{what} {name!r} cannot be written to the folder {str(folder)!r}",
+            hint="choose another place",
+        )
     # A link to nowhere is replaced.
-    if is_remote or not os.path.exists(name):
+    if not os.path.exists(name):
         return
     if os.path.isdir(name):
         raise UsageError(f"{what} {name!r} is a folder", hint="name a file in it")

@@ -72,8 +72,8 @@ def command(request: Request) -> int:
     from msal_cli.auto.risk import estimate_errors
     from msal_cli.cli.report_files import refuse_target
     from msal_cli.job.comparison import open_mesh_file, open_surface, surface_of
+    from msal_cli.job.output import write_output
     from msal_cli.job.room import room_for_files
-    from msal_cli.storage import atomic
     from msal_cli.view import pictures, sweep
     from msal_cli.view.panels import png_bytes
 
@@ -112,7 +112,7 @@ def command(request: Request) -> int:
             (replace(cell, risk_edges=error), image)
             for (cell, image), error in zip(done, errors, strict=False)
         ]
-        atomic.write_whole(output, png_bytes(sweep.sheet(on, grid, done, view)), sources=[source])
+        write_output(output, png_bytes(sweep.sheet(on, grid, done, view)), sources=[source])
     cells = [cell for cell, _ in done]
     nearest = sweep.find_nearest(cells)
     if request.as_json:

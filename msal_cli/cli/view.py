@@ -109,6 +109,8 @@ def command(request: Request) -> int:
     names = (request.before,) if request.after is None else (request.before, request.after)
     if STREAM in names:
         raise UsageError("A and B are files", hint="write the stream to a file first")
+    if request.after is None and request.colours == "deviation":
+        raise UsageError("--colours deviation needs a mesh B", hint="name the one to compare with")
     format, output = resolve_format(request.format), request.output
     kind = "html" if output is None else _find_kind(output)
     if output is None:

@@ -115,7 +115,6 @@ frob | hint: msal --help shows how it is used
 den | hint: msal --help shows how it is used
 # Options have no abbreviations.
 denoise a.ply -o new.ply --iter=3 | --iter
-denoise a.ply -o new.ply --dry | --dry
 
 denoise a.ply | there is no output & -o OUT, or replace the inputs with --in-place
 methods msl | there is no method 'msl' & hint: did you mean msal?
@@ -154,6 +153,8 @@ denoise in --tile-set --in-place | --in-place cannot be used with --tile-set
 denoise in -o new --tile-set --shard 1/2 | the files of a tile set are one mesh
 denoise in -o new --tile-set --timeout 5 | the files of a tile set are one mesh
 denoise in -o new --tile-set --engine dask --scheduler tcp://host:1 | of a tile set are one mesh
+denoise in -o new --strength | hint: msal denoise --help
+denoise in -o new --scratch none | --scratch none: there is no such folder
 denoise in -o new --fail-on 'volume_chnge > 1%' | the gate 'volume_chnge > 1%', column & hint:
 denoise in -o new --fail-on 'x > ' | the gate 'x >', column & hint:
 # As of a variable that is not set.
@@ -184,7 +185,7 @@ denoise - -o new.ply --to stl | say two formats
 denoise - -o y.stp | no mesh format
 denoise a.ply -o - --report a.ply | unknown report format
 
-compare a.ply in | two folders
+compare a.ply - | write the stream to a file
 compare a.ply b.ply in | two folders
 compare in in in | two folders
 compare in in --heatmap h.ply | --heatmap
@@ -213,6 +214,7 @@ sweep a.ply -o g.png --columns K=0.5 --set mollify=1 --set mollify=2 | twice
 sweep a.ply -o g.png --rows K=0.1,0.2,0.3 --columns iterations=NUMBERS | 100 cells
 sweep a.ply -o g.png --method nothing | no method
 sweep a.ply -o g.ply | NAME.png
+sweep a.ply -o notes.txt/g.png --columns K=1 | cannot be written to the folder
 1 sweep a.ply -o g.png --reference open.ply | open.ply & same vertices and faces
 
 1 view missing.ply -o p.png | missing.ply
@@ -220,7 +222,7 @@ sweep a.ply -o g.ply | NAME.png
 1 view a.ply bad.ply -o p.png | bad.ply
 1 view points.ply -o p.png | E_NO_FACES
 1 view a.ply -o none/p.png | the output folder does not exist
-view a.ply -o p.jpg | NAME.png
+view a.ply -o p.png --colours deviation | needs a mesh B
 view a.ply -o a.ply | NAME.png
 view a.ply -o p.png --size 9 | 48
 view a.ply -o p.png --turn nan | from -360 to 360
