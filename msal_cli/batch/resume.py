@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import platform
 import stat
@@ -18,7 +19,7 @@ from typing import Any
 
 from msal_cli.batch import manifest as manifests
 from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
-from msal_cli.batch.plan import Plan, manifest_key
+from msal_cli.batch.plan import Plan, identify_file, manifest_key
 from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed
@@ -50,6 +51,8 @@ _FAULTS_OF_FILES = frozenset(
 _MAX_THREADS = 8
 _TASKS_PER_CALL = 32
 _BLOCK_BYTES = 1 << 20
+
+_log = logging.getLogger("msal.batch")
 
 OnDone = Callable[[int, MeshRecord], None]
 
@@ -338,7 +341,24 @@ class Journal:
                 hint="the original is in it: move it back, or choose another --backup suffix",
                 path=obstacles[0],
             )
+        self._warn_of_others(todo)
         return todo, restored
+
+    def _warn_of_others(self, todo: Sequence[int]) -> None:
+        """Say which results of other inputs, which are still there, this run replaces."""
+        others = []
+        for task in (self._plan.tasks[index] for index in todo):
+            place = task.manifest_dir
+            entry = None if place is None else self.manifests[place].get(manifest_key(task))
+            if entry is None or entry.status not in DONE or identify_file(task.output) is None:
+                continue
+            source = str(entry.data().get("paths", [""])[0])
+            if identify_file(source) not in (None, identify_file(task.input)):
+                others.append(f"{task.output!r}, which was made of {source!r}")
+        if others:
+            more = f" (and {len(others) - 1:,} more like it)" if len(others) > 1 else ""
+            advice = "give each input folder an output folder of its own to keep both"
+            _log.warning("this replaces %s%s; %s", others[0], more, advice)
 
     def note_done(self, finished: Mapping[int, MeshRecord]) -> None:
         """Record files that are finished; OutputError if that fails."""

@@ -149,6 +149,14 @@ def test_a_report_that_cannot_be_written_is_fatal_but_json_is_printed(scan, tmp_
     assert (tmp_path / "o.ply").exists()
 
 
+def test_a_result_of_another_input_is_not_replaced_unseen(scans, tmp_path):
+    folder_of(tmp_path / "new", a=closed_scan(2))
+    for source, count in ((scans / "a.ply", 0), (tmp_path / "new/a.ply", 1)):
+        made = msal("denoise", source, "-o", f"{tmp_path}/out/", "-n", "1")
+        said = f"'{tmp_path}/out/a.ply', which was made of '{scans}/a.ply'; give each"
+        assert (made.exit_code, made.stderr.count(said)) == (0, count)
+
+
 def test_what_is_not_asked_for_is_not_imported(scan, tmp_path):
     """A small mesh takes a tenth of a second, most of it imports."""
     unwanted = ("view", "report.gates", "report.html", "job.fields")

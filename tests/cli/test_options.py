@@ -133,7 +133,6 @@ denoise a.ply --in-place --backup .ply | would be inputs of the next run & .orig
 denoise a.ply --in-place --fields sigma | the next run in place would take for an input
 denoise a.ply -o new --fail-fast --max-failures 2 | --fail-fast and --max-failures contradict
 denoise a.ply -o new --strength 1 --schedule plain | --strength and --schedule contradict
-denoise a.ply -o new --method auto -n 3 | --method auto and --iterations contradict
 denoise a.ply -o new --method adaptive -n 3 | --method adaptive and --iterations contradict
 denoise a.ply -o new --method adaptive --auto | --auto and --method adaptive contradict
 denoise a.ply -o new --strength 2.5 | '2.5' is not a number from -2 to 2
@@ -146,12 +145,10 @@ denoise a.ply -o new --weights q --method taubin | taubin has none
 denoise a.ply -o new --scheduler tcp://host:1 | --scheduler needs --engine dask
 denoise a.ply -o new --engine dask | --engine dask needs --scheduler
 denoise a.ply -o new --engine dask --scheduler x | --scheduler x: this is not an address
-denoise a.ply -o new --engine dask --scheduler local | --scheduler local: this is not an address
 denoise a.ply -o new --engine dask --scheduler tcp://host:1 -j 2 | -j is for this machine
 denoise a.ply --in-place --engine dask --scheduler tcp://host:1 | cannot be used with Dask
 denoise in --tile-set --in-place | --in-place cannot be used with --tile-set
 denoise in -o new --tile-set --shard 1/2 | the files of a tile set are one mesh
-denoise in -o new --tile-set --timeout 5 | the files of a tile set are one mesh
 denoise in -o new --tile-set --engine dask --scheduler tcp://host:1 | of a tile set are one mesh
 denoise in -o new --strength | hint: msal denoise --help
 denoise in -o new --scratch none | --scratch none: there is no such folder
@@ -162,7 +159,6 @@ denoise in -o '' | '--output': it is empty
 denoise in '' -o new | 'INPUT...': it is empty
 denoise in -o new --fail-on '' | '--fail-on': it is empty
 denoise in -o new --method '' | '--method': it is empty
-denoise in -o new --weights '' | '--weights': it is empty
 denoise in -o new --config '' | cannot be read
 view '' | 'A': it is empty
 denoise in -o new --fail-on 'hausdorff > 0' | against a reference & give --reference TRUTH
@@ -187,10 +183,8 @@ denoise a.ply -o - --report a.ply | unknown report format
 
 compare a.ply - | write the stream to a file
 compare a.ply b.ply in | two folders
-compare in in in | two folders
 compare in in --heatmap h.ply | --heatmap
 compare a.ply b.ply --heatmap a.ply |
-compare a.ply b.ply --heatmap b.ply |
 compare a.ply b.ply --heatmap heat.obj |
 compare a.ply b.ply --heatmap . |
 compare a.ply b.ply --tolerance 2% | --baseline
@@ -209,7 +203,6 @@ sweep a.ply -o g.png --rows K=0.5,2 | K = 2
 sweep a.ply -o g.png --columns k=0.5 | no parameter
 sweep a.ply -o g.png --columns K=0.5,0.50 | twice
 sweep a.ply -o g.png --columns K=0.5 --rows K=1 | two places
-sweep a.ply -o g.png --columns K=0.5 --set K=1 | two places
 sweep a.ply -o g.png --columns K=0.5 --set mollify=1 --set mollify=2 | twice
 sweep a.ply -o g.png --rows K=0.1,0.2,0.3 --columns iterations=NUMBERS | 100 cells
 sweep a.ply -o g.png --method nothing | no method
