@@ -177,10 +177,9 @@ class _Search:
         is_detail = after.is_negligible and after.is_unsure
         if not self._are_beyond(after.high if is_detail else after.rms_edges):
             return False
-        if is_detail and has_uneven_edges(self.mesh.with_vertices(self.positions)):
-            return False
         if after.is_negligible:
-            return are_certain
+            moved = self.mesh.with_vertices(self.positions)
+            return are_certain and not has_uneven_edges(moved)
         is_sure = are_certain or (share > USUAL and not after.is_unsure)
         return is_sure and not estimate_noise(self.mesh).is_negligible
 

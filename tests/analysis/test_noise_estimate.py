@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks import ground_truth
 from benchmarks.ground_truth import add_plain_noise
+from msal_cli.analysis import noise_estimate
 from msal_cli.analysis.noise_estimate import (
     NOISE,
     TEXTURE,
@@ -118,6 +119,18 @@ def test_parts_of_few_vertices_do_not_pass_for_noise(rows, is_negligible):
     noise = estimate_noise(prepare_mesh(moved, joined).mesh)
     assert noise.is_negligible == is_negligible
     assert (noise.character.basis == "parts of few vertices") == is_negligible
+
+
+@pytest.mark.parametrize(
+    ("kind", "flat", "is_clean"),
+    [("white", 9, True), ("white", -1, False), ("view", 9, True), ("uneven", 9, False)],
+)
+def test_noise_bends_edges(kind, flat, is_clean, monkeypatch):
+    verdict = noise_estimate.Verdict(0.85, kind, 0.8, 0.1, 0.1, 0.09, 0.11, 0)
+    monkeypatch.setattr(noise_estimate, "classify", lambda numbers, least: verdict)
+    vertices, faces = grid(60, 40)
+    vertices[:, 2] += 0.1 * np.random.default_rng(3).standard_normal(2400) * (vertices[:, 0] > flat)
+    assert estimate_noise(prepare_mesh(vertices, faces).mesh).is_negligible == is_clean
 
 
 @pytest.mark.parametrize(("wide", "spread"), [(1.0, 1.5), (30.0, 30.0)])

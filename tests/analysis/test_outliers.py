@@ -92,9 +92,13 @@ def test_outliers_are_found_and_brought_back(shape, level, share):
     assert errors[hits].mean() < 0.25 + level
 
 
-@pytest.mark.parametrize(("spread", "is_clear"), [(0.0, False), (0.1, True)])
-def test_outliers_in_one_plane_of_a_design_are_not_clear(spread, is_clear):
-    mesh = prepare_mesh(*box(20, 20, 20)).mesh
+@pytest.mark.parametrize(
+    ("spread", "long", "is_clear"), [(0.0, 1.0, False), (0.1, 1.0, True), (0.1, 40.0, False)]
+)
+def test_outliers_of_a_design_are_not_clear(spread, long, is_clear):
+    """In one plane, or on very uneven triangles."""
+    box_vertices, faces = box(20, 20, 20)
+    mesh = prepare_mesh(box_vertices * [1.0, 1.0, long], faces).mesh
     vertices, top = mesh.vertices.copy(), mesh.vertices[:, 2].max()
     rows = np.isin(vertices[:, :2], [-6.0, -2.0, 2.0, 6.0]).all(axis=1)
     planted = np.flatnonzero(rows & (vertices[:, 2] == top))

@@ -56,7 +56,8 @@ from msal_cli.analysis.noise_estimate.level import (
 from msal_cli.analysis.noise_estimate.patterns import is_patterned
 from msal_cli.arrays import Floats
 from msal_cli.kernels.connectivity import component_labels
-from msal_cli.kernels.geometry import ring_means
+from msal_cli.kernels.faces import dihedral_angles, flaps
+from msal_cli.kernels.geometry import face_normals, ring_means
 from msal_cli.mesh import Mesh, cached_by_mesh
 
 __all__ = [
@@ -130,6 +131,12 @@ QUIET_UNEVEN, SURE_UNEVEN = 0.07, 0.97
 MAX_SPREAD, SURE_SPREAD = 16.0, 0.8
 """Where 95 % and 5 % of the edges are below lengths with a greater ratio, as in exports of CAD and
 after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other noise this."""
+
+FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
+"""Angle in radians up to which an edge is flat to rounding; the share of such edges above which
+noise needs ``SURE_NOISE``, and along an axis ``SURE_DESIGN``; and the cosine to the axis from which
+that bends a face.  Noise leaves 0.003 at most, decimated and shrink-wrapped designs 0.01 and more,
+and range scans with rounded depths as much."""
 
 MAX_WHITE = 1.25
 """What fits over two rings leave at the flattest fifth of the places, over the level for white
@@ -402,6 +409,9 @@ def characterize(mesh: Mesh) -> Estimate:
         verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
+    sure = SURE_DESIGN if verdict.kind == "view" else SURE_NOISE
+    if not is_doubtful and verdict.noise < sure:
+        is_doubtful = _has_flat_edges(mesh, verdict, evidence)
     if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
     if _is_in_pieces(mesh):
@@ -522,6 +532,18 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
     if is_uneven:
         return SURE_SPREAD
     return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
+
+
+def _has_flat_edges(mesh: Mesh, verdict: Verdict, evidence: Evidence) -> bool:
+    """Whether many edges are flat that noise of this kind would have bent."""
+    if verdict.kind not in ("white", "isotropic", "correlated", "view"):
+        return False
+    corners = flaps(mesh.faces, mesh.topology)
+    is_flat = dihedral_angles(mesh.vertices, corners) < FLAT
+    if verdict.kind == "view" and evidence.axis is not None:
+        normals = face_normals(mesh.vertices, np.ascontiguousarray(corners[:, :3]))
+        is_flat &= np.abs(normals @ evidence.axis.axis) > FLAT_FACING
+    return np.count_nonzero(is_flat) > MAX_FLAT * len(corners)
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
