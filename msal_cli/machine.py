@@ -115,27 +115,6 @@ def available_bytes() -> int | None:
     return min((limit for limit in limits if limit is not None), default=None)
 
 
-def oom_kills() -> int:
-    """Processes of this one's groups that the system has killed so far because memory ran out.
-
-    Where no group counts them, those of the whole machine; 0 where they are not counted.
-    """
-    counter = _counter()
-    kills = None if counter is None else _entry(counter, "oom_kill")
-    return (_entry(PROC / "vmstat", "oom_kill") or 0) if kills is None else kills
-
-
-# It is needed before every file, and looking for it takes longer than reading it.
-@functools.cache
-def _counter() -> Path | None:
-    """The file in which the innermost group that does so counts its kills."""
-    for folder in _group_folders("memory"):
-        for name in ("memory.events", "memory.oom_control"):
-            if _entry(folder / name, "oom_kill") is not None:
-                return folder / name
-    return None
-
-
 def _of_group(folder: Path) -> int | None:
     for most, used, cached in (
         ("memory.max", "memory.current", "inactive_file"),

@@ -32,14 +32,10 @@ def lay_out(monkeypatch):
             (folder / name).write_text(text, errors="surrogateescape")
         monkeypatch.setattr(machine, "PROC", folder / "proc")
         monkeypatch.setattr(machine, "GROUPS", folder / "groups")
-        forget()
-
-    def forget():
         machine._quota.cache_clear()
-        machine._counter.cache_clear()
 
     yield lay
-    forget()
+    machine._quota.cache_clear()
 
 
 FIRST = {
@@ -78,24 +74,11 @@ def test_available_bytes(tmp_path, lay_out, membership, meminfo, files, expected
     assert machine.available_bytes() == expected
 
 
-def test_kills_are_counted_by_the_group_and_else_by_the_machine(tmp_path, lay_out):
-    events = "low 0\nhigh 0\nmax 9\noom 8\noom_kill 7\noom_group_kill 0\n"
-    lay_out(tmp_path, "0::/a\n", {"a/memory.events": events}, vmstat="oom_kill 99\n")
-    assert machine.oom_kills() == 7
-    (tmp_path / "groups/a/memory.events").unlink()
-    assert machine.oom_kills() == 99
-    control = {"memory/x/memory.oom_control": "oom_kill_disable 0\nunder_oom 0\noom_kill 3\n"}
-    lay_out(tmp_path / "first", "4:memory:/x\n", control)
-    assert machine.oom_kills() == 3
-
-
 @linux
 def test_this_machine_and_one_without_such_files(tmp_path, lay_out):
     assert 0 < machine.available_bytes() < 1 << 50
-    assert machine.oom_kills() >= 0
     lay_out(tmp_path)
     assert machine.available_bytes() is None
-    assert machine.oom_kills() == 0
 
 
 CFS = {

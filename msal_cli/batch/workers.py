@@ -46,7 +46,7 @@ from msal_cli.batch.schedule import (
 from msal_cli.errors import ResourceError
 from msal_cli.job.records import Failure
 from msal_cli.job.settings import FORECAST
-from msal_cli.machine import forget_peak, memory_bytes, oom_kills, peak_bytes, usable_cores
+from msal_cli.machine import forget_peak, memory_bytes, peak_bytes, usable_cores
 
 if TYPE_CHECKING:
     from msal_cli.job.pipeline import OnProgress
@@ -209,7 +209,6 @@ class WorkerPool:
         return current, idle_bytes
 
     def _send_task(self, worker: WorkerProcess, index: int) -> list[Message]:
-        worker.kills_before = oom_kills()
         if not worker.send((index, self._work.tasks[index])):
             # It died idle; the task never reached it, and the message about its end follows.
             self._queue.put_back(index, is_retry=index in self._reasons)
@@ -324,9 +323,6 @@ class WorkerPool:
         if worker.is_overdue:
             hint = "raise --timeout, or look at the file: it may be very large, or damaged"
             return Failure("E_TIMEOUT", self._timeout_text(), hint)
-        if code == -9 and oom_kills() > worker.kills_before:
-            reason = "the system killed the worker because memory ran out"
-            return Failure("E_MEMORY", reason, _FEWER_JOBS)
         is_limited = code != -9 and self._limits.memory_bytes is not None
         if is_limited and any(map(_OUT_OF_MEMORY.search, worker.last_lines)):
             return self._out_of_memory(f"the worker {describe_exit(code)} because memory ran out")
@@ -428,9 +424,7 @@ def describe_exit(code: int) -> str:
 class WorkerProcess:
     """One worker and what is known of it.
 
-    ``deadline`` is when (``time.monotonic``) it is to be killed, and ``is_overdue`` that it was;
-    ``kills_before`` counts the processes that the system had killed because memory ran out when
-    its current task began.
+    ``deadline`` is when (``time.monotonic``) it is to be killed, and ``is_overdue`` that it was.
     """
 
     process: subprocess.Popen[bytes]
@@ -445,7 +439,6 @@ class WorkerProcess:
     n_done: int = 0
     first_bytes: int = 0
     resident_bytes: int = 0
-    kills_before: int = 0
     last_lines: collections.deque[str] = field(
         default_factory=lambda: collections.deque(maxlen=_LAST_LINES)
     )

@@ -226,17 +226,6 @@ def test_an_objection_ends_the_tries():
     assert "task 0 is spoilt" in lost(messages)[0].failure.message
 
 
-@posix
-def test_a_kill_by_the_system_for_want_of_memory_is_told_apart(monkeypatch):
-    counts = iter([4, 4, 4, 5])
-    monkeypatch.setattr(workers, "oom_kills", lambda: next(counts))
-    messages = heard([("kill", 0)])
-    assert [one.reason for one in messages if isinstance(one, Retried)] == [
-        "the worker was killed by SIGKILL"
-    ]
-    assert lost(messages)[0].failure.code == "E_MEMORY"
-
-
 class TestMemory:
     @linux
     def test_the_system_refuses_more(self):
