@@ -9,7 +9,6 @@ import functools
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -264,8 +263,9 @@ def is_alive(pid: int) -> bool:
         return False
     if sys.platform == "win32":
         return _is_alive_on_windows(pid)
-    if (fields := _linux_status(pid)) is not None:
-        return fields[0] not in "ZX"
+    with contextlib.suppress(OSError, IndexError):
+        status = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+        return status.rpartition(")")[2].split()[0] not in "ZX"
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -273,27 +273,6 @@ def is_alive(pid: int) -> bool:
     except (PermissionError, OverflowError):
         return True
     return True
-
-
-def start_time(pid: int) -> float | None:
-    """When a process began, in seconds as of ``time.time``; None where that is not known."""
-    fields = _linux_status(pid)
-    if fields is None or len(fields) < 20:
-        return None
-    try:
-        ran_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / os.sysconf("SC_CLK_TCK")
-    except (AttributeError, OSError, ValueError):
-        return None
-    return time.time() - ran_s
-
-
-def _linux_status(pid: int) -> list[str] | None:
-    """The fields of ``/proc/PID/stat`` from the state on; None if there are none."""
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text(errors="replace")
-    except OSError:
-        return None
-    return text.rpartition(")")[2].split() or None
 
 
 def _is_alive_on_windows(pid: int) -> bool:

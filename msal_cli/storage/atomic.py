@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from msal_cli.errors import OutputError
-from msal_cli.machine import is_alive, start_time
+from msal_cli.machine import is_alive
 from msal_cli.storage.regular import Buffer
 from msal_cli.storage.urls import ObjectMark, is_url
 
@@ -39,9 +39,6 @@ _TEMPORARY = re.compile(
 # A process id may have been given to another process meanwhile, and the processes of other machines
 # are not known here; but nothing is written for so long without the file's time changing.
 _STALE_AFTER_S = 24 * 3600.0
-
-# A process that began so much later than a file cannot have made it; clocks are set by less.
-_CLOCK_TOLERANCE_S = 60.0
 
 _HINTS = {
     errno.ENOSPC: "the disk is full; free some space and run again",
@@ -299,10 +296,6 @@ def _is_stale(match: re.Match[str], path: Path, ended: int | None) -> bool:
     is_here, pid = match["machine"] == machine_tag(), int(match["pid"])
     if ended is not None:
         return is_here and pid == ended
-    written = path.lstat().st_mtime
-    if is_here:
-        began = start_time(pid)
-        is_late = began is not None and began >= written + _CLOCK_TOLERANCE_S
-        if is_late or not is_alive(pid):
-            return True
-    return time.time() - written > _STALE_AFTER_S
+    if is_here and not is_alive(pid):
+        return True
+    return time.time() - path.lstat().st_mtime > _STALE_AFTER_S

@@ -11,7 +11,7 @@ import pytest
 
 from msal_cli.batch.schedule import TaskQueue, Work
 from msal_cli.batch.workers import describe_exit
-from msal_cli.machine import is_alive, start_time
+from msal_cli.machine import is_alive
 from msal_cli.storage.atomic import MAX_NAME_BYTES, is_own, sweep, temporary_name
 from tests.files import make_files, tree
 
@@ -130,17 +130,6 @@ def test_after_a_worker_only_its_own_go(tmp_path, dead):
     make_files(tmp_path, *names)
     assert sweep([tmp_path], dead) == 1
     assert names_in(tmp_path) == sorted(names[1:])
-
-
-def test_a_process_number_in_use_again_keeps_nothing(tmp_path):
-    mine, earlier = temporary_name("mine"), temporary_name("earlier")
-    make_files(tmp_path, mine, earlier)
-    began = start_time(os.getpid()) or time.time()
-    for name, age in ((mine, 5), (earlier, 100)):
-        os.utime(tmp_path / name, (began - age, began - age))
-    is_told = start_time(os.getpid()) is not None
-    assert sweep([tmp_path]) == is_told
-    assert names_in(tmp_path) == sorted([mine] if is_told else [mine, earlier])
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="it is read from /proc")
