@@ -216,40 +216,6 @@ def megabytes(n_bytes: int, *, rounded_up: bool = True) -> str:
     return f"{steps} MB" if unit == 10**6 else f"{steps / 100:.2f} GB"
 
 
-# Of ``mallopt``.
-_MMAP_THRESHOLD, _TRIM_THRESHOLD, _ARENA_MAX = -3, -1, -8
-
-MMAP_BYTES = 2 << 20
-"""Arrays from this size on go back to the system as soon as they are let go of."""
-
-KEPT_BYTES = 32 << 20
-"""Memory of small arrays that is kept for the next ones."""
-
-
-@functools.cache
-def give_back_large_arrays() -> None:
-    """Have large arrays in mappings of their own, which end with them; once for a process.
-
-    Of its own accord glibc puts arrays of up to 32 MB among small ones as soon as one such array
-    has been freed; what is freed later then stays with the process, or keeps others from being
-    released.  Where the C library is another, or the environment says how it shall keep
-    memory, nothing is done.
-    """
-    is_told = any(name.startswith(("MALLOC_", "GLIBC_TUNABLES")) for name in os.environ)
-    if is_told or not sys.platform.startswith("linux"):
-        return
-    import ctypes
-
-    try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (AttributeError, OSError):
-        return  # not glibc
-    mallopt(_MMAP_THRESHOLD, MMAP_BYTES)
-    mallopt(_TRIM_THRESHOLD, KEPT_BYTES)
-    # Threads come and go, and each would leave memory of its own behind.
-    mallopt(_ARENA_MAX, 1)
-
-
 # Other processes
 
 

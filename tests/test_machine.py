@@ -112,29 +112,6 @@ def test_the_smaller_of_affinity_and_quota_counts(
     assert machine.usable_cores() == parallel.threads() == expected
 
 
-SEEN = """
-import os, sys
-import numpy as np
-from msal_cli.machine import give_back_large_arrays
-
-def resident():
-    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-give_back_large_arrays()
-np.ones(7 << 19)  # glibc would from now on keep what is not larger
-before = resident()
-arrays = [np.ones(3 << 19) for _ in range(4)]
-small = np.ones(1 << 10)
-del arrays
-print(resident() - before < 16 << 20)
-"""
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_what_is_let_go_of_goes_back():
-    assert run_python(SEEN) == "True\n"
-
-
 @linux
 def test_a_peak_is_forgotten():
     block = bytearray(b"x") * 80_000_000

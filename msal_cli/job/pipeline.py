@@ -205,7 +205,6 @@ class FileRun:
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
         with self.stage("read"):
-            machine.give_back_large_arrays()
             digest = gzip_streams.sha256_meanwhile(data)
             try:
                 name, format = self._record.input, self._settings.format

@@ -41,7 +41,6 @@ from msal_cli import machine
 from msal_cli.kernels import array_files
 
 with array_files.kept_memory() if sys.argv[1] == "kept" else nullcontext():
-    machine.give_back_large_arrays()
     machine.forget_peak()
     for sizes in ((60, 50), (30, 90), (100, 5, 5), (20, 20, 20, 40)):
         arrays = [np.ones(megabytes << 17) for megabytes in sizes]
