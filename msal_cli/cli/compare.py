@@ -11,17 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from msal_cli.batch import interrupts
-from msal_cli.cli import console
+from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.options import (
-    MESSAGES,
-    PATH,
-    STREAM,
-    find_given,
-    group,
-    refuse_conflicts,
-    resolve_format,
-)
+from msal_cli.cli.options import PATH, STREAM, find_given, group, refuse_conflicts, resolve_format
 from msal_cli.errors import UsageError
 from msal_cli.record_fields import as_data
 from msal_cli.storage import gzip_streams
@@ -73,7 +65,7 @@ more:
     list holds an object per pair.
 """,
     ),
-    group(MESSAGES, "--verbose\n"),
+    group(options.MESSAGES, "--verbose\n"),
     arguments=[
         click.Argument(["before"], metavar="A", type=PATH),
         click.Argument(["others"], metavar="B...", nargs=-1, required=True, type=PATH),

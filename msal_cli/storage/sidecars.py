@@ -97,11 +97,7 @@ def carry(
     return tuple(note for note in notes if note)
 
 
-def are_in_place(
-    notes: Sequence[str],
-    input_path: str | os.PathLike[str],
-    output_path: str | os.PathLike[str],
-) -> bool:
+def are_in_place(notes: Sequence[str], input_path: str, output_path: str) -> bool:
     """Whether the files that ``carry`` made sure of, by what it returned, are there still."""
     folder = Path(output_path).parent
     found = (note.removeprefix("copied ").removesuffix(_IN_PLACE) for note in notes)
