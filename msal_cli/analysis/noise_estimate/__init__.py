@@ -134,9 +134,12 @@ after decimation, noise of the ``SHARED_KINDS`` needs ``SURE_NOISE``, and other 
 
 FLAT, MAX_FLAT, FLAT_FACING = 2e-4, 0.008, 0.3
 """Angle in radians up to which an edge is flat to rounding; the share of such edges above which
-noise needs ``SURE_NOISE``, and along an axis ``SURE_DESIGN``; and the cosine to the axis from which
-that bends a face.  Noise leaves 0.003 at most, decimated and shrink-wrapped designs 0.01 and more,
-and range scans with rounded depths as much."""
+noise needs ``SURE_NOISE``; and the cosine to the axis from which noise along it bends a face.
+Noise leaves 0.003 at most, decimated and shrink-wrapped designs 0.01 and more, and so do range
+scans with rounded depths, which are open."""
+
+MAX_OPEN = 0.01
+"""Share of the vertices at open edges above which noise along an axis may be of such a scan."""
 
 MAX_WHITE = 1.25
 """What fits over two rings leave at the flattest fifth of the places, over the level for white
@@ -409,8 +412,7 @@ def characterize(mesh: Mesh) -> Estimate:
         verdict = _with_level(verdict, measured)
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
-    sure = SURE_DESIGN if verdict.kind == "view" else SURE_NOISE
-    if not is_doubtful and verdict.noise < sure:
+    if not is_doubtful and verdict.noise < SURE_NOISE:
         is_doubtful = _has_flat_edges(mesh, verdict, evidence)
     if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
@@ -540,10 +542,12 @@ def _has_flat_edges(mesh: Mesh, verdict: Verdict, evidence: Evidence) -> bool:
         return False
     corners = flaps(mesh.faces, mesh.topology)
     is_flat = dihedral_angles(mesh.vertices, corners) < FLAT
-    if verdict.kind == "view" and evidence.axis is not None:
+    if verdict.kind == "view":
+        if evidence.axis is None or mesh.topology.boundary.mean() > MAX_OPEN:
+            return False
         normals = face_normals(mesh.vertices, np.ascontiguousarray(corners[:, :3]))
         is_flat &= np.abs(normals @ evidence.axis.axis) > FLAT_FACING
-    return np.count_nonzero(is_flat) > MAX_FLAT * len(corners)
+    return int(np.count_nonzero(is_flat)) > MAX_FLAT * len(corners)
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
