@@ -33,12 +33,7 @@ class Numbers(NamedTuple):
 
 
 def recode(
-    data: Bytes,
-    old: Header,
-    new: Header,
-    text: bytes,
-    values: Mapping[str, Floats],
-    end: int,
+    data: Bytes, old: Header, new: Header, text: bytes, values: Mapping[str, Floats], end: int
 ) -> bytearray:
     """A file in another encoding or with other types of numbers.
 

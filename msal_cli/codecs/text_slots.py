@@ -468,12 +468,7 @@ class Words:
     """
 
     def __init__(
-        self,
-        data: Buffer | Bytes,
-        start: int = 0,
-        stop: int | None = None,
-        *,
-        comment: bytes = b"",
+        self, data: Buffer | Bytes, start: int = 0, stop: int | None = None, *, comment: bytes = b""
     ) -> None:
         from msal_cli.kernels.text import as_bytes, find_words
 

@@ -32,12 +32,7 @@ _HEADER = re.compile(
     re.IGNORECASE,
 )
 _POINTS = ("POLYDATA", "UNSTRUCTURED_GRID")
-_CELLS = {
-    "VERTICES": "vertex",
-    "LINES": "line",
-    "POLYGONS": "polygon",
-    "TRIANGLE_STRIPS": "strip",
-}
+_CELLS = {"VERTICES": "vertex", "LINES": "line", "POLYGONS": "polygon", "TRIANGLE_STRIPS": "strip"}
 _PER_TUPLE = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 _PER_TUPLE |= dict.fromkeys(("GLOBAL_IDS", "PEDIGREE_IDS", "EDGE_FLAGS"), 1)
 """Numbers of a tuple of each attribute whose line is its name and a type."""

@@ -129,13 +129,7 @@ def area_changed(before: float, after: float) -> records.Area:
     return records.Area(before, after, 100.0 * (after - before) / before if before else None)
 
 
-def measure(
-    ready: PreparedMesh,
-    moved: Floats,
-    given: Mesh,
-    *,
-    is_named: bool = True,
-) -> Measured:
+def measure(ready: PreparedMesh, moved: Floats, given: Mesh, *, is_named: bool = True) -> Measured:
     """What changed when the mesh's positions became ``moved`` (n, 3).
 
     The method was ``given`` the mesh, without the outliers that were brought back, whose ways its

@@ -151,9 +151,7 @@ def choose_weaker(
     made = replace(chosen.known["choice"], wishes=choice.wishes)
     why = f"{was} would damage the mesh ({harm.reason}): smoothed less"
     return settings, replace(
-        chosen,
-        known=chosen.known | {"choice": made},
-        warnings=(*chosen.warnings, why),
+        chosen, known=chosen.known | {"choice": made}, warnings=(*chosen.warnings, why)
     )
 
 

@@ -10,12 +10,7 @@ from msal_cli.analysis.measures import (
     nearest_on_surface,
     surface_distances,
 )
-from msal_cli.analysis.shared_borders import (
-    Border,
-    count_unmatched,
-    find_border,
-    share_borders,
-)
+from msal_cli.analysis.shared_borders import Border, count_unmatched, find_border, share_borders
 from msal_cli.codecs import open_mesh
 from msal_cli.job import room
 from msal_cli.kernels.nearest_triangles import find_nearest_triangles

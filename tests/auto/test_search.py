@@ -374,11 +374,7 @@ def test_terraces_get_the_learned_filter_without_a_level(box_scan, monkeypatch):
 
 @pytest.mark.parametrize(
     ("kind", "rings", "end"),
-    [
-        ("correlated", 1, "learned"),
-        ("view", 1, "learned"),
-        ("view", 0, "left as it is"),
-    ],
+    [("correlated", 1, "learned"), ("view", 1, "learned"), ("view", 0, "left as it is")],
 )
 def test_learned_has_what_no_filter_has_where_neighbours_share_the_noise(
     box_scan, monkeypatch, kind, rings, end

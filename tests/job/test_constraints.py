@@ -96,10 +96,7 @@ def test_comparisons(comparison, expected):
 def test_a_single_precision_property_is_compared_in_single_precision():
     stored = np.array([0.2, 0.3], dtype=np.float32).astype(float)
     assert stored[0] > 0.2
-    assert select_vertices(parse_lock("q <= 0.2"), stored).tolist() == [
-        True,
-        False,
-    ]
+    assert select_vertices(parse_lock("q <= 0.2"), stored).tolist() == [True, False]
     assert select_vertices(parse_lock("q == 0.2"), np.array([0.2, 0.3])).tolist() == [True, False]
 
 

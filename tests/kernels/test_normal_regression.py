@@ -58,12 +58,7 @@ def described(mesh, earlier=None, make_evidence=same_evidence):
 
 def all_kernels():
     """The kernels that the descriptors and the network are made of."""
-    for module in (
-        near_blocks,
-        normal_descriptors,
-        regression_network,
-        small_vectors,
-    ):
+    for module in (near_blocks, normal_descriptors, regression_network, small_vectors):
         for value in vars(module).values():
             if isinstance(value, Kernel):
                 yield value
