@@ -8,8 +8,8 @@ XYZ = ("float x", "float y", "float z")
 
 
 def to_ply(vertices, faces, **properties) -> bytes:
-    """Positions in their own type, float32 or float64, and double properties of vertices."""
-    kind = {"f4": "float", "f8": "double"}[vertices.dtype.str[1:]]
+    """Positions in their own type, and double properties of vertices."""
+    kind = {"f4": "float", "f8": "double", "i2": "short"}[vertices.dtype.str[1:]]
     columns = [(name, vertices.dtype.str, kind) for name in "xyz"]
     columns += [(name, "<f8", "double") for name in properties]
     table = np.empty(len(vertices), dtype=[(name, code) for name, code, _ in columns])

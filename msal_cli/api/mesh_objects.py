@@ -70,15 +70,17 @@ class MemoryMesh(Surface):
         given = as_array(self.properties[name], f"the values of {name}")
         return np.ascontiguousarray(given, dtype=np.float64).reshape(-1)
 
+    def as_stored(self, vertices: Floats) -> Floats:
+        is_same = self.dtype == vertices.dtype
+        return vertices if is_same else self.to_given_type(vertices).astype(np.float64)
+
     def to_given_type(self, vertices: Floats) -> Array:
         """New positions (n, 3) in the number type of those that were given."""
         with np.errstate(over="ignore"):
             rounded = vertices.astype(self.dtype)
         if self.dtype.itemsize < 8 and not np.isfinite(rounded).all():
             raise ContentError(
-                f"a new position is too large for {self.dtype}",
-                code="E_RANGE",
-                hint="give float64",
+                f"a new position is too large for {self.dtype}", code="E_RANGE", hint="give float64"
             )
         # What did not move is what was given, to the last bit; an own array in any case.
         return rounded

@@ -323,6 +323,7 @@ class SetRun:
             with run.stage("connectivity"):
                 ready = run.prepare_mesh(mesh_file)
             with run.stage("measure"):
+                vertices = output.as_stored(mesh_file, self._settings, task.output, vertices)
                 moved = at_other_positions(ready, vertices).vertices
                 run.know_changes(changes.measure(ready, moved, ready.mesh))
                 run.check_intersections(ready, moved)

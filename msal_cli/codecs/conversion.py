@@ -67,11 +67,7 @@ class _Mesh:
 
 
 def convert(
-    mesh_file: MeshFile,
-    vertices: Floats,
-    to: str,
-    encoding: str = "same",
-    precision: str = "same",
+    mesh_file: MeshFile, vertices: Floats, to: str, encoding: str = "same", precision: str = "same"
 ) -> tuple[Buffer, tuple[str, ...]]:
     """A mesh in another format.
 
@@ -87,9 +83,10 @@ def convert(
     Returns the file, and what of the source it does not carry, one entry for each thing.
     Raises UnsupportedError for a format, encoding or precision that cannot be written.
     """
-    to = to.lower().removeprefix(".")
+    single = _is_single(mesh_file, to, encoding, precision)
     if to == mesh_file.format:
-        return mesh_file.encoded(vertices, encoding, precision), ()
+        losses = _lost_digits(mesh_file, vertices, to) * single
+        return mesh_file.encoded(vertices, encoding, precision), tuple(losses)
     if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf import SceneFile, repack
 
@@ -104,20 +101,44 @@ def convert(
         raise UnsupportedError(
             f"{to} has no {encoding} encoding", hint=f"it has: {', '.join(encodings)}"
         )
-    only_single = to in _SINGLE and encoding == "binary"
-    if precision == "float64" and only_single:
+    if precision == "float64" and to in _SINGLE and encoding == "binary":
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
-    is_same = precision == "same" and mesh_file.precision == "float32"
-    single = only_single or is_same or precision == "float32"
     mesh, losses = _mesh(mesh_file, vertices, to)
-    if single and mesh_file.precision != "float32" and len(vertices):
-        # The loss of digits, where it is one: float32 far from the origin ruins a scan.
-        largest = float(np.abs(vertices).max())
-        step = float(np.spacing(np.float32(min(largest, 3e38))))
-        extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
-        if mesh_file.precision == "float64" or step > 1e-6 * extent:
-            losses.append(f"digits (float32 rounds positions to {step:.1g} units)")
+    losses += _lost_digits(mesh_file, vertices, to) * single
     return _write(mesh, to, encoding, single), tuple(losses)
+
+
+def as_stored(
+    mesh_file: MeshFile, vertices: Floats, to: str, encoding: str, precision: str
+) -> Floats:
+    """New positions (n, 3) in the number type of what ``convert`` makes of them."""
+    if (to == mesh_file.format and precision == "same") or {to, mesh_file.format} == SCENES:
+        vertices = mesh_file.as_stored(vertices)
+        if mesh_file.precision != "text":
+            return vertices
+    is_single = _is_single(mesh_file, to, encoding, precision)
+    return as_float32(vertices).astype(np.float64) if is_single else vertices
+
+
+def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> bool:
+    """Whether ``convert`` rounds positions to float32."""
+    if encoding == "same":
+        own = "ascii" if mesh_file.encoding == "ascii" else "binary"
+        encoding = own if to == mesh_file.format else _ENCODINGS.get(to, ("",))[0]
+    wanted = mesh_file.precision if precision == "same" else precision
+    return wanted == "float32" or (to in _SINGLE and encoding == "binary")
+
+
+def _lost_digits(mesh_file: MeshFile, vertices: Floats, to: str) -> list[str]:
+    """The loss of digits in float32, where it is one: far from the origin it ruins a scan."""
+    if mesh_file.precision == "float32" or not len(vertices):
+        return []
+    step = float(np.spacing(np.float32(min(float(np.abs(vertices).max()), 3e38))))
+    extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
+    # Of the same format the user has named the type.
+    is_unnamed = mesh_file.precision == "float64" and to != mesh_file.format
+    is_lost = is_unnamed or step > 1e-6 * extent
+    return [f"digits (float32 rounds positions to {step:.1g} units)"] * is_lost
 
 
 def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:

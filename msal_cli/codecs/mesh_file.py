@@ -92,6 +92,11 @@ class Surface:
     def forget_vertices(self) -> None:
         """Let go of ``vertices`` where they can be read again in little time."""
 
+    def as_stored(self, vertices: Floats) -> Floats:
+        """New positions (n, 3) as the number types of this surface hold them; the very array where
+        that changes none."""
+        return vertices
+
     def vertex_property(self, name: str) -> Floats:
         """A number of each vertex (n,); InputError (``E_PROPERTY``), whose hint lists those that
         there are, if it has no such one, and UnsupportedError for a format without any."""
@@ -281,6 +286,16 @@ class MeshFile(Surface):
             f"vertex properties such as {name!r} are read from PLY, not from {self.format.upper()}",
             hint="give a PLY, or leave out for this file what names a property",
         )
+
+    def as_stored(self, vertices: Floats) -> Floats:
+        rows, frames = self._to_file(vertices), self._layout.frames
+        pairs = zip(self._layout.positions, rows, strict=True)
+        arrays = [slots.rounded(own) for slots, own in pairs]
+        if all(new is old for new, old in zip(arrays, rows, strict=True)):
+            return vertices
+        if frames:
+            arrays = [transform(*pair) for pair in zip(arrays, frames, strict=True)]
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
     def beside(
         self, output: Buffer, vertices: Floats, path: str | None

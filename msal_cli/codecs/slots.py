@@ -32,7 +32,8 @@ class Slots:
     whole_rows: bool = False
 
     def rounded(self, values: Floats) -> Floats:
-        """New values (n, k) as the types of the columns hold them."""
+        """New values (n, k) as the types of the columns hold them, in their range; the very array
+        where that changes none."""
         raise NotImplementedError
 
 
@@ -45,6 +46,14 @@ def to_type(values: Floats, code: str) -> NDArray[np.generic]:
     dtype = np.dtype(code)
     with np.errstate(over="ignore", invalid="ignore"):
         return (values if dtype.kind == "f" else np.rint(values)).astype(dtype)
+
+
+def _round_to(values: Floats, code: str) -> Floats:
+    """Values as ``to_type`` rounds them, those beyond the range of a whole number as they are."""
+    dtype = np.dtype(code)
+    if dtype.kind != "f":
+        return np.rint(values)
+    return values if dtype.itemsize == 8 else to_type(values, code).astype(np.float64)
 
 
 def as_float32(positions: Floats) -> NDArray[np.float32]:
@@ -131,10 +140,10 @@ class RecordSlots(Slots):
         return self.read(self.data)
 
     def rounded(self, values: Floats) -> Floats:
-        result = np.empty(values.shape)
-        for k, code in enumerate(self.codes):
-            result[:, k] = to_type(values[:, k], code)
-        return result
+        if len(set(self.codes)) == 1:
+            return _round_to(values, self.codes[0])
+        columns = zip(values.T, self.codes, strict=True)
+        return np.stack([_round_to(column, code) for column, code in columns], axis=1)
 
 
 @dataclass(eq=False)

@@ -20,7 +20,7 @@ from msal_cli import errors
 from msal_cli.arrays import Bytes, Flags, Floats, Ints, Longs
 from msal_cli.codecs import mesh_file, text_slots
 from msal_cli.codecs.detection import BYTE_ORDER_MARK
-from msal_cli.codecs.slots import Change, as_float32, require_range
+from msal_cli.codecs.slots import Change, as_float32, require_range, to_type
 from msal_cli.kernels.text import as_bytes
 from msal_cli.storage.regular import Buffer
 
@@ -161,8 +161,7 @@ class _FacetFile(mesh_file.MeshFile):
         to_text = was_text if encoding == "same" else encoding == "ascii"
         if not to_text and precision == "float64":
             raise errors.UnsupportedError(
-                "binary STL has no float64",
-                hint="use --encoding ascii, or --to ply",
+                "binary STL has no float64", hint="use --encoding ascii, or --to ply"
             )
         if to_text == was_text:
             if to_text and precision == "float32":
@@ -220,6 +219,9 @@ class StlFile(_FacetFile):
     def normals(self) -> Floats:  # type: ignore[override]
         with np.errstate(invalid="ignore"):  # a signalling NaN
             return _facets(self._data, self.n_polygons)["normal"].astype(np.float64)
+
+    def as_stored(self, vertices: Floats) -> Floats:
+        return to_type(vertices, "f4").astype(np.float64)
 
     def replaced(self, vertices: Floats) -> Buffer:
         mesh_file.require_shape(vertices, self.vertices)

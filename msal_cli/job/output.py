@@ -64,29 +64,26 @@ def build_output(
     InternalError if the output does not hold what it should.
     """
     compress = source.is_compressed if path is None else path.lower().endswith(".gz")
-    # ``--to``, else the output name's, else the input's.
-    named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
-    target = (settings.to or named).lower().lstrip(".")
-    how = settings.encoding, settings.precision
-    if target != mesh_file.format:
-        from msal_cli.codecs import conversion, detection
+    target, *how = _format_of_output(mesh_file, settings, path)
+    lost: tuple[str, ...] = ()
+    if [target, *how] != [mesh_file.format, "same", "same"]:
+        from msal_cli.codecs import conversion
 
         output, losses = conversion.convert(mesh_file, vertices, target, *how)
         if losses and settings.strict:
             raise LossError(
                 f"{mesh_file.format} to {target} would lose {', '.join(losses)}",
-                hint="leave --strict away, or keep the format",
+                hint="leave --strict away, or keep format and precision",
             )
         _check_reopened(output, target, mesh_file, vertices)
         lost = tuple(f"lost in {target}: {loss}" for loss in losses)
-        # A scene that only changes its container still names its images.
-        references = mesh_file.references if {target, mesh_file.format} == detection.SCENES else ()
-        output = gzip_streams.compress(output) if compress else output
-        return Output(output, references, losses=lost, sources=mesh_file.sources)
-    if how != ("same", "same"):
-        output = mesh_file.encoded(vertices, *how)
-        _check_reopened(output, target, mesh_file, vertices)
-    elif not np.array_equal(vertices := _keep_stored(vertices, mesh_file), mesh_file.vertices):
+        if target != mesh_file.format:
+            # A scene that only changes its container still names its images.
+            is_scene = {target, mesh_file.format} == detection.SCENES
+            references = mesh_file.references if is_scene else ()
+            output = gzip_streams.compress(output) if compress else output
+            return Output(output, references, losses=lost, sources=mesh_file.sources)
+    elif not np.array_equal(vertices, mesh_file.vertices):
         output = mesh_file.replaced(vertices)
         mesh_file.check(output, vertices)
     elif compress == source.is_compressed:
@@ -96,22 +93,30 @@ def build_output(
         output = gzip_streams.expand(source.data, source.name)[0]
     output, companions = mesh_file.beside(output, vertices, path)
     output = gzip_streams.compress(output) if compress else output
-    return Output(output, mesh_file.references, companions, (), mesh_file.sources)
+    return Output(output, mesh_file.references, companions, lost, mesh_file.sources)
 
 
-def _keep_stored(vertices: Floats, mesh_file: MeshFile) -> Floats:
-    """New positions (n, 3), those that float32 rounds to the stored ones as they are stored.
+def as_stored(
+    mesh_file: MeshFile, settings: Settings, path: str | None, vertices: Floats
+) -> Floats:
+    """New positions (n, 3) as the number type of the output at ``path`` holds them; in a text they
+    have more digits."""
+    how = _format_of_output(mesh_file, settings, path)
+    if how == (mesh_file.format, "same", "same"):
+        return mesh_file.as_stored(vertices)
+    from msal_cli.codecs import conversion
 
-    They did not move in the file, so normals around them keep their bytes.
-    """
-    if mesh_file.precision != "float32":
-        return vertices
-    stored = mesh_file.vertices
-    with np.errstate(over="ignore"):
-        equal = vertices.astype(np.float32) == stored
-    # Column by column, which is several times as fast as a reduction over three.
-    is_same = equal[:, 0] & equal[:, 1] & equal[:, 2]
-    return np.where(is_same[:, None], stored, vertices) if is_same.any() else vertices
+    return conversion.as_stored(mesh_file, vertices, *how)
+
+
+def _format_of_output(
+    mesh_file: MeshFile, settings: Settings, path: str | None
+) -> tuple[str, str, str]:
+    """Format, encoding and precision: the format is ``--to``, else the output name's, else the
+    input's."""
+    named = suffix(path)[1:] if path is not None and is_mesh_name(path) else mesh_file.format
+    target = (settings.to or named).lower().lstrip(".")
+    return target, settings.encoding, settings.precision
 
 
 def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: Floats) -> None:
@@ -126,11 +131,9 @@ def _check_reopened(output: Buffer, target: str, mesh_file: MeshFile, vertices: 
             f"the {target} output has {len(faces)} triangles, not {len(mesh_file.faces)}"
         )
     span = float(np.abs(vertices).max(initial=0.0))
-    # Whole numbers are rounded; those of a scene are at the coarsest a hundredth of its extent.
-    slack = max(0.5, 1e-2 * span) if again.precision == "integer" else 1e-5 * span
     corners = again.vertices[faces.reshape(-1)]
     wanted = vertices[mesh_file.faces.reshape(-1)]
-    if float(np.abs(corners - wanted).max(initial=0.0)) > slack:
+    if float(np.abs(corners - wanted).max(initial=0.0)) > 1e-5 * span:
         raise InternalError(f"the {target} output holds other positions than it should")
 
 
@@ -195,19 +198,20 @@ def add_noise_to_file(
             hint=f"name it .{mesh_file.format}, and convert with msal denoise --to",
         )
     vertices, edge = move_by_noise(mesh_file, noise)
-    original = mesh_file.vertices
-    n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     path, source = None if target == "-" else target, Source(data, name, is_compressed)
+    settings, original = Settings("noise"), mesh_file.vertices
+    vertices = as_stored(mesh_file, settings, path, vertices)
+    n_moved = int(np.count_nonzero((vertices != original).any(axis=1)))
     try:
-        made = build_output(mesh_file, vertices, Settings("noise"), path, source)
+        made = build_output(mesh_file, vertices, settings, path, source)
     except MsalError as error:
         if error.code == "E_RANGE":
             error.hint = "choose a lower --level: this file's numbers are near their limit"
         raise
-    settings = noise.describe()
+    words = noise.describe()
     description = (
         f"{noise.kind} noise of {noise.level:g} mean edge lengths "
-        f"({noise.level * edge:.4g}), {settings + ', ' if settings else ''}"
+        f"({noise.level * edge:.4g}), {words + ', ' if words else ''}"
         f"{n_moved:,} of {len(original):,} vertices moved, seed {noise.seed}"
     )
     return made, description, mesh_file.warnings

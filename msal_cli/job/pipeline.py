@@ -35,15 +35,9 @@ from msal_cli.job.records import (
     Seconds,
     SelfIntersections,
 )
-from msal_cli.job.settings import (
-    CHOOSING,
-    NO_LIMITS,
-    SELF_INTERSECTIONS,
-    Limits,
-    Settings,
-    Task,
-)
+from msal_cli.job.settings import CHOOSING, NO_LIMITS, SELF_INTERSECTIONS, Limits, Settings, Task
 from msal_cli.kernels import array_files
+from msal_cli.kernels.geometry import distances
 from msal_cli.kernels.parallel import is_worth_it
 from msal_cli.storage import atomic, gzip_streams
 from msal_cli.version import __version__
@@ -200,7 +194,9 @@ class FileRun:
         """The output file for the bytes of the input file; ``output_path`` is None for a pipe."""
         mesh_file, is_compressed = self.open(data)
         source = output.Source(data, self._record.input, is_compressed)
-        return self.build(mesh_file, self.move_vertices(mesh_file), output_path, source)
+        store = functools.partial(output.as_stored, mesh_file, self._settings, output_path)
+        vertices = self.move_vertices(mesh_file, store=store)
+        return self.build(mesh_file, vertices, output_path, source)
 
     def open(self, data: Buffer) -> tuple[MeshFile, bool]:
         """The mesh file in ``data``, and whether gzip compressed it."""
@@ -272,10 +268,17 @@ class FileRun:
             )
         return ready
 
-    def move_vertices(self, mesh_file: Surface, pinned: Flags | None = None) -> Floats:
+    def move_vertices(
+        self,
+        mesh_file: Surface,
+        pinned: Flags | None = None,
+        store: Callable[[Floats], Floats] | None = None,
+    ) -> Floats:
         """The new positions of a file's vertices (n, 3), of which those ``pinned`` (n,) stay.
 
-        Its arrays are freed before the output is built, which takes as much memory again.
+        They are, and are measured, as the output holds them, which ``store`` says of positions
+        (n, 3); None for the number type of the input.  Its arrays are freed before the output is
+        built, which takes as much memory again.
         """
         from msal_cli.analysis.noise_estimate import estimate_noise
 
@@ -305,16 +308,21 @@ class FileRun:
         wait_for_noise = machine.in_background(estimate) if is_beside else estimate
         milder = iter(MILDER)
         while True:
-            moved, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
+            result, fidelity, is_ruled = self._run_method(chosen, ready, constraints)
             with self.stage("measure"):
                 wait_for_noise()
+                limit = None if constraints is None else constraints.limit
+                vertices, moved = _store_positions(
+                    ready, result, mesh_file, store or mesh_file.as_stored, limit
+                )
                 measured = changes.measure(ready, moved, chosen.mesh, is_named=choice is None)
                 harm = measured.harm
                 if chosen.share < 1.0:
                     # A part of a result is taken only where all of it would be.
                     start = chosen.mesh.vertices
-                    whole = start + (moved - start) / chosen.share
+                    whole = start + (result - start) / chosen.share
                     harm = changes.measure(ready, whole, chosen.mesh, is_named=False).harm
+                del result
             if harm is None or choice is None:
                 break
             weaker = choose_weaker(mesh, settings, choice, harm)
@@ -343,7 +351,6 @@ class FileRun:
                 )
             self.check_intersections(ready, moved)
             ready.mesh.release_normals()
-            vertices = ready.to_file_vertices(moved, mesh_file.vertices)
             self.know(seam_gap=ready.seam_gap(vertices))
         return vertices
 
@@ -396,3 +403,35 @@ class FileRun:
 
             counts = self_intersection_change(ready.mesh, ready.mesh.with_vertices(moved))
             self.know(self_intersections=SelfIntersections(*counts))
+
+
+_SHARES = (0.999, 0.9, 0.75, 0.5, 0.25, 0.0)
+"""Parts of its way that are tried for a vertex that rounding takes beyond a limit."""
+
+
+def _store_positions(
+    ready: PreparedMesh,
+    result: Floats,
+    mesh_file: Surface,
+    store: Callable[[Floats], Floats],
+    limit: float | None,
+) -> tuple[Floats, Floats]:
+    """File positions (n_file, 3) for a method's result (n, 3) as ``store`` rounds them, and those
+    of the mesh (n, 3) that follow; vertices within ``limit`` stay there."""
+    from msal_cli.analysis.measures import at_other_positions
+
+    start, wanted = ready.mesh.vertices, result
+    for share in (*_SHARES, None):
+        vertices = ready.to_file_vertices(wanted, mesh_file.vertices)
+        mesh_file.forget_vertices()
+        stored = store(vertices)
+        if stored is vertices:
+            return vertices, result
+        moved = at_other_positions(ready, stored).vertices
+        if share is None or limit is None:
+            break
+        is_beyond = distances(start, moved) > limit
+        if not is_beyond.any():
+            break
+        wanted = np.where(is_beyond[:, None], start + share * (result - start), wanted)
+    return stored, moved

@@ -57,7 +57,8 @@ def test_whole_numbers_are_rounded_when_they_are_encoded_anew(monkeypatch):
     data = ply_text(7 * VERTICES, FACES).replace(b"float", b"int").replace(b".000000", b"")
     whole, source = open_mesh(data, "in.ply"), output.Source(data, "in.ply", False)
     settings = Settings("none", {}, encoding="binary")
-    made = output.build_output(whole, whole.vertices + 0.375, settings, "out.ply", source)
+    moved = output.as_stored(whole, settings, "out.ply", whole.vertices + 0.375)
+    made = output.build_output(whole, moved, settings, "out.ply", source)
     assert (open_mesh(bytes(made.data), "out.ply").vertices == whole.vertices).all()
     other = whole.encoded(whole.vertices + 1.0, "binary", "same")
     monkeypatch.setattr(type(whole), "encoded", lambda *given: other)
@@ -70,8 +71,8 @@ def test_what_moves_by_less_than_float32_can_hold_keeps_its_normals():
     stl = open_mesh(bytes(data), "in.stl")
     source = output.Source(bytes(data), "in.stl", False)
     nudged = stl.vertices + 1e-9 * np.arange(stl.vertices.size).reshape(-1, 3)
-    same = output.build_output(stl, nudged, Settings("none", {}), "out.stl", source)
-    assert bytes(same.data) == data
+    nudged = output.as_stored(stl, Settings("none", {}), "out.stl", nudged)
+    assert (nudged == stl.vertices).all()
     nudged[0] += 0.5
     made = output.build_output(stl, nudged, Settings("none", {}), "out.stl", source).data
     before, after = (np.frombuffer(d, "V50", offset=84) for d in (bytes(data), bytes(made)))

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
+from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import header
-from msal_cli.job import inspection, pipeline
+from msal_cli.job import comparison, inspection, output, pipeline
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.methods import _contract
@@ -148,6 +149,32 @@ def test_a_conversion_by_option_has_the_same_bytes_and_no_materials(tmp_path):
     lost = denoised(scan, tmp_path / "lost/scan.obj")
     assert lost.status == "written"
     assert any("none.mtl is missing" in warning for warning in lost.warnings)
+
+
+@pytest.mark.parametrize("max_move", [None, "0.3e"])
+@pytest.mark.parametrize(
+    ("code", "offset", "given"),
+    [("<i2", 0.0, {}), ("<f4", 1e7, {}), ("<f8", 1e7, {"precision": "float32"})]
+    + [("<f8", 1e7, {"to": "glb"}), ("<i2", 0.0, {"encoding": "ascii"})],
+)
+def test_figures_are_those_of_the_output(tmp_path, code, offset, given, max_move):
+    scan, out = tmp_path / "scan.ply", tmp_path / f"out.{given.get('to', 'ply')}"
+    vertices, faces = torus()
+    scan.write_bytes(to_ply((8.0 * noisy(vertices) + [0.0, offset, 0.0]).astype(code), faces))
+    record = denoised(scan, out, max_move=max_move, **given)
+    made = comparison.compare_files(str(scan), str(out))
+    wanted = (made.displacement, made.volume, made.area, made.flipped_faces)
+    assert (record.displacement, record.volume, record.area, record.flipped_faces) == wanted
+    assert record.normal_change.max_deg == made.max_angular_error_deg
+    assert (record.status == "written") == (scan.read_bytes() != out.read_bytes())
+    if "precision" in given:
+        assert any("rounds positions to 1 units" in warning for warning in record.warnings)
+        assert denoised(scan, out, **given, strict=True).error.code == "E_LOSS"
+    else:
+        assert not max_move or record.displacement.max_edges <= 0.3
+    noise = AddedNoise("uniform", 0.01)
+    words = output.add_noise_to_file(scan.read_bytes(), "scan.ply", "-", noise)[1]
+    assert (", 0 of 288 vertices moved" in words) == (code == "<i2")
 
 
 def test_a_failure_leaves_the_old_output(tmp_path):
