@@ -452,7 +452,7 @@ COMPARED_VERTICES = 6_000
 
 def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None:
     """The estimated distance of each result from the true surface, root mean square, in mean edge
-    lengths of ``mesh``; None where the mesh has no noise to speak of.
+    lengths of ``mesh``, as of ``Choice.risk``; None where the mesh has no noise to speak of.
 
     By Stein's lemma where the noise is Gaussian, else by a simulation; see ``risk``.
     """
@@ -462,19 +462,27 @@ def estimate_errors(mesh: Mesh, filters: Sequence[Filter]) -> list[float] | None
     part = select_patch(mesh, COMPARED_VERTICES)
     model = build_model(mesh, noise).on_part(part.numbers)
 
+    is_gaussian = model.is_gaussian and not noise.is_impulsive
+    trials = CandidateRuns(part, model, lambda: None)
+    first = trials.result(LEARNED if is_gaussian else ROBUST_LEARNED)
+    normals, is_isotropic = first.vertex_normals("uniform"), model.direction == ISOTROPIC
+    model = model.along_normals()
+
+    def across(moves: Floats) -> Floats:
+        # How vertices lie within the surface does not count.
+        heights = np.einsum("ij,ij->i", moves, normals)[:, None]
+        return heights * normals if is_isotropic else moves
+
     def run_of(given: Filter) -> Any:
         method, values = given
         if method is None:
             return lambda mesh: np.zeros_like(mesh.vertices)
-        return lambda mesh: method.denoise(mesh, values).vertices - mesh.vertices
+        return lambda mesh: across(method.denoise(mesh, values).vertices - mesh.vertices)
 
     runs = [run_of(given) for given in filters]
-    is_gaussian = model.is_gaussian and not noise.is_impulsive
-    trials = CandidateRuns(part, model, lambda: None)
-    first = trials.result(LEARNED if is_gaussian else ROBUST_LEARNED)
     judge: SteinRisk | SimulatedRisk
     if is_gaussian:
-        judge = SteinRisk(part, first.vertex_normals("uniform"), runs, model, lambda: None)
+        judge = SteinRisk(part, normals, runs, model, lambda: None)
     else:
         judge = SimulatedRisk(part, first.vertices, runs, model, MIRRORED, lambda: None)
     # Stein's estimate scatters about small errors, and may be below zero.

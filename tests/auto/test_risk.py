@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from msal_cli import methods
+from msal_cli.analysis.added_noise import AddedNoise, add_noise
 from msal_cli.auto.noise_model import AXIS, ISOTROPIC, NoiseModel
-from msal_cli.auto.risk import SimulatedRisk, SteinRisk
+from msal_cli.auto.risk import SimulatedRisk, SteinRisk, estimate_errors
 from msal_cli.auto.risk import _slopes as slopes_of
 from msal_cli.auto.sample_patch import Part
 from msal_cli.mesh import Mesh, prepare_mesh
@@ -261,3 +263,12 @@ def test_without_noise_every_move_is_an_error(noise):
     for found in (risk, again):
         assert np.isfinite(found.slopes.gram).all()
         assert np.isfinite(found.drift).all()
+
+
+def test_isotropic_noise_counts_across_the_surface(mesh):
+    noisy = mesh.with_vertices(add_noise(mesh, AddedNoise("gaussian", 0.3)))
+    filter = methods.find("msal"), methods.find("msal").validate({})
+    left = filter[0].denoise(noisy, filter[1]).vertices - mesh.vertices
+    across = np.einsum("ij,ij->i", left, mesh.vertex_normals("uniform"))
+    expected = across.std() / noisy.mean_edge_length
+    assert estimate_errors(noisy, [filter]) == pytest.approx([expected], rel=0.1)
