@@ -137,13 +137,8 @@ def test_it_knows_where_a_search_comes_nearer(name, level, surface, is_better):
 
 @pytest.mark.parametrize(
     ("level", "kind", "rings", "is_tried"),
-    [
-        (0.06, "unknown", 0, False),
-        (0.06, "correlated", 1, False),
-        (0.06, "correlated", 2, True),
-        (0.2, "unknown", 0, True),
-        (0.2, "correlated", 1, True),
-    ],
+    [(0.06, "unknown", 0, False), (0.06, "correlated", 1, False)]
+    + [(0.06, "correlated", 2, True), (0.2, "unknown", 0, True), (0.2, "correlated", 1, True)],
 )
 def test_weak_noise_that_may_be_relief_takes_no_linear_filter(
     monkeypatch, level, kind, rings, is_tried

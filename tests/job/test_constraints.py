@@ -37,22 +37,12 @@ def denoised(data, **asked):
 
 @pytest.mark.parametrize(
     ("text", "unit", "value", "in_edges"),
-    [
-        ("0.3e", None, 0.3, True),
-        (" 1e-3 ", None, 1e-3, False),
-        ("2e3e", "m", 2e3, True),
-        ("0.05", "m", 0.05, False),
-        ("0.01mm", "m", 0.01e-3, False),
-        ("50 um", "mm", 0.05, False),
-        ("50µm", "mm", 0.05, False),
-        ("1in", "mm", 25.4, False),
-        ("2mil", "mm", 0.0508, False),
-        ("1ft", "in", 12.0, False),
-        ("1yd", "ft", 3.0, False),
-        ("1m", "ft", 3.2808398950131235, False),
-        ("1e-3km", "cm", 100.0, False),
-        ("3nm", "um", 0.003, False),
-    ],
+    [("0.3e", None, 0.3, True), (" 1e-3 ", None, 1e-3, False), ("2e3e", "m", 2e3, True)]
+    + [("0.05", "m", 0.05, False), ("0.01mm", "m", 0.01e-3, False)]
+    + [("50 um", "mm", 0.05, False), ("50µm", "mm", 0.05, False), ("1in", "mm", 25.4, False)]
+    + [("2mil", "mm", 0.0508, False), ("1ft", "in", 12.0, False), ("1yd", "ft", 3.0, False)]
+    + [("1m", "ft", 3.2808398950131235, False), ("1e-3km", "cm", 100.0, False)]
+    + [("3nm", "um", 0.003, False)],
 )
 def test_lengths(text, unit, value, in_edges):
     found = parse_length(text, unit=unit)

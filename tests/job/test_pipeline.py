@@ -225,12 +225,8 @@ def test_inspection(scan):
 
 @pytest.mark.parametrize(
     ("name", "to", "expected"),
-    [
-        ("a.ply", None, "a.ply"),
-        ("a.PLY.gz", "stl", "a.stl.gz"),
-        ("dir/a.b.stl", ".PLY", "dir/a.b.ply"),
-        (".hidden", "ply", ".hidden.ply"),
-    ],
+    [("a.ply", None, "a.ply"), ("a.PLY.gz", "stl", "a.stl.gz")]
+    + [("dir/a.b.stl", ".PLY", "dir/a.b.ply"), (".hidden", "ply", ".hidden.ply")],
 )
 def test_output_names(name, to, expected):
     assert output_name(name, to) == expected
