@@ -31,7 +31,7 @@ on scans and on models with any noise; one spike of ten mean edge lengths makes 
 _MAX_SAMPLED = 16_384
 """Vertices whose lambda is sampled."""
 
-_OF_LEVEL = ("mean_edges", "file_units", "clean_edges", "rms_edges", "tail", "regions")
+_OF_LEVEL = ("mean_edges", "file_units", "rms_edges", "tail", "regions")
 _OF_CHARACTER = ("kind", "rings", "direction", "axis", "outliers", "confidence", "basis", "words")
 """Fields of the record that have the names of the estimate's."""
 

@@ -104,7 +104,6 @@ class NoiseEstimate:
     file_units: float = required("the same in file units")
     low_edges: float | None = known("lower end of an interval for it, mean edge lengths")
     high_edges: float | None = known("upper end of the interval, mean edge lengths")
-    clean_edges: float | None = known("the level in mean edges of the surface without the noise")
     rms_edges: float | None = known("root mean square with single spikes, mean edge lengths")
     tail: float | None = known(
         "share of the vertices, 0 to 1, that stand out from the others around them as one in 100 "

@@ -222,4 +222,3 @@ def test_any_small_mesh_has_an_estimate(seed, rows, columns, level):
     assert 0.0 <= noise.lowest <= noise.highest < np.inf
     assert 0.0 <= noise.tail <= 1.0
     assert noise.mean_edges <= noise.rms_edges < np.inf
-    assert noise.clean_edges >= 0.0

@@ -51,7 +51,6 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseCharacter,
     NoiseLevel,
     Reading,
-    to_clean_edges,
 )
 from msal_cli.analysis.noise_estimate.patterns import is_patterned
 from msal_cli.arrays import Floats
@@ -442,7 +441,6 @@ def characterize(mesh: Mesh) -> Estimate:
         low=0.0 if readings[0].probability < MIN_PROBABILITY else low,
         high=max(verdict.high, verdict.level),
         file_units=level * white.edge,
-        clean_edges=to_clean_edges(level),
         rms_edges=max(verdict.level, white.level.rms_edges),
         is_negligible=False,
         lowest=level,
@@ -566,7 +564,6 @@ def _without_noise(
         low=0.0,
         high=highest,
         file_units=0.0,
-        clean_edges=0.0,
         rms_edges=0.0,
         is_negligible=True,
         lowest=0.0,

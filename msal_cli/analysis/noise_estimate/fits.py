@@ -21,7 +21,6 @@ from msal_cli.analysis.noise_estimate.level import (
     NoiseLevel,
     are_spikes,
     are_uneven,
-    to_clean_edges,
 )
 from msal_cli.arrays import Floats, Longs
 
@@ -354,7 +353,6 @@ def estimate_white(mesh: Mesh) -> WhiteEstimate:
         low=min(low, level) / edge,
         high=high / edge,
         file_units=level,
-        clean_edges=to_clean_edges(edges),
         rms_edges=rms / edge,
         tail=tail,
         is_negligible=is_small and not are_spikes(rms / edge, tail),

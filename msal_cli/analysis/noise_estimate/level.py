@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
-
-import numpy as np
-
-from msal_cli.arrays import Floats
 
 SURE = 0.025
 """Mean edge lengths: upper end of the interval below which there is certainly no noise."""
@@ -126,7 +121,6 @@ class NoiseLevel:
     low, high : an interval for it, mean edge lengths: from where all that may be texture is, to
         where none is, and beyond by the sampling error.
     file_units : the same level in file units.
-    clean_edges : in mean edge lengths of the surface without the noise, which are shorter.
     rms_edges : root mean square with single spikes, which the level leaves out, mean edge lengths.
     tail : share of the vertices, 0 to 1, further out among the others than 99 in 100 are with
         Gaussian noise; 0.01 for that, 0.02 and more for impulsive noise.
@@ -141,7 +135,6 @@ class NoiseLevel:
     low: float
     high: float
     file_units: float
-    clean_edges: float
     rms_edges: float
     tail: float
     is_negligible: bool
@@ -182,7 +175,6 @@ class NoiseLevel:
             low=level,
             high=max(level, self.rms_edges if has_spikes else 0.0),
             file_units=level * edge,
-            clean_edges=to_clean_edges(level),
             rms_edges=max(level, self.rms_edges),
             is_negligible=level == 0.0 and not has_spikes,
             lowest=ratio * self.lowest,
@@ -224,20 +216,3 @@ def are_spikes(rms: float, tail: float) -> bool:
 def are_uneven(lowest: float, highest: float) -> bool:
     """Whether levels of regions, in mean edge lengths, are not those of one noise."""
     return highest > MIN_UNEVEN and highest > UNEVEN * lowest
-
-
-@functools.cache
-def _lengthening() -> tuple[Floats, Floats]:
-    """Noise in mean edge lengths of the clean surface, and in those of the noisy one: edges across
-    which the heights differ by noise are longer, on average sqrt(1 + 2 s^2 z^2) with normal z."""
-    clean = np.linspace(0.0, 2.0, 201)
-    z = np.linspace(-6.0, 6.0, 241)
-    weights = np.exp(-0.5 * z * z)
-    longer = np.sqrt(1.0 + 2.0 * np.outer(clean, z) ** 2) @ (weights / weights.sum())
-    return clean, clean / longer
-
-
-def to_clean_edges(edges: float) -> float:
-    """A level in mean edge lengths of the noisy surface, in those of the clean one."""
-    clean, noisy = _lengthening()
-    return float(np.interp(edges, noisy, clean))
