@@ -144,8 +144,6 @@ def _ball_bilateral(
     squares = np.empty(capacity)
     h = np.empty(capacity)
     g = np.empty(capacity)
-    scratch = np.empty(capacity)
-    scratch_bits = scratch.view(np.int64)
     for i in range(start, stop):
         vec.store(moves, i, vec.ORIGIN)
         if not free[i]:
@@ -175,7 +173,7 @@ def _ball_bilateral(
         # The vertex itself, at height and distance 0, has weight 1: the sum cannot vanish.
         for at in range(count):
             g[at] = -(squares[at] * near) - h[at] * h[at] * alike
-        exponentials(g, scratch, scratch_bits, count)
+        exponentials(g, count)
         weights = moment = 0.0
         for at in range(count):
             weights += g[at]
@@ -253,8 +251,6 @@ def _project(
     memory = vertex_mark, face_mark, corners, found, squares
     s = np.empty(capacity)
     g = np.empty(capacity)
-    scratch = np.empty(capacity)
-    scratch_bits = scratch.view(np.int64)
     near = 0.5 / max(closeness, floor) ** 2
     alike = 0.5 / max(similarity, floor) ** 2 if averaged == _PROJECTIONS else 0.0
     for i in range(start, stop):
@@ -277,7 +273,7 @@ def _project(
         # The largest Gaussian is made 1: the quotient stays the same, and cannot become 0/0.
         for at in range(count):
             g[at] = least - g[at]
-        exponentials(g, scratch, scratch_bits, count)
+        exponentials(g, count)
         weights = mx = my = mz = 0.0
         for at in range(count):
             f = np.uint64(found[at])

@@ -10,48 +10,8 @@ import numpy as np
 
 from msal_cli.kernels.compiled import compiled
 
-_PER_LN2 = 1.4426950408889634  # 1 / ln 2
-# ln 2 in two parts (Cody and Waite): the first has few enough bits for exact products.
-_LN2_HIGH = 6.93145751953125e-1
-_LN2_LOW = 1.42860682030941723212e-6
 # Added to a number it leaves the nearest integer in the lowest bits of the sum.
 _ROUND = 6755399441055744.0  # 1.5 * 2^52
-
-MIN_ARGUMENT = -700.0
-"""Arguments below are taken as this: exp(-700) is 1e-304, nothing beside a weight of 1."""
-
-
-@compiled
-def exponentials(values, scratch, scratch_bits, count):
-    """Replace ``values[:count]``, none above zero, by their exponentials, within 1 ulp or so.
-
-    ``scratch`` (>= count,) float64 and ``scratch_bits``, the same memory as int64, are overwritten.
-    """
-    bits = values.view(np.int64)
-    for at in range(count):
-        value = values[at] if values[at] > MIN_ARGUMENT else MIN_ARGUMENT
-        values[at] = value
-        scratch[at] = value * _PER_LN2 + _ROUND
-    for at in range(count):
-        power = scratch[at] - _ROUND
-        r = (values[at] - power * _LN2_HIGH) - power * _LN2_LOW
-        # Taylor series to r^12; |r| <= ln 2 / 2, so that the rest is below 2^-57.
-        p = 1.0 / 479001600.0
-        p = p * r + 1.0 / 39916800.0
-        p = p * r + 1.0 / 3628800.0
-        p = p * r + 1.0 / 362880.0
-        p = p * r + 1.0 / 40320.0
-        p = p * r + 1.0 / 5040.0
-        p = p * r + 1.0 / 720.0
-        p = p * r + 1.0 / 120.0
-        p = p * r + 1.0 / 24.0
-        p = p * r + 1.0 / 6.0
-        p = p * r + 0.5
-        p = p * r + 1.0
-        values[at] = p * r + 1.0
-    for at in range(count):
-        bits[at] += scratch_bits[at] << 52
-
 
 # Coefficients of r ... r^11 in 2^r - 1: the polynomial through zero and the function's values at
 # Chebyshev's points of |r| <= 1/2.  It leaves 2^r a relative error of 2e-17.
@@ -85,6 +45,13 @@ def power_of_two(exponent):
     p = p * q2 + ((r * _P3 + _P2) * q + r * _P1)
     bits = np.float64(p + 1.0).view(np.int64)
     return np.int64(bits + (np.float64(rounded).view(np.int64) << _TO_EXPONENT)).view(np.float64)
+
+
+@compiled
+def exponentials(values, count):
+    """Replace ``values[:count]``, none above zero, by their exponentials."""
+    for at in range(count):
+        values[at] = power_of_two(LOG2_E * values[at])
 
 
 @compiled

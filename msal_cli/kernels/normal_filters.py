@@ -511,8 +511,6 @@ def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, 
     widest = longest_row(start, stop, near_start)
     distant = np.empty(widest)
     unlike = np.empty(widest)
-    scratch = np.empty(widest)
-    bits = scratch.view(np.int64)
     for i in range(start, stop):
         row = near_start[i]
         count = near_start[i + 1] - row
@@ -520,8 +518,8 @@ def _weigh(start, stop, g, c, areas, near_start, near, per_distance, per_guide, 
             j = near[row + at]
             distant[at] = per_distance * vec.square_distance(vec.load(c, j), vec.load(c, i))
             unlike[at] = per_guide * vec.square_distance(vec.load(g, j), vec.load(g, i))
-        exponentials(distant, scratch, bits, count)
-        exponentials(unlike, scratch, bits, count)
+        exponentials(distant, count)
+        exponentials(unlike, count)
         total = 0.0
         for at in range(count):
             weight = (areas[i] + areas[near[row + at]]) * distant[at]
@@ -556,8 +554,6 @@ def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas
     widest = longest_row(start, stop, near_start)
     kernel = np.empty(widest)
     others = np.empty((widest, 3))
-    scratch = np.empty(widest)
-    bits = scratch.view(np.int64)
     for i in range(start, stop):
         row = near_start[i]
         count = near_start[i + 1] - row
@@ -567,7 +563,7 @@ def _step(start, stop, n, pull, near_start, near, weights, per_difference, areas
             other = vec.load(n, np.uint64(near[row + at]))
             vec.store(others, at, other)
             kernel[at] = per_difference * vec.square_distance(other, own)
-        exponentials(kernel, scratch, bits, count)
+        exponentials(kernel, count)
         total = vec.load(pull, i)
         weights_in_all = abs(total[0]) + abs(total[1]) + abs(total[2])
         for at in range(count):

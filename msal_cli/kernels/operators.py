@@ -394,7 +394,7 @@ def _sigma(h, m, deviation, scratch):
 
 
 @compiled
-def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):
+def _weigh(h, lengths, m, weights, sigma, g):
     """g(h[:m]), up to a factor; all alike where every neighbour is beyond Tukey's reach."""
     if weights == _GAUSS:
         flattest = np.inf
@@ -405,7 +405,7 @@ def _weigh(h, lengths, m, weights, sigma, g, scratch, scratch_bits):
         for at in range(m):
             # Where the edge has no length the height is zero and the weight is not used.
             g[at] = min((flattest - h[at] * h[at]) * inverse, 0.0)
-        exponentials(g, scratch, scratch_bits, m)
+        exponentials(g, m)
         return
     if weights == _TUKEY:
         reach = 5.0 * sigma * sigma
@@ -450,7 +450,6 @@ def _robust_laplacian(
     lengths = np.ones(widest)
     g = np.empty(widest)
     scratch = np.empty(widest)
-    scratch_bits = scratch.view(np.int64)
     for i in range(start, stop):
         row = ring_start[i]
         m = ring_start[i + 1] - row
@@ -466,7 +465,7 @@ def _robust_laplacian(
         sigma[i] = _sigma(h, m, deviation, scratch)
         if not free[i]:
             continue
-        _weigh(h, lengths, m, weights, max(sigma[i], floor), g, scratch, scratch_bits)
+        _weigh(h, lengths, m, weights, max(sigma[i], floor), g)
         moment = total = 0.0
         if scaling == _EDGE:
             reciprocals = 0.0
