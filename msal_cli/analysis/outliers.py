@@ -11,7 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate import NoiseLevel, estimate_noise, has_uneven_edges
+from msal_cli.analysis.noise_estimate import (
+    NoiseLevel,
+    estimate_noise,
+    has_flat_edges,
+    has_uneven_edges,
+)
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels import outliers
 from msal_cli.kernels.geometry import distances
@@ -45,6 +50,10 @@ CERTAIN, MIN_CERTAIN = 3.0, 0.02
 """Score from which an outlier is certain, and the share of the outliers that are certain from which
 they are brought back by default.  Of planted ones 17 % are and more, of the spikes of
 a raw scan 3 %, and none of the tips and ridges of a coarse model that seem to be outliers."""
+
+FEW = 0.008
+"""Share of the vertices below which outliers of a mesh without noise whose edges are flat to
+rounding are points of the design, such as what shrink-wrapping leaves."""
 
 APART = 6.0
 """Ways of the outliers, in the median, over the noise of all others, from which that is so: those
@@ -179,7 +188,8 @@ class _Search:
             return False
         if after.is_negligible:
             moved = self.mesh.with_vertices(self.positions)
-            return are_certain and not has_uneven_edges(moved)
+            is_design = has_uneven_edges(moved) or (share < FEW and has_flat_edges(moved))
+            return are_certain and not is_design
         is_sure = are_certain or (share > USUAL and not after.is_unsure)
         return is_sure and not estimate_noise(self.mesh).is_negligible
 

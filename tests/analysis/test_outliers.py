@@ -76,7 +76,7 @@ def test_clean_files_of_others_have_no_clear_outliers(real_data):
     assert [p.name for p in paths if find_outliers(ground_truth.opened(p)).are_clear] == []
 
 
-@pytest.mark.parametrize("share", [0.005, 0.1])
+@pytest.mark.parametrize("share", [0.01, 0.1])
 @pytest.mark.parametrize("level", [0.0, 0.2])
 @pytest.mark.parametrize("shape", [torus_mesh, lambda: prepare_mesh(*box(20, 20, 20)).mesh])
 def test_outliers_are_found_and_brought_back(shape, level, share):
@@ -93,12 +93,11 @@ def test_outliers_are_found_and_brought_back(shape, level, share):
 
 
 @pytest.mark.parametrize(
-    ("spread", "long", "is_clear"), [(0.0, 1.0, False), (0.1, 1.0, True), (0.1, 40.0, False)]
+    ("spread", "size", "is_clear"), [(0.0, 16, False), (0.1, 16, True), (0.1, 20, False)]
 )
-def test_outliers_of_a_design_are_not_clear(spread, long, is_clear):
-    """In one plane, or on very uneven triangles."""
-    box_vertices, faces = box(20, 20, 20)
-    mesh = prepare_mesh(box_vertices * [1.0, 1.0, long], faces).mesh
+def test_outliers_of_a_design_are_not_clear(spread, size, is_clear):
+    """In one plane, or few."""
+    mesh = prepare_mesh(*box(size, size, size)).mesh
     vertices, top = mesh.vertices.copy(), mesh.vertices[:, 2].max()
     rows = np.isin(vertices[:, :2], [-6.0, -2.0, 2.0, 6.0]).all(axis=1)
     planted = np.flatnonzero(rows & (vertices[:, 2] == top))

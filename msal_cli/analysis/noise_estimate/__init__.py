@@ -412,7 +412,7 @@ def characterize(mesh: Mesh) -> Estimate:
     is_weak = measured < NEGLIGIBLE and verdict.kind != "outliers"
     is_doubtful = is_few or verdict.noise < _needed_probability(verdict, measured, evidence)
     if not is_doubtful and verdict.noise < SURE_NOISE:
-        is_doubtful = _has_flat_edges(mesh, verdict, evidence)
+        is_doubtful = not _is_bent(mesh, verdict, evidence)
     if is_doubtful or is_weak:
         return _without_noise(white, 1.0 - verdict.noise, _describe_fits(evidence), measured)
     if _is_in_pieces(mesh):
@@ -534,18 +534,23 @@ def _needed_probability(verdict: Verdict, level: float, evidence: Evidence) -> f
     return SURE_FEW if evidence.numbers[SIZE] < math.log(MANY_VERTICES) else 0.5
 
 
-def _has_flat_edges(mesh: Mesh, verdict: Verdict, evidence: Evidence) -> bool:
-    """Whether many edges are flat that noise of this kind would have bent."""
-    if verdict.kind not in ("white", "isotropic", "correlated", "view"):
-        return False
+def has_flat_edges(mesh: Mesh, axis: Floats | None = None) -> bool:
+    """Whether many edges are flat to rounding, as those of a design are; of faces that noise along
+    the ``axis`` (3,) would bend, if it is given."""
     corners = flaps(mesh.faces, mesh.topology)
     is_flat = dihedral_angles(mesh.vertices, corners) < FLAT
-    if verdict.kind == "view":
-        if evidence.axis is None or mesh.topology.boundary.mean() > MAX_OPEN:
-            return False
+    if axis is not None:
         normals = face_normals(mesh.vertices, np.ascontiguousarray(corners[:, :3]))
-        is_flat &= np.abs(normals @ evidence.axis.axis) > FLAT_FACING
+        is_flat &= np.abs(normals @ axis) > FLAT_FACING
     return int(np.count_nonzero(is_flat)) > MAX_FLAT * len(corners)
+
+
+def _is_bent(mesh: Mesh, verdict: Verdict, evidence: Evidence) -> bool:
+    """Whether hardly any edge is flat that noise of this kind would have bent."""
+    if verdict.kind == "view" and evidence.axis is not None:
+        is_open = mesh.topology.boundary.mean() > MAX_OPEN
+        return bool(is_open) or not has_flat_edges(mesh, evidence.axis.axis)
+    return verdict.kind not in ("white", "isotropic", "correlated") or not has_flat_edges(mesh)
 
 
 def _order_readings(level: float, noise: float) -> tuple[Reading, ...]:
