@@ -51,19 +51,14 @@ LARGEST_EXTENT = 1e60
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh that is fit for computing.
+    """A triangle mesh that is fit for computing."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64, finite, about a local origin, file units.
-    faces : (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside.
-    fixed_vertices : (n,) vertices that must stay where they are; None if all may move.
-    trust : (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it.
-    """
-
-    vertices: Floats
+    vertices: Floats  # (n, 3) float64, finite, about a local origin, file units
+    # (m, 3) int32, three different vertices each, m >= 1, counter-clockwise from outside
     faces: Ints
+    # (n,) vertices that must stay where they are; None if all may move
     fixed_vertices: NDArray[np.bool_] | None = None
+    # (n,) from 0 to 1, how much of the pull to the data each vertex gets; None for all of it
     trust: Floats | None = None
 
     @functools.cached_property
@@ -156,32 +151,19 @@ def cached_by_mesh(
 
 @dataclass(frozen=True)
 class Defects:
-    """What was found, and put aside for the mathematics, when a mesh was prepared.
+    """What was found, and put aside for the mathematics, when a mesh was prepared."""
 
-    Attributes
-    ----------
-    welded_vertices : vertices that coincide with an earlier one and are treated as one with it.
-    unreferenced_vertices : vertices that no usable face has; they stay where they are.
-    degenerate_faces : faces with a repeated vertex (left out) or without area (no normal).
-    duplicate_faces : faces whose three vertices an earlier face has; left out.
-    boundary_edges : edges with one face.
-    non_manifold_edges : edges with more than two faces.
-    inconsistent_edges : edges whose two faces are wound against each other, in the file.
-    turned_faces : faces turned round so that the mathematics sees one winding.
-    unorientable_parts : parts that have no consistent winding and are taken as they are.
-    components : connected parts.
-    """
-
+    # vertices that coincide with an earlier one and are treated as one with it
     welded_vertices: int
-    unreferenced_vertices: int
-    degenerate_faces: int
-    duplicate_faces: int
-    boundary_edges: int
-    non_manifold_edges: int
-    inconsistent_edges: int
-    turned_faces: int
-    unorientable_parts: int
-    components: int
+    unreferenced_vertices: int  # vertices that no usable face has; they stay where they are
+    degenerate_faces: int  # faces with a repeated vertex (left out) or without area (no normal)
+    duplicate_faces: int  # faces whose three vertices an earlier face has; left out
+    boundary_edges: int  # edges with one face
+    non_manifold_edges: int  # edges with more than two faces
+    inconsistent_edges: int  # edges whose two faces are wound against each other, in the file
+    turned_faces: int  # faces turned round so that the mathematics sees one winding
+    unorientable_parts: int  # parts that have no consistent winding and are taken as they are
+    components: int  # connected parts
 
     @property
     def volume_objection(self) -> str:
@@ -201,22 +183,15 @@ def _count_text(number: int, noun: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class PreparedMesh:
-    """A mesh for the mathematics and the way back to the file's vertices.
+    """A mesh for the mathematics and the way back to the file's vertices."""
 
-    Attributes
-    ----------
-    mesh : welded, cleaned, wound one way, about ``origin``.
-    origin : (3,), subtracted from the file's positions.
-    vertex_map : (n_file,) int32, the mesh vertex of each file vertex, -1 for none; or
-        None where they are the same, one for one.  Of a mesh in random order the numbers of its
-        vertices and faces follow the surface, not the file.
-    defects : what was found on the way.
-    """
-
-    mesh: Mesh
-    origin: Floats
+    mesh: Mesh  # welded, cleaned, wound one way, about ``origin``
+    origin: Floats  # (3,), subtracted from the file's positions
+    # (n_file,) int32, the mesh vertex of each file vertex, -1 for none; or None where they are the
+    # same, one for one.  Of a mesh in random order the numbers of its vertices and faces follow the
+    # surface, not the file
     vertex_map: Ints | None
-    defects: Defects
+    defects: Defects  # what was found on the way
 
     def to_file_vertices(self, vertices: Floats, original: Floats) -> Floats:
         """File positions (n_file, 3) for mesh positions (n, 3).

@@ -75,31 +75,23 @@ OUTLIER_REACH = (1.0, 3.0)
 
 @dataclass(frozen=True)
 class AddedNoise:
-    """What to add; a kind uses the settings that ``OPTIONS`` names, and ignores the others.
+    """What to add; a kind uses the settings that ``OPTIONS`` names, and ignores the others."""
 
-    Attributes
-    ----------
-    kind : one of ``KINDS``.
-    level : standard deviation in mean edge lengths: greater is noisier.  Where the noise varies
-        over the surface, that of its full strength: ``grazing`` head-on, ``ramp`` at its end.  Of
-        ``uniform`` the largest move of a coordinate.
-    seed : from 0; another one gives other noise of the same kind.
-    fraction : share of the vertices that ``impulsive`` and ``outliers`` move, 0 to 1.
-    rings : how many times heights are averaged over closed one-rings: greater is shared more
-        widely.  None is the kind's own, 2 for ``correlated`` and 0 (white) for the others.
-    direction : of the view, (3,), of any length; for ``half`` and ``ramp`` where there is more.
-    step : of ``quantised`` depths, mean edge lengths: greater is coarser.
-    border : of ``half``, where the level grows from nothing; share of the extent along the
-        direction, 0 (sharp) to 1.
-    """
-
-    kind: str
+    kind: str  # one of ``KINDS``
+    # standard deviation in mean edge lengths: greater is noisier.  Where the noise varies over the
+    # surface, that of its full strength: ``grazing`` head-on, ``ramp`` at its end.  Of ``uniform``
+    # the largest move of a coordinate
     level: float = 0.2
-    seed: int = 0
-    fraction: float = 0.1
+    seed: int = 0  # from 0; another one gives other noise of the same kind
+    fraction: float = 0.1  # share of the vertices that ``impulsive`` and ``outliers`` move, 0 to 1
+    # how many times heights are averaged over closed one-rings: greater is shared more widely.
+    # None is the kind's own, 2 for ``correlated`` and 0 (white) for the others
     rings: int | None = None
+    # of the view, (3,), of any length; for ``half`` and ``ramp`` where there is more
     direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    step: float = 0.5
+    step: float = 0.5  # of ``quantised`` depths, mean edge lengths: greater is coarser
+    # of ``half``, where the level grows from nothing; share of the extent along the direction, 0
+    # (sharp) to 1
     border: float = 0.0
 
     def __post_init__(self) -> None:

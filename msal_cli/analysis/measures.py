@@ -321,16 +321,11 @@ INSIDE_OUT = "the surface is inside out: its normals point inwards"
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """Which faces of a closed surface have their normals inwards.
+    """Which faces of a closed surface have their normals inwards."""
 
-    Attributes
-    ----------
-    inward : (m,) the faces of parts that are inside out; None if there are none.
-    n_turned, n_parts : how many parts are inside out, and how many there are.
-    """
-
+    # (m,) the faces of parts that are inside out; None if there are none
     inward: NDArray[np.bool_] | None
-    n_turned: int
+    n_turned: int  # n_turned, n_parts: how many parts are inside out, and how many there are
     n_parts: int
 
     @property

@@ -66,21 +66,14 @@ design: corners of its long thin faces."""
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
-    """The outliers of a mesh.
+    """The outliers of a mesh."""
 
-    Attributes
-    ----------
-    flags : (n,) which vertices they are.
-    vertices : (n, 3) positions with them brought back, all others as they were.
-    are_clear : whether they are to be brought back by default: some are certain, and
-        they are no tail of the noise.
-    share : of the vertices, 0 to 1, that seemed to be outliers; beyond ``MAX_SHARE`` none is
-        flagged.
-    """
-
-    flags: Flags
-    vertices: Floats
+    flags: Flags  # (n,) which vertices they are
+    vertices: Floats  # (n, 3) positions with them brought back, all others as they were
+    # whether they are to be brought back by default: some are certain, and they are no tail of the
+    # noise
     are_clear: bool
+    # of the vertices, 0 to 1, that seemed to be outliers; beyond ``MAX_SHARE`` none is flagged
     share: float
 
     @property

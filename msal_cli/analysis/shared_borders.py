@@ -26,22 +26,14 @@ NEAR_EDGES = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """The border points of one file.
+    """The border points of one file."""
 
-    Attributes
-    ----------
-    positions : (k, 3) float64, as the file stores them; no two are alike.
-    vertices : (v,) int64, the vertices of the file at these points, ascending.
-    points : (v,) int32, the point of each.
-    corners : (k,) int64, a corner of a face at each point: an index into the flattened faces.
-    edges : (e, 2) int32, edges with one face, between points.
-    """
-
-    positions: Floats
-    vertices: Longs
-    points: Ints
+    positions: Floats  # (k, 3) float64, as the file stores them; no two are alike
+    vertices: Longs  # (v,) int64, the vertices of the file at these points, ascending
+    points: Ints  # (v,) int32, the point of each
+    # (k,) int64, a corner of a face at each point: an index into the flattened faces
     corners: Longs
-    edges: Ints
+    edges: Ints  # (e, 2) int32, edges with one face, between points
 
 
 def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) -> Border:
@@ -73,20 +65,12 @@ def find_border(ready: PreparedMesh, file_vertices: Floats, file_faces: Ints) ->
 class SharedBorders:
     """Which border points of the files of a set are one.
 
-    The points of all files stand behind one another, in the order of the files.
+    The points of all files stand behind one another, in the order of the files."""
 
-    Attributes
-    ----------
-    starts : (files + 1,) first point of each file.
-    positions : (n, 3) of all points, as the files store them.
-    file_of : (n,) int32, the file of each point.
-    group : (n,) int64, the first point that a point is one with: itself where it is alone.
-    """
-
-    starts: Longs
-    positions: Floats
-    file_of: Ints
-    group: Longs
+    starts: Longs  # (files + 1,) first point of each file
+    positions: Floats  # (n, 3) of all points, as the files store them
+    file_of: Ints  # (n,) int32, the file of each point
+    group: Longs  # (n,) int64, the first point that a point is one with: itself where it is alone
 
     @property
     def is_shared(self) -> Flags:

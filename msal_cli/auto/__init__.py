@@ -61,20 +61,15 @@ and the share of it that keeps texture."""
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the user asks for.
+    """What the user asks for."""
 
-    Attributes
-    ----------
-    prefer : ``balanced``, ``positions``, ``normals`` or ``volume``: what is to be most accurate.
-    keep : ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said.
-    strength : -2 to 2, around the automatic choice: greater is smoother.
-    assume : ``noise`` or ``texture``, what the roughness of a mesh is where the estimate is unsure
-        of it; None for a choice that is not much worse either way.
-    """
-
+    # ``balanced``, ``positions``, ``normals`` or ``volume``: what is to be most accurate
     prefer: str = "balanced"
+    # ``texture``, ``edges`` or ``shape``, what must not suffer; None if nothing was said
     keep: str | None = None
-    strength: float = 0.0
+    strength: float = 0.0  # -2 to 2, around the automatic choice: greater is smoother
+    # ``noise`` or ``texture``, what the roughness of a mesh is where the estimate is unsure of it;
+    # None for a choice that is not much worse either way
     assume: str | None = None
 
     @property
@@ -95,29 +90,19 @@ class Wishes:
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for a mesh, and why.
+    """What was chosen for a mesh, and why."""
 
-    Attributes
-    ----------
-    method : name of a method, or ``NONE``.
-    parameters : all of its parameters; empty for ``NONE``.
-    reason : a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``.
-    surface : ``machined``, ``organic``, ``textured`` or ``clean``; None where it was not looked at.
-    noise : the noise that it was made for.
-    risk : estimated error of the result, mean edge lengths; None if nothing was estimated.
-    tried : candidates that were looked at.
-    runners_up : label and risk of the next best, best first, at most 3.
-    among : ``ALL`` or ``FAMILY``.
-    estimate : the estimated noise where nothing was assumed of it; None where that is ``noise``.
-    """
-
-    method: str
-    parameters: dict[str, Any]
-    reason: str
+    method: str  # name of a method, or ``NONE``
+    parameters: dict[str, Any]  # all of its parameters; empty for ``NONE``
+    reason: str  # a sentence, such as ``noise 0.11 e; textured; MSAL, K = 0.6, 3 sweeps``
+    # ``machined``, ``organic``, ``textured`` or ``clean``; None where it was not looked at
     surface: str | None
-    noise: NoiseLevel
+    noise: NoiseLevel  # the noise that it was made for
+    # estimated error of the result, mean edge lengths; None if nothing was estimated
     risk: float | None = None
-    tried: int = 0
+    tried: int = 0  # candidates that were looked at
+    # label and risk of the next best, best first, at most 3
     runners_up: tuple[tuple[str, float], ...] = ()
-    among: str = ALL
+    among: str = ALL  # ``ALL`` or ``FAMILY``
+    # the estimated noise where nothing was assumed of it; None where that is ``noise``
     estimate: NoiseLevel | None = None

@@ -196,18 +196,12 @@ def level_masks(part: Part, local: Floats, levels: Sequence[float]) -> list[Flag
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A mesh as methods get it, and the noise on it.
+    """A mesh as methods get it, and the noise on it."""
 
-    Attributes
-    ----------
-    mesh : with its triangles evened out by ``relax`` passes, for noise in all directions.
-    model : the noise; that along the normals counts.
-    local, levels : local noise (n,), and levels of it that get weights of their own; empty where
-        the noise is the same everywhere.
-    """
-
-    mesh: Mesh
-    model: NoiseModel
+    mesh: Mesh  # with its triangles evened out by ``relax`` passes, for noise in all directions
+    model: NoiseModel  # the noise; that along the normals counts
+    # local, levels: local noise (n,), and levels of it that get weights of their own; empty where
+    # the noise is the same everywhere
     local: Floats
     levels: tuple[float, ...]
     relax: int

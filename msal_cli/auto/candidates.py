@@ -14,23 +14,18 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Candidate:
-    """One method with its settings.
+    """One method with its settings."""
 
-    Attributes
-    ----------
-    method, given : the method's name, and the parameters that are not at their defaults.
-    cost : time for a mesh, in runs of the filter ``msal`` at its defaults over the same mesh, on
-        one core: a fifth more than benchmarks/candidate_costs.py measures, since the vertices of
-        scans are in worse order than those of its torus.
-    takes_noise : it has a parameter ``noise``, in mean edge lengths, that it must be given.
-    times : how many times the noise it is given, to reach farther.
-    """
-
+    # method, given: the method's name, and the parameters that are not at their defaults
     method: str
     given: dict[str, Any]
+    # time for a mesh, in runs of the filter ``msal`` at its defaults over the same mesh, on one
+    # core: a fifth more than benchmarks/candidate_costs.py measures, since the vertices of scans
+    # are in worse order than those of its torus
     cost: float
+    # it has a parameter ``noise``, in mean edge lengths, that it must be given
     takes_noise: bool = False
-    times: float = 1.0
+    times: float = 1.0  # how many times the noise it is given, to reach farther
 
     def settings(self, noise_edges: float) -> dict[str, Any]:
         """The parameters for a mesh with that noise, mean edge lengths of the mesh."""

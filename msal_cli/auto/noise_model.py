@@ -39,26 +39,19 @@ QUIETEST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Noise to draw from.
+    """Noise to draw from."""
 
-    Attributes
-    ----------
-    level : standard deviation of a displacement along its direction, file units; per coordinate
-        if it is isotropic.
-    rings : how many averages over one-rings its colour is like; 0 for white noise.
-    direction : ``NORMALS``, ``ISOTROPIC`` or ``AXIS``.
-    axis : unit vector (3,) of the last; None otherwise.
-    shares : (n,) level of each vertex over ``level``, for noise that is not the same everywhere;
-        None where it is.
-    step : of depths that are rounded, file units: along the axis or, without one, along the
-        coordinate axis that is nearest to the normal; 0 for none.
-    """
-
+    # standard deviation of a displacement along its direction, file units; per coordinate if it is
+    # isotropic
     level: float
-    rings: int = 0
-    direction: str = NORMALS
-    axis: tuple[float, float, float] | None = None
+    rings: int = 0  # how many averages over one-rings its colour is like; 0 for white noise
+    direction: str = NORMALS  # ``NORMALS``, ``ISOTROPIC`` or ``AXIS``
+    axis: tuple[float, float, float] | None = None  # unit vector (3,) of the last; None otherwise
+    # (n,) level of each vertex over ``level``, for noise that is not the same everywhere; None
+    # where it is
     shares: Floats | None = None
+    # of depths that are rounded, file units: along the axis or, without one, along the coordinate
+    # axis that is nearest to the normal; 0 for none
     step: float = 0.0
 
     @property

@@ -68,16 +68,10 @@ MIN_NOISE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """Squared error of a blend in parts of that of the input: 1 - 2 w'b + w'Mw.
+    """Squared error of a blend in parts of that of the input: 1 - 2 w'b + w'Mw."""
 
-    Attributes
-    ----------
-    gram : (k, k), M over c.
-    gain : (k,), b over c.
-    """
-
-    gram: Floats
-    gain: Floats
+    gram: Floats  # (k, k), M over c
+    gain: Floats  # (k,), b over c
 
     def at(self, weights: Floats) -> float:
         """The value for weights (k,); below zero only by errors of the estimate."""

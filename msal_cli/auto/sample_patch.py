@@ -31,18 +31,11 @@ are missing."""
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A sample of a mesh, or the whole.
+    """A sample of a mesh, or the whole."""
 
-    Attributes
-    ----------
-    mesh : the patches as one mesh, or the whole.
-    judged : (m,) bool, vertices at which errors are evaluated.
-    numbers : (m,) which vertices of the whole these are; None for all of them.
-    """
-
-    mesh: Mesh
-    judged: Flags
-    numbers: Ints | None = None
+    mesh: Mesh  # the patches as one mesh, or the whole
+    judged: Flags  # (m,) bool, vertices at which errors are evaluated
+    numbers: Ints | None = None  # (m,) which vertices of the whole these are; None for all of them
 
 
 def select_patch(mesh: Mesh, most: int) -> Part:

@@ -125,37 +125,29 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Work:
-    """What an engine is to do.
+    """What an engine is to do."""
 
-    Attributes
-    ----------
-    tasks : picklable values by their index in the plan.
-    function : of a module, called in some process as ``function(task, common, on_progress)``.
-    jobs, cores : tasks at the same time on this machine, and the cores that they share.
-    folders : those with a manifest; they exist.
-    on_death : called with the process id of a worker of this machine that has ended, and the index
-        of its current task, to remove what it left.
-    on_loss : called with the index of a task that was lost, before it is tried again (at most
-        ``retries`` times) or given up: returns why it must not be tried again, or nothing.
-    weights, light_bytes : bytes of memory expected for the large tasks, and for any other.
-    budget_bytes : what all current tasks may need; None is no bound.
-    reports_first : report results before the next tasks are handed out, so that ``stop`` is in
-        time for these.
-    """
-
-    tasks: dict[int, Any]
+    tasks: dict[int, Any]  # picklable values by their index in the plan
+    # of a module, called in some process as ``function(task, common, on_progress)``
     function: Callable[..., Any]
     common: Any
+    # jobs, cores: tasks at the same time on this machine, and the cores that they share
     jobs: int = 1
     cores: int = 1
-    folders: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()  # those with a manifest; they exist
+    # called with the process id of a worker of this machine that has ended, and the index of its
+    # current task, to remove what it left
     on_death: Callable[[int, int], object] = lambda pid, index: None
+    # called with the index of a task that was lost, before it is tried again (at most ``retries``
+    # times) or given up: returns why it must not be tried again, or nothing
     on_loss: Callable[[int], str] = lambda index: ""
     limits: Limits = NO_LIMITS
     retries: int = 1
+    # weights, light_bytes: bytes of memory expected for the large tasks, and for any other
     weights: Mapping[int, int] = field(default_factory=dict)
     light_bytes: int = 0
-    budget_bytes: int | None = None
+    budget_bytes: int | None = None  # what all current tasks may need; None is no bound
+    # report results before the next tasks are handed out, so that ``stop`` is in time for these
     reports_first: bool = False
 
 

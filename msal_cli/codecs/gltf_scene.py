@@ -160,43 +160,31 @@ class Accessor:
 
 @dataclass(eq=False)
 class Part:
-    """Surfaces over one list of positions.
-
-    Attributes
-    ----------
-    normals : one to a position, if all of them have the same that can be recomputed.
-    mesh : the number of the first mesh.
-    accessors : the numbers of all accessors that its positions have.
-    triangles : (m, 3) into the positions by the mode and the indices that they come from, so that a
-        mesh that is twice in a file, with other materials perhaps, is read once.
-    """
+    """Surfaces over one list of positions."""
 
     positions: Accessor
+    # one to a position, if all of them have the same that can be recomputed
     normals: Accessor | None
-    mesh: int
+    mesh: int  # the number of the first mesh
+    # the numbers of all accessors that its positions have
     accessors: dict[Any, None] = field(default_factory=dict)
+    # (m, 3) into the positions by the mode and the indices that they come from, so that a mesh that
+    # is twice in a file, with other materials perhaps, is read once
     triangles: dict[object, Ints] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
 class Scene:
-    """A description, and the bytes that it speaks of.
+    """A description, and the bytes that it speaks of."""
 
-    Attributes
-    ----------
-    content : the description.
-    data : (size,) uint8, the bytes of its buffers and perhaps more.
-    buffers : first byte and size of each buffer in ``data``, or why it cannot be had; a buffer that
-        the reader does not look for is left out.
-    parts : the surfaces by their positions; filled by ``read_parts``.
-    notes : warnings, each once.
-    """
-
-    content: dict[str, Any]
-    data: Bytes
+    content: dict[str, Any]  # the description
+    data: Bytes  # (size,) uint8, the bytes of its buffers and perhaps more
+    # first byte and size of each buffer in ``data``, or why it cannot be had; a buffer that the
+    # reader does not look for is left out
     buffers: Mapping[int, tuple[int, int] | errors.MsalError]
+    # the surfaces by their positions; filled by ``read_parts``
     parts: dict[Accessor, Part] = field(default_factory=dict)
-    notes: dict[str, None] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)  # warnings, each once
 
     def entry(self, kind: str, index: object) -> dict[str, Any]:
         """The entry ``index`` of the list ``kind``; FormatError if there is none."""

@@ -40,25 +40,19 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the beginning of a file says.
+    """What the beginning of a file says."""
 
-    Attributes
-    ----------
-    flavour : the format, with ``-ascii`` for a text of a format that has both.
-    least_bytes, most_bytes : how many bytes the file must and may have; None for no limit.
-    vertices, faces : what the header counts, polygons as the file does; None where it does not.
-    n_vertices, n_triangles : the same, estimated where the header does not count them.
-    error : why the reader will refuse the file.
-    """
-
-    flavour: str
+    flavour: str  # the format, with ``-ascii`` for a text of a format that has both
+    # least_bytes, most_bytes: how many bytes the file must and may have; None for no limit
     least_bytes: int = 0
     most_bytes: int | None = None
+    # vertices, faces: what the header counts, polygons as the file does; None where it does not
     vertices: int | None = None
     faces: int | None = None
+    # n_vertices, n_triangles: the same, estimated where the header does not count them
     n_vertices: int | None = None
     n_triangles: int | None = None
-    error: MsalError | None = None
+    error: MsalError | None = None  # why the reader will refuse the file
 
 
 def read_header(
@@ -290,20 +284,14 @@ _CONVERTED = 450
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What is known of a file before it is loaded.
+    """What is known of a file before it is loaded."""
 
-    Attributes
-    ----------
-    format : such as ``ply``; empty if it is not known.
-    vertices, faces : what the header says, polygons as the file counts them; None where it does
-        not say, or says what the file has no bytes for.
-    memory_bytes : resident memory of a process that denoises it, at the peak; None if there is no
-        such file.
-    """
-
-    format: str = ""
+    format: str = ""  # such as ``ply``; empty if it is not known
+    # vertices, faces: what the header says, polygons as the file counts them; None where it does
+    # not say, or says what the file has no bytes for
     vertices: int | None = None
     faces: int | None = None
+    # resident memory of a process that denoises it, at the peak; None if there is no such file
     memory_bytes: int | None = None
 
 

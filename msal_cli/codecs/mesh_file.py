@@ -50,24 +50,19 @@ class SurfaceColours:
 
 @dataclass(eq=False)
 class Surface:
-    """What can be denoised and compared: a mesh file, several as one, or a mesh in memory.
+    """What can be denoised and compared: a mesh file, several as one, or a mesh in memory."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64, file units, in file order, exactly the values that the file stores.
-    faces : (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons
-        are cut into triangles and strips are unrolled, for the mathematics only.
-    merged_vertices : vertices of the file that ``vertices`` leaves out because an earlier one is at
-        the same position, as corners of STL's facets are; then no two of ``vertices`` are alike.
-    colours : those of its vertices where they were read, for pictures.
-    grid : the samples (rows, columns) of a range grid that the faces join.
-    """
-
+    # (n, 3) float64, file units, in file order, exactly the values that the file stores
     vertices: Floats
+    # (m, 3) int32, indices into ``vertices``, counter-clockwise seen from outside; polygons are cut
+    # into triangles and strips are unrolled, for the mathematics only
     faces: Ints
+    # vertices of the file that ``vertices`` leaves out because an earlier one is at the same
+    # position, as corners of STL's facets are; then no two of ``vertices`` are alike
     merged_vertices: int = 0
+    # those of its vertices where they were read, for pictures
     colours: SurfaceColours | None = None
-    grid: Ints | None = None
+    grid: Ints | None = None  # the samples (rows, columns) of a range grid that the faces join
 
     @property
     def n_corners(self) -> int | None:
@@ -146,40 +141,34 @@ _NONE = np.empty(0, dtype=np.int64)
 
 @dataclass(eq=False)
 class Layout:
-    """What a parser makes of a file.
+    """What a parser makes of a file."""
 
-    Attributes
-    ----------
-    encoding, precision : as in ``MeshFile``.
-    positions : arrays of positions (n_i, 3), whose rows one behind the other are the vertices;
-        ``RecordSlots`` in binary files.
-    corners : (c,) int64, the vertices of all surface polygons, one polygon behind the other.
-    sizes : (p,) int64, how many corners each polygon has, at least 3.
-    faces : (m, 3) int32, the triangles, where the parser has made them and checked them and the
-        positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
-        are triangles.
-    vertices : (n, 3), where the parser has read them; the file takes them over.
-    normals : arrays of normals (g_i, 3); the usual renewal takes one for each vertex.
-    renew_normals : makes of the old and the new vertices each array of normals (g_i, 3), and says
-        which rows changed (g_i,); None for the usual way, which knows no ``frames``.
-    frames : for each array of positions, the transform (4, 4) from it to the vertices; empty where
-        they are the same.
-    held : what cells the file has, for the message where none is a surface.
-    """
-
-    encoding: str
+    encoding: str  # encoding, precision: as in ``MeshFile``
     precision: str
+    # arrays of positions (n_i, 3), whose rows one behind the other are the vertices;
+    # ``RecordSlots`` in binary files
     positions: tuple[Slots, ...]
+    # (c,) int64, the vertices of all surface polygons, one polygon behind the other
     corners: Longs | Ints = field(default_factory=lambda: _NONE)
+    # (p,) int64, how many corners each polygon has, at least 3
     sizes: Longs | Ints = field(default_factory=lambda: _NONE)
+    # arrays of normals (g_i, 3); the usual renewal takes one for each vertex
     normals: tuple[Slots, ...] = ()
+    # for each array of positions, the transform (4, 4) from it to the vertices; empty where they
+    # are the same
     frames: tuple[Floats, ...] = ()
     properties: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     references: tuple[str, ...] = ()
-    held: str = ""
+    held: str = ""  # what cells the file has, for the message where none is a surface
+    # (m, 3) int32, the triangles, where the parser has made them and checked them and the
+    # positions; then ``corners`` and ``sizes`` are for the codec alone, empty where all polygons
+    # are triangles
     faces: Ints | None = None
+    # (n, 3), where the parser has read them; the file takes them over
     vertices: Floats | None = None
+    # makes of the old and the new vertices each array of normals (g_i, 3), and says which rows
+    # changed (g_i,); None for the usual way, which knows no ``frames``
     renew_normals: Callable[[Floats, Floats], Sequence[tuple[Floats, Flags]]] | None = None
 
 

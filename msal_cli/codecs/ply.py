@@ -328,14 +328,10 @@ def properties_of(header: ply_header.Header, grid: Ints | None = None) -> tuple[
 
 @dataclass(eq=False, kw_only=True)
 class PlyLayout(mesh_file.Layout):
-    """What the parser makes of a PLY file.
-
-    Attributes
-    ----------
-    sections : the elements by name; ``end`` is the byte behind the last one.
-    """
+    """What the parser makes of a PLY file."""
 
     header: ply_header.Header
+    # the elements by name; ``end`` is the byte behind the last one
     sections: Mapping[str, Section] = field(repr=False)
     end: int
     surface: Surface

@@ -75,23 +75,18 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Lines(Part):
-    """Ascii records, one to a line.
-
-    Attributes
-    ----------
-    kept : the properties whose values or words can be asked for, in file order.
-    scalars : their values (count, len(kept)) where the records are plain; then the places of words
-        are found only when they are asked for.
-    statements : for positions and normals, if their three scalars are one behind the other, where
-        the first token of each record's is (count,), and the most decimals of the three (count,).
-    plain_list : of the one list kept, all its items, one record behind another, and the number of
-        each record's (count,).
-    """
+    """Ascii records, one to a line."""
 
     stop: int
-    kept: tuple[str, ...]
+    kept: tuple[str, ...]  # the properties whose values or words can be asked for, in file order
+    # their values (count, len(kept)) where the records are plain; then the places of words are
+    # found only when they are asked for
     scalars: Floats | None = None
+    # for positions and normals, if their three scalars are one behind the other, where the first
+    # token of each record's is (count,), and the most decimals of the three (count,)
     statements: dict[tuple[str, ...], tuple[Longs, Bytes]] = field(default_factory=dict)
+    # of the one list kept, all its items, one record behind another, and the number of each
+    # record's (count,)
     plain_list: tuple[Ints, Ints] | None = None
 
     @functools.cached_property

@@ -101,24 +101,16 @@ class Element:
 
 @dataclass()
 class Header:
-    """A parsed header.
+    """A parsed header."""
 
-    Attributes
-    ----------
-    size : bytes up to and including the line end of ``end_header``.
-    newline : the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``.
-    encoding : one of ``ENCODINGS``, which line ``format_line`` (from 0) states.
-    elements : in file order.
-    textures : files named by ``comment TextureFile``, as written.
-    infos : words behind ``obj_info``, by the first of them.
-    """
-
-    size: int
-    newline: bytes
-    encoding: str = ""
+    size: int  # bytes up to and including the line end of ``end_header``
+    newline: bytes  # the header's line end, ``b"\\n"``, ``b"\\r\\n"`` or ``b"\\r"``
+    encoding: str = ""  # one of ``ENCODINGS``, which line ``format_line`` (from 0) states
     format_line: int = -1
-    elements: list[Element] = field(default_factory=list)
+    elements: list[Element] = field(default_factory=list)  # in file order
+    # files named by ``comment TextureFile``, as written
     textures: list[str] = field(default_factory=list)
+    # words behind ``obj_info``, by the first of them
     infos: dict[str, str] = field(default_factory=dict)
 
     def find(self, name: str) -> Element | None:

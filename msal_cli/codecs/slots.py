@@ -18,18 +18,12 @@ from msal_cli.errors import ContentError, InternalError
 
 
 class Slots:
-    """An array (n, k) inside a file.
+    """An array (n, k) inside a file."""
 
-    Attributes
-    ----------
-    values : (n, k) float64, exactly what is stored.
-    codes : numpy's type of each column where it limits what a number can be, empty where none does.
-    whole_rows : where one number of a row changes, all of them are written anew.
-    """
-
-    values: Floats
+    values: Floats  # (n, k) float64, exactly what is stored
+    # numpy's type of each column where it limits what a number can be, empty where none does
     codes: tuple[str, ...] = ()
-    whole_rows: bool = False
+    whole_rows: bool = False  # where one number of a row changes, all of them are written anew
 
     def rounded(self, values: Floats) -> Floats:
         """New values (n, k) as the types of the columns hold them, in their range; the very array

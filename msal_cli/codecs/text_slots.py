@@ -58,24 +58,15 @@ def extent_decimals(vertices: Floats) -> int | None:
 @dataclass(eq=False)
 class TextSlots(Slots):
     """Numbers in a text, in runs: the three of a row one behind the other with blanks between, or
-    each for itself.
+    each for itself."""
 
-    Attributes
-    ----------
-    data : (size,) uint8, the file.
-    at : (q,) int64, ascending, first byte of each run, or of its keyword.
-    values : (n, k) float64.
-    skipped : bytes of the keyword.
-    unit_length : the numbers are normals.
-    significant : digits that the file may ask for before the shortest text is written instead.
-    """
-
-    data: Bytes
-    at: Longs
+    data: Bytes  # (size,) uint8, the file
+    at: Longs  # (q,) int64, ascending, first byte of each run, or of its keyword
     _: KW_ONLY
-    values: Floats
-    skipped: int = 0
-    unit_length: bool = False
+    values: Floats  # (n, k) float64
+    skipped: int = 0  # bytes of the keyword
+    unit_length: bool = False  # the numbers are normals
+    # digits that the file may ask for before the shortest text is written instead
     significant: int = SIGNIFICANT_DIGITS
     codes: tuple[str, ...] = ()
     whole_rows: bool = False

@@ -79,18 +79,11 @@ _NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 
 @dataclass(eq=False)
 class ThreeMfMesh:
-    """A mesh of a model part, in its own frame.
+    """A mesh of a model part, in its own frame."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64, in the unit of the file.
-    starts : (n, 3), first byte of each number in the part's text.
-    faces : (m, 3) int64, indices into ``vertices``.
-    """
-
-    vertices: Floats
-    starts: Longs
-    faces: NDArray[np.int64]
+    vertices: Floats  # (n, 3) float64, in the unit of the file
+    starts: Longs  # (n, 3), first byte of each number in the part's text
+    faces: NDArray[np.int64]  # (m, 3) int64, indices into ``vertices``
 
 
 @dataclass(frozen=True)

@@ -301,18 +301,13 @@ Bound = Callable[[Floats], Any]
 
 @dataclass(eq=False, kw_only=True)
 class XmlLayout(Layout):
-    """What changes with positions beside them, none of it inside an array of theirs.
+    """What changes with positions beside them, none of it inside an array of theirs."""
 
-    Attributes
-    ----------
-    offsets : where the offset of each appended array stands, and the first byte of the array.
-    base : the byte from which offsets count.
-    bounds : where the least or the largest distance from the origin stands, the number of the
-        array of positions, and which of the two it is.
-    """
-
+    # where the offset of each appended array stands, and the first byte of the array
     offsets: Sequence[tuple[Span, int]]
-    base: int
+    base: int  # the byte from which offsets count
+    # where the least or the largest distance from the origin stands, the number of the array of
+    # positions, and which of the two it is
     bounds: Sequence[tuple[Span, int, Bound]]
 
     @property

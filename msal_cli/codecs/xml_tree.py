@@ -34,19 +34,13 @@ _ATTRIBUTE = re.compile(rb"\s([^\s=<>\"'/]+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """An element.
+    """An element."""
 
-    Attributes
-    ----------
-    space, name : its namespace and its name within it.
-    attributes : by their names, with the namespace and a blank in front of those that have one.
-    start : the first byte of its tag; its content is ``data[inside:stop]``.
-    """
-
-    space: str
+    space: str  # space, name: its namespace and its name within it
     name: str
+    # by their names, with the namespace and a blank in front of those that have one
     attributes: dict[str, str]
-    start: int
+    start: int  # the first byte of its tag; its content is ``data[inside:stop]``
     inside: int
     stop: int
     children: list[Element] = field(default_factory=list)

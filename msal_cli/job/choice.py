@@ -21,24 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Preparation:
-    """What is to be run on a mesh, and how that came about.
+    """What is to be run on a mesh, and how that came about."""
 
-    Attributes
-    ----------
-    mesh : the mesh to denoise, without its outliers if they were brought back.
-    method : None where the mesh stays as it is.
-    parameters : all parameters of the method.
-    known : fields of the record.
-    warnings : for the record.
-    share : how much of what would be done without wishes is done, above 0 to 1.
-    """
-
-    mesh: Mesh
-    method: Method | None = None
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    known: dict[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    share: float = 1.0
+    mesh: Mesh  # the mesh to denoise, without its outliers if they were brought back
+    method: Method | None = None  # None where the mesh stays as it is
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # all parameters of the method
+    known: dict[str, Any] = field(default_factory=dict)  # fields of the record
+    warnings: tuple[str, ...] = ()  # for the record
+    share: float = 1.0  # how much of what would be done without wishes is done, above 0 to 1
 
 
 def looks_at_mesh(settings: Settings) -> bool:

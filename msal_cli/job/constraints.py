@@ -26,18 +26,11 @@ _ROUNDING = 2.0**-50
 
 @dataclass(frozen=True, eq=False)
 class Constraints:
-    """The constraints on one mesh.
+    """The constraints on one mesh."""
 
-    Attributes
-    ----------
-    mesh : to be denoised; it knows of the pins and the trust.
-    held : (n,) vertices that are pinned, or None.
-    limit : longest way of a vertex in file units, or None.
-    """
-
-    mesh: Mesh
-    held: Flags | None
-    limit: float | None
+    mesh: Mesh  # to be denoised; it knows of the pins and the trust
+    held: Flags | None  # (n,) vertices that are pinned, or None
+    limit: float | None  # longest way of a vertex in file units, or None
 
     def apply(self, vertices: Floats) -> tuple[Floats, int]:
         """A method's result (n, 3) with pinned vertices back in their place and the ways of others

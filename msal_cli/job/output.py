@@ -35,22 +35,14 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """An output file that is yet to be written.
+    """An output file that is yet to be written."""
 
-    Attributes
-    ----------
-    data : its bytes; those of the input itself where nothing has changed.
-    references : files that it names, as the input does; a conversion drops them.
-    companions : files that it names and that hold a part of it.
-    losses : what its format cannot hold.
-    sources : files beside the input that its mesh was read from.
-    """
-
-    data: Buffer
+    data: Buffer  # its bytes; those of the input itself where nothing has changed
+    # files that it names, as the input does; a conversion drops them
     references: tuple[str, ...] = ()
-    companions: tuple[Companion, ...] = ()
-    losses: tuple[str, ...] = ()
-    sources: tuple[str, ...] = ()
+    companions: tuple[Companion, ...] = ()  # files that it names and that hold a part of it
+    losses: tuple[str, ...] = ()  # what its format cannot hold
+    sources: tuple[str, ...] = ()  # files beside the input that its mesh was read from
 
 
 def build_output(

@@ -49,43 +49,32 @@ SELF_INTERSECTIONS = "self-intersections"
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything beside the input that decides the bytes of an output.
+    """Everything beside the input that decides the bytes of an output."""
 
-    Attributes
-    ----------
-    method, parameters : the method's name and all its parameters, resolved; with
-        ``AUTO`` the fields of ``auto.Wishes``, with ``ADAPTIVE`` those of them that were given.
-    to : suffix of the format to convert to, without a dot; None keeps the input's, or takes the
-        output name's.
-    encoding : ``same``, ``ascii`` or ``binary``.
-    precision : ``same``, ``float32`` or ``float64``.
-    strict : a conversion that loses something fails instead of warning.
-    format : the input's format where its name does not show it.
-    max_move, lock, weights : what keeps vertices near their place; see ``constraints``.
-    fields : what is written beside the output, see ``fields``.
-    checks : what is counted beside what always is: ``SELF_INTERSECTIONS``.
-    despike : whether outlier vertices are brought back before the method runs, see ``outliers``;
-        None does so where a method is chosen and the outliers are clear.
-    min_noise : below which noise a mesh stays as it is: a length as of ``constraints``, or
-        ``NEGLIGIBLE`` for "no noise to speak of".
-    tile_set : whether all files are denoised as the one mesh that they are together.
-    """
-
+    # method, parameters: the method's name and all its parameters, resolved; with ``AUTO`` the
+    # fields of ``auto.Wishes``, with ``ADAPTIVE`` those of them that were given
     method: str
     parameters: dict[str, Any] = field(default_factory=dict)
+    # suffix of the format to convert to, without a dot; None keeps the input's, or takes the output
+    # name's
     to: str | None = None
-    encoding: str = "same"
-    precision: str = "same"
-    strict: bool = False
-    format: str | None = None
+    encoding: str = "same"  # ``same``, ``ascii`` or ``binary``
+    precision: str = "same"  # ``same``, ``float32`` or ``float64``
+    strict: bool = False  # a conversion that loses something fails instead of warning
+    format: str | None = None  # the input's format where its name does not show it
+    # max_move, lock, weights: what keeps vertices near their place; see ``constraints``
     max_move: str | None = None
     lock: tuple[str, ...] = ()
     weights: str | None = None
-    fields: tuple[str, ...] = ()
+    fields: tuple[str, ...] = ()  # what is written beside the output, see ``fields``
+    # below which noise a mesh stays as it is: a length as of ``constraints``, or ``NEGLIGIBLE`` for
+    # "no noise to speak of"
     min_noise: str | None = None
-    checks: tuple[str, ...] = ()
+    checks: tuple[str, ...] = ()  # what is counted beside what always is: ``SELF_INTERSECTIONS``
+    # whether outlier vertices are brought back before the method runs, see ``outliers``; None does
+    # so where a method is chosen and the outliers are clear
     despike: bool | None = None
-    tile_set: bool = False
+    tile_set: bool = False  # whether all files are denoised as the one mesh that they are together
 
     @property
     def assume(self) -> str | None:
@@ -100,17 +89,11 @@ class Settings:
 
 @dataclass(frozen=True)
 class Limits:
-    """What one file may take; None is no limit.  Limits never change the bytes of an output.
+    """What one file may take; None is no limit.  Limits never change the bytes of an output."""
 
-    Attributes
-    ----------
-    timeout_s : seconds of wall time, enforced by the supervisor of the worker.
-    memory_bytes : resident memory of the process that denoises it.
-    scratch : folder for the arrays of a mesh that exceeds the memory; None is the output's.
-    """
-
-    timeout_s: float | None = None
-    memory_bytes: int | None = None
+    timeout_s: float | None = None  # seconds of wall time, enforced by the supervisor of the worker
+    memory_bytes: int | None = None  # resident memory of the process that denoises it
+    # folder for the arrays of a mesh that exceeds the memory; None is the output's
     scratch: str | None = None
 
 

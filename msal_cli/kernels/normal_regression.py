@@ -139,16 +139,11 @@ def measure_ripples(vertices: Floats, normals: Floats, links: Connectivity) -> F
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhoods:
-    """Which faces are near each face, the same for all stages.
+    """Which faces are near each face, the same for all stages."""
 
-    Attributes
-    ----------
-    ring_start, ring : rows of the faces that share an edge with each face.
-    near_start, near : rows of the faces within ``WIDE`` local units, the nearest first.
-    """
-
-    ring_start: Ints
+    ring_start: Ints  # ring_start, ring: rows of the faces that share an edge with each face
     ring: Ints
+    # near_start, near: rows of the faces within ``WIDE`` local units, the nearest first
     near_start: Longs
     near: Ints
 
@@ -171,23 +166,15 @@ def _find_units(centroids: Floats, ring_start: Ints, ring: Ints) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known of a scan before its faces are described; see ``methods/_cascade``.
+    """What is known of a scan before its faces are described; see ``methods/_cascade``."""
 
-    Attributes
-    ----------
-    noise : standard deviation, mean edge lengths; None where it is not known.
-    is_white : whether that is white noise along the normals.
-    is_uneven : whether much of the mesh has none of it, and does not count for what the whole mesh
-        is like.
-    normals : (m, 3 OTHERS) normals that other filters give, beside each other; zero for none.
-    statistics : (m, STATISTICS) of the surroundings of each face.
-    """
-
-    noise: float | None
-    is_white: bool
+    noise: float | None  # standard deviation, mean edge lengths; None where it is not known
+    is_white: bool  # whether that is white noise along the normals
+    # whether much of the mesh has none of it, and does not count for what the whole mesh is like
     is_uneven: bool
+    # (m, 3 OTHERS) normals that other filters give, beside each other; zero for none
     normals: Floats32
-    statistics: Floats32
+    statistics: Floats32  # (m, STATISTICS) of the surroundings of each face
 
 
 def count_vectors(stage: int) -> int:
@@ -197,19 +184,13 @@ def count_vectors(stage: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Descriptors:
-    """What is known of every face in a stage.
+    """What is known of every face in a stage."""
 
-    Attributes
-    ----------
-    sources : what ``lay_inputs`` makes inputs of: most of what is known is made where it is used,
-        since to write it down takes as long.
-    is_later : whether a stage came before.
-    globals : (GLOBALS,) the inputs that are the same for all faces.
-    """
-
+    # what ``lay_inputs`` makes inputs of: most of what is known is made where it is used, since to
+    # write it down takes as long
     sources: tuple[Any, ...]
-    is_later: bool
-    globals: Floats32
+    is_later: bool  # whether a stage came before
+    globals: Floats32  # (GLOBALS,) the inputs that are the same for all faces
 
     @property
     def axes(self) -> Floats32:
@@ -235,13 +216,9 @@ class Descriptors:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Two hidden layers; see ``regression_network``.
+    """Two hidden layers; see ``regression_network``."""
 
-    Attributes
-    ----------
-    layers : (bias (out,), matrix (out, in)) of each of the three.
-    """
-
+    # (bias (out,), matrix (out, in)) of each of the three
     layers: tuple[tuple[Floats32, Floats32], ...]
 
     @property

@@ -34,17 +34,12 @@ OnSweep = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a method returns.
+    """What a method returns."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) new positions; the mesh that was given is not changed.
-    fields : per-vertex arrays (n,) worth looking at, such as ``fidelity``.
-    seconds : wall-clock seconds by stage, ``normals`` and ``sweeps``.
-    """
-
-    vertices: Floats
+    vertices: Floats  # (n, 3) new positions; the mesh that was given is not changed
+    # per-vertex arrays (n,) worth looking at, such as ``fidelity``
     fields: dict[str, Floats] = field(default_factory=dict)
+    # wall-clock seconds by stage, ``normals`` and ``sweeps``
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -69,32 +64,22 @@ class Timer:
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """One parameter as users see it.
+    """One parameter as users see it."""
 
-    Attributes
-    ----------
-    name, symbol : the word for ``--set`` and the paper's letter, which ``--set`` takes as well.
-    kind : ``int``, ``float`` or ``str``.
-    default : the value if none is given.
-    low, high, low_open, high_open : the range of a number; open ends are excluded.
-    choices : the words allowed, for ``str``; none if any text is, which ``Parameters`` checks.
-    unit : of the value; empty for a pure number.
-    help : what it is.
-    more : what a greater value does.
-    """
-
+    # name, symbol: the word for ``--set`` and the paper's letter, which ``--set`` takes as well
     name: str
     symbol: str
-    kind: type
-    default: Any
-    low: float
+    kind: type  # ``int``, ``float`` or ``str``
+    default: Any  # the value if none is given
+    low: float  # low, high, low_open, high_open: the range of a number; open ends are excluded
     high: float
     low_open: bool
     high_open: bool
+    # the words allowed, for ``str``; none if any text is, which ``Parameters`` checks
     choices: tuple[str, ...]
-    unit: str
-    help: str
-    more: str
+    unit: str  # of the value; empty for a pure number
+    help: str  # what it is
+    more: str  # what a greater value does
 
     @property
     def range_text(self) -> str:

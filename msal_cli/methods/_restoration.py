@@ -68,19 +68,13 @@ class RestorationParameters(NormalParameters):
 
 @dataclass(frozen=True, eq=False)
 class Restored:
-    """A scan without its noise, before its normals are filtered.
+    """A scan without its noise, before its normals are filtered."""
 
-    Attributes
-    ----------
-    smooth, positions : (n, 3) after the sweeps, and with what they took beyond noise restored.
-    returned : (n,) what was restored along the normals, file units.
-    share : (n,) which part of what was taken that is.
-    """
-
+    # smooth, positions: (n, 3) after the sweeps, and with what they took beyond noise restored
     smooth: Floats
     positions: Floats
-    returned: Floats
-    share: Floats
+    returned: Floats  # (n,) what was restored along the normals, file units
+    share: Floats  # (n,) which part of what was taken that is
 
 
 def restore(

@@ -17,18 +17,12 @@ _MAX_GUESS_FACES = 60_000
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A parallel projection and what it shows.
+    """A parallel projection and what it shows."""
 
-    Attributes
-    ----------
-    axes : (3, 3), rows: right, up and towards the eye, unit vectors in the mesh's coordinates.
-    centre : (3,) the point in the middle of the picture.
-    half_width, half_height : of what must be seen, in the mesh's unit.
-    """
-
+    # (3, 3), rows: right, up and towards the eye, unit vectors in the mesh's coordinates
     axes: Floats
-    centre: Floats
-    half_width: float
+    centre: Floats  # (3,) the point in the middle of the picture
+    half_width: float  # half_width, half_height: of what must be seen, in the mesh's unit
     half_height: float
 
     def seen(self, vertices: Floats) -> Floats:

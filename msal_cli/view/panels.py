@@ -24,17 +24,11 @@ Panel = tuple[Image, str, Sequence[str]]
 
 @dataclass(frozen=True, eq=False)
 class Legend:
-    """A scale of colours, drawn below the last panel.
+    """A scale of colours, drawn below the last panel."""
 
-    Attributes
-    ----------
-    lines : what the colours mean, and in which units.
-    colours : (k, 3) uint8 from the left end to the right one.
-    ticks : places from 0 to 1, each with the words above and below the scale there.
-    """
-
-    lines: tuple[str, ...]
-    colours: NDArray[np.uint8]
+    lines: tuple[str, ...]  # what the colours mean, and in which units
+    colours: NDArray[np.uint8]  # (k, 3) uint8 from the left end to the right one
+    # places from 0 to 1, each with the words above and below the scale there
     ticks: tuple[tuple[float, str, str], ...]
 
 

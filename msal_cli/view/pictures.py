@@ -54,29 +54,22 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One mesh, or two in one coordinate system, ready to be drawn.
+    """One mesh, or two in one coordinate system, ready to be drawn."""
 
-    Attributes
-    ----------
-    names : of the files, one for each mesh.
-    before, after : welded and wound one way; ``after`` is None where there is one mesh.
-    deviation : (n,) one number in file units for each vertex of ``after``; None where unknown.
-    is_signed : whether it is the displacement along the normals of ``before``, outwards positive,
-        also where they point inwards because the surface is inside out; else it is the distance
-        to the surface of ``before``.
-    record : the numbers; None for one mesh.
-    colours : one for each mesh, (n, 3) of its vertices or None; empty where none were read.
-    notes : what could not be shown of the files, by name.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the files, one for each mesh
+    # before, after: welded and wound one way; ``after`` is None where there is one mesh
     before: Mesh
     after: Mesh | None = None
+    # (n,) one number in file units for each vertex of ``after``; None where unknown
     deviation: Floats | None = None
+    # whether it is the displacement along the normals of ``before``, outwards positive, also where
+    # they point inwards because the surface is inside out; else it is the distance to the surface
+    # of ``before``
     is_signed: bool = True
-    record: ComparisonRecord | None = None
+    record: ComparisonRecord | None = None  # the numbers; None for one mesh
+    # one for each mesh, (n, 3) of its vertices or None; empty where none were read
     colours: tuple[Image | None, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what could not be shown of the files, by name
 
     def painted(self, at: int) -> Image | None:
         """The file's colours of mesh ``at``; None where it has none."""

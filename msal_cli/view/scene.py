@@ -41,17 +41,11 @@ _DEVIATION_STEPS = 65535
 
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
-    """What is drawn, as text.
+    """What is drawn, as text."""
 
-    Attributes
-    ----------
-    text : base64, letters that mean nothing in HTML or JSON.
-    counts : faces of each mesh in its file, and on the page.
-    rounding : the largest distance by which the page shows a coordinate off its place, file units.
-    """
-
-    text: str
-    counts: tuple[tuple[int, int], ...]
+    text: str  # base64, letters that mean nothing in HTML or JSON
+    counts: tuple[tuple[int, int], ...]  # faces of each mesh in its file, and on the page
+    # the largest distance by which the page shows a coordinate off its place, file units
     rounding: float
 
 

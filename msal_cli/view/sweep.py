@@ -53,42 +53,27 @@ Filter = tuple[Method | None, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Cell:
-    """The numbers of one denoised mesh.
+    """The numbers of one denoised mesh."""
 
-    Attributes
-    ----------
-    parameters : what differs from cell to cell; of a choice all parameters.
-    command : the command line that makes the mesh; OUT is the file to write.
-    mean_displacement, mean_displacement_edges : in file units and in mean edge lengths.
-    volume_change_percent : None where the mesh has no volume.
-    mean_angular_error_deg : against the reference; None without one.
-    choice : of ``CHOICES``; empty for a cell of the grid.
-    risk_edges : estimated distance from the true surface, mean edge lengths; None if unknown.
-    """
-
-    parameters: dict[str, Any]
-    command: str
+    parameters: dict[str, Any]  # what differs from cell to cell; of a choice all parameters
+    command: str  # the command line that makes the mesh; OUT is the file to write
+    # mean_displacement, mean_displacement_edges: in file units and in mean edge lengths
     mean_displacement: float
     mean_displacement_edges: float
-    volume_change_percent: float | None
-    mean_angular_error_deg: float | None
-    choice: str = ""
+    volume_change_percent: float | None  # None where the mesh has no volume
+    mean_angular_error_deg: float | None  # against the reference; None without one
+    choice: str = ""  # of ``CHOICES``; empty for a cell of the grid
+    # estimated distance from the true surface, mean edge lengths; None if unknown
     risk_edges: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """What is to be tried on a mesh.
+    """What is to be tried on a mesh."""
 
-    Attributes
-    ----------
-    method : of ``methods``.
-    fixed : parameters that are the same in all cells.
-    axes : the values of what varies by name: along rows and columns, or along columns only.
-    """
-
-    method: Method
-    fixed: Mapping[str, object]
+    method: Method  # of ``methods``
+    fixed: Mapping[str, object]  # parameters that are the same in all cells
+    # the values of what varies by name: along rows and columns, or along columns only
     axes: Mapping[str, tuple[Any, ...]]
 
     def settings(self) -> Iterator[dict[str, Any]]:

@@ -229,28 +229,17 @@ def local_levels(mesh: Mesh) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Forest:
-    """Binary trees whose leaves add up, one sum for each output; a leaf is its own child.
+    """Binary trees whose leaves add up, one sum for each output; a leaf is its own child."""
 
-    Attributes
-    ----------
-    features : (k,) which number a node compares.
-    thresholds : (k,) float32; numbers up to it go left.
-    left, right : (k,) children.
-    values : (k,) what a leaf adds; 0 at other nodes.
-    roots, outputs : (t,) first node and output of each tree.
-    start : (o,) each output without trees.
-    depth : levels below the roots.
-    """
-
-    features: NDArray[np.int16]
-    thresholds: NDArray[np.float32]
-    left: NDArray[np.int32]
+    features: NDArray[np.int16]  # (k,) which number a node compares
+    thresholds: NDArray[np.float32]  # (k,) float32; numbers up to it go left
+    left: NDArray[np.int32]  # left, right: (k,) children
     right: NDArray[np.int32]
-    values: NDArray[np.float32]
-    roots: NDArray[np.int32]
+    values: NDArray[np.float32]  # (k,) what a leaf adds; 0 at other nodes
+    roots: NDArray[np.int32]  # roots, outputs: (t,) first node and output of each tree
     outputs: NDArray[np.int16]
-    start: Floats
-    depth: int
+    start: Floats  # (o,) each output without trees
+    depth: int  # levels below the roots
 
     def evaluate(self, numbers: Floats) -> Floats:
         """The outputs (o,) for the numbers (f,) of one mesh."""
@@ -265,46 +254,31 @@ class Forest:
 
 @dataclass(frozen=True, eq=False)
 class Classifier:
-    """The trained forests.
+    """The trained forests."""
 
-    Attributes
-    ----------
-    kinds, rings, levels : of the sums by kind, of the number of rings, and of the logarithm of the
-        level over the measured one for each of the ``CORRECTED`` kinds.
-    sharpness : by what sums are multiplied so that probabilities hold.
-    spreads : (kinds, 2) true level over the estimated one: what it exceeds in nine of ten cases,
-        and in one.
-    """
-
+    # kinds, rings, levels: of the sums by kind, of the number of rings, and of the logarithm of the
+    # level over the measured one for each of the ``CORRECTED`` kinds
     kinds: Forest
     rings: Forest
     levels: Forest
-    sharpness: float
+    sharpness: float  # by what sums are multiplied so that probabilities hold
+    # (kinds, 2) true level over the estimated one: what it exceeds in nine of ten cases, and in one
     spreads: Floats
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the classifier says of one mesh.
+    """What the classifier says of one mesh."""
 
-    Attributes
-    ----------
-    noise : probability that there is noise, 0 to 1.
-    kind : the most probable kind of noise, as if there was some.
-    probability : of that kind.
-    measured : its level by fits, mean edge lengths, as if there was some.
-    level, low, high : its level and an interval for it, likewise, by what trees make of that.
-    rings : over how many rings neighbours share it, 0 to 4.
-    """
-
-    noise: float
-    kind: str
-    probability: float
-    measured: float
+    noise: float  # probability that there is noise, 0 to 1
+    kind: str  # the most probable kind of noise, as if there was some
+    probability: float  # of that kind
+    measured: float  # its level by fits, mean edge lengths, as if there was some
+    # level, low, high: its level and an interval for it, likewise, by what trees make of that
     level: float
     low: float
     high: float
-    rings: int
+    rings: int  # over how many rings neighbours share it, 0 to 4
 
 
 FOREST_ARRAYS = [field.name for field in dataclasses.fields(Forest) if field.name != "depth"]
@@ -368,18 +342,11 @@ def classify(numbers: Floats, least: Mapping[str, float]) -> Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The noise of a mesh, by region too.
+    """The noise of a mesh, by region too."""
 
-    Attributes
-    ----------
-    level : the noise.
-    middles : (r, 3) positions of the regions' middles.
-    regions : (r,) levels of the regions, file units.
-    """
-
-    level: NoiseLevel
-    middles: Floats
-    regions: Floats
+    level: NoiseLevel  # the noise
+    middles: Floats  # (r, 3) positions of the regions' middles
+    regions: Floats  # (r,) levels of the regions, file units
 
 
 @cached_by_mesh

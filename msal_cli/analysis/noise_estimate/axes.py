@@ -93,25 +93,17 @@ FLAT_COSINE = 0.25
 
 @dataclass(frozen=True)
 class AxisEvidence:
-    """How well noise along an axis explains what is left over.
+    """How well noise along an axis explains what is left over."""
 
-    Attributes
-    ----------
-    axis : (3,) unit vector.
-    misfit, without : mean error of the logarithms of variances along the axis, and along normals.
-    slide : standard deviation of vertices within the surface along the axis, mean edges.
-    contrast : that over the one across the axis.
-    level : standard deviation along the axis, mean edges, taken for white.
-    agreement : how much more often than not the ways of a vertex within the surface and out of it
-        are along the axis, -1 to 1.
-    """
-
-    axis: Floats
+    axis: Floats  # (3,) unit vector
+    # misfit, without: mean error of the logarithms of variances along the axis, and along normals
     misfit: float
     without: float
-    slide: float
-    contrast: float
-    level: float
+    slide: float  # standard deviation of vertices within the surface along the axis, mean edges
+    contrast: float  # that over the one across the axis
+    level: float  # standard deviation along the axis, mean edges, taken for white
+    # how much more often than not the ways of a vertex within the surface and out of it are along
+    # the axis, -1 to 1
     agreement: float
 
     @property
@@ -155,21 +147,14 @@ class AxisEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Places by their normals.
+    """Places by their normals."""
 
-    Attributes
-    ----------
-    variances, normals : (c,), scaled to the level of noise, and (c, 3), of the places.
-    levels : (g,) low variance of each group.
-    squares : (g, 3, 3) mean products of the coordinates of the normals.
-    counts : (g,) number of places.
-    """
-
+    # variances, normals: (c,), scaled to the level of noise, and (c, 3), of the places
     variances: Floats
     normals: Floats
-    levels: Floats
-    squares: Floats
-    counts: Floats
+    levels: Floats  # (g,) low variance of each group
+    squares: Floats  # (g, 3, 3) mean products of the coordinates of the normals
+    counts: Floats  # (g,) number of places
 
     def misfit(self, axis: Floats | None) -> float:
         """Mean error of the logarithms of the levels, for noise along an axis or the normals."""
@@ -398,29 +383,18 @@ differ: shapes differ by 20 %."""
 
 @dataclass(frozen=True, eq=False)
 class StepEvidence:
-    """Steps in the differences between neighbours, whatever they come from.
+    """Steps in the differences between neighbours, whatever they come from."""
 
-    Attributes
-    ----------
-    n_axes : along how many axes of a grid there are steps, 0 to 3.
-    axis : (3,) unit vector across the steps; None where there are none, or along all axes.
-    step : the widest, mean edges; of terraces their height.  0 for none.
-    level : standard deviation that such steps make, mean edges.
-    facing_level : the same by the directions that the surface faces.
-    voxel_share : share of the edges that marching cubes over voxels could have.
-    is_turned : whether the grid is not along the axes of the file.
-    along_gain : by how much the axis explains better what is left over than the normals do.
-    roughness : what is left over where the surface is oblique to the steps, in squared steps / 12.
-    """
-
-    n_axes: int
+    n_axes: int  # along how many axes of a grid there are steps, 0 to 3
+    # (3,) unit vector across the steps; None where there are none, or along all axes
     axis: Floats | None
-    step: float
-    level: float
-    facing_level: float
-    voxel_share: float
-    is_turned: bool
-    along_gain: float
+    step: float  # the widest, mean edges; of terraces their height.  0 for none
+    level: float  # standard deviation that such steps make, mean edges
+    facing_level: float  # the same by the directions that the surface faces
+    voxel_share: float  # share of the edges that marching cubes over voxels could have
+    is_turned: bool  # whether the grid is not along the axes of the file
+    along_gain: float  # by how much the axis explains better what is left over than the normals do
+    # what is left over where the surface is oblique to the steps, in squared steps / 12
     roughness: float
 
 

@@ -133,28 +133,16 @@ is smooth relief; shared noise has 1 to 1.16."""
 
 @dataclass(frozen=True)
 class Colour:
-    """Over how many rings noise is shared.
+    """Over how many rings noise is shared."""
 
-    Attributes
-    ----------
-    rings : 0 to 4.
-    level : standard deviation, mean edges.
-    misfit : what is left unexplained, as a mean error of logarithms of standard deviations.
-    margin : by how much other numbers of rings are worse.
-    sharpness : (5,), by fit.
-    is_floor : whether what wide fits leave over is as even as only noise is, and no pattern.
-    is_relief : whether a smooth relief that is the same everywhere would leave that, too.
-    is_pattern : whether it is more even than shared noise is: shape that repeats.
-    """
-
-    rings: int
-    level: float
-    misfit: float
-    margin: float
-    sharpness: Floats
-    is_floor: bool
-    is_relief: bool
-    is_pattern: bool
+    rings: int  # 0 to 4
+    level: float  # standard deviation, mean edges
+    misfit: float  # what is left unexplained, as a mean error of logarithms of standard deviations
+    margin: float  # by how much other numbers of rings are worse
+    sharpness: Floats  # (5,), by fit
+    is_floor: bool  # whether what wide fits leave over is as even as only noise is, and no pattern
+    is_relief: bool  # whether a smooth relief that is the same everywhere would leave that, too
+    is_pattern: bool  # whether it is more even than shared noise is: shape that repeats
 
 
 def find_colour(
@@ -241,21 +229,15 @@ UNEVEN, MIN_LOUD = 2.5, 0.05
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Variances by region that differ, squared mean edge lengths.
+    """Variances by region that differ, squared mean edge lengths."""
 
-    Attributes
-    ----------
-    middles, labels : places (r,) that are middles, and the region of each place (c,).
-    lows, means : (r,) for the level and for its share in the level of all.
-    is_pure : (r,) whether a region is in one part of the mesh only.
-    scale : (c,) variance of the region of each place; 0 where it is quiet, or between two parts.
-    """
-
+    # middles, labels: places (r,) that are middles, and the region of each place (c,)
     middles: Longs
     labels: Longs
-    lows: Floats
+    lows: Floats  # lows, means: (r,) for the level and for its share in the level of all
     means: Floats
-    is_pure: NDArray[np.bool_]
+    is_pure: NDArray[np.bool_]  # (r,) whether a region is in one part of the mesh only
+    # (c,) variance of the region of each place; 0 where it is quiet, or between two parts
     scale: Floats
 
 
@@ -367,29 +349,18 @@ MIN_COSINE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Measurements of one mesh, and the numbers that are made of them.
+    """Measurements of one mesh, and the numbers that are made of them."""
 
-    Attributes
-    ----------
-    survey : fits over one to six rings.
-    colour : over how many rings the noise is shared, if it is alike everywhere.
-    axis : the best one for noise along an axis.
-    steps : depths in steps.
-    differences : levels by region, where they differ.
-    outliers : share of the vertices that lie far off.
-    loud_correlation : of the heights of neighbours, in the roughest third of the places; below 0
-        for noise that they do not share.
-    numbers : (k,) for the classifier.
-    """
-
-    survey: Survey
-    colour: Colour | None
-    axis: AxisEvidence | None
-    steps: StepEvidence
-    differences: Differences | None
-    outliers: float
+    survey: Survey  # fits over one to six rings
+    colour: Colour | None  # over how many rings the noise is shared, if it is alike everywhere
+    axis: AxisEvidence | None  # the best one for noise along an axis
+    steps: StepEvidence  # depths in steps
+    differences: Differences | None  # levels by region, where they differ
+    outliers: float  # share of the vertices that lie far off
+    # of the heights of neighbours, in the roughest third of the places; below 0 for noise that they
+    # do not share
     loud_correlation: float
-    numbers: Floats
+    numbers: Floats  # (k,) for the classifier
 
     @property
     def edge_spread(self) -> float:

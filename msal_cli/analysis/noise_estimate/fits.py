@@ -102,24 +102,15 @@ ONE, TWO, THREE, FOUR, SIX = range(5)
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """The places, and what fits leave over there; lengths are in mean edge lengths.
+    """The places, and what fits leave over there; lengths are in mean edge lengths."""
 
-    Attributes
-    ----------
-    vertices : (c,) the vertices that they are at.
-    positions : (c, 3).
-    variances : (c, 5) left over by each fit, by the degrees of freedom; NaN where there is none.
-    freedoms : (c, 5).
-    normals : (c, 3) of the two-ring; unit vectors.
-    offsets : (c, 3) from the middle of the ring to the vertex; see ``kernels.patch_fits``.
-    """
-
-    vertices: Longs
-    positions: Floats
+    vertices: Longs  # (c,) the vertices that they are at
+    positions: Floats  # (c, 3)
+    # (c, 5) left over by each fit, by the degrees of freedom; NaN where there is none
     variances: Floats
-    freedoms: Floats
-    normals: Floats
-    offsets: Floats
+    freedoms: Floats  # (c, 5)
+    normals: Floats  # (c, 3) of the two-ring; unit vectors
+    offsets: Floats  # (c, 3) from the middle of the ring to the vertex; see ``kernels.patch_fits``
 
     def quantile(self, fit: int, share: float, scale: Floats | None = None) -> float:
         """Variance that one fit leaves over at a share of the places, or of its ratio to ``scale``
@@ -285,26 +276,15 @@ PLANE, NEAR, FAR, CUBIC = range(4)
 
 @dataclass(frozen=True, eq=False)
 class WhiteEstimate:
-    """The level by fits over one- and two-rings, which takes the noise for white.
+    """The level by fits over one- and two-rings, which takes the noise for white."""
 
-    Attributes
-    ----------
-    level : what ``NoiseLevel`` says of it.
-    places : (c,) vertices around which the fits are.
-    middles : (r, 3) positions of the regions' middles.
-    regions : (r,) levels of the regions, file units.
-    far : (c,) whether a vertex is far out among its neighbours.
-    fits : what the fits leave over at the places.
-    edge : mean edge length, file units.
-    """
-
-    level: NoiseLevel
-    places: Longs
-    middles: Floats
-    regions: Floats
-    far: NDArray[np.bool_]
-    fits: Fits
-    edge: float
+    level: NoiseLevel  # what ``NoiseLevel`` says of it
+    places: Longs  # (c,) vertices around which the fits are
+    middles: Floats  # (r, 3) positions of the regions' middles
+    regions: Floats  # (r,) levels of the regions, file units
+    far: NDArray[np.bool_]  # (c,) whether a vertex is far out among its neighbours
+    fits: Fits  # what the fits leave over at the places
+    edge: float  # mean edge length, file units
 
 
 def estimate_white(mesh: Mesh) -> WhiteEstimate:

@@ -47,28 +47,18 @@ RING_COUNTS = ("no ring", "one ring", "two rings", "three rings", "four rings or
 
 @dataclass(frozen=True)
 class NoiseCharacter:
-    """What the noise is like.
+    """What the noise is like."""
 
-    Attributes
-    ----------
-    kind : one of ``KINDS``; the most telling, where more than one fits.
-    rings : over how many rings neighbours share noise, 0 (not at all) to 4 (that or more).
-    direction : ``"normals"``, ``"isotropic"`` (in all directions) or ``"axis"``.
-    axis : unit vector of an axis, up to its sign; else None.
-    step : of quantised depths, or height of the terraces; mean edge lengths, 0 for none.
-    outliers : share of the vertices that lie far off.
-    confidence : of the kind, 0 to 1; below 0.5 a guess.
-    basis : what it rests on, in words.
-    """
-
-    kind: str
-    rings: int = 0
-    direction: str = "normals"
+    kind: str  # one of ``KINDS``; the most telling, where more than one fits
+    rings: int = 0  # over how many rings neighbours share noise, 0 (not at all) to 4 (that or more)
+    direction: str = "normals"  # ``"normals"``, ``"isotropic"`` (in all directions) or ``"axis"``
+    # unit vector of an axis, up to its sign; else None
     axis: tuple[float, float, float] | None = None
+    # of quantised depths, or height of the terraces; mean edge lengths, 0 for none
     step: float = 0.0
-    outliers: float = 0.0
-    confidence: float = 1.0
-    basis: str = ""
+    outliers: float = 0.0  # share of the vertices that lie far off
+    confidence: float = 1.0  # of the kind, 0 to 1; below 0.5 a guess
+    basis: str = ""  # what it rests on, in words
 
     @property
     def words(self) -> str:
@@ -95,54 +85,37 @@ NO_CHARACTER = NoiseCharacter("none")
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to explain the roughness of a mesh.
+    """One way to explain the roughness of a mesh."""
 
-    Attributes
-    ----------
-    kind : ``NOISE`` or ``TEXTURE``.
-    level : of the noise that there is then, mean edge lengths; 0 where all of it is texture.
-    probability : 0 to 1.
-    """
-
-    kind: str
-    level: float
-    probability: float
+    kind: str  # ``NOISE`` or ``TEXTURE``
+    level: float  # of the noise that there is then, mean edge lengths; 0 where all of it is texture
+    probability: float  # 0 to 1
 
 
 @dataclass(frozen=True)
 class NoiseLevel:
     """The noise of a mesh: its standard deviation along the direction of its character.
 
-    That is along the normals, along an axis, or by coordinate where it is isotropic.
+    That is along the normals, along an axis, or by coordinate where it is isotropic."""
 
-    Attributes
-    ----------
-    mean_edges : in mean edge lengths of the mesh as it is.
-    low, high : an interval for it, mean edge lengths: from where all that may be texture is, to
-        where none is, and beyond by the sampling error.
-    file_units : the same level in file units.
-    rms_edges : root mean square with single spikes, which the level leaves out, mean edge lengths.
-    tail : share of the vertices, 0 to 1, further out among the others than 99 in 100 are with
-        Gaussian noise; 0.01 for that, 0.02 and more for impulsive noise.
-    is_negligible : whether there is no noise to speak of.
-    lowest, highest : levels of the least and the most noisy region, mean edge lengths.
-    regions : how many regions were compared.
-    character : what kind of noise it is.
-    readings : the ways to explain the roughness, the most probable first.
-    """
-
-    mean_edges: float
+    mean_edges: float  # in mean edge lengths of the mesh as it is
+    # low, high: an interval for it, mean edge lengths: from where all that may be texture is, to
+    # where none is, and beyond by the sampling error
     low: float
     high: float
-    file_units: float
+    file_units: float  # the same level in file units
+    # root mean square with single spikes, which the level leaves out, mean edge lengths
     rms_edges: float
+    # share of the vertices, 0 to 1, further out among the others than 99 in 100 are with Gaussian
+    # noise; 0.01 for that, 0.02 and more for impulsive noise
     tail: float
-    is_negligible: bool
+    is_negligible: bool  # whether there is no noise to speak of
+    # lowest, highest: levels of the least and the most noisy region, mean edge lengths
     lowest: float
     highest: float
-    regions: int
-    character: NoiseCharacter = NO_CHARACTER
-    readings: tuple[Reading, ...] = ()
+    regions: int  # how many regions were compared
+    character: NoiseCharacter = NO_CHARACTER  # what kind of noise it is
+    readings: tuple[Reading, ...] = ()  # the ways to explain the roughness, the most probable first
 
     @property
     def is_unsure(self) -> bool:

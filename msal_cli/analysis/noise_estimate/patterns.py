@@ -83,20 +83,12 @@ def _are_patterned(places: Sequence[Place], min_alike: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """What is around a place.
+    """What is around a place."""
 
-    Attributes
-    ----------
-    points : (k, 2) positions across the normal, mean edge lengths.
-    known : (k, c) the polynomials, orthogonal.
-    rest : (k,) heights without them, of length 1.
-    grid : cosines and sines (k, w) of the waves of ``GRID``.
-    """
-
-    points: Floats32
-    known: Floats32
-    rest: Floats32
-    grid: tuple[Floats32, Floats32]
+    points: Floats32  # (k, 2) positions across the normal, mean edge lengths
+    known: Floats32  # (k, c) the polynomials, orthogonal
+    rest: Floats32  # (k,) heights without them, of length 1
+    grid: tuple[Floats32, Floats32]  # cosines and sines (k, w) of the waves of ``GRID``
 
     @classmethod
     def look_at(cls, mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> Place | None:
