@@ -169,3 +169,11 @@ def not_finite(message: str, where: str) -> ContentError:
 def no_faces(message: str, where: str = "", hint: str = "") -> ContentError:
     hint = hint or "msal denoises surfaces; this file has none"
     return ContentError(message, where=where, hint=hint, code="E_NO_FACES")
+
+
+def format_count(number: int | None, singular: str, plural: str = "") -> str:
+    """``1 file``, ``1,200 vertices``; empty for None."""
+    if number is None:
+        return ""
+    usual = f"{singular[:-2]}ices" if singular.endswith("vertex") else f"{singular}s"
+    return f"{number:,} {singular if number == 1 else plural or usual}"

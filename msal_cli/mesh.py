@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
-from msal_cli.errors import ContentError, TooLargeError
+from msal_cli.errors import ContentError, TooLargeError, format_count
 from msal_cli.kernels import array_files, geometry
 from msal_cli.kernels.connectivity import (
     Connectivity,
@@ -169,16 +169,12 @@ class Defects:
     def volume_objection(self) -> str:
         """Why the volume is not to be trusted; empty if it is."""
         if self.boundary_edges:
-            return f"open ({_count_text(self.boundary_edges, 'boundary edge')})"
+            return f"open ({format_count(self.boundary_edges, 'boundary edge')})"
         if self.non_manifold_edges:
-            return f"non-manifold ({_count_text(self.non_manifold_edges, 'edge')})"
+            return f"non-manifold ({format_count(self.non_manifold_edges, 'edge')})"
         if self.unorientable_parts:
             return "not orientable"
         return ""
-
-
-def _count_text(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 @dataclass(frozen=True, eq=False)

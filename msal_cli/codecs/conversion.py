@@ -18,7 +18,7 @@ from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
 from msal_cli.codecs.slots import as_float32
-from msal_cli.errors import UnsupportedError
+from msal_cli.errors import UnsupportedError, format_count
 from msal_cli.storage.regular import Buffer
 
 _NORMAL_PROPERTIES = re.compile(
@@ -165,7 +165,7 @@ def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[s
         used = np.zeros(len(vertices), dtype=bool)
         used[faces.reshape(-1)] = True
         if not used.all():
-            losses.append(f"{np.count_nonzero(~used)} vertices that no face uses")
+            losses.append(f"{format_count(int((~used).sum()), 'vertex')} that no face uses")
     normals = _vertex_normals(vertices, faces) if carries_normals else None
     return _Mesh(vertices, faces, polygons, colours, normals), losses
 

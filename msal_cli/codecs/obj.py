@@ -41,6 +41,7 @@ from msal_cli.codecs.text_slots import (
     number_hint,
     usual_decimals,
 )
+from msal_cli.errors import format_count
 from msal_cli.kernels import obj_scan as scan
 from msal_cli.kernels.parallel import over_ranges, threads
 from msal_cli.kernels.text import as_bytes
@@ -482,13 +483,13 @@ def _describe_warnings(
     if state[scan.WEIGHTED]:
         line = line_at(int(state[scan.WEIGHTED_AT]))
         warnings.append(
-            f"{_counted(state[scan.WEIGHTED], 'vertex has', 'vertices have')} a weight w other"
+            f"{format_count(state[scan.WEIGHTED], 'vertex has', 'vertices have')} a weight w other"
             f" than 1 (first in line {line}); x y z are taken as they stand and w is kept"
         )
     if state[scan.SHORT]:
         line = line_at(int(state[scan.SHORT_AT]))
         warnings.append(
-            f"{_counted(state[scan.SHORT], 'face has', 'faces have')} fewer than three corners"
+            f"{format_count(state[scan.SHORT], 'face has', 'faces have')} fewer than three corners"
             f" (first in line {line}); kept in the file, left out of the computation"
         )
     for number, count, what in (
@@ -500,7 +501,7 @@ def _describe_warnings(
     if state[scan.BEFORE_FIRST]:
         warnings.append(
             "faces name a texture coordinate or normal 0, or one before the first"
-            f" ({_counted(state[scan.BEFORE_FIRST], 'corner', 'corners')}); kept as they are"
+            f" ({format_count(state[scan.BEFORE_FIRST], 'corner')}); kept as they are"
         )
     unknown = {
         keyword: seen
@@ -514,14 +515,10 @@ def _describe_warnings(
         )
         total = sum(count for count, _ in unknown.values())
         warnings.append(
-            f"{_counted(total, 'line is', 'lines are')} no statement that is known and kept as"
+            f"{format_count(total, 'line is', 'lines are')} no statement that is known and kept as"
             f" {'it is' if total == 1 else 'they are'}: {shown}{', ...' * (len(unknown) > _SHOWN)}"
         )
     return tuple(warnings)
-
-
-def _counted(number: int, one: str, many: str) -> str:
-    return f"{number} {one if number == 1 else many}"
 
 
 def refuse_binary(data: Buffer) -> None:
@@ -561,5 +558,5 @@ def _no_faces_error(
 
 def _bad_index_error(number: str, where: str, n_vertices: int) -> errors.ContentError:
     return errors.bad_index(
-        f"a face names vertex {number}, but there are {n_vertices} vertices", where
+        f"a face names vertex {number} of {format_count(n_vertices, 'vertex')}", where
     )

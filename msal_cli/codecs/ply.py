@@ -33,6 +33,7 @@ from msal_cli.errors import (
     InputError,
     TooLargeError,
     bad_index,
+    format_count,
     no_faces,
 )
 from msal_cli.kernels.text import as_bytes
@@ -215,7 +216,7 @@ def _grid_samples(section: Section, name: str, header: ply_header.Header, n_vert
 def _no_faces_error(faces: Section | None, n_vertices: int) -> ContentError:
     if faces is None or not faces.element.count:
         return no_faces(
-            f"the file has {n_vertices} vertices but no faces: it is a point cloud",
+            f"the file has {format_count(n_vertices, 'vertex')} but no faces: it is a point cloud",
             hint="make a surface of the points first (for example by Poisson reconstruction)",
         )
     message, hint = "no face has three corners or more", ""
@@ -369,7 +370,7 @@ def parse(data: Buffer) -> PlyLayout:
         warnings.append("normals of faces are kept as they are")
     warnings += surface.warnings
     if n_behind:
-        warnings.append(f"{n_behind} bytes behind the last element are kept as they are")
+        warnings.append(f"{format_count(n_behind, 'byte')} behind the last element, kept")
     types = {"f4": "float32", "f8": "float64"}
     coarsest = next((name for code, name in types.items() if code in codes.values()), "integer")
     return PlyLayout(

@@ -20,7 +20,7 @@ from msal_cli.arrays import Bytes, Floats, Ints, Longs
 from msal_cli.codecs.ply_header import NORMAL, POSITION, Element, Header
 from msal_cli.codecs.slots import Scattered, Strided
 from msal_cli.codecs.text_slots import Statements, TextSlots, line_of, number_hint
-from msal_cli.errors import FormatError, cut_short
+from msal_cli.errors import FormatError, cut_short, format_count
 
 _SAMPLE = 4_096
 """Bytes behind an ascii header that are searched for signs of binary data when a line is wrong."""
@@ -459,7 +459,7 @@ def _varied(part: Part, wanted: Sequence[str]) -> Section:
         missing = int(items) * int(size) - (len(data) - int(stop))
         raise cut_short(
             f"the file ends within element '{element.name}': {place} of {element.count} needs at "
-            f"least {missing} more bytes",
+            f"least {format_count(missing, 'more byte')}",
             place,
         )
     return Varied(**vars(part), stop=stop, columns=columns, starts=starts, lengths=lengths)

@@ -198,11 +198,10 @@ class StlFile(_FacetFile):
         }
         warnings: tuple[str, ...] = ()
         if n_trailing:
-            more = n_trailing // FACET.itemsize
-            room = f"; they have room for {more} facets that the header does not count"
-            warnings = (
-                f"{n_trailing} bytes behind the last facet are kept as they are{room * bool(more)}",
-            )
+            more = errors.format_count(n_trailing // FACET.itemsize, "facet")
+            room = f": room for {more} that the header does not count"
+            rest = f"{errors.format_count(n_trailing, 'byte')} behind the last facet, kept"
+            warnings = (rest + room * (n_trailing >= FACET.itemsize),)
         layout = mesh_file.Layout(
             "binary_little_endian",
             "float32",
@@ -381,11 +380,12 @@ class StlTextFile(_FacetFile):
         names = [(line or [b""])[0].decode("utf-8", "replace").strip() for line in lines]
         normals = np.ascontiguousarray(numbers[:, :3])
         n_bad = int((~np.isfinite(normals).all(axis=1)).sum()) - n_bare
+        have = "facet has", "facets have"
         texts = {
-            f"{_count_facets(n_bare)} no normal, and none is added": n_bare,
-            f"{_count_facets(n_bad)} a normal that is not three finite numbers: it is kept, not "
-            "recomputed": n_bad,
-            f"{n_trailing} bytes behind the last solid are kept as they are": n_trailing,
+            f"{errors.format_count(n_bare, *have)} no normal, and none is added": n_bare,
+            f"{errors.format_count(n_bad, *have)} a normal that is not three finite numbers: it is "
+            "kept, not recomputed": n_bad,
+            f"{errors.format_count(n_trailing, 'byte')} behind the last solid, kept": n_trailing,
         }
         vertices, faces, _ = weld_corners(numbers[:, 3:])
         layout = mesh_file.Layout(
@@ -444,10 +444,6 @@ class StlTextFile(_FacetFile):
         for _, values, is_changed in changes:
             mesh_file.require_unit_length(values[::4], is_changed[::4, 0])
         super()._compare(result, changes, vertices)
-
-
-def _count_facets(number: int) -> str:
-    return f"{number} {'facet has' if number == 1 else 'facets have'}"
 
 
 def binary_stl(corners: Floats, normals: Floats, name: str) -> bytes:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from msal_cli.errors import FormatError
+from msal_cli.errors import FormatError, format_count
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference, SurfaceDistance
 from msal_cli.record_fields import value_at
@@ -55,9 +55,7 @@ def describe_comparison(record: ComparisonRecord) -> list[Line]:
     before = facts.vertices_text(record.vertices_before, record.corners_before)
     after = facts.vertices_text(record.vertices_after, record.corners_after)
     lines = [
-        Line(
-            f"{side:8}{file_name(path)}: {vertices}, {facts.format_count(n_faces or 0, 'triangle')}"
-        )
+        Line(f"{side:8}{file_name(path)}: {vertices}, {format_count(n_faces or 0, 'triangle')}")
         for side, path, vertices, n_faces in (
             ("before", record.before, before, record.faces_before),
             ("after", record.after, after, record.faces_after),

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
+from msal_cli.errors import format_count
 from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import (
     DONE,
@@ -379,14 +380,6 @@ def speed_text(run: Run, sums: Totals) -> str:
 
 
 # Phrases
-
-
-def format_count(number: int | None, singular: str, plural: str = "") -> str:
-    """``1 file``, ``1,200 vertices``; empty for None."""
-    if number is None:
-        return ""
-    usual = f"{singular[:-2]}ices" if singular.endswith("vertex") else f"{singular}s"
-    return f"{number:,} {singular if number == 1 else plural or usual}"
 
 
 def percent_text(percent: float | None) -> str:

@@ -19,11 +19,12 @@ from msal_cli import codecs
 from msal_cli.analysis import colour_maps as colours
 from msal_cli.codecs import header
 from msal_cli.codecs.mesh_file import Surface
+from msal_cli.errors import format_count
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report.data import known_values
-from msal_cli.report.facts import format_count, worst_first
+from msal_cli.report.facts import worst_first
 from msal_cli.report.html import Gallery, Pictures
 from msal_cli.storage import gzip_streams
 from msal_cli.view import pages, pictures

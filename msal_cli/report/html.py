@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from string import Template
 from typing import Any, NamedTuple
 
+from msal_cli.errors import format_count
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import MeshRecord
 from msal_cli.report import facts
@@ -77,7 +78,7 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
     page = Template(asset(__file__, "report.html")).substitute(
         policy=content_policy(scripts, styles),
         version=escape(run.version),
-        title=f"msal: {facts.format_count(len(records), 'file')}",
+        title=f"msal: {format_count(len(records), 'file')}",
         styles="".join(f"<style>{style}</style>" for style in styles),
         verdict=_verdict(run, sums),
         totals=_totals(run, sums),
