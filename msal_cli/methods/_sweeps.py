@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats, Ints
+from msal_cli.errors import UsageError
 from msal_cli.kernels.connectivity import averaging_ring
 from msal_cli.kernels.operators import (
     DEVIATIONS,
@@ -68,6 +69,13 @@ class ScheduleTraits(NormalParameters):
     time_step = 1.0
     fidelity = 0.0
     has_own_step = False  # True where the operator takes ``time_step``, and a schedule is a share
+
+    def __post_init__(self) -> None:
+        if self.K != type(self).K and self.schedule not in ("multiscale", "robust"):
+            raise UsageError(
+                f"K = {self.K:g} means nothing to the schedule {self.schedule}",
+                hint="set schedule=multiscale or robust, or leave K out",
+            )
 
     def build_schedule(self) -> Schedule:
         """The schedule that these parameters describe."""

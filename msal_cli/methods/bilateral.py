@@ -94,6 +94,7 @@ class Parameters(ScheduledParameters):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.radius and self.variant == "one_ring":
             raise UsageError(
                 f"radius = {self.radius:g} means nothing to the one-ring",

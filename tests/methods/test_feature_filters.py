@@ -170,12 +170,8 @@ HYBRID_SHAPES = {
 @pytest.mark.parametrize("shape", HYBRID_SHAPES)
 @pytest.mark.parametrize(
     "given",
-    [
-        {},
-        {"K": 0.8, "r": 0.0},
-        {"count": 2, "angle": 0.0, "r": 1.0},
-        {"presmooth": 1, "angle": 40.0},
-    ],
+    [{}, {"K": 0.8, "r": 0.0}, {"count": 2, "angle": 0.0, "r": 1.0}]
+    + [{"presmooth": 1, "angle": 40.0}],
     ids=str,
 )
 def test_it_does_what_it_says(shape, given):

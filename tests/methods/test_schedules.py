@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from msal_cli import methods
 from msal_cli.analysis.noise_estimate import estimate_noise
+from msal_cli.errors import UsageError
 from msal_cli.mesh import prepare_mesh
 from tests.methods.runs import SHAPES, denoise, scan
 from tests.paper import algorithm_1, heights_and_sigma, normal_field, one_rings
@@ -161,8 +162,10 @@ def moved(mesh, vertices):
     return np.linalg.norm(vertices - mesh.vertices, axis=1)
 
 
-def test_the_plain_schedule_is_the_default_and_looks_at_neither_k_nor_lambda(scheduled):
-    assert (scheduled(schedule="plain", K=0.1, fidelity=0.9) == scheduled()).all()
+def test_the_plain_schedule_is_the_default_and_has_neither_k_nor_lambda(scheduled):
+    assert (scheduled(schedule="plain", fidelity=0.9) == scheduled()).all()
+    with pytest.raises(UsageError, match=r"K = 0\.1 means nothing to the schedule plain"):
+        scheduled(K=0.1)
 
 
 def test_a_constant_pull_of_zero_is_the_plain_schedule(scheduled):
