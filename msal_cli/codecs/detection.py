@@ -131,7 +131,8 @@ def resolve_format(data: Buffer, name: str, format: str | None) -> str:
         raise FormatError(
             f"this is {article} {found.upper()} file, but {said} says {wanted.upper()}",
             where="byte 0",
-            hint=f"rename the file to .{found}, or pass --format {found}",
+            hint=f"pass --format {found}"
+            + (", or none where the name is right" if format else f", or rename it to .{found}"),
         )
     return wanted
 

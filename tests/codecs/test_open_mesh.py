@@ -60,6 +60,9 @@ def test_a_wrong_suffix_is_named(kind, wrong):
     if (kind, wrong) != ("obj", "off"):  # an OBJ file is known less surely
         assert kind.upper() in str(caught.value)
         assert f"--format {kind}" in caught.value.hint
+        with pytest.raises(FormatError) as caught:
+            open_mesh(FILES[kind], "standard input", wrong)
+        assert "rename" not in caught.value.hint
 
 
 def test_the_option_overrules_the_name_but_not_the_content():
