@@ -85,7 +85,7 @@ def choose_adaptive(mesh: Mesh, on_step: OnStep | None = None, wishes: Wishes = 
     estimate, edge = estimate_noise(mesh), mesh.mean_edge_length
     noise = estimate.assume(wishes.assume, edge)
     if noise.is_negligible or not noise.mean_edges:
-        what = f"noise {noise.mean_edges:.2g} e; {blends.describe_rest(estimate, noise)}"
+        what = blends.describe_rest(estimate, noise)
         choice = blends.choose_least(noise, wishes, what, None)
     else:
         assumed = noise.assume(NOISE, edge)

@@ -252,14 +252,13 @@ def describe_noise(noise: NoiseLevel, is_unsure: bool) -> str:
 
 
 def describe_rest(estimate: NoiseLevel, noise: NoiseLevel) -> str:
-    """Why there is nothing to remove: ``noise``, the ``estimate`` or what was assumed instead, is
-    negligible."""
-    if noise is not estimate:
-        return "assumed to be texture"
-    if not estimate.is_unsure:
-        return "clean"
-    most = max(reading.level for reading in estimate.readings)
-    return f"noise of {most:.2g} e or texture"
+    """What there is where ``noise``, the ``estimate`` or what was assumed instead, is negligible:
+    ``noise 0 e; clean``."""
+    if noise is estimate and estimate.is_unsure:
+        most = max(reading.level for reading in estimate.readings)
+        return f"noise of {most:.2g} e or texture"
+    why = "clean" if noise is estimate else "assumed to be texture"
+    return f"noise {noise.mean_edges:.2g} e; {why}"
 
 
 def build_recipe(

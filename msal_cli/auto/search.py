@@ -123,7 +123,7 @@ def choose_method(mesh: Mesh, wishes: Wishes, on_step: OnStep | None = None) -> 
     is_unsure = noise.is_unsure
     if noise.is_negligible or not mesh.topology.has_ring.any():
         step(1, 1)
-        what = f"noise {noise.mean_edges:.2g} e; {blends.describe_rest(estimate, noise)}"
+        what = blends.describe_rest(estimate, noise)
         choice = blends.choose_least(noise, wishes, what, CLEAN)
     else:
         noise = noise.assume(NOISE, edge)

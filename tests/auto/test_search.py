@@ -10,7 +10,7 @@ from benchmarks import ground_truth
 from msal_cli import methods
 from msal_cli.analysis.measures import area_and_volume, measure_surface_change
 from msal_cli.analysis.noise_estimate import NOISE, TEXTURE, Reading, estimate_noise
-from msal_cli.auto import NONE, Wishes, adaptive, search
+from msal_cli.auto import NONE, Wishes, adaptive, blends, search
 from msal_cli.auto.candidates import CANDIDATES
 from msal_cli.auto.risk import Quadratic, Risk
 from msal_cli.kernels import parallel
@@ -220,6 +220,7 @@ def test_noise_or_texture_gets_a_share_of_the_choice_for_noise(mesh, monkeypatch
     mild, noise, texture = (chosen(mesh, assume=assume) for assume in (None, NOISE, TEXTURE))
     assert texture.method == NONE and "assumed" not in mild.reason
     assert mild.reason.startswith("noise of 0.05 e or texture")
+    assert blends.describe_rest(estimate, estimate) == "noise of 0.05 e or texture"
     full = moved_edges(mesh, made_by(noise, mesh))
     # Half of the noise at most is left if there is any, and half of it is gone if there is none.
     assert 0.3 * full < moved_edges(mesh, made_by(mild, mesh)) < 0.8 * full
