@@ -88,6 +88,11 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
 
     Of vertices that coincide the most trusted counts.
     """
+    if name in ("x", "y", "z"):
+        raise ContentError(
+            f"{name!r} is a coordinate, and says nothing about trust",
+            hint="choose another property of the vertices, or denoise without weights",
+        )
     values = mesh_file.vertex_property(name)
     finite = np.isfinite(values)
     if not finite.all():

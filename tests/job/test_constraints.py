@@ -174,6 +174,8 @@ def test_trust_is_the_property_over_its_largest_value():
     plain, _ = denoised(data)
     assert np.array_equal(whole, halved)
     assert not np.array_equal(whole, plain)
+    record = denoise_bytes(data, "a.ply", settings(weights="x"))[1]
+    assert "'x' is a coordinate" in record.error.message
     is_fifth = np.arange(len(vertices)) == 5
     negative, zero = (np.where(is_fifth, value, quality) for value in (-3.0, 0.0))
     of_negative, of_zero = (
