@@ -63,6 +63,7 @@ class Surface:
     # those of its vertices where they were read, for pictures
     colours: SurfaceColours | None = None
     grid: Ints | None = None  # the samples (rows, columns) of a range grid that the faces join
+    unit: str | None = None  # that of the positions, such as "mm", where the file states one
 
     @property
     def n_corners(self) -> int | None:

@@ -18,7 +18,7 @@ import numpy as np
 from msal_cli import errors
 from msal_cli.arrays import Bytes, Floats, Ints
 from msal_cli.codecs import mesh_file, text_slots
-from msal_cli.codecs.threemf_model import Model, Use, place_of
+from msal_cli.codecs.threemf_model import UNITS, Model, Use, place_of
 from msal_cli.codecs.xml_tree import parse_tree
 from msal_cli.codecs.zip_archive import Archive, numbers_of
 from msal_cli.kernels.text import as_bytes
@@ -125,7 +125,7 @@ class ThreeMfFile(mesh_file.MeshFile):
             faces=np.concatenate(faces).astype(np.int32),
         )
         super().__init__(text, "3mf", layout)
-        self.data = data
+        self.data, self.unit = data, UNITS[unit]
 
     def _member(self, path: str, where: str) -> zipfile.ZipInfo:
         member = self.archive.find(path)

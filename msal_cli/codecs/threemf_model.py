@@ -71,7 +71,9 @@ _PAINT = "triangle attributes"
 MAX_USES = 100_000
 """Components and items of a part; large assemblies have some thousands."""
 
-UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
+UNITS = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in"}
+UNITS |= {"foot": "ft", "meter": "m"}
+"""The units, and what options call them."""
 
 _DECIMAL = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _NO_NUMBER = re.compile(r"[-+]?(?:nan|inf(?:inity)?)", re.IGNORECASE)

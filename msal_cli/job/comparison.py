@@ -52,9 +52,8 @@ def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
 
 def surface_of(mesh_file: MeshFile) -> Surface:
     """The surface in an open file."""
-    return Surface(
-        mesh_file.vertices, mesh_file.faces, mesh_file.merged_vertices, grid=mesh_file.grid
-    )
+    names = ("vertices", "faces", "merged_vertices", "grid", "unit")
+    return Surface(**{name: getattr(mesh_file, name) for name in names})
 
 
 def open_surface(path: str, format: str | None = None) -> Surface:
@@ -143,6 +142,9 @@ def compare_meshes(
         if with_intersections:
             n_before, n_after = map(measures.count_self_intersections, (reference, moved))
             figures["self_intersections"] = SelfIntersections(n_before, n_after, None)
+    if before.unit and after.unit and before.unit != after.unit:
+        units = f"{before.unit} before, {after.unit} after"
+        warnings.append(f"the files state other units ({units}), and only numbers are compared")
     if to_surface:
         step = max(map(measures.sampling_step, (reference, moved)))
         if step > 1:

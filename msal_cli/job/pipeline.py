@@ -17,7 +17,7 @@ import numpy as np
 
 from msal_cli import machine
 from msal_cli.codecs import header
-from msal_cli.errors import InternalError
+from msal_cli.errors import InputError, InternalError, format_count
 from msal_cli.job import changes, output, room
 from msal_cli.job.choice import (
     MILDER,
@@ -210,6 +210,12 @@ class FileRun:
                 self.know(input_sha256=digest())
             self.know(**changes.file_fields(mesh_file))
             self.warn(*mesh_file.warnings)
+            own, given = mesh_file.unit, self._settings.unit
+            if own and given and own != given:
+                raise InputError(
+                    f"the file says that its unit is {own}, and --unit says {given}",
+                    hint=f"give --unit {own}, or none, for this file",
+                )
         return mesh_file, is_compressed
 
     def build(
@@ -263,8 +269,9 @@ class FileRun:
         self.know(**changes.defect_fields(ready, mesh_file.merged_vertices))
         if n_edges := ready.defects.inconsistent_edges:
             self.warn(
-                f"inconsistent winding at {n_edges} edges; "
-                f"{ready.defects.turned_faces} faces were turned for the computation only"
+                f"inconsistent winding at {format_count(n_edges, 'edge')}; "
+                f"{format_count(ready.defects.turned_faces, 'face is', 'faces are')} turned for "
+                "the computation only"
             )
         return ready
 

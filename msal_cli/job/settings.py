@@ -75,6 +75,7 @@ class Settings:
     # so where a method is chosen and the outliers are clear
     despike: bool | None = None
     tile_set: bool = False  # whether all files are denoised as the one mesh that they are together
+    unit: str | None = None  # that of the input's coordinates, one of ``METRES``
 
     @property
     def assume(self) -> str | None:
@@ -335,6 +336,7 @@ _CHECKS: dict[str, Check | None] = {
     "format": parse_input_format,
     "fields": _field_names,
     "tile_set": None,
+    "unit": None,
 }
 """What a user may give beside a method and its parameters, by the names of the Python API, and what
 a value must be, if it is not any."""
@@ -348,7 +350,7 @@ def parse(given: Mapping[str, Any], *, as_options: bool = False) -> Settings:
     Parameters
     ----------
     given : values by the names of ``_CHECKS``, with None for what is not given; and ``method``,
-        its ``parameters`` (assignments), ``intersections`` and ``unit``.  Other names are ignored.
+        its ``parameters`` (assignments) and ``intersections``.  Other names are ignored.
     as_options : messages name options; by default arguments.
 
     Raises UsageError for values that are not allowed, or do not go together.
@@ -385,9 +387,9 @@ def _choose_method(
     elif not needs_all and (is_adaptive or (wishes and method is None)):
         choice = ADAPTIVE
     elif wishes:
+        what = "a choice among all methods" if method == ADAPTIVE else "the automatic choice"
         raise UsageError(
-            f"{', '.join(map(label, wishes))}: this is for the automatic choice, and the method is "
-            f"{method!r}",
+            f"{', '.join(map(label, wishes))}: this is for {what}, and the method is {method!r}",
             hint="leave the method out; a parameter of a method that has this name is given among "
             "its parameters",
         )

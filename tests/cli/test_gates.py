@@ -152,3 +152,7 @@ def test_lengths_have_units_where_that_of_the_files_is_given(scan, tmp_path):
         made = msal(*words, tmp_path / "none.ply", *more)
         assert (made.exit_code, "mesh files have no unit" in made.stderr) == (2, True)
     assert not (tmp_path / "none.ply").exists()
+    solid = tmp_path / "a.3mf"
+    assert msal(*words, solid).exit_code == 0
+    made = msal("denoise", solid, "-o", tmp_path / "b.3mf", "--unit", "in")
+    assert (made.exit_code, "says that its unit is mm" in made.stderr) == (1, True)

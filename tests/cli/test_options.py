@@ -135,6 +135,8 @@ denoise a.ply -o new --fail-fast --max-failures 2 | --fail-fast and --max-failur
 denoise a.ply -o new --strength 1 --schedule plain | --strength and --schedule contradict
 denoise a.ply -o new --method adaptive -n 3 | --method adaptive and --iterations contradict
 denoise a.ply -o new --method adaptive --auto | --auto and --method adaptive contradict
+denoise a.ply -o new --method adaptive --keep edges | --keep: this is for a choice among all methods
+denoise a.ply -o new --method umbrella -K 0.3 | K = 0.3 means nothing to the schedule plain
 denoise a.ply -o new --strength 2.5 | '2.5' is not a number from -2 to 2
 denoise a.ply -o new --keep noise | 'texture', 'edges', 'shape'
 denoise a.ply -o new --prefer speed | 'positions', 'normals', 'volume'

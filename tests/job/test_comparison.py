@@ -22,6 +22,9 @@ def test_a_mesh_and_itself():
     assert made.volume_change_percent == made.area_change_percent == 0.0
     assert made.flipped_faces == made.seam_gap == 0
     assert made.hausdorff == 0.0
+    inches, metres = (Surface(*torus(), unit=unit) for unit in ("in", "m"))
+    assert "in before, m after" in compare_meshes(inches, metres, "a", "b").warnings[0]
+    assert compare_meshes(inches, inches, "a", "b").warnings == made.warnings
 
 
 def test_a_mesh_that_was_shifted_far_from_the_origin():

@@ -45,6 +45,7 @@ def test_values_become_those_of_settings():
         to="ply",
         checks=("self-intersections",),
         fields=("sigma",),
+        unit="cm",
     )
 
 
