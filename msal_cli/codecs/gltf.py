@@ -327,14 +327,7 @@ def _read_file(name: str, path: str, declared: int, room: int, where: str) -> by
 
 
 class GltfFile(SceneFile):
-    """An opened .gltf file.
-
-    Attributes
-    ----------
-    names : the files of those buffers that are files, by their numbers.
-    spans : first byte and size in the data of all that each buffer holds, also behind its declared
-        end.
-    """
+    """An opened .gltf file."""
 
     format = "gltf"
 
@@ -345,7 +338,8 @@ class GltfFile(SceneFile):
         gltf_scene.require_short(len(text) - sum(size - 1 for size in uris))
         content = gltf_scene.parse_json(text, "description")
         self._path = path
-        self.names: dict[int, str] = {}
+        self.names: dict[int, str] = {}  # the files of those buffers that are files, by number
+        # First byte and size in the data of all that a buffer holds, also behind its declared end.
         self.spans: dict[int, tuple[int, int]] = {}
         entries = gltf_scene.as_dicts(content.get("buffers"))
         if len(entries) > _MAX_BUFFERS:

@@ -65,11 +65,9 @@ def as_float32(positions: Floats) -> NDArray[np.float32]:
     return rounded
 
 
-def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first: int = 0) -> None:
-    """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type.
-
-    ``codes`` are numpy's types of the columns, ``first`` the number of the file's first vertex.
-    """
+def require_range(values: Floats, is_changed: Flags, codes: Sequence[str]) -> None:
+    """Raise ContentError (``E_RANGE``) where a changed number (n, k) does not fit its type;
+    ``codes`` are numpy's types of the columns."""
     dtypes = [np.dtype(code) for code in codes]
     # Where all fit, two numbers say so; NaN does not.
     largest = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0)))
@@ -84,7 +82,7 @@ def require_range(values: Floats, is_changed: Flags, codes: Sequence[str], first
         # Written so that NaN counts as outside.
         is_outside = is_changed[:, k] & ~((column >= low) & (column <= high))
         if is_outside.any():
-            vertex = int(np.argmax(is_outside)) + first
+            vertex = int(np.argmax(is_outside))
             raise ContentError(
                 f"the new {'xyz'[k]} of vertex {vertex} does not fit the file's number type",
                 where=f"vertex {vertex}",

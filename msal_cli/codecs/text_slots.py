@@ -449,14 +449,8 @@ _Slots = TypeVar("_Slots", bound=TextSlots)
 
 
 class Words:
-    """The words of ``data[start:stop]``, comments left out.
-
-    Attributes
-    ----------
-    data : (size,) uint8, the whole file.
-    starts, stops : (q,) int64, offsets into the file.
-    lines : (q,) int64, ascending, equal for words of one line.
-    """
+    """The words of ``data[start:stop]``, comments left out: ``starts`` and ``stops`` (q,) in
+    ``data``, and ``lines`` (q,), ascending, equal for words of one line."""
 
     def __init__(
         self, data: Buffer | Bytes, start: int = 0, stop: int | None = None, *, comment: bytes = b""

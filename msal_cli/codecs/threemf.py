@@ -71,18 +71,12 @@ class ThreeMfFile(mesh_file.MeshFile):
     frame of the build, since two may coincide in their own; with one, in its own.
 
     Its numbers lie in the texts of the model parts, one behind the other.
-
-    Attributes
-    ----------
-    archive : the zip archive.
-    models : its model parts by the names of their members, the root first.
-    is_signed : whether a digital signature holds its bytes.
     """
 
     def __init__(self, data: Buffer) -> None:
         self.archive = Archive(data)
-        self.is_signed = False
-        self.models: dict[str, Model] = {}
+        self.is_signed = False  # whether a digital signature holds its bytes
+        self.models: dict[str, Model] = {}  # model parts by their members' names, the root first
         self._texts: dict[str, bytes] = {}
         self._load(min(memory_bytes() // 2, max(ALWAYS_EXPANDED, LARGEST_RATIO * len(data))))
         placed, has_instances = self._find_frames()

@@ -110,29 +110,18 @@ def place_of(text: bytes, name: str, at: int) -> str:
 class Model:
     """A model part taken apart; ``name`` is for messages.
 
-    Attributes
-    ----------
-    size : bytes of its text.
-    unit : the word for it.
-    ids : the numbers of its objects.
-    meshes : the meshes by their objects' numbers, in the order of the file.
-    components : what an object is put together from.
-    items : what is to be built.
-    words : what else is carried along, for reports.
-    stale : what would no longer fit the surface once it moved.
-
     Raises FormatError, TruncatedError, UnsupportedError, and ContentError (``E_INDEX``,
     ``E_NONFINITE``).
     """
 
     def __init__(self, text: bytes, name: str) -> None:
         self.size = len(text)
-        self.ids: set[int] = set()
-        self.meshes: dict[int, ThreeMfMesh] = {}
-        self.components: dict[int, list[Use]] = {}
-        self.items: list[Use] = []
-        self.words: dict[str, None] = {}
-        self.stale: dict[str, None] = {}
+        self.ids: set[int] = set()  # of its objects
+        self.meshes: dict[int, ThreeMfMesh] = {}  # by their objects' ids, in the order of the file
+        self.components: dict[int, list[Use]] = {}  # what an object is put together from
+        self.items: list[Use] = []  # what is to be built
+        self.words: dict[str, None] = {}  # what else is carried along, for reports
+        self.stale: dict[str, None] = {}  # what would no longer fit the surface once it moved
         self._text, self._name = text, name
         # Plain lists by the byte where the tag begins that opens each: where they begin and end.
         self._lists = {

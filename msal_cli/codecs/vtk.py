@@ -85,20 +85,15 @@ def parse(data: Buffer) -> Layout:
 
 
 class _Reader:
-    """A position in a VTK file, and what was read up to there.
-
-    Attributes
-    ----------
-    precision : that of the points.
-    cells : sizes and corners of those whose types are not read yet.
-    """
+    """A position in a VTK file, and what was read up to there."""
 
     def __init__(self, data: Buffer, at: int, *, is_text: bool) -> None:
         from msal_cli.kernels.text import as_bytes
 
-        self.precision = ""
+        self.precision = ""  # of the points
         self.points: Slots | None = None
         self.surface = Cells()
+        # Sizes and corners of those whose types are not read yet.
         self.cells: tuple[Longs, Longs] | None = None
         self.normals: Slots | None = None
         self.properties: list[str] = []

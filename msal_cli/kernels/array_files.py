@@ -54,12 +54,8 @@ def arrays_in_files(folder: str, smallest: int) -> Iterator[None]:
     """Have arrays of ``smallest`` bytes and more, which are made in this thread and by kernels,
     live in files of a folder.
 
-    The first folder counts where several calls are at work in one process.
-
-    Raises
-    ------
-    OSError
-        where the folder cannot be opened.
+    The first folder counts where several calls are at work in one process.  Raises OSError where
+    it cannot be opened.
     """
     global _users
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

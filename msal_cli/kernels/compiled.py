@@ -65,12 +65,8 @@ def arg_type(argument: Any) -> library.ArgType:
     """What decides the machine code for an argument.
 
     Of a number the code of its type; of an array that of its items, dimensions and layout (C, F or
-    any).  Whether it is writeable or aligned makes no difference.
-
-    Raises
-    ------
-    TypeError
-        for anything else.
+    any).  Whether it is writeable or aligned makes no difference.  Raises TypeError for anything
+    else.
     """
     if isinstance(argument, np.ndarray):
         flags = argument.flags

@@ -114,10 +114,7 @@ def face_rings(faces: Ints, links: Connectivity, sharing: str) -> tuple[Ints, In
     faces : (m, 3), those that ``links`` were made from.
     sharing : ``"edge"``: faces that share an edge; ``"vertex"``: those that share a vertex too.
 
-    Raises
-    ------
-    TooLargeError
-        where the faces have more than ``MAX_PAIRS`` neighbours in all.
+    Raises TooLargeError where the faces have more than ``MAX_PAIRS`` neighbours in all.
     """
     return links.kept(f"face rings, {sharing}", lambda: _find_face_rings(faces, links, sharing))
 

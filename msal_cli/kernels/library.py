@@ -57,13 +57,8 @@ class Entry(NamedTuple):
 
 
 def load(kernel: Any, arg_types: tuple[ArgType, ...]) -> Callable[..., Any]:
-    """The machine code of a ``Kernel`` for these argument types, as a function.
-
-    Raises
-    ------
-    InternalError
-        where the library does not have it.
-    """
+    """The machine code of a ``Kernel`` for these argument types, as a function; InternalError
+    where the library does not have it."""
     text = signature(kernel.name, arg_types)
     entry = _entries().get(text)
     if entry is None:
@@ -121,13 +116,8 @@ def open_library() -> ctypes.CDLL:
 
 
 def level_suffix(library: ctypes.CDLL) -> str:
-    """The end of the symbols that are for this processor.
-
-    Raises
-    ------
-    InternalError
-        where ``MSAL_CPU`` names a level that the library or the processor does not have.
-    """
+    """The end of the symbols that are for this processor; InternalError where ``MSAL_CPU`` names
+    a level that the library or the processor does not have."""
     level: int = library.msal_cpu_level()
     wanted = os.environ.get("MSAL_CPU", "")
     if not level:
