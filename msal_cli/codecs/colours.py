@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.arrays import Floats
+from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 
 if TYPE_CHECKING:
@@ -30,7 +31,8 @@ _GLTF_TYPES = {5126: "<f4", 5121: "<u1", 5123: "<u2"}
 
 
 def vertex_colours(mesh_file: MeshFile) -> Colours | None:
-    """Colours (n, 3) or (n, 4) of a PLY or OBJ file's vertices, or None where it has none.
+    """Colours (n, 3) or (n, 4) of the vertices of a PLY, OBJ or glTF file, or None where it has
+    none.
 
     Colours as floating-point numbers are taken to go from 0 to 1.
     """
@@ -38,17 +40,11 @@ def vertex_colours(mesh_file: MeshFile) -> Colours | None:
         return _of_ply(mesh_file)
     if mesh_file.format == "obj" and "vertex colours" in mesh_file.properties:
         return _of_obj(mesh_file)
-    return None
-
-
-def surface_colours(mesh_file: MeshFile) -> Colours | None:
-    """Colours (n, 3) of the vertices of a file of any format, or None where it has none."""
-    if mesh_file.format in ("glb", "gltf"):
+    if mesh_file.format in SCENES:
         from msal_cli.codecs.gltf import SceneFile
 
         return _of_gltf(mesh_file) if isinstance(mesh_file, SceneFile) else None
-    colours = vertex_colours(mesh_file)
-    return None if colours is None else colours[:, :3]
+    return None
 
 
 def _to_bytes(colours: Floats, scale: float = 1.0) -> Colours:
@@ -92,7 +88,8 @@ def _of_obj(mesh_file: MeshFile) -> Colours | None:
 
 
 def _of_gltf(scene_file: SceneFile) -> Colours | None:
-    """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows."""
+    """COLOR_0 of all parts, which is linear light; as bytes it is what a screen shows.  There is an
+    alpha if one is not opaque."""
     from msal_cli.codecs.gltf_scene import as_dict, as_dicts
 
     scene, has_colours = scene_file.scene, False
@@ -103,9 +100,9 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
     ]
     whole = []
     for part in scene.parts.values():
-        shown = np.tile(np.array(UNPAINTED, dtype=np.uint8), (part.positions.count, 1))
+        shown = np.tile(np.array((*UNPAINTED, 255), dtype=np.uint8), (part.positions.count, 1))
         for attributes in primitives:
-            if attributes.get("POSITION") not in part.accessors or "COLOR_0" not in attributes:
+            if attributes.get("POSITION") not in [*part.accessors] or "COLOR_0" not in attributes:
                 continue
             index = attributes["COLOR_0"]
             kind = scene.entry("accessors", index).get("type")
@@ -115,13 +112,15 @@ def _of_gltf(scene_file: SceneFile) -> Colours | None:
             if rows is None or rows.count != len(shown):
                 continue
             largest = np.iinfo(rows.code).max if rows.code != "<f4" else 1.0
-            shares = rows.rows(scene.data)[:, :3].astype(np.float64) / largest
-            value = np.clip(shares, 0.0, 1.0)
+            shares = np.clip(rows.rows(scene.data).astype(np.float64) / largest, 0.0, 1.0)
+            value = shares[:, :3]
             # The format says linear, but programs for scans write a screen's bytes as they are.
             if rows.code != "<u1":
                 # IEC 61966-2-1
                 curve = 1.055 * value ** (1.0 / 2.4) - 0.055
                 value = np.where(value <= 0.0031308, 12.92 * value, curve)
-            shown, has_colours = _to_bytes(value, 255.0), True
+            value, has_colours = np.hstack([value, shares[:, 3:]]), True
+            shown[:, : value.shape[1]] = _to_bytes(value, 255.0)
         whole.append(shown)
-    return np.concatenate(whole) if has_colours else None
+    colours = np.concatenate(whole)
+    return (colours if colours[:, 3].min() < 255 else colours[:, :3]) if has_colours else None

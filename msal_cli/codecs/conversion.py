@@ -5,6 +5,7 @@ file has is named as lost."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -18,14 +19,14 @@ from msal_cli.codecs.detection import SCENES
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.codecs.ply_write import VertexColumn, corners_of, write_ply
 from msal_cli.codecs.slots import as_float32
-from msal_cli.errors import UnsupportedError, format_count
+from msal_cli.errors import InputError, UnsupportedError, format_count
 from msal_cli.storage.regular import Buffer
 
 _NORMAL_PROPERTIES = re.compile(
     r"vertex\.(n[xyz]( |$)|normal$)|normals$|point\.normals?$", re.IGNORECASE
 )
 _COLOUR_PROPERTIES = re.compile(
-    r"vertex\.(diffuse_)?(red|green|blue|alpha)( |$)|vertex colours$", re.IGNORECASE
+    r"vertex\.(diffuse_)?(red|green|blue|alpha)( |$)|vertex( colours|\.color_0)$", re.IGNORECASE
 )
 _DERIVED = ("facet normals",)
 """Properties that follow from the positions, so that nothing is lost without them."""
@@ -143,7 +144,10 @@ def _lost_digits(mesh_file: MeshFile, vertices: Floats, to: str) -> list[str]:
 
 def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:
     """What goes across into format ``to``, and what does not."""
-    colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb", "gltf") else None
+    colours = None
+    # Colours that cannot be read are named as lost.
+    with contextlib.suppress(InputError):
+        colours = vertex_colours(mesh_file) if to in ("ply", "obj", "glb", "gltf") else None
     has_normals = any(_NORMAL_PROPERTIES.match(prop) for prop in mesh_file.properties)
     carries_normals = has_normals and to in ("ply", "obj")
     losses = [
@@ -215,7 +219,6 @@ def _write(mesh: _Mesh, to: str, encoding: str, single: bool) -> Buffer:
 
 def _as_cells(points: NDArray[Any], faces: Ints, to: str, encoding: str) -> bytes:
     """A VTK or VTU file; of VTK's versions the one that most programs read."""
-    import contextlib
     import io
     import tempfile
     from pathlib import Path

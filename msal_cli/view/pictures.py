@@ -17,7 +17,7 @@ from msal_cli.analysis.measures import (
     measure_enclosure,
 )
 from msal_cli.arrays import Floats
-from msal_cli.codecs.colours import surface_colours
+from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
 from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
@@ -363,12 +363,13 @@ def coloured_surface_of(mesh_file: MeshFile, path: str) -> Surface:
 
 def _read_colours(mesh_file: MeshFile, path: str) -> SurfaceColours:
     try:
-        colours = surface_colours(mesh_file)
+        colours = vertex_colours(mesh_file)
     except Exception as failure:  # colours are an extra, and files come from strangers
         _log.info("%s: no colours", path, exc_info=True)
         return SurfaceColours(None, (f"its colours cannot be read: {str(failure)[:200]}",))
     if colours is None:
         return SurfaceColours()
+    colours = colours[:, :3]
     if len(colours) != len(mesh_file.vertices):
         return SurfaceColours(None, ("its colours do not fit its vertices",))
     if int(colours.max(initial=0)) < _MIN_BRIGHTNESS:

@@ -111,14 +111,13 @@ def test_vertex_colours_go_across_and_back_or_are_named(kind):
     for to in ("stl", "off", "vtk"):
         names = {f"vertex.{name} {kind}" for name in ("red", "green", "blue")}
         assert names <= set(convert(source, source.vertices, to)[1])
-    to_obj, losses = convert(source, source.vertices, "obj")
-    assert losses == ()
-    middle = reopened(to_obj, "obj")
-    assert "vertex colours" in middle.properties
-    back, losses = convert(middle, middle.vertices, "ply")
-    assert losses == ()
-    mesh = trimesh.load_mesh(io.BytesIO(bytes(back)), file_type="ply", process=False)
-    assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
+    for to in ("obj", "glb", "gltf"):
+        data, losses = convert(source, source.vertices, to)
+        middle = reopened(data, to)
+        back, more = convert(middle, middle.vertices, "ply")
+        assert (losses, more) == ((), ()) and b"alpha" not in bytes(back)
+        mesh = trimesh.load_mesh(io.BytesIO(bytes(back)), file_type="ply", process=False)
+        assert np.array_equal(mesh.visual.vertex_colors[:, :3], COLOURS)
     glb, _ = convert(source, source.vertices, "glb")
     (part,) = trimesh.load_scene(io.BytesIO(glb), file_type="glb").geometry.values()
     assert np.array_equal(np.unique(part.visual.vertex_colors[:, :3], axis=0), COLOURS)
