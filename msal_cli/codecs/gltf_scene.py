@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -165,7 +166,8 @@ class Part:
     positions: Accessor
     # one to a position, if all of them have the same that can be recomputed
     normals: Accessor | None
-    mesh: int  # the number of the first mesh
+    # the numbers of the meshes that have it, the first one first
+    meshes: dict[int, None] = field(default_factory=dict)
     # the numbers of all accessors that its positions have
     accessors: dict[Any, None] = field(default_factory=dict)
     # (m, 3) into the positions by the mode and the indices that they come from, so that a mesh that
@@ -309,7 +311,8 @@ class Scene:
             self.notes["tangents are kept as they are"] = None
         if primitive.get("targets"):
             self.notes["the displacements of morph targets are kept as they are"] = None
-        part = self.parts.setdefault(positions, Part(positions, normals, mesh))
+        part = self.parts.setdefault(positions, Part(positions, normals))
+        part.meshes[mesh] = None
         part.accessors[positions.index] = None
         if part.normals != normals:
             self.notes["normals of parts that share positions are kept as they are"] = None
@@ -349,9 +352,12 @@ class Scene:
                 names.update(dict.fromkeys(as_dict(primitive.get("attributes"))))
         words = [f"vertex.{name}" for name in names if name != "POSITION"]
         meshes = [node.get("mesh") for node in as_dicts(self.content.get("nodes"))]
-        numbers = [mesh for mesh in meshes if isinstance(mesh, int)]
-        if len(set(numbers)) < len(numbers):
-            words.append("instances")
+        shown = Counter(mesh for mesh in meshes if isinstance(mesh, int))
+        copies = [sum(shown[mesh] for mesh in part.meshes) for part in self.parts.values()]
+        if n_more := sum(copies) - sum(map(bool, copies)):
+            words.insert(
+                0, f"instances ({errors.format_count(n_more, 'more place')} of the same surfaces)"
+            )
         kinds = ("materials", "textures", "images", "animations", "skins", "cameras")
         return (*words, *(kind for kind in kinds if self.content.get(kind)))
 
@@ -377,7 +383,7 @@ class Scene:
                     shown_by.setdefault(entry["mesh"], number)
             with np.errstate(all="ignore"):
                 for rows, part in self.parts.items():
-                    node = shown_by.get(part.mesh)
+                    node = shown_by.get(next(iter(part.meshes)))
                     chain: list[int] = []
                     while node is not None and node not in products and len(chain) < _MAX_DEPTH:
                         chain.append(node)
