@@ -10,8 +10,8 @@ Where readers differ, this one does what the better ones do:
 
 - keywords are small letters, as in Assimp, Blender, MeshLab and tinyobjloader: ``V`` and ``F`` are
   kept as unknown lines, with a warning, and a file with no others has no faces;
-- a face of one or two corners is kept in the file, left out of the mesh and warned of (Blender,
-  tinyobjloader); a face that names no vertex at all is an error;
+- a face of one or two corners is kept in the file, left out of the mesh, whatever it names, and
+  warned of (Blender, tinyobjloader); a face that names no vertex at all is an error;
 - a wrong vertex number is an error; a wrong vt or vn number cannot harm positions: a warning;
 - a position's w is kept and otherwise ignored;
 - a comment is not continued by a backslash at its end.
@@ -430,8 +430,9 @@ class _Reader:
                 f"the position {tuple(positions.values[bad].tolist())} is not finite",
                 f"{self._place(int(positions.at[bad]))}, vertex {bad + 1}",
             )
-        if state[scan.LARGEST_VERTEX] >= n_vertices:
-            corner = int(np.argmax(corners >= n_vertices))
+        # The largest number may be one of a face that is left out.
+        if state[scan.LARGEST_VERTEX] >= n_vertices and (is_bad := corners >= n_vertices).any():
+            corner = int(np.argmax(is_bad))
             face = int(np.searchsorted(np.cumsum(sizes, dtype=np.int64), corner, side="right"))
             number = int(corners[corner]) + 1
             self._sizes = np.empty(len(sizes), dtype=np.int32)
@@ -549,6 +550,8 @@ def _no_faces_error(
         hint = "the keywords V and F are in capitals; OBJ writes them small"
     elif n_short:
         hint = "its faces have one or two corners; a face needs three"
+    elif not {b"l", b"p"}.isdisjoint(keywords):
+        hint = "it has only lines or points; msal denoises surfaces"
     elif n_vertices:
         hint = "it was cut short, or is a point cloud: export it again, or make a mesh of it"
     else:

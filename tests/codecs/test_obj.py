@@ -122,7 +122,7 @@ vt 0 0
 vn 0 0 1
 f 1/1/1 2/1/1 3/1/1
 f 1/2/1 2/1/7 3/0/1
-f 1 2
+f 1 99
 l 1 2
 p 1
 vp 0.5
@@ -343,6 +343,7 @@ DAMAGED = {
     # nothing there
     "no faces": (V, "E_NO_FACES", ""),
     "only short faces": (V + b"f 1 2\nf 3\n", "E_NO_FACES", ""),
+    "only lines": (V + b"l 1 2 3\n", "E_NO_FACES", ""),
     "capitals": ((V + F).upper(), "E_NO_FACES", ""),
     "no vertices": (b"vt 0 0\nvn 0 0 1\n", "E_NO_FACES", ""),
     # not text
