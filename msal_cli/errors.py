@@ -37,12 +37,13 @@ class MsalError(Exception):
     ----------
     message : what is wrong and why, one sentence without a full stop.
     where : the place in the file, such as ``"vertex 17"`` or ``"line 204"``.
-    hint : what the user can do about it.
+    hint : what the user can do about it; ``usual_hint`` where none is given.
     path : the file; filled in by ``pipeline`` where a reader does not know it.
     code : overrides the class's stable code.
     """
 
     code = "E_INTERNAL"
+    usual_hint = ""
 
     def __init__(
         self, message: str, *, where: str = "", hint: str = "", path: str = "", code: str = ""
@@ -50,7 +51,7 @@ class MsalError(Exception):
         super().__init__(message)
         self.message = message
         self.where = where
-        self.hint = hint
+        self.hint = hint or self.usual_hint
         self.path = path
         if code:
             self.code = code
@@ -76,6 +77,7 @@ class FormatError(InputError):
     """The file is not what its format says."""
 
     code = "E_FORMAT"
+    usual_hint = EXPORT_AGAIN
 
 
 class TruncatedError(InputError):
@@ -98,6 +100,7 @@ class UnsupportedError(InputError):
     """A format, or a feature of one, that is not read or written."""
 
     code = "E_UNSUPPORTED"
+    usual_hint = "convert it to PLY"
 
 
 class MissingFileError(InputError, FileNotFoundError):
@@ -150,7 +153,7 @@ def install_hint(extra: str) -> str:
 
 
 def damaged(message: str, where: str = "") -> FormatError:
-    return FormatError(message, where=where, hint=EXPORT_AGAIN)
+    return FormatError(message, where=where)
 
 
 def cut_short(message: str, where: str = "") -> TruncatedError:

@@ -172,7 +172,7 @@ def test_the_record_has_the_code_and_the_reason(name):
     error = record.error
     assert error is not None
     assert (error.code, place in error.where) == (code, True), error
-    assert error.message and len(error.message) < 300 and not error.message.endswith(".")
+    assert error.hint and 0 < len(error.message) < 300 and not error.message.endswith(".")
     assert "Traceback" not in error.message and "\n" not in error.message
 
 

@@ -280,6 +280,9 @@ class Scene:
                 part.triangles[source] = _triangles(corners.astype(np.int32), source[0])
         self._refuse_overlaps(size)
         if not any(len(faces) for part in self.parts.values() for faces in part.triangles.values()):
+            for k, entry in enumerate(as_dicts(self.content.get("meshes"))):
+                if not isinstance(entry.get("primitives"), list):
+                    raise errors.damaged("'primitives' is no list", f"mesh {k}")
             raise errors.no_faces("the file has no triangles")
 
     def _find_part(self, mesh: int, primitive: dict[str, Any], where: str) -> Part | None:
@@ -341,7 +344,9 @@ class Scene:
             is_overlap = bool((np.diff(starts[order]) < widths[order][:-1]).any())
         if is_overlap:
             raise errors.UnsupportedError(
-                "lists of positions or normals overlap", where="accessors", hint=_PLAIN
+                "lists of positions or normals overlap",
+                where="accessors",
+                hint="export each mesh with lists of its own, or convert it to PLY",
             )
 
     def properties(self) -> tuple[str, ...]:

@@ -27,7 +27,6 @@ _HEADER = re.compile(
     rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+((?:ST)?C?N?|NC?(?:ST)?)(4?n?)OFF(?=\d|\b)"
     rb"(?:[ \t]+(BINARY))?"
 )
-_CONVERT = "convert it to PLY"
 
 
 def parse(data: Buffer) -> Layout:
@@ -43,9 +42,9 @@ def parse(data: Buffer) -> Layout:
     has_texture, has_colours, has_normals = (kind in kinds for kind in (b"ST", b"C", b"N"))
     if dimension:
         kind = (dimension + b"OFF").decode()
-        raise UnsupportedError(f"{kind} files are not read", hint=_CONVERT)
+        raise UnsupportedError(f"{kind} files are not read")
     if binary:
-        raise UnsupportedError("binary OFF is not read", hint=_CONVERT)
+        raise UnsupportedError("binary OFF is not read")
     words = Words(data, header.end(), comment=b"#")
     n_vertices, n_faces = words.count(0, "vertices"), words.count(1, "faces")
     # Counts may stand on one line or on several.
@@ -61,7 +60,7 @@ def parse(data: Buffer) -> Layout:
         raise FormatError(
             "the numbers that the header announces are not on the lines of their vertices",
             where=words.where(int(at[0])),
-            hint=_CONVERT,
+            hint="convert it to PLY",
         )
     sizes = words.integers(first)
     wrong = (sizes < 0) | (lengths[n_vertices:] < sizes + 1)

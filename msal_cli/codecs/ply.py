@@ -306,6 +306,12 @@ def vertex_element(header: ply_header.Header) -> ply_header.Element:
             raise FormatError(
                 f"the coordinate '{name}' of element 'vertex' {problem}", where="header"
             )
+    if (name := corner_list(vertex)) and header.find("face") is None:
+        raise FormatError(
+            f"the list '{name}' is declared for element 'vertex', and there is no element 'face'",
+            where="header",
+            hint="put a line 'element face' with the number of faces in front of the list",
+        )
     return vertex
 
 

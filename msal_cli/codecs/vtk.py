@@ -57,6 +57,7 @@ def parse(data: Buffer) -> Layout:
     if kind not in _POINTS:
         raise errors.UnsupportedError(
             f"the data set {kind} has no surface of points",
+            where=reader.where(),
             hint="extract the surface in the program that wrote it",
         )
     while words := reader.line():
@@ -395,7 +396,7 @@ class Cells:
         """Add the cells of an unstructured grid, ``types`` (k,) being VTK's numbers: polygons in
         the order of the file, and behind them strips."""
         if len(types) != len(sizes):
-            raise errors.damaged("there are not as many types as cells")
+            raise errors.damaged(f"there are {len(types)} types for {len(sizes)} cells", "cells")
         if n_curved := int(np.isin(types, _CURVED).sum()):
             raise errors.UnsupportedError(
                 f"the file has second-order surface cells ({n_curved} cells)",

@@ -528,6 +528,7 @@ DAMAGED_GLB = {
     "cut": (WHOLE[:-1], "E_TRUNCATED"),
     "JSON beyond the end": (WHOLE[:12] + b"\xff\xff\xff\x7f" + WHOLE[16:], "E_TRUNCATED"),
     "no meshes": (with_entry("meshes", value=None), "E_NO_FACES"),
+    "primitives are no list": (with_entry(*PRIMITIVE[:3], value={}), "E_FORMAT", "mesh 0"),
     "accessor out of range": (with_entry(*PRIMITIVE, "attributes", "POSITION", value=99),
         "E_FORMAT"),
     "count beyond all": (with_entry("accessors", 0, "count", value=10**30), "E_FORMAT"),

@@ -354,6 +354,7 @@ DAMAGED = {
     "list with float count": (GOOD.replace(b"list uchar", b"list float"), "E_FORMAT", "line 8"),
     "no vertex element": (GOOD.replace(b"element vertex", b"element point"), "E_FORMAT", "header"),
     "no z": (GOOD.replace(b"float z", b"float w"), "E_FORMAT", "header"),
+    "no face element": (text(V4 + F1.partition("\n")[2], V4_TEXT), "E_FORMAT", "header"),
     "x is a list": (GOOD.replace(b"property float x", b"property list uchar float x"), "E_FORMAT",
         "header"),
     "corners are no list": (GOOD.replace(b"list uchar int vertex_indices", b"int vertex_indices"),
