@@ -5,6 +5,7 @@ Read are ``OFF`` and its variants with colours, normals and texture coordinates 
 anywhere, counts on the line of ``OFF`` or below, with or without the number of edges.  Where
 readers differ:
 
+- the word ``OFF`` may be missing in front of a line of three counts;
 - a line is a vertex or a face, as all known programs write them;
 - numbers behind a position that its header does not announce are kept, with a warning;
 - faces of one or two corners are kept and left out of the mesh, with a warning.
@@ -24,8 +25,8 @@ from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, damag
 from msal_cli.storage.regular import Buffer
 
 _HEADER = re.compile(
-    rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+((?:ST)?C?N?|NC?(?:ST)?)(4?n?)OFF(?=\d|\b)"
-    rb"(?:[ \t]+(BINARY))?"
+    rb"(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*+)*+(?:((?:ST)?C?N?|NC?(?:ST)?)(4?n?)OFF(?=\d|\b)"
+    rb"(?:[ \t]+(BINARY))?|(?=\d+[ \t]+\d+[ \t]+\d+[ \t]*[\r\n]))"
 )
 
 
@@ -38,7 +39,7 @@ def parse(data: Buffer) -> Layout:
             where="line 1",
             hint="is it another format under a .off name?",
         )
-    kinds, dimension, binary = header.groups()
+    kinds, dimension, binary = header.groups(b"")
     has_texture, has_colours, has_normals = (kind in kinds for kind in (b"ST", b"C", b"N"))
     if dimension:
         kind = (dimension + b"OFF").decode()

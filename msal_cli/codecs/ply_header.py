@@ -201,7 +201,8 @@ def _read_line(header: Header, number: int, text: bytes) -> None:
             header.infos[_decode(name)] = _decode(word)
         case [b"comment", name, _, *_] if name.lower() == b"texturefile":
             header.textures.append(_decode(text.split(None, 2)[2].strip()))
-        case [] | [b"comment" | b"obj_info", *_]:
+        # Old versions of Blender write "Created by Blender3D 2.43".
+        case [] | [b"comment" | b"obj_info", *_] | [b"Created", b"by", *_]:
             pass
         case [b"format", *_] if header.encoding:
             raise fail("the header states its format twice")
@@ -254,7 +255,6 @@ def _read_line(header: Header, number: int, text: bytes) -> None:
                 "expected 'property TYPE NAME' or 'property list TYPE TYPE NAME'",
             )
         case _:
-            # As old versions of Blender write: "Created by Blender3D 2.43".
             hint = "put the word 'comment' in front of it if it declares nothing"
             raise fail(f"the header line {_show(text)} is not understood", hint)
 

@@ -101,7 +101,7 @@ def read(data: bytes) -> Ply:
             ply.elements[-1].properties.append((words[4], words[3], words[2]))
         elif words[:1] == ["property"]:
             ply.elements[-1].properties.append((words[2], words[1], ""))
-        elif words[:1] in (["comment"], ["obj_info"]):
+        elif words[:1] in (["comment"], ["obj_info"], ["Created"]):
             ply.comments.append(line)
     is_text, at = ply.encoding == "ascii", end
     sign = ">" if ply.encoding == "binary_big_endian" else "<"

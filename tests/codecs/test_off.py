@@ -22,6 +22,7 @@ HEADS = [
     "OFF\n4 4",
     "OFF 4 4 6",
     "OFF4 4 6",
+    "# a comment\n4 4 6",
     "# a comment\nOFF4 4",
     "OFF # made by hand\n\n# caf\xe9\n4 4 6 # counts\n",
     "# a comment\n\n  OFF\n\n4 4 6\n\n",

@@ -192,7 +192,7 @@ TRIANGLES = [
     [7, 4, 5],
     [5, 6, 8],
 ]
-INFOS = ["obj_info is_mesh 0", "obj_info num_cols 4", "obj_info num_rows 3", "comment a scan"]
+INFOS = ["obj_info is_mesh 0", "obj_info num_cols 4", "obj_info num_rows 3", "Created by Blender"]
 
 
 def scan(encoding: str = "ascii", infos=INFOS, samples=SAMPLES, heights=None) -> Ply:
