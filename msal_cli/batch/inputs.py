@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from msal_cli.codecs.detection import READABLE
 from msal_cli.errors import InputError, MissingInputError, MsalError, UsageError
 from msal_cli.job.settings import is_mesh_name
 from msal_cli.storage import urls
@@ -149,7 +150,7 @@ def discover_inputs(
     if not everything:
         raise NothingMatched(
             f"no mesh file is selected by {', '.join(repr(text) for text in inputs)}",
-            hint="look at the suffixes, and at --include and --exclude",
+            hint=f"read are {', '.join(READABLE)}; look at the suffixes, --include and --exclude",
         )
     for text in empty:
         _log.warning("no mesh file is selected by the input %r", text)

@@ -17,9 +17,11 @@ OWN_FORMATS = READABLE[:6]
 """Formats whose readers explain damaged content themselves."""
 
 _MESHIO = "convert it to PLY, for example with: meshio convert {name} mesh.ply"
+_MODELLER = "convert it to PLY or glTF, for example with Blender or MeshLab"
 _CONVERTERS = {
     **dict.fromkeys(("msh", "mesh", "meshb", "inp", "avs", "vol", "med", "xdmf"), _MESHIO),
-    "dae": "convert it to PLY or glTF, for example with Blender or MeshLab",
+    **dict.fromkeys(("dae", "3ds"), _MODELLER),
+    "gii": "convert it to VTK, for example with mris_convert of FreeSurfer",
 }
 """Formats that are known but not read, and what converts them."""
 

@@ -124,6 +124,8 @@ def test_obj_by_its_lines(data, format):
         ("a.inp", b"*HEADING\n"),
         ("a.inp.gz", PLY),
         ("a.med", b"\x89HDF\r\n"),
+        ("a.3ds", b"MM"),
+        ("lh.gii", b"<GIFTI>"),
         ("a.dae", b"<?xml version='1.0'?>\n<!-- <VTKFile> -->\n<COLLADA xmlns='x'>"),
         ("-", b"<?xml version='1.0'?><!DOCTYPE Xdmf SYSTEM 'Xdmf.dtd' []>\n<Xdmf>"),
         ("scan.ply", b"$MeshFormat\n"),
@@ -136,7 +138,7 @@ def test_formats_that_another_program_converts(name, content):
     with pytest.raises(UnsupportedError, match="files are not read") as caught:
         open_mesh(content, name)
     assert caught.value.code == "E_UNSUPPORTED"
-    assert re.search(r"meshio convert \S+ mesh\.ply|Blender", caught.value.hint)
+    assert re.search(r"meshio convert \S+ mesh\.ply|Blender|FreeSurfer", caught.value.hint)
     with pytest.raises(UnsupportedError, match="cannot be written"):
         convert(open_mesh(PLY, "a.ply"), np.eye(3), "msh")
 
