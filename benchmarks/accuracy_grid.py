@@ -24,10 +24,7 @@ _GRID: dict[str, tuple[dict[str, tuple[Any, ...]], ...]] = {
         {"schedule": ("wiener",)},
     ),
     "bilateral_normal": (
-        {
-            "similarity": (0.2, 0.25, 0.3, 0.35, 0.45, 0.6, 0.8),
-            "iterations": (1, 2, 3, 5, 10, 20),
-        },
+        {"similarity": (0.2, 0.25, 0.3, 0.35, 0.45, 0.6, 0.8), "iterations": (1, 2, 3, 5, 10, 20)},
         {"variant": ("global",), "similarity": (0.35, 0.6)},
     ),
     "guided_normal": (

@@ -79,10 +79,7 @@ class Outcomes:
                 del row[text]
 
     def of(
-        self,
-        case: Case,
-        settings: Sequence[Setting],
-        wishes: dict[str, Wishes],
+        self, case: Case, settings: Sequence[Setting], wishes: dict[str, Wishes]
     ) -> dict[str, Outcome]:
         """Of the noisy mesh, of every setting and of ``--auto`` with every wish, by their texts.
 

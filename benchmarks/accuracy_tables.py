@@ -53,10 +53,7 @@ def tuned(found: Floats, by: str) -> Floats:
 
 def summary(of: str, rows: Rows, settings: Sequence[Setting], with_goal: bool = True) -> list[str]:
     """Class means: best single settings, tuning for every model, and ``--auto``."""
-    lines = [
-        f"| {of}: {len(rows)} models | angle | vertex error | setting |",
-        "|---|--:|--:|---|",
-    ]
+    lines = [f"| {of}: {len(rows)} models | angle | vertex error | setting |", "|---|--:|--:|---|"]
 
     def line(label: str, found: Floats, setting: str = "") -> None:
         lines.append(f"| {label} | {found[0]:.2f} | {found[1]:.2f} | {setting} |")
@@ -115,10 +112,7 @@ def overview(classes: Mapping[str, Rows], settings: Sequence[Setting]) -> list[s
 
 def models(rows: Rows, settings: Sequence[Setting], is_tuned: bool = True) -> list[str]:
     """Every method at its default, ``--auto`` and the tuned best, model by model."""
-    lines = [
-        "| | mean | " + " | ".join(rows) + " |",
-        "|---|--:|" + "--:|" * len(rows),
-    ]
+    lines = ["| | mean | " + " | ".join(rows) + " |", "|---|--:|" + "--:|" * len(rows)]
 
     def line(label: str, found: Floats) -> None:
         cells = [cell(one) for one in (found.mean(axis=0), *found)]

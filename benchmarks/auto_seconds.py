@@ -101,10 +101,7 @@ def row(title: str, one: Timed, msal: Timed) -> str:
     """One line of the table."""
     cells = [f"{one.stages[stage]:.2f}" for stage in STAGES]
     cells += [f"{one.seconds:.2f}", f"{one.cpu_seconds:.2f}"]
-    cells += [
-        f"{one.seconds / msal.seconds:.1f}",
-        f"{one.cpu_seconds / msal.cpu_seconds:.1f}",
-    ]
+    cells += [f"{one.seconds / msal.seconds:.1f}", f"{one.cpu_seconds / msal.cpu_seconds:.1f}"]
     return f"| {title} | {' | '.join(cells)} |"
 
 

@@ -217,10 +217,7 @@ def add_peers_options(parser: argparse.ArgumentParser) -> None:
         help="Python that has the peers [default: MSAL_PEERS_PYTHON in the environment, or this]",
     )
     parser.add_argument(
-        "--peers",
-        nargs="*",
-        choices=[peer.script for peer in peers.PEERS],
-        help="only these peers",
+        "--peers", nargs="*", choices=[peer.script for peer in peers.PEERS], help="only these peers"
     )
 
 

@@ -171,13 +171,7 @@ _MADE: dict[str, list[tuple[str, float] | tuple[str, float, str]]] = {
         ("stepped_cylinder", 0.5, "impulsive"),
         ("chipped_cube", 0.4),
     ],
-    "organic": [
-        ("Bunny", 0.3),
-        ("Julius", 0.3),
-        ("bear", 0.2),
-        ("vase", 0.3),
-        ("toadstool", 0.2),
-    ],
+    "organic": [("Bunny", 0.3), ("Julius", 0.3), ("bear", 0.2), ("vase", 0.3), ("toadstool", 0.2)],
     "texture 0.1": [(name, 0.1) for name in _TEXTURED],
     "texture 0.2": [(name, 0.2) for name in _TEXTURED],
     "clean": [

@@ -18,12 +18,7 @@ from training.organic import FieldSurface, capsule_distance, polygonise, smooth_
 from training.shapes import scale_to_unit_edges
 from training.solids import to_labelled_mesh
 from training.surface import LabelledMesh, PolyhedralSurface
-from training.triangulations import (
-    make_adaptive,
-    make_decimated,
-    make_graded,
-    make_isotropic,
-)
+from training.triangulations import make_adaptive, make_decimated, make_graded, make_isotropic
 
 SEED = 20261
 """Training takes other seeds; the recipes differ anyway."""

@@ -288,12 +288,7 @@ def figure_9(folder: Path) -> Made:
     table.append(["moved, in % of the mean edge length", *(f"{one:.1f}" for one in moved)])
     below: list[Panel] = []
     for title, values, (_, mesh) in zip(
-        (
-            "curvature of (a)",
-            "(e) of (b)",
-            "(f) of (c)",
-            "(g) of (d)",
-        ),
+        ("curvature of (a)", "(e) of (b)", "(f) of (c)", "(g) of (d)"),
         curvatures,
         shown,
         strict=True,

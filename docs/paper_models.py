@@ -91,10 +91,7 @@ def closer(camera: Camera, right: float, up: float, share: float) -> Camera:
     """The camera closer by: moved by shares of the half sizes, with less of them around it."""
     aside = right * camera.half_width * camera.axes[0] + up * camera.half_height * camera.axes[1]
     return Camera(
-        camera.axes,
-        camera.centre + aside,
-        share * camera.half_width,
-        share * camera.half_height,
+        camera.axes, camera.centre + aside, share * camera.half_width, share * camera.half_height
     )
 
 

@@ -100,8 +100,7 @@ EXAMPLES = (
         "brings single vertices back first, then filters positions as well as normals",
         "rock",
         _added(
-            AddedNoise("gaussian", 0.15, seed=4),
-            AddedNoise("outliers", 0.0, seed=5, fraction=0.02),
+            AddedNoise("gaussian", 0.15, seed=4), AddedNoise("outliers", 0.0, seed=5, fraction=0.02)
         ),
     ),
     Example(

@@ -19,12 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate import (
-    CORRECTED,
-    KIND_NAMES,
-    MAX_RINGS,
-    measured_level,
-)
+from msal_cli.analysis.noise_estimate import CORRECTED, KIND_NAMES, MAX_RINGS, measured_level
 from training.designs import build_design, count_designs
 from training.noise_samples import NoiseSample, draw_samples
 

@@ -10,13 +10,7 @@ import fast_simplification
 import numpy as np
 from scipy.spatial import cKDTree
 
-from training.connectivity import (
-    Floats,
-    Ints,
-    build_edges,
-    drop_unused,
-    face_crosses,
-)
+from training.connectivity import Floats, Ints, build_edges, drop_unused, face_crosses
 from training.organic import draw_waves
 from training.remesh import Remesher, Sizing, remesh
 from training.surface import LabelledMesh, Surface, face_labels

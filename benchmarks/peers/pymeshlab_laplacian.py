@@ -22,11 +22,7 @@ LEAN = {
         "save_wedge_texcoord": False,
         "save_wedge_normal": False,
     },
-    ".obj": {
-        "save_vertex_color": False,
-        "save_vertex_normal": False,
-        "save_wedge_texcoord": False,
-    },
+    ".obj": {"save_vertex_color": False, "save_vertex_normal": False, "save_wedge_texcoord": False},
     ".stl": {"save_face_color": False},
 }
 

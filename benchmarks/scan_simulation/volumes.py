@@ -39,8 +39,7 @@ def scan_volume(mesh: Mesh, settings: ScannerSettings) -> tuple[Floats, Ints, fl
         volume = fill_centres(vertices, faces, grid).astype(np.float32)
     if not float(volume.max()) > 0.5:
         raise ContentError(
-            f"the mesh fills no voxel at this resolution (cells of {edge:.4g})",
-            code="E_NO_FACES",
+            f"the mesh fills no voxel at this resolution (cells of {edge:.4g})", code="E_NO_FACES"
         )
     points, triangles = extract_surface(volume, 0.5, grid.spacing)
     return turn_back(points + grid.origin, frame), triangles, edge, n_holes
@@ -61,11 +60,7 @@ def place_grid(low: Floats, high: Floats, spacing: Floats, draw: np.random.Gener
 
 
 def _grey_values(
-    vertices: Floats,
-    faces: Ints,
-    grid: Grid,
-    settings: ScannerSettings,
-    draw: np.random.Generator,
+    vertices: Floats, faces: Ints, grid: Grid, settings: ScannerSettings, draw: np.random.Generator
 ) -> Volume:
     """What a CT measures: 1 inside, 0 outside, in between where a voxel is partly filled, blurred
     and with noise; without specks that hang in the air or in the object."""
@@ -90,10 +85,7 @@ def remove_specks(volume: Volume, inside: NDArray[np.bool_]) -> Volume:
 
     result = volume.copy()
     touching = generate_binary_structure(3, 3)
-    for is_solid, is_object, other in (
-        (volume >= 0.5, inside, 0.0),
-        (volume < 0.5, ~inside, 1.0),
-    ):
+    for is_solid, is_object, other in ((volume >= 0.5, inside, 0.0), (volume < 0.5, ~inside, 1.0)):
         pieces, count = label(is_solid, touching)
         is_kept = np.zeros(count + 1, dtype=np.bool_)
         is_kept[np.unique(pieces[is_object & is_solid])] = True

@@ -13,11 +13,7 @@ import msal_cli as msal
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_meshes"
 
-GATES = [
-    "volume.valid and abs(volume_change) > 1%",
-    "flipped_faces > 20",
-    "max_displacement > 2e",
-]
+GATES = ["volume.valid and abs(volume_change) > 1%", "flipped_faces > 20", "max_displacement > 2e"]
 
 
 def main(inputs: str, output: str) -> int:

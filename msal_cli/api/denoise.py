@@ -265,10 +265,7 @@ def denoise(
         positions = job.move_vertices(mesh)
         n_faces = len(mesh.faces)
         job.know(
-            precision=str(mesh.dtype),
-            vertices=len(mesh.vertices),
-            faces=n_faces,
-            triangles=n_faces,
+            precision=str(mesh.dtype), vertices=len(mesh.vertices), faces=n_faces, triangles=n_faces
         )
         is_moved = not np.array_equal(positions, mesh.vertices)
         record = replace(job.finish(None), status="written" if is_moved else "unchanged")

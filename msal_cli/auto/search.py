@@ -40,14 +40,7 @@ from msal_cli.auto.candidates import (
     sharpen,
 )
 from msal_cli.auto.noise_model import is_like_draws
-from msal_cli.auto.risk import (
-    MIRRORED,
-    PROBES,
-    CandidateRuns,
-    Risk,
-    SimulatedRisk,
-    SteinRisk,
-)
+from msal_cli.auto.risk import MIRRORED, PROBES, CandidateRuns, Risk, SimulatedRisk, SteinRisk
 from msal_cli.auto.sample_patch import (
     CLEAN,
     MACHINED,
@@ -135,12 +128,7 @@ class _Search:
     """One search, and what is known of the mesh."""
 
     def __init__(
-        self,
-        mesh: Mesh,
-        wishes: Wishes,
-        noise: NoiseLevel,
-        on_step: OnStep,
-        is_unsure: bool,
+        self, mesh: Mesh, wishes: Wishes, noise: NoiseLevel, on_step: OnStep, is_unsure: bool
     ) -> None:
         self.wishes, self.noise, self.is_unsure = wishes, noise, is_unsure
         self._on_step = on_step

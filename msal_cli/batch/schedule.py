@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
-from msal_cli.job.settings import (
-    NO_LIMITS,
-    Limits,
-    Settings,
-    Task,
-    forecast,
-    method_bytes_per_face,
-)
+from msal_cli.job.settings import NO_LIMITS, Limits, Settings, Task, forecast, method_bytes_per_face
 from msal_cli.machine import available_bytes
 
 if TYPE_CHECKING:

@@ -99,9 +99,7 @@ def parse_shard(text: str, environment: Mapping[str, str]) -> Shard:
     return Shard(index + 1, count)
 
 
-def _read_environment(
-    environment: Mapping[str, str],
-) -> Iterator[tuple[str, str, int, int | None]]:
+def _read_environment(environment: Mapping[str, str]) -> Iterator[tuple[str, str, int, int | None]]:
     """System, its variables in words, index from 0, and how many there are, if that is known."""
 
     def number(name: str, default: int | None = None) -> int:

@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.options import STREAM
-from msal_cli.errors import (
-    InputError,
-    MsalError,
-    ResourceError,
-    TooLargeError,
-    UsageError,
-)
+from msal_cli.errors import InputError, MsalError, ResourceError, TooLargeError, UsageError
 from msal_cli.job.output import write_output
 from msal_cli.job.records import Failure
 from msal_cli.job.settings import is_mesh_name, output_name, refuse_unknown_format, suffix

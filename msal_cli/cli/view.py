@@ -12,14 +12,7 @@ import click
 
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.options import (
-    PATH,
-    QUIET_AND_VERBOSE,
-    STREAM,
-    OptionGroup,
-    group,
-    resolve_format,
-)
+from msal_cli.cli.options import PATH, QUIET_AND_VERBOSE, STREAM, OptionGroup, group, resolve_format
 from msal_cli.errors import UsageError
 from msal_cli.job.display_names import escape_for_display
 

@@ -206,12 +206,7 @@ class BallBilateral:
         links = self.links
         normals = vertex_normals(positions, self.faces, self.weighting)
         around = positions, normals, *links.one_ring, self.free
-        widths = (
-            self.radius,
-            self.closeness,
-            self.similarity,
-            MIN_SIGMA * self.mean_edge_length,
-        )
+        widths = (self.radius, self.closeness, self.similarity, MIN_SIGMA * self.mean_edge_length)
         return Step(fill_array(_ball_bilateral, positions.shape, *around, *widths))
 
 

@@ -11,12 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled
-from msal_cli.kernels.numbers import (
-    EXACT,
-    NOT_A_NUMBER,
-    UNDECIDED,
-    read_number,
-)
+from msal_cli.kernels.numbers import EXACT, NOT_A_NUMBER, UNDECIDED, read_number
 from msal_cli.kernels.text import read_integer
 
 WHOLE = 0

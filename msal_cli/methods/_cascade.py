@@ -41,12 +41,7 @@ from msal_cli.kernels.restoration import restoration
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc
 from msal_cli.kernels.vertex_update import update_vertices
 from msal_cli.mesh import Mesh
-from msal_cli.methods._restoration import (
-    RestorationParameters,
-    Restored,
-    fit_to_normals,
-    restore,
-)
+from msal_cli.methods._restoration import RestorationParameters, Restored, fit_to_normals, restore
 from msal_cli.methods._sliding import measure_second_umbrella
 from msal_cli.methods._sweeps import anisotropic_laplacian, free_vertices, ring_of
 
@@ -163,8 +158,7 @@ def read_networks(header_path: Path) -> tuple[Network, ...]:
         data = header_path.with_suffix(".f32").read_bytes()
     except (OSError, ValueError) as error:
         raise InternalError(
-            f"the weights of the learned filter cannot be read: {error}",
-            hint="install msal again",
+            f"the weights of the learned filter cannot be read: {error}", hint="install msal again"
         ) from None
     if header["format"] != FORMAT or hashlib.sha256(data).hexdigest() != header["sha256"]:
         raise InternalError(

@@ -36,9 +36,7 @@ class RestorationParameters(NormalParameters):
     noise: float = fields.noise(of="")
     caution: float = fields.caution(0.75, of="")
     normal_iterations: int = fields.passes(
-        3,
-        "passes over the face normals; 0 leaves this step out",
-        "smoother",
+        3, "passes over the face normals; 0 leaves this step out", "smoother"
     )
     similarity: float = fields.parameter(
         2.25,

@@ -12,19 +12,8 @@ from numpy.typing import NDArray
 from msal_cli.arrays import Floats, Ints
 from msal_cli.errors import UsageError
 from msal_cli.kernels.connectivity import averaging_ring
-from msal_cli.kernels.operators import (
-    DEVIATIONS,
-    WEIGHTS,
-    Operator,
-    RingOperator,
-    RobustLaplacian,
-)
-from msal_cli.kernels.sweeps import (
-    Schedule,
-    SweepResult,
-    Wiener,
-    run_sweeps,
-)
+from msal_cli.kernels.operators import DEVIATIONS, WEIGHTS, Operator, RingOperator, RobustLaplacian
+from msal_cli.kernels.sweeps import Schedule, SweepResult, Wiener, run_sweeps
 from msal_cli.mesh import Mesh
 from msal_cli.methods import _fields as fields
 from msal_cli.methods._contract import OnSweep, Result, Timer
@@ -204,10 +193,7 @@ def anisotropic_laplacian(mesh: Mesh, parameters: NormalParameters) -> RingOpera
 
 
 def run(
-    mesh: Mesh,
-    parameters: ScheduleTraits,
-    operator: Callable[[], Operator],
-    on_sweep: OnSweep,
+    mesh: Mesh, parameters: ScheduleTraits, operator: Callable[[], Operator], on_sweep: OnSweep
 ) -> Result:
     """Sweeps of the operator that ``operator()`` makes, under the schedule of ``parameters``.
 
@@ -230,13 +216,7 @@ def run(
 
     timer.start_sweeps()
     result = run_sweeps(
-        mesh.vertices,
-        made,
-        schedule,
-        parameters.iterations,
-        on_sweep,
-        scale,
-        mesh.trust,
+        mesh.vertices, made, schedule, parameters.iterations, on_sweep, scale, mesh.trust
     )
     if isinstance(schedule, Wiener) and parameters.iterations:
         result = _restore(mesh, parameters, result.vertices, schedule)

@@ -37,9 +37,7 @@ class Parameters:
     """Parameters of the HC algorithm."""
 
     iterations: int = fields.iterations(
-        10,
-        "times that all vertices are averaged and pushed back",
-        "smoother",
+        10, "times that all vertices are averaged and pushed back", "smoother"
     )
     alpha: float = fields.share(
         0.1,

@@ -58,9 +58,7 @@ class Parameters:
         "smoother, with sharper edges; fine features go",
     )
     normal_iterations: int = fields.passes(
-        15,
-        "steps of diffusion in each round",
-        "smoother normals, larger flat pieces",
+        15, "steps of diffusion in each round", "smoother normals, larger flat pieces"
     )
     vertex_iterations: int = fields.vertex_passes(
         7, "passes that fit the vertices to the diffused normals in each round"

@@ -40,12 +40,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from msal_cli.arrays import Floats
-from msal_cli.kernels.faces import (
-    Patches,
-    face_centroids,
-    faces_within,
-    patches,
-)
+from msal_cli.kernels.faces import Patches, face_centroids, faces_within, patches
 from msal_cli.kernels.geometry import face_normals_and_areas, mean_edge_length
 from msal_cli.kernels.normal_filters import minimising_normals, pair_weights
 from msal_cli.mesh import Mesh

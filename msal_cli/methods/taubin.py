@@ -42,9 +42,7 @@ class Parameters:
     """Parameters of Taubin's filter."""
 
     iterations: int = fields.iterations(
-        10,
-        "pairs of a step inwards and a step outwards",
-        "smoother",
+        10, "pairs of a step inwards and a step outwards", "smoother"
     )
     shrink: float = fields.parameter(
         0.5,

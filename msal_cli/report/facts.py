@@ -158,10 +158,7 @@ def _remarks(record: MeshRecord) -> Iterator[Fact]:
         yield Fact("reference", failure_text(reference.error), "bad", ATTENTION)
     elif reference is not None:
         parts = (
-            (
-                "normals",
-                figure(reference.mean_angular_error_deg, ".2f", " degrees off (mean)"),
-            ),
+            ("normals", figure(reference.mean_angular_error_deg, ".2f", " degrees off (mean)")),
             ("vertices", figure(reference.vertex_error_percent, ".3g", " % of the mean edge")),
             ("Hausdorff", figure(reference.hausdorff_edges, ".3g", " mean edge lengths")),
         )

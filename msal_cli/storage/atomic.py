@@ -54,10 +54,7 @@ _HINTS = {
 
 
 def write_whole(
-    path: str | os.PathLike[str],
-    buffers: Buffer | Iterable[Buffer],
-    *,
-    sources: Sources = (),
+    path: str | os.PathLike[str], buffers: Buffer | Iterable[Buffer], *, sources: Sources = ()
 ) -> ObjectMark | None:
     """Write a file so that it is seen whole or not at all, even after a crash.
 
@@ -87,10 +84,7 @@ def write_whole(
 
 
 def write_new(
-    path: str | os.PathLike[str],
-    buffers: Buffer | Iterable[Buffer],
-    *,
-    sources: Sources = (),
+    path: str | os.PathLike[str], buffers: Buffer | Iterable[Buffer], *, sources: Sources = ()
 ) -> bool:
     """Write a file whole unless there is one already; whether it was written.
 

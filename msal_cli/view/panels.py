@@ -118,11 +118,7 @@ class _Words:
 
 
 def _draw_legend(
-    draw: ImageDraw,
-    words: _Words,
-    legend: Legend,
-    place: tuple[int, int],
-    width: int,
+    draw: ImageDraw, words: _Words, legend: Legend, place: tuple[int, int], width: int
 ) -> None:
     left, y = place[0], place[1] + words.gap // 2
     for line in legend.lines:

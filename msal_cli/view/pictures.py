@@ -11,11 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis.colour_maps import colour_table, map_colours
-from msal_cli.analysis.measures import (
-    at_other_positions,
-    distances_to_surface,
-    measure_enclosure,
-)
+from msal_cli.analysis.measures import at_other_positions, distances_to_surface, measure_enclosure
 from msal_cli.arrays import Floats
 from msal_cli.codecs.colours import vertex_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.ground_truth import add_plain_noise
-from msal_cli.analysis.added_noise import (
-    GRAZING_CAP,
-    KINDS,
-    AddedNoise,
-    add_noise,
-    grazing_growth,
-)
+from msal_cli.analysis.added_noise import GRAZING_CAP, KINDS, AddedNoise, add_noise, grazing_growth
 from msal_cli.errors import UsageError
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, torus

@@ -17,11 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.noise_estimate.level import (
-    NoiseLevel,
-    are_spikes,
-    are_uneven,
-)
+from msal_cli.analysis.noise_estimate.level import NoiseLevel, are_spikes, are_uneven
 from msal_cli.arrays import Floats, Longs
 
 if TYPE_CHECKING:
