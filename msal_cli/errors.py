@@ -21,8 +21,6 @@ An error carries a stable ``code``, what happened, ``where`` in the file (elemen
 a ``hint`` on what to do, and the ``path``.  Only ``cli`` turns it into words and an exit status.
 """
 
-from __future__ import annotations
-
 EXPORT_AGAIN = "the file is damaged; export it again"
 """The hint for a file whose own counts or indices contradict each other."""
 

@@ -1,7 +1,5 @@
 """What this process may use and has used: cores, memory, and the control groups that limit both."""
 
-from __future__ import annotations
-
 import contextlib
 import contextvars
 import errno

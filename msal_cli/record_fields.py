@@ -1,8 +1,6 @@
 """The fields of records, which the JSON Schema describes, and records as plain data: dicts, lists,
 texts, numbers, as in JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

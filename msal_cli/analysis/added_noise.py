@@ -9,8 +9,6 @@ weight over the surface and, for some, a rule applied afterwards::
     rule      depths rounded, or single vertices moved far
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ look equally large.  Lightness never turns back within a map (within each half o
 one), so that order can be read off without telling hues apart, and in print.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -6,8 +6,6 @@ encloses whichever side its normals point to, and changes so large that they are
 denoising.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Single vertices that a scanner puts one edge and more out of the surface, in any
 to five neighbours together.  Nothing else moves.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

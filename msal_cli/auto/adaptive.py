@@ -17,8 +17,6 @@ Where there is certainly no noise the mesh stays as it is.  Where the estimate c
 from texture, the setting and the share of it are taken whose error is least in the worse case.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -10,8 +10,6 @@ Less than a choice is a share of what it moves, which moves less and keeps more 
 More is a stronger filter, mixed in until vertices move farther.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

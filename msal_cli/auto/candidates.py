@@ -4,8 +4,6 @@ The learned filter is best nearly everywhere; the others have a share in blends 
 organic shapes of benchmarks/ground_truth.py.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The part of a mesh that candidates run on, and the kind of its surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

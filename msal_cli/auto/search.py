@@ -15,8 +15,6 @@ of a table.  The constants were chosen on the classes of benchmarks/ground_truth
 benchmarks/accuracy.py; docs/accuracy.md has other models as a check.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ another worker when one dies, and gives up (``KilledWorker``) when several did; 
 tried again at the end, alone.
 """
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import logging

@@ -1,7 +1,5 @@
 """Ctrl-C and the signals that ask a run to end, noticed at a moment when the run can obey."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

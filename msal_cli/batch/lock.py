@@ -12,8 +12,6 @@ system without locks that text is all there is: it counts while its process live
 other machines do not count.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools

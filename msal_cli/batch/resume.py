@@ -1,8 +1,6 @@
 """What earlier runs have done: what of it is current, proved by hashes and not by times, and what
 the manifests of a folder say of them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -4,8 +4,6 @@ A file belongs to the shard that a hash of its relative path says.  No process a
 file keeps its shard whatever other files come or go; only another N deals them out anew.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Iterator, Mapping

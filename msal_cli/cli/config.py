@@ -4,8 +4,6 @@ A file gives what the command line may give, and no more: options by their long 
 dashes.  The command line wins.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command ``msal``: finds the subcommand, and turns errors into words and an exit status."""
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import errno

@@ -1,8 +1,6 @@
 """Options that several commands share, the types of their values, what a shell completes, and which
 options contradict or need each other."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import os

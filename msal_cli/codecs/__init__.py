@@ -1,7 +1,5 @@
 """Files to meshes and back: one codec per format, and whole files in and out of the disk."""
 
-from __future__ import annotations
-
 from msal_cli.codecs.detection import resolve_format
 from msal_cli.codecs.mesh_file import MeshFile
 from msal_cli.storage.regular import Buffer

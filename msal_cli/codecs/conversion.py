@@ -3,8 +3,6 @@
 Positions, faces, vertex colours and the presence of vertex normals go across; everything else a
 file has is named as lost."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Which format a file has, by its name and by its first bytes."""
 
-from __future__ import annotations
-
 import re
 
 from msal_cli.errors import FormatError, TruncatedError, UnsupportedError, cut_short

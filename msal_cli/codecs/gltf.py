@@ -5,8 +5,6 @@ its data in a chunk of its own; a .gltf has them as base64 inside its text, whic
 or in files beside it, which are written beside the output.  The names of those come from strangers:
 nothing outside the folder of the .gltf is opened, and nothing but regular files."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import json

@@ -6,8 +6,6 @@ the order of keys, how numbers are written.  That text is Latin-1 here, whatever
 character is one byte.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

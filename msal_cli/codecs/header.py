@@ -9,8 +9,6 @@ what was measured, and at most about twice as much.  It explains nothing: whatev
 hostile or not understood has no counts, and the reader says what is wrong with it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

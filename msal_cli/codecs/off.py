@@ -11,8 +11,6 @@ readers differ:
 - faces of one or two corners are kept and left out of the mesh, with a warning.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

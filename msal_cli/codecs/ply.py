@@ -12,8 +12,6 @@ triangles along the shorter diagonal, three make one, and no triangle has an edg
 times the distance of samples, so that a surface is not joined with what is behind it.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -6,8 +6,6 @@ or ``Lines`` (ascii).  No section is made before every byte that its counts prom
 there.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ The header is plain text up to the line ``end_header``, whatever follows.  Its l
 CR LF or CR; the first line shows which.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

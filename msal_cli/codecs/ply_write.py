@@ -4,8 +4,6 @@ Of a file that is re-encoded every element, property and comment is kept, in its
 header only the format line and the types of ``x y z nx ny nz`` change.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

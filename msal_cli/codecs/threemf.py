@@ -5,8 +5,6 @@ compressed data, times, flags and place.  A mesh that several components or buil
 mesh, and is denoised once.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 import math

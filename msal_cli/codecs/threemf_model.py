@@ -5,8 +5,6 @@ write, are left out of what the parser gets, because they would take most of the
 pattern holds them to that form.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from array import array

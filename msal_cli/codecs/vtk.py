@@ -6,8 +6,6 @@ whatever of it is not understood is kept.  Everything binary is big-endian, as V
 every machine.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 

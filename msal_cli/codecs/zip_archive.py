@@ -8,8 +8,6 @@ An archive that could be read in two ways is refused: members that overlap or sh
 another name in front of their data.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

@@ -4,8 +4,6 @@ The system gives names as text in which a byte that is not valid UTF-8 becomes a
 (``os.fsdecode``).  Such text can be written neither as UTF-8 nor as JSON that every reader takes.
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 

@@ -8,8 +8,6 @@ the process.
 The functions that compute are the same, and so are the bytes.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import importlib

@@ -5,8 +5,6 @@ connectivity, not in a ball in space: the other side of a thin wall is not found
 is needed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ argument types in ``kernel_build/signatures.txt`` into one shared library, from 
 loads it at the first call.  A combination of types that is not listed is an error.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import threading

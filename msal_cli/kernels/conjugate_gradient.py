@@ -5,8 +5,6 @@ unknowns that share every step length, so that a solution turns with the axes wh
 stopped, and a column that is solved early divides by nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol

@@ -5,8 +5,6 @@ A one-ring is kept in compressed rows: the neighbours of vertex i are
 follow it, where all faces are wound one way and close; else as these faces name them.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

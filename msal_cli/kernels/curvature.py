@@ -4,8 +4,6 @@ Sums run over the corners of faces, so that open and non-manifold edges need no 
 an edge has the cotangents of as many corners as look at it.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

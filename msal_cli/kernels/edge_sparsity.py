@@ -7,8 +7,6 @@ quantities that are linear in the positions once their coefficients are fixed:
     R = p1 - p2 + p3 - p4                  zero where it is a parallelogram
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The library's functions are called once per number; written as loops over a bloc
 the first-level cache they take a third of the time, and give the same bits on every machine.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

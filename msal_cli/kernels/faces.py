@@ -16,8 +16,6 @@ To find rows twice, once for their lengths, would cost twice the time.  So a ker
 room for the longest rows, which is cut off behind the last one then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

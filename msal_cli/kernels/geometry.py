@@ -5,8 +5,6 @@ A face whose doubled area is at most 1e-12 of its longest edge squared is *degen
 normal, and a zero vector takes its place.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -25,8 +25,6 @@ Predicates", section 4: the bound of the first stage), its sign is found with wh
 length, which every double is a multiple of a power of two of.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 

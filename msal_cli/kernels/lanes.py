@@ -8,8 +8,6 @@ puts machine code in their place; as Python, lanes are arrays (8,).
 No number depends on another lane, so that no bit depends on how many lanes a processor has.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

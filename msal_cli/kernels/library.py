@@ -11,8 +11,6 @@ arguments that the kernel writes to, and a hash of its source, in a checkout.
 On x86-64 the library has code for two levels of processor; ``MSAL_CPU=v2`` chooses the lower.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import os

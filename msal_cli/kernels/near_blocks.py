@@ -5,8 +5,6 @@ made at a time, and what belongs to the k-th neighbour of each is in a row.  No 
 lanes, so that no bit depends on the block, the lane or the thread that a face falls to.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

@@ -8,8 +8,6 @@ follow one another along the curve, too: a search begins with the triangle of th
 what one has read is there for the next.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints

@@ -13,8 +13,6 @@ neighbourhood does.  Planes are fitted to the centroids with the same weights: w
 covariance, the plane that fits the heights along b best has the normal C^-1 b, up to its length.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

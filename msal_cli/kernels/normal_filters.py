@@ -16,8 +16,6 @@ the face keeps its normal.  ``on_pass`` is called after every pass or step; what
 run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

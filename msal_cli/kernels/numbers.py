@@ -10,8 +10,6 @@ is written, as fixed-point text or as the shortest text that reads back, with al
 product with a power of ten, whose rounding error is known (Dekker 1971).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -6,8 +6,6 @@ comment (a path that ends in one would swallow the next vertex).  The bytes come
 compiled code does not check bounds: every step here compares with the end of the data.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

@@ -15,8 +15,6 @@ Counts and indices are uint64, which need no look at their sign: an index that m
 end would keep loops from becoming vector code.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

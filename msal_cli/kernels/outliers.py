@@ -4,8 +4,6 @@ A vertex is compared with a fit to its two-ring without itself, and its faces wi
 them.  Everything is local, and in units of local edges that the vertex itself has no part in.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs

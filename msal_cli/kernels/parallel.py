@@ -1,7 +1,5 @@
 """Share work between threads without changing a bit of its result."""
 
-from __future__ import annotations
-
 import functools
 import os
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ for patches of every size.  Noise that neighbours share looks like shape to fits
 and leaves more to wider ones, up to the width over which it is shared.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.arrays import Floats, Ints, Longs

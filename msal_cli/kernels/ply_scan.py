@@ -7,8 +7,6 @@ The bytes come from strangers: every kernel here compares with the end of the da
 reads, since compiled code does not check bounds.  Offsets are bytes from the start of the file.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

@@ -3,8 +3,6 @@
 Medians are found without the masked arrays that numpy's own imports.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 

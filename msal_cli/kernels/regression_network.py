@@ -10,8 +10,6 @@ the first to the last.  ``TILE`` outputs of twice ``LANES`` faces are summed at 
 half of the registers that any processor has.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

@@ -8,8 +8,6 @@ around there is beyond what noise alone would give: a Wiener filter, with the po
 The powers of the lost shape are those of a first guess, which is made in the same way.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

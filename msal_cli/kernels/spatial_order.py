@@ -5,8 +5,6 @@ vertices and faces follow one another along the surface.  Most files have them s
 sorting costs less than one pass of a filter.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

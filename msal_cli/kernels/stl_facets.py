@@ -7,8 +7,6 @@ The bytes come from strangers: compiled code does not check bounds, so every wal
 with the end of the data before it reads.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,8 +4,6 @@ A schedule gives the time step tau and the fidelity to the data lambda at each s
 computes all of its terms from the positions that the sweep before left (Jacobi).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ ascending and disjoint.  ``buf`` is a (size,) uint8 array; ``as_bytes`` makes on
 here takes without being compiled a second time.  Every value is exact: see ``numbers``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -12,8 +12,6 @@ where cos(j theta) is the Chebyshev polynomial T_j(1 - k / 2), so that one umbre
 the next term: T_(j+1) x = 2 (T_j x + U T_j x / 2) - T_(j-1) x.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

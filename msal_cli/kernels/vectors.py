@@ -3,8 +3,6 @@
 Kernels call those of vectors by the module, as in ``vec.dot``: these are inlined before all else.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.kernels.compiled import compiled

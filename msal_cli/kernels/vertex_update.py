@@ -15,8 +15,6 @@ of its neighbours, at right angles to the mean of the wanted normals around it, 
 What fits stays where it is, with all its thin triangles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

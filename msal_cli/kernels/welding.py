@@ -1,7 +1,5 @@
 """Vertices and faces that are equal, and the way from the mesh back to the vertices of its file."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

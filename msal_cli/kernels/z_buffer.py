@@ -6,8 +6,6 @@ samples, and nearness to the eye in the same unit.  The sample in row r and colu
 ``side * side`` samples in every pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.arrays import Floats, Floats32, Ints

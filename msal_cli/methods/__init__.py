@@ -1,7 +1,5 @@
 """The denoising methods, one file each, found by name."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import pkgutil

@@ -12,8 +12,6 @@ that of white noise of the level, which part of what the sweeps took is shape, a
 is.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import itertools

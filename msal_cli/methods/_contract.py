@@ -10,8 +10,6 @@ A module of this folder whose name does not start with an underscore is a method
 Validation, ``--set``, ``msal methods``, the docs table and the reports are all made from these.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools

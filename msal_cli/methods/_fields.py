@@ -1,7 +1,5 @@
 """The parameters of methods, as fields of their dataclasses ``Parameters``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import field
 from typing import Any

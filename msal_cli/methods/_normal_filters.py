@@ -1,7 +1,5 @@
 """What filters of face normals share: parameters, the two stages, and their progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial

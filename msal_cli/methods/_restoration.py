@@ -3,8 +3,6 @@
 It is what ``wiener`` does, and what the learned filter looks at.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motion within the surface: that of a fit to normals undone, and triangles evened out."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from msal_cli.analysis.measures import apply_umbrella

@@ -1,7 +1,5 @@
 """What the methods of equation (2) share: parameters, operators, the schedule, and the run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

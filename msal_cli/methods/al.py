@@ -36,8 +36,6 @@ Black, G. Sapiro, D. Marimont and D. Heeger, Robust anisotropic diffusion, IEEE 
 421-432.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.operators import SCALINGS

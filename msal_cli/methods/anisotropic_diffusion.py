@@ -33,8 +33,6 @@ Source: K. Hildebrandt and K. Polthier, Anisotropic filtering of non-linear surf
 Computer Graphics Forum 23 (3), Eurographics 2004, 391-400.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.curvature import AnisotropicCurvature, curvature_threshold

@@ -30,8 +30,6 @@ Source: S. Fleishman, I. Drori and D. Cohen-Or, Bilateral mesh denoising, ACM TO
 2003), 950-953; one-ring variant: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 2.3.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError

@@ -25,8 +25,6 @@ Source: T. Jones, F. Durand and M. Desbrun, Non-iterative, feature-preserving me
 TOG 22 (SIGGRAPH 2003), 943-949.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.bilateral import ProjectionAverage

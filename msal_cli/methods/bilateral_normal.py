@@ -33,8 +33,6 @@ IEEE TVCG 17 (2011), 1521-1530; vertices: X. Sun, P. L. Rosin, R. R. Martin and 
 same journal 13 (2007), 925-938.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -26,8 +26,6 @@ orthonormal wavelet thresholding, IEEE TIP 16 (2007), 593-606, for denoisers wei
 estimate of the error is least; the members have their own.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -35,8 +35,6 @@ Graphics Forum 34 (7), 2015, 23-34; vertex update after X. Sun, P. Rosin, R. Mar
 IEEE TVCG 13 (2007), 925-938.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -19,8 +19,6 @@ Source: J. Vollmer, R. Mencl and H. Mueller, Improved Laplacian smoothing of noi
 Computer Graphics Forum 18 (1999), 131-138.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import hc_sweep

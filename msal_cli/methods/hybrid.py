@@ -35,8 +35,6 @@ Source: after H. Huang and U. Ascher, Surface mesh smoothing, regularization and
 SIAM Journal on Scientific Computing 31 (2008), 74-93.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -29,8 +29,6 @@ memory about 1 kB a vertex.
 Source: L. He and S. Schaefer, Mesh denoising via L0 minimization, ACM TOG 32 (4), 2013, 64:1-64:8.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

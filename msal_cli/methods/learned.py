@@ -36,8 +36,6 @@ convolutional networks for denoising Monte Carlo renderings, ACM TOG 36 (4), 201
 networks and training are own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.arrays import Floats

@@ -30,8 +30,6 @@ diffusion and curvature flow, SIGGRAPH 1999, 317-324; areas: M. Meyer, M. Desbru
 A. Barr, Discrete differential-geometry operators for triangulated 2-manifolds, VisMath 2002.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -27,8 +27,6 @@ zero.
 Source: H. Huang and U. Ascher, Inverse Problems 24 (2008), section 3 and Algorithm 1.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.mesh import Mesh

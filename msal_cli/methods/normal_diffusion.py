@@ -31,8 +31,6 @@ anisotropic diffusion of normals, IEEE Visualization 2002, 125-132; the fit of t
 P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -22,8 +22,6 @@ Boundary vertices are fixed, as in the public implementation that later papers c
 Source: X. Sun, P. L. Rosin, R. R. Martin and F. C. Langbein, IEEE TVCG 13 (2007), 925-938.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.faces import face_rings

@@ -20,8 +20,6 @@ Proceedings of the AMS 123 (1995), 2585-2594; as a smoother: M. Desbrun, M. Meye
 A. Barr, Implicit fairing of irregular meshes using diffusion and curvature flow, SIGGRAPH 1999.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import ScaleDependentUmbrella

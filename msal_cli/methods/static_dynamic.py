@@ -33,8 +33,6 @@ geometry, IEEE TVCG 25 (2019), 1774-1787; vertex update after X. Sun, P. Rosin, 
 Langbein, the same journal 13 (2007), 925-938.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -21,8 +21,6 @@ An iteration costs two passes over the edges.
 Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995, 351-358.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.errors import UsageError

@@ -19,8 +19,6 @@ Source: G. Taubin, A signal processing approach to fair surface design, SIGGRAPH
 (3) of H. Huang and U. Ascher, Inverse Problems 24 (2008).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import Umbrella

@@ -34,8 +34,6 @@ Processing Letters 6 (1999), 300-303; normals guided by another surface as in W.
 Zhang, S. Bouaziz and L. Liu, Guided mesh normal filtering, Computer Graphics Forum 34 (2015).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.mesh import Mesh

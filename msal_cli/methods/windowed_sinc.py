@@ -20,8 +20,6 @@ Conference on Computer Vision 1996, 283-292; the window is A. Nuttall, Some wind
 sidelobe behavior, IEEE Transactions on Acoustics, Speech, and Signal Processing 29 (1981), 84-91.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from msal_cli.kernels.umbrellas import sinc_coefficients, smooth_by_windowed_sinc

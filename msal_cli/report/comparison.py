@@ -5,8 +5,6 @@ Against a baseline every figure of which less is better may be larger than it wa
 what is larger still is a broken gate, as if one had been given for each file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

@@ -11,8 +11,6 @@ front, and so does text that begins with an apostrophe: taking one away from eve
 gives the text back.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import types

@@ -5,8 +5,6 @@
 display; others are not: every writer escapes them for its format.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -5,8 +5,6 @@ denoised, is left out without a word.  Time, the size of files and the number of
 the worst files come first, and what the bounds cost is said on the page.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import math

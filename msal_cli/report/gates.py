@@ -6,8 +6,6 @@ the text is parsed, before any file is read.  A value that is not known, or cann
 None and stays so, except that ``and`` and ``or`` may be decided without it.
 """
 
-from __future__ import annotations
-
 import ast
 import difflib
 import functools

@@ -8,8 +8,6 @@ here, and load nothing.  What comes from outside, names of files mostly, is esca
 ``escape`` for elements, ``_json`` for the data of the table.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import math

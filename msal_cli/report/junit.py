@@ -8,8 +8,6 @@ XML 1.0 has no way to write most control characters.  In names and reasons they 
 ``\\xNN`` or ``\\uNNNN``, as on a terminal.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

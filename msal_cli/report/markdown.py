@@ -10,8 +10,6 @@ escaped, in the properties colons and commas too: nothing that a name or a reaso
 line, add a property or begin a command of its own.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

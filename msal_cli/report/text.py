@@ -1,8 +1,6 @@
 """What msal prints for people: of a run the facts of one file, or a table of several, what failed
 and why, and the totals; of files what is in them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

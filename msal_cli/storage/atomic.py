@@ -4,8 +4,6 @@ Every temporary file of msal is named ``.<anything>.msal-<process>-<machine><ran
 and random part being eight hexadecimal digits each.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools

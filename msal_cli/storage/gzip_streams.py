@@ -1,7 +1,5 @@
 """Whole files in and out of memory: reading, gzip with a bound on what it may expand to, hashes."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import zlib

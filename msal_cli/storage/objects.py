@@ -7,8 +7,6 @@ ever opened for writing and left to a destructor to finish.
 Nothing is cached between calls: each asks the store.
 """
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import re

@@ -6,8 +6,6 @@ name comes from outside is opened here.  Symbolic links are followed; what count
 their end.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -4,8 +4,6 @@ A file is copied to the same relative place; nothing is ever overwritten.  Sever
 may carry the same file at once, because meshes of one folder share their materials.
 """
 
-from __future__ import annotations
-
 import filecmp
 import os
 import re

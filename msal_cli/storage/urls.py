@@ -5,8 +5,6 @@ A URL is ``protocol://`` and a path whose parts are names as they are: nothing i
 a signed link) is refused.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Where a picture is taken from: parallel projection, one direction for all panels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

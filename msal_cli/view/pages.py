@@ -7,8 +7,6 @@ styles that were written here, and load nothing.  What comes from outside (names
 is escaped by ``escape``.
 """
 
-from __future__ import annotations
-
 import base64
 import functools
 import hashlib

@@ -8,8 +8,6 @@ way from the vertex before, in whole steps of a grid.  Each number is cut into b
 bytes come first, then all second ones: deflate finds more in them that way.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

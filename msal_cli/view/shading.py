@@ -1,7 +1,5 @@
 """Clay under a lamp: a mesh as an image that shows its texture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

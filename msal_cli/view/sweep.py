@@ -4,8 +4,6 @@ and pictures.
 The bracket behind ``msal sweep``.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import shlex

@@ -11,8 +11,6 @@ neighbours share it, and how far the level is from the one measured for the kind
 compared in single precision, so that every processor takes the same branches.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
