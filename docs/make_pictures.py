@@ -159,10 +159,12 @@ def row(panels: list[Array]) -> Array:
 def main() -> None:
     folder = DOCS / "images"
     folder.mkdir(exist_ok=True)
-    size = (370, 370)
-    coin = sample("coin", "noisy")
-    shown = [opened(coin), automatic(coin), opened(sample("coin", "clean"))]
-    write_png(folder / "coin.png", row([panel("coin", mesh, size) for mesh in shown]))
+    rows = []
+    for name, size in (("coin", (350, 350)), ("bracket", (350, 270))):
+        noisy = sample(name, "noisy")
+        shown = [opened(noisy), automatic(noisy), opened(sample(name, "clean"))]
+        rows.append(row([panel(name, mesh, size) for mesh in shown]))
+    write_png(folder / "coin_and_bracket.png", np.concatenate(rows))
 
     egg = sample("dragon_egg", "noisy")
     size = (270, 370)
