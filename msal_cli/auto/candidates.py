@@ -92,9 +92,12 @@ that three do, on relief up to 1.08 of it."""
 
 
 def sharpen(candidate: Candidate, stages: int) -> Candidate:
-    """The learned filter with more stages, for a machined part."""
+    """The learned filter with more stages, for a machined part.
+
+    What it does before the first stage and after the last one takes as long as two of them.
+    """
     given = {**candidate.given, "iterations": stages, "vertex_iterations": SHARP_PASSES}
-    return dataclasses.replace(candidate, given=given, cost=candidate.cost * stages / 3.0)
+    return dataclasses.replace(candidate, given=given, cost=candidate.cost * (stages + 2.0) / 5.0)
 
 
 LINEAR = (
