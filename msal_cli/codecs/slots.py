@@ -28,7 +28,10 @@ class Slots:
     def rounded(self, values: Floats) -> Floats:
         """New values (n, k) as the types of the columns hold them, in their range; the very array
         where that changes none."""
-        raise NotImplementedError
+        if len(set(self.codes)) == 1:
+            return _round_to(values, self.codes[0])
+        columns = zip(values.T, self.codes, strict=True)
+        return np.stack([_round_to(column, code) for column, code in columns], axis=1)
 
 
 def to_type(values: Floats, code: str) -> NDArray[np.generic]:
@@ -130,12 +133,6 @@ class RecordSlots(Slots):
     def values(self) -> Floats:  # type: ignore[override]
         """The numbers (n, k), read anew each time: it takes as long as a copy."""
         return self.read(self.data)
-
-    def rounded(self, values: Floats) -> Floats:
-        if len(set(self.codes)) == 1:
-            return _round_to(values, self.codes[0])
-        columns = zip(values.T, self.codes, strict=True)
-        return np.stack([_round_to(column, code) for column, code in columns], axis=1)
 
 
 @dataclass(eq=False)
