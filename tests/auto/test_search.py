@@ -338,6 +338,14 @@ def test_of_a_machined_part_nothing_is_given_back_unless_noise_is_white(box_scan
     assert (choice.method, choice.parameters["texture"]) == ("learned", "lost")
 
 
+@pytest.mark.parametrize(("large", "stages"), [(10_000, 5), (100, 4)])
+def test_a_machined_part_gets_more_stages(box_scan, monkeypatch, large, stages):
+    monkeypatch.setattr(search, "LARGE", large)
+    assert chosen(box_scan).parameters["iterations"] == stages
+    with_kind(box_scan, monkeypatch, kind="correlated", rings=1)
+    assert chosen(box_scan).tried == 2, "no linear filters, which blur edges"
+
+
 @pytest.mark.parametrize(
     ("share", "wishes", "end"),
     [
