@@ -29,7 +29,9 @@ def watch(inbox, *options, idle="0.3s"):
 
 def done_names(out):
     path = out / ".msal-manifest.jsonl"
-    lines = map(json.loads, path.read_text("utf-8").splitlines() if path.exists() else ())
+    text = path.read_text("utf-8") if path.exists() else ""
+    # A line that is being written has no end yet.
+    lines = map(json.loads, text.rpartition("\n")[0].splitlines())
     return [one["name"] for one in lines if one["kind"] == "done"]
 
 
