@@ -139,7 +139,9 @@ class _Search:
         self.drift = _DRIFT.get(wishes.prefer, 0.0)
         self.wished = factor
         self.level = self.unit = edges * factor * mesh.mean_edge_length
-        self.most_cost = MOST_COST if len(mesh.vertices) >= LARGE else np.inf
+        is_large = len(mesh.vertices) >= LARGE
+        self.most_cost = MOST_COST if is_large else np.inf
+        self.stages = LARGE_STAGES if is_large else STAGES
         self._done = self._total = 0
         self.case = case = blends.build_case(mesh, noise)
         self.mesh, self.relax = case.mesh, case.relax
@@ -166,7 +168,7 @@ class _Search:
             elif surface == MACHINED and self.wishes.prefer == "balanced":
                 # Of what is not known to be white nothing is restored.
                 is_white = self.noise.character.kind != "unknown"
-                usable = [self._sharpen(LEARNED if is_white else ROBUST_LEARNED)]
+                usable = [sharpen(LEARNED if is_white else ROBUST_LEARNED, self.stages)]
         self._total = _RUNS * len(usable) + 1
         first = study.result(pilot).vertices
         judges: list[Judge] = []
@@ -193,7 +195,7 @@ class _Search:
         study = self._trials()
         members: tuple[Candidate, ...] = (ROBUST_LEARNED, FARTHER, *LINEAR)
         if surface == MACHINED:
-            members = (self._sharpen(ROBUST_LEARNED), FARTHER)
+            members = (sharpen(ROBUST_LEARNED, self.stages), FARTHER)
         self._total = 3 * len(members)
         pilots = [members[0]]
         if surface == TEXTURED:
@@ -205,9 +207,6 @@ class _Search:
         ]
         self.unit = mirrors[0].level
         return self._choice(study, members, [(judge, 1.0) for judge in mirrors], surface)
-
-    def _sharpen(self, candidate: Candidate) -> Candidate:
-        return sharpen(candidate, LARGE_STAGES if np.isfinite(self.most_cost) else STAGES)
 
     def _by_level(self, part: Part, judges: Sequence[Judge], weights: Floats) -> Floats:
         """Weights (levels, k) of the members that ``weights`` (k,) has, for places of each level

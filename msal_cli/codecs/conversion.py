@@ -83,9 +83,9 @@ def convert(
     Raises UnsupportedError for a format, encoding or precision that cannot be written.
     """
     single = _is_single(mesh_file, to, encoding, precision)
+    digits = _lost_digits(mesh_file, vertices, to) if single else ()
     if to == mesh_file.format:
-        losses = _lost_digits(mesh_file, vertices, to) * single
-        return mesh_file.encoded(vertices, encoding, precision), tuple(losses)
+        return mesh_file.encoded(vertices, encoding, precision), digits
     if {to, mesh_file.format} == SCENES and encoding != "ascii" and precision != "float64":
         from msal_cli.codecs.gltf import SceneFile, repack
 
@@ -103,8 +103,7 @@ def convert(
     if precision == "float64" and to in _SINGLE and encoding == "binary":
         raise UnsupportedError(f"{encoding} {to} has no float64", hint="write PLY with --to ply")
     mesh, losses = _mesh(mesh_file, vertices, to)
-    losses += _lost_digits(mesh_file, vertices, to) * single
-    return _write(mesh, to, encoding, single), tuple(losses)
+    return _write(mesh, to, encoding, single), (*losses, *digits)
 
 
 def as_stored(
@@ -128,16 +127,16 @@ def _is_single(mesh_file: MeshFile, to: str, encoding: str, precision: str) -> b
     return wanted == "float32" or (to in _SINGLE and encoding == "binary")
 
 
-def _lost_digits(mesh_file: MeshFile, vertices: Floats, to: str) -> list[str]:
+def _lost_digits(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[str, ...]:
     """The loss of digits in float32, where it is one: far from the origin it ruins a scan."""
     if mesh_file.precision == "float32" or not len(vertices):
-        return []
+        return ()
     step = float(np.spacing(np.float32(min(float(np.abs(vertices).max()), 3e38))))
     extent = float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0)))
     # Of the same format the user has named the type.
     is_unnamed = mesh_file.precision == "float64" and to != mesh_file.format
     is_lost = is_unnamed or step > 1e-6 * extent
-    return [f"digits (float32 rounds positions to {step:.1g} units)"] * is_lost
+    return (f"digits (float32 rounds positions to {step:.1g} units)",) if is_lost else ()
 
 
 def _mesh(mesh_file: MeshFile, vertices: Floats, to: str) -> tuple[_Mesh, list[str]]:
