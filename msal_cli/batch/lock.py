@@ -1,5 +1,9 @@
 """One run at a time on an output folder, or the shards of one N together.
 
+A shard is the part of a plan that one of N processes does, on one machine or on many.  A file
+belongs to the shard that a hash of its relative path says: no process asks another, and a file
+keeps its shard whatever other files come or go.  Only another N deals them out anew.
+
 A run locks a file of its own in the folder, ``.msal-lock`` or that of its shard,
 ``.msal-lock-K-of-N``, and then looks whether a run that it conflicts with has locked another; if so
 it releases its own.  As all lock before they look, of two runs in conflict at least one sees the
@@ -15,6 +19,7 @@ other machines do not count.
 import contextlib
 import errno
 import functools
+import hashlib
 import logging
 import os
 import platform
@@ -23,9 +28,9 @@ import re
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.machine import is_alive
 from msal_cli.storage.regular import open_own
@@ -40,7 +45,49 @@ _WINDOWS_LOCK_AT = 1 << 30
 _TRIES = 5
 _PAUSE_S = (0.02, 0.1)
 
+MAX_SHARDS = 1_000_000
+"""More would be fewer files a shard than the largest folders have."""
+
 _log = logging.getLogger("msal.batch")
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """The ``number``-th of ``count`` shards; the first is 1."""
+
+    number: int
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    @property
+    def file_part(self) -> str:
+        """How the shard's own files are distinguished: ``2-of-4``."""
+        return f"{self.number}-of-{self.count}"
+
+    def has(self, relative: str) -> bool:
+        """Whether a file of this relative path (written with ``/``) is one of this shard's: by the
+        first eight bytes, the highest first, of the SHA-256 of the path's own bytes."""
+        try:
+            name = os.fsencode(relative)
+        except UnicodeEncodeError:
+            # No file has such a name, but an address may.
+            name = relative.encode("utf-8", "surrogatepass")
+        digest = hashlib.sha256(name).digest()
+        return int.from_bytes(digest[:8], "big") % self.count == self.number - 1
+
+
+def parse_shard(text: str) -> Shard:
+    """The shard ``K/N``; UsageError for anything else."""
+    match = re.fullmatch(r"(?a)(\d{1,9})/(\d{1,9})", text)
+    number, count = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= number <= count <= MAX_SHARDS:
+        raise UsageError(
+            f"--shard {text}: a shard is K/N with 1 <= K <= N <= {MAX_SHARDS}",
+            hint="four processes take --shard 1/4, 2/4, 3/4 and 4/4",
+        )
+    return Shard(number, count)
 
 
 class FolderLock(contextlib.AbstractContextManager["FolderLock"]):

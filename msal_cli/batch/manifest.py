@@ -41,8 +41,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from msal_cli.batch.lock import FolderLock
-from msal_cli.batch.shard import Shard
+from msal_cli.batch.lock import FolderLock, Shard
 from msal_cli.errors import InputError, MsalError, OutputError
 from msal_cli.job.records import MeshRecord
 from msal_cli.record_fields import as_data, from_data

@@ -23,7 +23,7 @@ from msal_cli.storage.atomic import is_own
 from msal_cli.storage.urls import ObjectMark, is_url
 
 if TYPE_CHECKING:
-    from msal_cli.batch.shard import Shard
+    from msal_cli.batch.lock import Shard
 
 
 @dataclass(frozen=True)

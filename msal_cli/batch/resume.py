@@ -16,9 +16,9 @@ from threading import Event
 from typing import Any
 
 from msal_cli.batch import manifest as manifests
+from msal_cli.batch.lock import Shard
 from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, identify_file, manifest_key
-from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed
 from msal_cli.job.settings import Settings, Task, suffix

@@ -172,9 +172,8 @@ more:
 --retries
 --fail-fast
 --max-failures
---shard K/N|auto
+--shard K/N
     Take only the K-th of N parts of the files; N such runs do them all, on one machine or many.
-    auto asks Slurm, AWS Batch or Kubernetes; auto/N gives N where they do not.
 --engine [workers|dask] = workers
     Who does the work: worker processes here, or a Dask cluster (msal-cli[dask]).
 --scheduler ADDRESS
@@ -275,9 +274,9 @@ class _Session:
 
         request, shard = self._request, None
         if request.shard is not None:
-            from msal_cli.batch.shard import parse_shard
+            from msal_cli.batch.lock import parse_shard
 
-            shard = parse_shard(request.shard, os.environ)
+            shard = parse_shard(request.shard)
         found = discover_inputs(
             request.inputs, request.include, request.exclude, output=request.output
         )

@@ -10,6 +10,7 @@ import pytest
 import msal_cli
 from msal_cli.batch import manifest as manifests
 from msal_cli.batch import resume
+from msal_cli.batch.lock import Shard
 from msal_cli.batch.manifest import (
     NAME,
     FileStat,
@@ -19,7 +20,6 @@ from msal_cli.batch.manifest import (
     read_output_names,
 )
 from msal_cli.batch.resume import hash_settings
-from msal_cli.batch.shard import Shard
 from msal_cli.errors import OutputError
 from msal_cli.job.settings import Settings
 from tests.report.made import written

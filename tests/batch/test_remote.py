@@ -4,8 +4,8 @@ import pytest
 
 from msal_cli import methods
 from msal_cli.batch import manifest as manifests
-from msal_cli.batch import shard as shards
 from msal_cli.batch.inputs import NothingMatched, discover_inputs
+from msal_cli.batch.lock import Shard
 from msal_cli.batch.manifest import PARTS_FOLDER, ObjectManifest, done_line, intent_line
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
@@ -258,9 +258,9 @@ def test_of_many_shards_one_merges(monkeypatch):
     write([INTENT])
     before = parts()
     for number in (2, 3):
-        write(shard=shards.Shard(number, 3))
+        write(shard=Shard(number, 3))
     assert parts() == before
-    write(shard=shards.Shard(1, 3))
+    write(shard=Shard(1, 3))
     assert len(parts()) == 1
     assert parts() != before
     assert manifests.read_output_names("memory://out") == {"a"}

@@ -16,11 +16,11 @@ from msal_cli import methods
 from msal_cli.batch import interrupts
 from msal_cli.batch.inputs import discover_inputs
 from msal_cli.batch.interrupts import Cancellation
+from msal_cli.batch.lock import Shard, parse_shard
 from msal_cli.batch.manifest import NAME
 from msal_cli.batch.plan import build_plan
 from msal_cli.batch.run import run
 from msal_cli.batch.schedule import Finished, Progress, Started
-from msal_cli.batch.shard import Shard, parse_shard
 from msal_cli.errors import UsageError
 from msal_cli.job import room
 from msal_cli.job.pipeline import denoise_bytes
@@ -327,9 +327,7 @@ class TestInterrupts:
 
 class TestShards:
     def ran(self, folders, text, settings=SETTINGS, **options):
-        return ran(
-            folders, settings, plan_of(folders).select_shard(parse_shard(text, {})), **options
-        )
+        return ran(folders, settings, plan_of(folders).select_shard(parse_shard(text)), **options)
 
     def test_whoever_did_it_it_is_done(self, folders):
         fill(folders, 8, f03="fail E_INDEX")

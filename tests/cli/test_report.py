@@ -7,9 +7,8 @@ import shutil
 
 import pytest
 
-from msal_cli.batch.lock import FolderLock
+from msal_cli.batch.lock import FolderLock, Shard
 from msal_cli.batch.manifest import NAME
-from msal_cli.batch.shard import Shard
 from msal_cli.cli import report_files as reports
 from msal_cli.report.html import EMPTY_GALLERY
 from tests.cli.scans import BAD_SCAN, closed_scan, folder_of, msal
