@@ -16,7 +16,6 @@ from msal_cli.errors import InputError, MsalError, ResourceError, TooLargeError,
 from msal_cli.job.output import write_output
 from msal_cli.job.records import Failure
 from msal_cli.job.settings import is_mesh_name, output_name, refuse_unknown_format, suffix
-from msal_cli.storage import gzip_streams
 from msal_cli.storage.regular import largest_bytes
 from msal_cli.storage.urls import is_url
 
@@ -124,35 +123,22 @@ def denoise_stream(stream: Stream, settings: Settings, on_progress: OnProgress) 
     from msal_cli.codecs import header
     from msal_cli.job.pipeline import denoise_bytes, start_record
 
-    name = stream.source
+    name, target = stream.source, None if stream.target == STREAM else stream.target
     record = start_record(name, settings)
     try:
         data = read_stream() if name == STREAM else header.read_input(name, settings.format)
-        output, record = denoise_bytes(data, name, settings, on_progress)
+        output, record = denoise_bytes(data, name, settings, on_progress, target)
         if output is None:
             return record
-        if stream.target == STREAM:
+        if target is None:
             console.put_bytes(output)
             return replace(record, output=STREAM)
-        return _write(output, record, stream)
+        # From here on there is something to clean up.
+        with interrupts.catch_signals(interrupts.raise_for):
+            # What the shell redirects to standard input may be a private file, too.
+            write_output(target, output, sources=[0])
+        return record
     except UsageError:
         raise
     except MsalError as error:
         return replace(record, status="failed", output=None, error=Failure.of(error))
-
-
-def _write(output: Buffer, record: MeshRecord, stream: Stream) -> MeshRecord:
-    """The record after ``output`` was written to a file, compressed if its name says so."""
-    import hashlib
-
-    target = stream.target
-    plain, is_compressed = gzip_streams.expand(output, "")
-    compress = target.lower().endswith(".gz")
-    if compress != is_compressed:
-        output = gzip_streams.compress(plain) if compress else plain
-    # From here on there is something to clean up.
-    with interrupts.catch_signals(interrupts.raise_for):
-        # What the shell redirects to standard input may be a private file, too.
-        sources = (0,) if stream.source == STREAM else (stream.source,)
-        write_output(target, output, sources=sources)
-    return replace(record, output=target, output_sha256=hashlib.sha256(output).hexdigest())
