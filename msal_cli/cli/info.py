@@ -47,7 +47,7 @@ def command(request: Request) -> int:
     Lengths are in file units.
     """
     from msal_cli.cli.streams import read_stream
-    from msal_cli.job.inspection import inspect_file
+    from msal_cli.job.comparison import inspect_file
     from msal_cli.job.records import InfoRecord
     from msal_cli.report.text import InfoTable, describe_info
 

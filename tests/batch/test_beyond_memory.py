@@ -14,8 +14,7 @@ import pytest
 from msal_cli import machine
 from msal_cli.codecs.header import BASE_BYTES
 from msal_cli.job import room
-from msal_cli.job.comparison import compare_files
-from msal_cli.job.inspection import inspect_file
+from msal_cli.job.comparison import compare_files, inspect_file
 from msal_cli.job.pipeline import denoise_file, start_record
 from msal_cli.job.room import foresee
 from msal_cli.job.settings import (

@@ -63,14 +63,14 @@ def test_the_help_of_denoise_tells_the_real_defaults():
     ids=repr,
 )
 def test_a_fault_of_the_system_is_no_internal_error(error, words, monkeypatch, tmp_path):
-    monkeypatch.setattr("msal_cli.job.inspection.inspect_file", Mock(side_effect=error))
+    monkeypatch.setattr("msal_cli.job.comparison.inspect_file", Mock(side_effect=error))
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert (made.exit_code, made.stderr) == (1, f"msal: error: {words}\n")
 
 
 def test_an_internal_error_is_one_line(monkeypatch, tmp_path):
-    monkeypatch.setattr("msal_cli.job.inspection.inspect_file", lambda *given, **named: 1 / 0)
+    monkeypatch.setattr("msal_cli.job.comparison.inspect_file", lambda *given, **named: 1 / 0)
     folder_of(tmp_path, a=closed_scan())
     made = msal("info", tmp_path)
     assert made.exit_code == 1

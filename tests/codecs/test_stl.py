@@ -14,7 +14,7 @@ from hypothesis.extra import numpy as arrays
 
 from msal_cli.codecs import header, stl
 from msal_cli.codecs.stl import MIN_FACET_BYTES
-from msal_cli.job import comparison, inspection, pipeline
+from msal_cli.job import comparison, pipeline
 from msal_cli.job.settings import Task
 from tests.codecs import plain_stl
 from tests.codecs.patching import rewritten, texts_between_numbers
@@ -146,7 +146,7 @@ def test_vertices_are_counted_after_welding_and_corners_beside_them(tmp_path):
     task = Task(str(path), str(tmp_path / "b.stl"), "a.stl")
     done = pipeline.denoise_file(task, settings("al", iterations=1))
     assert done.status == "written"
-    for record in (inspection.inspect_file(str(path)), done):
+    for record in (comparison.inspect_file(str(path)), done):
         assert (record.vertices, record.corners, record.welded_vertices) == (4, 12, 8)
         assert record.unreferenced_vertices == 0
     compared = comparison.compare_files(str(path), str(tmp_path / "b.stl"))

@@ -13,7 +13,7 @@ import pytest
 from msal_cli import codecs, methods
 from msal_cli.analysis.added_noise import AddedNoise
 from msal_cli.codecs import header
-from msal_cli.job import comparison, inspection, output, pipeline
+from msal_cli.job import comparison, output, pipeline
 from msal_cli.job.pipeline import denoise_file
 from msal_cli.job.settings import Limits, Settings, Task, is_mesh_name, output_name
 from msal_cli.methods import _contract
@@ -211,13 +211,13 @@ def test_a_defect_is_a_record_too(scan, tmp_path, monkeypatch, is_nan):
 
 
 def test_inspection(scan):
-    info = inspection.inspect_file(str(scan))
+    info = comparison.inspect_file(str(scan))
     assert info.error is None and info.noise_estimate.readings
     assert (info.closed, info.winding, info.volume_valid) == (True, "consistent", True)
     counts = info.triangles, info.polygon_sizes, info.bytes
     assert counts == (576, {"3": 576}, scan.stat().st_size)
     missing = scan.parent / "none.ply"
-    assert inspection.inspect_file(str(missing)).error.code == "E_READ"
+    assert comparison.inspect_file(str(missing)).error.code == "E_READ"
     assert denoised(missing, scan.with_name("out.ply")).error.code == "E_READ"
     lost = denoised(scan, scan / "out.ply")
     assert (lost.error.code, lost.displacement, lost.volume) == ("E_WRITE", None, None)
@@ -290,7 +290,7 @@ def test_a_mesh_that_is_inside_out_has_the_figures_of_the_other_side(tmp_path):
         "the surface is inside out: its normals point inwards (W_INSIDE_OUT)"
     )
     assert "W_INSIDE_OUT" not in plain.warning_codes
-    info = inspection.inspect_file(str(tmp_path / "a.ply"))
+    info = comparison.inspect_file(str(tmp_path / "a.ply"))
     assert info.inside_out is True
     assert info.warnings == ("the surface is inside out: its normals point inwards",)
     assert info.volume == pytest.approx(2.0 * np.pi**2 * 3.0, rel=0.1)
