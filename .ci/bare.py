@@ -16,7 +16,7 @@ from pathlib import Path
 
 from msal_cli import methods
 from msal_cli.codecs.conversion import WRITABLE
-from msal_cli.codecs.detection import readable_suffixes
+from msal_cli.codecs.detection import READABLE
 
 
 def run(*words: object) -> None:
@@ -37,11 +37,10 @@ def main(samples: Path, out: Path) -> None:
     for name in methods.names():
         run("denoise", mesh, "-o", out / f"{name}.ply", "--method", name, "-q")
     run("denoise", mesh, "-o", out / "auto.ply", "--auto", "-q")
-    readable = readable_suffixes()
     for name in WRITABLE:
         made = out / f"mesh.{name}"
         run("denoise", mesh, "-o", made, "--to", name, "-q")
-        if f".{name}" in readable:
+        if name in READABLE:
             run("denoise", made, "-o", out / f"again.{name}", "-q")
     for encoding in ("ascii", "binary"):
         for name in ("ply", "stl"):

@@ -88,7 +88,7 @@ def main(words: list[str] | None = None) -> int:
 def read_meshes(folder: Path) -> Iterator[Shape]:
     """The meshes of a folder, those of a name with a suffix that msal reads, in their order."""
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() in detection.readable_suffixes():
+        if path.suffix.lower()[1:] in detection.READABLE:
             mesh_file = codecs.open_mesh(gzip_streams.read_whole(str(path)), path.name)
             yield path.name, mesh_file.vertices, mesh_file.faces
 

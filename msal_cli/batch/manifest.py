@@ -376,14 +376,12 @@ class Manifest:
 
         Raises OutputError if that fails.
         """
-        raise NotImplementedError
 
     def close(self) -> None:
         """Finish writing; harmless if it is not open.  OutputError if lines cannot be written."""
-        raise NotImplementedError
 
     def _write_lines(self, lines: list[bytes], *, at_once: bool) -> None:
-        raise NotImplementedError
+        """Write lines with their ends, ``at_once`` also to a store."""
 
 
 class FolderManifest(Manifest):
@@ -576,11 +574,6 @@ def read_views(place: str) -> list[LogView]:
         return [read_view(path) for path in list_manifests(place)]
     parts = _read_parts(place)
     return [_view_of_parts(parts)] if parts else []
-
-
-def read_output_names(place: str) -> frozenset[str]:
-    """Every output that some run wrote or began to write; OutputError if that cannot be read."""
-    return frozenset(name for view in read_views(place) for name in view.entries)
 
 
 def open_manifest(place: str, shard: Shard | None = None) -> Manifest:

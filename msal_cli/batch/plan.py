@@ -52,12 +52,8 @@ class Plan:
     @property
     def is_in_process(self) -> bool:
         """Whether no other process could do the work: the objects live in this one."""
-        paths = [path for task in self.tasks for path in (task.input, task.output) if is_url(path)]
-        if not paths:
-            return False
-        from msal_cli.storage import objects
-
-        return any(map(objects.is_in_process, paths))
+        paths = (path for task in self.tasks for path in (task.input, task.output))
+        return any(path.startswith("memory://") for path in paths)
 
     def select_shard(self, shard: Shard) -> Plan:
         """The part of a checked plan that ``shard`` is to do; it may be empty."""
@@ -235,9 +231,9 @@ def _refuse_foreign_files(plan: Plan, output: str) -> None:
     ]
     if not existing:
         return
-    from msal_cli.batch.manifest import read_output_names
+    from msal_cli.batch.manifest import merge_entries, read_views
 
-    own = read_output_names(output)
+    own = merge_entries(read_views(output))
     foreign = [task for task in existing if manifest_key(task) not in own]
     if foreign:
         names = ", ".join(repr(task.output) for task in foreign[:3])
@@ -276,12 +272,12 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
                 hint="rename the input, or name another output",
                 path=task.input,
             )
-    inputs = {_identity(task.input): task.input for task in tasks}
+    inputs = {identify(task.input): task.input for task in tasks}
     checked: set[Path] = set()
     for task in tasks:
         if task.in_place:
             continue
-        if victim := inputs.get(_identity(task.output)):
+        if victim := inputs.get(identify(task.output)):
             what = f"the output of {task.input!r} would overwrite the input {victim!r}"
             if victim == task.input:
                 what = f"the input {victim!r} would be overwritten by its own output"
@@ -291,10 +287,6 @@ def _check_outputs(tasks: Sequence[Task]) -> None:
             raise UsageError(what, hint=hint, path=task.input)
         if not is_url(task.output):
             _refuse_folder_as_output(task, checked)
-
-
-def _identity(name: str) -> tuple[int, int] | str:
-    return identify_file(name) or str(resolve(Path(name)))
 
 
 def _refuse_folder_as_output(task: Task, checked: set[Path]) -> None:
@@ -356,6 +348,11 @@ def identify_file(name: str) -> tuple[int, int] | str | None:
     except (OSError, ValueError):
         return None
     return (status.st_dev, status.st_ino) if status.st_ino else str(resolve(path))
+
+
+def identify(name: str) -> tuple[int, int] | str:
+    """As ``identify_file``; for what is not there its real path."""
+    return identify_file(name) or str(resolve(Path(name)))
 
 
 def _refuse_collisions(tasks: Sequence[Task]) -> None:

@@ -21,7 +21,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -32,7 +32,8 @@ from msal_cli.job.display_names import escape_for_display
 from msal_cli.version import __version__
 
 if TYPE_CHECKING:
-    from msal_cli.job.records import Failure
+    from msal_cli.job.records import Failure, MeshRecord
+    from msal_cli.report.data import Run
     from msal_cli.report.facts import Line
 
 _STYLES: dict[str, dict[str, Any]] = {
@@ -89,6 +90,20 @@ def _say_error_words(words: str, hint: str) -> None:
 def say_written(path: str) -> None:
     """That a file was written."""
     say(f"wrote {escape_for_display(path)}", "good")
+
+
+def say_summary(run: Run, records: Sequence[MeshRecord], *, verbose: bool) -> None:
+    """The summary of a run to standard error; of a single file with what differs from the defaults
+    of its method, if this version of msal has that."""
+    from msal_cli import methods
+    from msal_cli.report import text
+
+    defaults: dict[str, Any] = {}
+    if len(records) == 1 and records[0].method is not None:
+        with suppress(UsageError):
+            defaults = methods.find(records[0].method.name).validate({})
+    columns = width(sys.stderr)
+    say_lines(text.summary(run, records, width=columns, verbose=verbose, defaults=defaults))
 
 
 def put(text: str) -> None:

@@ -15,10 +15,17 @@ from msal_cli.batch import interrupts
 from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.config import is_from_found_file, name_file
-from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import STREAM, group
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
-from msal_cli.job.settings import AUTO, DEFAULT_BACKUP, SELF_INTERSECTIONS, Limits, Settings, parse
+from msal_cli.job.settings import (
+    AUTO,
+    DEFAULT_BACKUP,
+    SELF_INTERSECTIONS,
+    Limits,
+    Settings,
+    Task,
+    parse,
+)
 from msal_cli.machine import iso_timestamp, usable_cores
 from msal_cli.storage import urls
 from msal_cli.storage.urls import is_url
@@ -294,7 +301,7 @@ class _Session:
             _refuse_found_target(request, stream.target)
         self._check_reports([path for path in (stream.source, stream.target) if path != STREAM])
         settings = replace(settings, to=choose_format(stream, settings.to))
-        bar = progress.stream_bar(stream.source, quiet=request.quiet)
+        bar = progress.bar([Task(*stream, stream.source)], quiet=request.quiet)
         try:
             record = denoise_stream(stream, settings, bar.on_progress)
         finally:
@@ -466,7 +473,7 @@ class _Session:
         elif request.quiet:
             console.say_lines(text.list_problems(records, False, "Failed", "Broken gates"))
         elif not is_listing:
-            say_summary(run, records, verbose=request.verbose > 0)
+            console.say_summary(run, records, verbose=request.verbose > 0)
 
 
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import SHORTCUTS, complete_method, group
-from msal_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from msal_cli.job.records import MeshRecord
     from msal_cli.methods import Method
-    from msal_cli.report.data import Run
 
 SCHEMA = "msal.methods/1"
 
@@ -84,17 +77,3 @@ def _print_json(chosen: list[Method]) -> None:
         ]
         methods.append(data)
     console.put_json(SCHEMA, methods=methods)
-
-
-def say_summary(run: Run, records: Sequence[MeshRecord], *, verbose: bool) -> None:
-    """The summary of a run to standard error; of a single file with what differs from the defaults
-    of its method, if this version of msal has that."""
-    from msal_cli import methods
-    from msal_cli.report import text
-
-    defaults: dict[str, Any] = {}
-    if len(records) == 1 and records[0].method is not None:
-        with suppress(UsageError):
-            defaults = methods.find(records[0].method.name).validate({})
-    width = console.width(sys.stderr)
-    console.say_lines(text.summary(run, records, width=width, verbose=verbose, defaults=defaults))

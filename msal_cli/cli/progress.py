@@ -104,9 +104,9 @@ class Log(Silent):
     """Lines where no terminal shows a bar: one for each file as it finishes, or of more than
     ``_MAX_LINES`` files one every ``_LOG_EVERY_S`` seconds; the stage of a file that takes long."""
 
-    def __init__(self, tasks: Sequence[Task], name: str = "") -> None:
+    def __init__(self, tasks: Sequence[Task]) -> None:
         self._tasks = tasks
-        self._name = name
+        self._name = tasks[0].relative
         self._n_done = self._n_current = self._n_failed = self._n_unsaid = 0
         self._begun = self._said = time.monotonic()
 
@@ -162,13 +162,6 @@ def bar(tasks: Sequence[Task], *, quiet: bool, is_set: bool = False) -> Silent:
     if is_set:
         return StageLine(f"{len(tasks):,} files as one")
     return FileBar(tasks) if len(tasks) > 1 else StageLine(tasks[0].relative)
-
-
-def stream_bar(name: str, *, quiet: bool) -> Silent:
-    """The bar for a single mesh from a stream, or lines as of ``bar``."""
-    if quiet:
-        return Silent()
-    return StageLine(name) if console.is_terminal(sys.stderr) else Log((), name)
 
 
 @contextmanager

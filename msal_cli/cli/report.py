@@ -11,7 +11,6 @@ import click
 
 from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.methods import say_summary
 from msal_cli.cli.options import MESSAGES, PATH, find_given, group, refuse_conflicts
 from msal_cli.errors import UsageError
 from msal_cli.report.data import Run
@@ -81,7 +80,7 @@ def command(request: Request) -> int:
     meshes = [path for record in records for path in (record.input, record.output) if path]
     report_files.check(outputs, [*paths, *meshes])
     if not quiet:
-        say_summary(run, records, verbose=request.verbose > 0)
+        console.say_summary(run, records, verbose=request.verbose > 0)
     elif request.fail_on:
         console.say_lines(text.list_problems(records, False, "Broken gates"))
     for remark in remarks:

@@ -150,7 +150,7 @@ def refuse_target(
     UsageError for the name of a mesh that may not be one, of a file of msal's own, of a folder, a
     device or a pipe; for one of ``taken``, and for another mesh that is there.
     """
-    from msal_cli.batch.plan import identify_file
+    from msal_cli.batch.plan import identify
     from msal_cli.codecs.detection import content_format
 
     is_remote = is_url(name)
@@ -162,9 +162,9 @@ def refuse_target(
             )
         if replaces is None and is_mesh_name(path):
             raise UsageError(f"{what} {name!r} would be called like a mesh", hint=_ANOTHER)
-    here = identify_file(name) or os.path.realpath(name)
+    here = identify(name)
     for path in taken:
-        if here == (identify_file(path) or os.path.realpath(path)):
+        if here == identify(path):
             raise UsageError(f"{what} {name!r} would replace {path!r}", hint=_ANOTHER)
     if is_remote:
         return

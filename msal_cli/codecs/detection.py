@@ -61,11 +61,6 @@ _BEGINNINGS = (
 )
 
 
-def readable_suffixes() -> tuple[str, ...]:
-    """Suffixes, with their dot, of the files that can be read; each may be followed by ``.gz``."""
-    return tuple(f".{name}" for name in READABLE)
-
-
 def format_of_name(name: str) -> str:
     """The format that a file name stands for, ``.gz`` disregarded; empty if none that is known."""
     stem = name[: -len(".gz")] if is_gzip_name(name) else name

@@ -314,9 +314,9 @@ def _field_names(value: Sequence[str], label: str, unit: str | None) -> tuple[st
 
 def parse_input_format(value: str, label: str = "--format", unit: str | None = None) -> str:
     """A format that can be read, without a leading dot; UsageError for any other."""
-    from msal_cli.codecs.detection import readable_suffixes
+    from msal_cli.codecs.detection import READABLE
 
-    return parse_format(value, label, readable_suffixes())
+    return parse_format(value, label, READABLE)
 
 
 _CHECKS: dict[str, Check | None] = {
@@ -443,15 +443,14 @@ def _require_data_term(name: str, parameters: Mapping[str, Any], label: str) -> 
         )
 
 
-def parse_format(text: str, label: str, known: Iterable[str]) -> str:
+def parse_format(text: str, label: str, known: Sequence[str]) -> str:
     """A format in the spelling of those that are ``known``, a leading dot aside; UsageError if it
     is none."""
-    names = [name.lstrip(".") for name in known]
     plain = text.lower().lstrip(".")
-    if plain in names:
+    if plain in known:
         return plain
     raise UsageError(
-        f"{label} {text}: there is no such format", hint=f"known are: {', '.join(names)}"
+        f"{label} {text}: there is no such format", hint=f"known are: {', '.join(known)}"
     )
 
 
@@ -473,9 +472,9 @@ def to_texts(texts: str | Sequence[str]) -> tuple[str, ...]:
 
 def is_mesh_name(name: str) -> bool:
     """True if the suffix, a final ``.gz`` aside, is that of a format that can be read."""
-    from msal_cli.codecs.detection import readable_suffixes
+    from msal_cli.codecs.detection import READABLE
 
-    return suffix(name) in readable_suffixes()
+    return suffix(name)[1:] in READABLE
 
 
 def writable_formats() -> tuple[str, ...]:

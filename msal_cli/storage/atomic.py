@@ -14,7 +14,7 @@ import stat
 import sys
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 from msal_cli.errors import OutputError
@@ -77,7 +77,7 @@ def write_whole(
         from msal_cli.storage import objects as remote
 
         return remote.write_whole(path, buffers)
-    _write(path, buffers, sources, _move)
+    _write(path, buffers, sources)
     return None
 
 
@@ -90,16 +90,17 @@ def write_new(
 
     Raises OutputError if the system refuses, with the reason.
     """
-    return _write(path, buffers, sources, _place)
+    return _write(path, buffers, sources, is_new=True)
 
 
 def _write(
     path: str | os.PathLike[str],
     buffers: Buffer | Iterable[Buffer],
     sources: Sources,
-    place: Callable[[Path, Path], bool],
+    *,
+    is_new: bool = False,
 ) -> bool:
-    """Write a temporary file and let ``place`` give it its name; whether it did."""
+    """Write a temporary file and give it its name; whether that was done, as of ``_place``."""
     if isinstance(buffers, bytes | bytearray | memoryview):
         buffers = (buffers,)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
@@ -130,7 +131,7 @@ def _write(
                     raise OSError(errno.EIO, f"{written} of {expected} bytes arrived on the disk")
             finally:
                 os.close(handle)
-            is_placed = place(temporary, target)
+            is_placed = _place(temporary, target, is_new)
         finally:
             with contextlib.suppress(OSError):
                 temporary.unlink()
@@ -212,8 +213,24 @@ def machine_tag() -> str:
     return f"{zlib.crc32((platform.node() + processes).encode('utf-8', 'replace')):08x}"
 
 
-def _move(temporary: Path, target: Path) -> bool:
-    """Rename over ``target``; on Windows a scanner that just looks at the file may delay it."""
+def _place(temporary: Path, target: Path, is_new: bool) -> bool:
+    """Give a temporary file its name; False if it is to be a new file, and there is one."""
+    if is_new:
+        try:
+            if os.name == "nt":
+                temporary.rename(target)  # which does not replace there
+            else:
+                os.link(temporary, target)
+            return True
+        except FileExistsError:
+            return False
+        except OSError:
+            # A file system without hard links; then two processes can only be kept apart this far.
+            if os.name == "nt":
+                raise
+            if os.path.lexists(target):
+                return False
+    # On Windows a scanner that just looks at the file may delay it.
     for wait_s in (0.05, 0.2, 0.8) if os.name == "nt" else ():
         try:
             temporary.replace(target)
@@ -221,24 +238,6 @@ def _move(temporary: Path, target: Path) -> bool:
         except PermissionError:
             time.sleep(wait_s)
     temporary.replace(target)
-    return True
-
-
-def _place(temporary: Path, target: Path) -> bool:
-    try:
-        if os.name == "nt":
-            temporary.rename(target)  # which does not replace there
-        else:
-            os.link(temporary, target)
-    except FileExistsError:
-        return False
-    except OSError:
-        if os.name == "nt":
-            raise
-        # A file system without hard links; then two processes can only be kept apart this far.
-        if os.path.lexists(target):
-            return False
-        temporary.replace(target)
     return True
 
 

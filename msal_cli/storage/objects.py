@@ -20,8 +20,6 @@ from msal_cli.storage import urls
 from msal_cli.storage.regular import Buffer, largest_bytes, too_large
 from msal_cli.storage.urls import ObjectMark
 
-_EXTRA = "cloud"
-
 # Stores whose put is whole or nothing; of all others that is not known.
 _OBJECT_STORES = re.compile("s3a?|gs|gcs|az|abfss?|adl|oss|memory|https?")
 
@@ -37,11 +35,6 @@ _TIMES = ("LastModified", "last_modified", "mtime", "modified", "updated", "crea
 
 _lock = threading.Lock()
 _file_systems: dict[tuple[str, str], Any] = {}
-
-
-def is_in_process(url: str) -> bool:
-    """Whether the objects live in this process alone, out of reach of workers."""
-    return urls.split(url)[0] == "memory"
 
 
 def read_whole(url: str, size: int | None = None) -> bytes:
@@ -231,7 +224,7 @@ def _kind(protocol: str) -> Any:
         is_extra = protocol in ("s3", "s3a", "gs", "gcs") or failure.name == "fsspec"
         raise UsageError(
             f"{protocol}:// cannot be used: {_one_line(failure)}",
-            hint=install_hint(_EXTRA) if is_extra else "",
+            hint=install_hint("cloud") if is_extra else "",
         ) from None
     except ValueError:
         raise UsageError(

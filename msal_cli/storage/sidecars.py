@@ -82,8 +82,8 @@ def carry(
             notes.append(f"warning: only the first {MAX_REFERENCES} references are followed")
             break
         done.add(reference)
-        notes.append(_carry(reference, source_folder, target_folder, budget))
         relative = _relative(reference, source_folder)
+        notes.append(_carry(reference, relative, source_folder, target_folder, budget))
         if not reference.lower().endswith(".mtl") or relative is None:
             continue
         library = source_folder / relative
@@ -122,9 +122,14 @@ def _relative(reference: str, folder: Path) -> Path | None:
     return literal
 
 
-def _carry(reference: str, source_folder: Path, target_folder: Path, budget: list[int]) -> str:
+def _carry(
+    reference: str,
+    relative: Path | None,
+    source_folder: Path,
+    target_folder: Path,
+    budget: list[int],
+) -> str:
     """Carry one file; what was done, empty if nothing had to be."""
-    relative = _relative(reference, source_folder)
     if relative is None:
         if _is_absolute(reference):
             return f"{reference} is an absolute path and stays as it is"

@@ -16,6 +16,7 @@ from msal_cli.job.settings import Settings
 from msal_cli.storage import objects as remote
 from msal_cli.storage.objects import list_objects, read_whole, write_whole
 from tests.batch.fakes import InProcess
+from tests.batch.test_manifest import read_names
 from tests.batch.test_run import obj
 from tests.cli.scans import closed_scan, msal, msal_on
 from tests.files import tree
@@ -249,7 +250,7 @@ def test_many_parts_become_one_and_no_line_is_lost(monkeypatch):
         write([intent_line(f"{n}", "memory://scans/a")], [line(f"{n}", "failed")], [line(f"{n}")])
     entries = ObjectManifest("memory://out")
     assert len(parts()) < 12
-    assert manifests.read_output_names("memory://out") == {"0", "1", "2", "3"}
+    assert read_names("memory://out") == {"0", "1", "2", "3"}
     assert {entries.get(str(n)).status for n in range(4)} == {"written"}
 
 
@@ -263,7 +264,7 @@ def test_of_many_shards_one_merges(monkeypatch):
     write(shard=Shard(1, 3))
     assert len(parts()) == 1
     assert parts() != before
-    assert manifests.read_output_names("memory://out") == {"a"}
+    assert read_names("memory://out") == {"a"}
 
 
 @pytest.mark.parametrize("killed", ["before", "between"])
@@ -278,7 +279,7 @@ def test_a_merge_that_is_killed_loses_nothing(monkeypatch, killed):
     with pytest.raises(KeyboardInterrupt):
         ObjectManifest("memory://out").open()
     monkeypatch.undo()
-    assert manifests.read_output_names("memory://out") == set("01234")
+    assert read_names("memory://out") == set("01234")
 
 
 def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
@@ -292,7 +293,7 @@ def test_a_part_that_another_run_merges_meanwhile_is_found_again(monkeypatch):
         return real(some)
 
     monkeypatch.setattr(remote, "read_many", late)
-    assert manifests.read_output_names("memory://out") == {"a"}
+    assert read_names("memory://out") == {"a"}
     assert len(calls) == 2
 
 

@@ -182,7 +182,6 @@ def test_no_bar_off_a_terminal_or_when_quiet(monkeypatch, names):
     assert type(progress.bar(tasks(*names), quiet=True)) is progress.Silent
     on_a_terminal(monkeypatch)
     assert type(progress.bar(tasks(*names), quiet=True)) is progress.Silent
-    assert type(progress.stream_bar("-", quiet=True)) is progress.Silent
     assert type(progress.bar(tasks(*names), quiet=False)) is not progress.Silent
 
 
