@@ -37,8 +37,8 @@ _WRITERS = {
     ".json": ("data", "render_json"),
     ".jsonl": ("data", "render_lines"),
     ".csv": ("data", "render_csv"),
-    ".md": ("markdown", "render"),
-    ".xml": ("junit", "render"),
+    ".md": ("build_services", "render_markdown"),
+    ".xml": ("build_services", "render_junit"),
     ".html": ("html", "render"),
 }
 
@@ -102,7 +102,7 @@ def write(
     for name in sorted(names, key=pages.__contains__):
         if name in pages and pictures is None and not without_pictures:
             from msal_cli.cli import progress
-            from msal_cli.report.gallery import build_gallery
+            from msal_cli.report.html import build_gallery
 
             backup = DEFAULT_BACKUP if backup is None else backup
             with progress.picture_bar(quiet=quiet) as on_file:
@@ -203,7 +203,7 @@ def annotate(records: Sequence[MeshRecord]) -> None:
     """Mark the worst files that failed or broke a gate, if this runs in GitHub Actions."""
     if os.environ.get("GITHUB_ACTIONS") != "true":
         return
-    from msal_cli.report.markdown import list_annotations
+    from msal_cli.report.build_services import list_annotations
 
     # The current folder as a path from the root of the repository; empty outside of it.
     here = ""

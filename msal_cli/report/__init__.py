@@ -1,1 +1,1 @@
-"""Records to bytes and to words: a module per format, which ``cli.report_files`` chooses."""
+"""Records to bytes and to words: ``cli.report_files`` chooses the module."""

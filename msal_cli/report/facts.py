@@ -296,13 +296,13 @@ def problem_tables(worst: Sequence[MeshRecord]) -> list[ProblemTable]:
 
 
 def problem_texts(record: MeshRecord) -> list[str]:
-    """Why a file failed or which gates it broke, one line each; none if all is well."""
-    name = file_name(record.input)
+    """Why a file failed or which gates it broke, one line each, escaped; none if all is well."""
+    name, broken = file_name(record.input), [gate_values(gate) for gate in list_broken(record)]
+    texts = [f"{name}:", *broken] if broken else []
     if record.error is not None:
-        hint = [f"hint: {record.error.hint}"] if record.error.hint else []
-        return [f"{name}: {failure_text(record.error)}", *hint]
-    broken = list(map(gate_values, list_broken(record)))
-    return [f"{name}:", *broken] if broken else []
+        texts = [f"{name}: {failure_text(record.error)}"]
+        texts += [f"hint: {record.error.hint}"] if record.error.hint else []
+    return list(map(escape_for_display, texts))
 
 
 # Totals of a run

@@ -178,11 +178,11 @@ def test_what_is_a_run_and_what_is_none(done, words, status, said):
 
 
 def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatch):
-    from msal_cli.report import gallery
+    from msal_cli.report import html
 
     asked = []
     build = lambda *_, **options: asked.append(options) or EMPTY_GALLERY  # noqa: E731
-    monkeypatch.setattr(gallery, "build_gallery", build)
+    monkeypatch.setattr(html, "build_gallery", build)
     reports.write([str(tmp_path / "a.html")], RUN, [written()], without_pictures=True)
     assert asked == []
     reports.write([str(tmp_path / "b.html")], RUN, [written()], backup=".raw")
@@ -192,12 +192,12 @@ def test_who_waits_for_the_end_gets_a_page_without_pictures(tmp_path, monkeypatc
 
 
 def test_pages_are_written_last(tmp_path, monkeypatch):
-    from msal_cli.report import gallery
+    from msal_cli.report import html
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(gallery, "build_gallery", interrupted)
+    monkeypatch.setattr(html, "build_gallery", interrupted)
     names = [str(tmp_path / "a.html"), str(tmp_path / "a.csv")]
     with pytest.raises(KeyboardInterrupt):
         reports.write(names, RUN, [written()])

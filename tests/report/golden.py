@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from msal_cli.job import records
-from msal_cli.report import comparison, data, facts, html, junit, markdown, text
+from msal_cli.report import build_services, comparison, data, facts, html, text
 from tests.report.made import RUN, failed, gated, written
 
 FOLDER = Path(__file__).with_name("golden")
@@ -196,9 +196,9 @@ def outputs() -> Iterator[tuple[str, str]]:
     yield "info_table.txt", lines([table.head(), table.row(INFO), table.row(CLOSED), table.foot()])
     yield "compare.txt", lines(comparison.describe_comparison(PAIR))
     yield "compare_table.txt", lines(comparison.comparison_table([PAIR, UNLIKE], width=90))
-    yield "report.md", markdown.render(RUN, RECORDS).decode()
-    yield "report.xml", junit.render(RUN, RECORDS).decode()
-    yield "annotations.txt", "\n".join([*markdown.list_annotations(RECORDS), ""])
+    yield "report.md", build_services.render_markdown(RUN, RECORDS).decode()
+    yield "report.xml", build_services.render_junit(RUN, RECORDS).decode()
+    yield "annotations.txt", "\n".join([*build_services.list_annotations(RECORDS), ""])
     columns, rows = html.build_table(facts.worst_first(RECORDS))
     table_lines = (json.dumps(line, ensure_ascii=False) for line in (columns, *rows))
     yield "table.jsonl", "".join(f"{line}\n" for line in table_lines)

@@ -11,7 +11,6 @@ from hypothesis import given
 from PIL import Image
 
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.report import gallery
 from msal_cli.report import html as as_html
 from msal_cli.report.data import read_json
 from msal_cli.report.html import Gallery, Pictures
@@ -85,7 +84,7 @@ def shown(records, found):
 
 
 def test_every_file_that_was_written_is_shown(records):
-    found = gallery.build_gallery(records)
+    found = as_html.build_gallery(records)
     assert shown(records, found) == ["a.ply", "b.ply"]
     assert set(found.scenes) == set(found.pictures)
     for one in found.pictures.values():
@@ -96,21 +95,21 @@ def test_every_file_that_was_written_is_shown(records):
 
 def test_a_file_that_changed_since_has_no_picture(records):
     other = [replace(one, output_sha256="0" * 64) for one in records if one.output_sha256]
-    assert gallery.build_gallery(other).pictures == {}
+    assert as_html.build_gallery(other).pictures == {}
 
 
 def test_in_place_the_backup_is_the_input(tmp_path):
     records = denoised(tmp_path, "--in-place", "--backup", ".raw")
-    assert shown(records, gallery.build_gallery(records, backup=".raw")) == ["a.ply", "b.ply"]
-    assert gallery.build_gallery(records, backup=".orig").pictures == {}
+    assert shown(records, as_html.build_gallery(records, backup=".raw")) == ["a.ply", "b.ply"]
+    assert as_html.build_gallery(records, backup=".orig").pictures == {}
 
 
 def test_the_bounds_are_kept_and_said(records, monkeypatch):
     def built(**bounds):
         with monkeypatch.context() as patch:
             for name, value in bounds.items():
-                patch.setattr(gallery, name, value)
-            return gallery.build_gallery(records)
+                patch.setattr(as_html, name, value)
+            return as_html.build_gallery(records)
 
     found = built(MAX_SECONDS=-1.0)
     assert found.pictures == {} and found.remarks[0].startswith("2 files without")
@@ -133,7 +132,7 @@ def test_what_cannot_be_drawn_keeps_back_no_report(records, monkeypatch):
         raise RuntimeError
 
     monkeypatch.setattr(pictures, "camera_of", broken)
-    assert gallery.build_gallery(records).pictures == {}
+    assert as_html.build_gallery(records).pictures == {}
 
 
 def test_the_report_of_a_run_has_its_pictures(tmp_path):

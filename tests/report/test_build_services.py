@@ -8,15 +8,14 @@ from hypothesis import given
 from markdown_it import MarkdownIt
 
 from msal_cli.job.records import Failure
-from msal_cli.report import junit as as_junit
-from msal_cli.report import markdown as as_markdown
+from msal_cli.report import build_services
 from tests.report.made import HOSTILE_NAMES, RECORDS, RUN, failed, gated, written
 
 OURS = {"code", "/code", "details", "/details", "summary", "/summary"}
 
 
 def text(records):
-    return as_markdown.render(RUN, records).decode()
+    return build_services.render_markdown(RUN, records).decode()
 
 
 def tables(page):
@@ -68,7 +67,7 @@ def test_any_records_make_a_page(records):
 
 
 def test_the_room_is_kept_and_every_table_gets_some(monkeypatch):
-    monkeypatch.setattr(as_markdown, "MAX_BYTES", 20_000)
+    monkeypatch.setattr(build_services, "MAX_BYTES", 20_000)
     records = [failed(f"{at}.ply") for at in range(500)] + [written(f"{at}") for at in range(500)]
     page = text(records)
     assert len(page.encode()) <= 20_000
@@ -95,9 +94,9 @@ def unescape(text):
 
 
 def test_failures_come_before_gates_and_no_more_than_github_shows():
-    lines = as_markdown.list_annotations([written("a"), gated("b"), failed("c")])
+    lines = build_services.list_annotations([written("a"), gated("b"), failed("c")])
     assert [parse(line)[0] for line in lines] == ["c", "b"]
-    assert len(as_markdown.list_annotations([failed(f"{at}.ply") for at in range(50)])) == 10
+    assert len(build_services.list_annotations([failed(f"{at}.ply") for at in range(50)])) == 10
 
 
 @pytest.mark.parametrize(
@@ -106,14 +105,14 @@ def test_failures_come_before_gates_and_no_more_than_github_shows():
     + [("-", None), ("s3://bucket/a.ply", None)],
 )
 def test_names_begin_at_the_root_of_the_repository(name, file):
-    (line,) = as_markdown.list_annotations([failed(name)], "scans/left")
+    (line,) = build_services.list_annotations([failed(name)], "scans/left")
     assert parse(line)[0] == file
 
 
 @pytest.mark.parametrize("name", [*HOSTILE_NAMES, "\udcff.ply", "100%.ply", "%25,:.ply"])
 def test_names_in_annotations_stay_data(name):
     record = failed(name, error=Failure("E_X", name, name, name))
-    (line,) = as_markdown.list_annotations([record])
+    (line,) = build_services.list_annotations([record])
     file, message = parse(line)
     assert "\x1b" not in line and "\u202e" not in line and line.isprintable()
     if name.isprintable() and not name.lstrip().startswith("::") and "##" not in name:
@@ -160,7 +159,7 @@ CHILDREN = {
 
 
 def parsed(records):
-    root = Xml.fromstring(as_junit.render(RUN, records))
+    root = Xml.fromstring(build_services.render_junit(RUN, records))
     for one in root.iter():
         assert set(one.attrib) == set(ATTRIBUTES[one.tag])
         for name, value in one.attrib.items():
