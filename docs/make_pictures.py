@@ -21,9 +21,8 @@ from msal_cli.codecs.mesh_file import Surface
 from msal_cli.mesh import prepare_mesh
 from msal_cli.storage import gzip_streams
 from msal_cli.view import pictures, sweep
-from msal_cli.view.camera import frame_vertices, rotate
 from msal_cli.view.panels import png_bytes
-from msal_cli.view.shading import shade
+from msal_cli.view.rendering import frame_vertices, rotate, shade
 
 Array = NDArray[Any]
 

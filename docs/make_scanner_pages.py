@@ -24,9 +24,8 @@ from scanner_examples import EXAMPLES, Example, true_mesh
 
 from benchmarks import scanner_cases, scanner_outcomes, scanners
 from benchmarks.scanner_outcomes import Outcomes
-from msal_cli.view.camera import frame_vertices, rotate
 from msal_cli.view.panels import png_bytes
-from msal_cli.view.shading import shade
+from msal_cli.view.rendering import frame_vertices, rotate, shade
 
 Image = NDArray[np.uint8]
 

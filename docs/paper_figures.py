@@ -29,11 +29,11 @@ from paper_models import (
     volume,
 )
 
-from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.measures import mean_curvature
 from msal_cli.analysis.noise_estimate import estimate_noise
-from msal_cli.view.camera import choose_camera
+from msal_cli.codecs import colours
 from msal_cli.view.panels import Legend, draw_panels
+from msal_cli.view.rendering import choose_camera
 
 ANGEL = "scans/angel.obj"
 FACE = "scans/face000.ply"

@@ -15,8 +15,7 @@ from msal_cli.analysis.measures import measure_surface_change, vertex_error_perc
 from msal_cli.job import comparison
 from msal_cli.kernels.geometry import face_normals_and_areas, ring_means
 from msal_cli.mesh import Mesh, PreparedMesh, prepare_mesh
-from msal_cli.view.camera import Camera
-from msal_cli.view.shading import CREASE_DEG, shade
+from msal_cli.view.rendering import CREASE_DEG, Camera, shade
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]

@@ -318,8 +318,7 @@ def build_heatmap(
     The colours go from no deviation to the 99th percentile, so that a few outliers do not leave
     all the rest in one colour.
     """
-    from msal_cli.analysis import colour_maps as colours
-    from msal_cli.codecs import ply_write
+    from msal_cli.codecs import colours, ply_write
 
     values = deviations(surface_of(before), surface_of(after))
     low, high = 0.0, float(np.quantile(values, HEATMAP_QUANTILE))

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from msal_cli.analysis import colour_maps as colours
 from msal_cli.analysis.measures import local_scale, mean_curvature, measure_enclosure
 from msal_cli.analysis.noise_estimate import estimate_regions
-from msal_cli.codecs import ply_write
+from msal_cli.codecs import colours, ply_write
 from msal_cli.errors import OutputError, UsageError
 from msal_cli.job.records import FieldsFile
 from msal_cli.storage import atomic

@@ -27,8 +27,7 @@ from string import Template
 from typing import Any, NamedTuple
 
 from msal_cli import codecs
-from msal_cli.analysis import colour_maps as colours
-from msal_cli.codecs import header
+from msal_cli.codecs import colours, header
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import format_count
 from msal_cli.job.display_names import escape_for_display
@@ -42,8 +41,8 @@ from msal_cli.storage import gzip_streams
 from msal_cli.view import pages, pictures
 from msal_cli.view.pages import asset, content_policy, escape, to_base64
 from msal_cli.view.panels import jpeg_bytes
+from msal_cli.view.rendering import Image, Style, shade
 from msal_cli.view.scene import encode_scene
-from msal_cli.view.shading import Image, Style, shade
 
 _log = logging.getLogger("msal")
 

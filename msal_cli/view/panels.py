@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.view.shading import LIGHT, Image
+from msal_cli.view.rendering import LIGHT, Image
 
 if TYPE_CHECKING:
     from PIL import ImageFont

@@ -10,19 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.colour_maps import colour_table, map_colours
 from msal_cli.analysis.measures import at_other_positions, distances_to_surface, measure_enclosure
 from msal_cli.arrays import Floats
-from msal_cli.codecs.colours import vertex_colours
+from msal_cli.codecs.colours import colour_table, map_colours, vertex_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
 from msal_cli.job import comparison
 from msal_cli.job.display_names import figure
 from msal_cli.job.records import ComparisonRecord
 from msal_cli.job.room import prepare_mesh
 from msal_cli.mesh import Mesh, PreparedMesh
-from msal_cli.view.camera import Camera, choose_camera
 from msal_cli.view.panels import Legend, Panel, draw_panels
-from msal_cli.view.shading import CREASE_DEG, Image, shade
+from msal_cli.view.rendering import CREASE_DEG, Camera, Image, choose_camera, shade
 
 _log = logging.getLogger("msal")
 
@@ -74,7 +72,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class View:
-    """Where a picture is taken from and how large it is; see ``view.camera.choose_camera``.
+    """Where a picture is taken from and how large it is; see ``view.rendering.choose_camera``.
 
     ``size`` is the width of each panel in pixels.  ``colours`` is ``auto`` for those of the
     files and the deviation, ``file`` or ``deviation`` for one of the two, or ``none``.
@@ -303,7 +301,7 @@ class Scale:
 
     @property
     def map_name(self) -> str:
-        """The map of ``analysis.colour_maps``."""
+        """The map of ``codecs.colours``."""
         return "diverging" if self.is_signed else "sequential"
 
     def paint(self, values: Floats) -> NDArray[np.uint8]:

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.colour_maps import colour_table
 from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.codecs.colours import colour_table
 from msal_cli.kernels.geometry import face_normals
 from msal_cli.kernels.spatial_order import order_in_space
 from msal_cli.kernels.welding import repeated_corners

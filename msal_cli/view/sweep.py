@@ -29,10 +29,9 @@ from msal_cli.job.settings import ADAPTIVE, AUTO, Settings
 from msal_cli.mesh import Mesh, PreparedMesh
 from msal_cli.methods import Method, find, names
 from msal_cli.view import pictures
-from msal_cli.view.camera import Camera
 from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.pictures import View
-from msal_cli.view.shading import LIGHT, Image
+from msal_cli.view.rendering import LIGHT, Camera, Image
 
 MAX_CELLS = 100
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from msal_cli.analysis import colour_maps as colours
-from msal_cli.analysis.colour_maps import colour_table
+from msal_cli.codecs import colours
+from msal_cli.codecs.colours import colour_table
 from msal_cli.codecs.mesh_file import Surface, SurfaceColours
 from msal_cli.view import pages, pictures
 from msal_cli.view.pictures import View, open_coloured_surface, scale_of

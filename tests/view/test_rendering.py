@@ -7,9 +7,8 @@ import pytest
 from PIL import Image
 
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.view.camera import choose_camera, frame_vertices, rotate
 from msal_cli.view.panels import Legend, draw_panels, fit_text, png_bytes
-from msal_cli.view.shading import shade
+from msal_cli.view.rendering import choose_camera, frame_vertices, rotate, shade
 from tests.report.made import HOSTILE_NAMES
 from tests.shapes import ball, cube, grid
 
