@@ -15,7 +15,6 @@ from msal_cli.cli import console, options
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import PATH, STREAM, find_given, group, refuse_conflicts, resolve_format
 from msal_cli.errors import UsageError
-from msal_cli.record_fields import as_data
 from msal_cli.storage import gzip_streams
 from msal_cli.version import __version__
 
@@ -205,9 +204,9 @@ def _conclude(
     vanished = comparison.list_missing(present, known) if is_all else []
     try:
         if request.as_json and is_pair:
-            console.put_bytes(data.json_bytes(data.plain_record(records[0])))
+            console.put_bytes(data.json_bytes(data.plain(records[0])))
         elif request.as_json:
-            console.put_json(ComparisonRecord.schema, records=list(map(as_data, records)))
+            console.put_json(ComparisonRecord.schema, records=records)
         elif not is_pair:
             console.put_lines(comparison.comparison_table(records, width=console.width(sys.stdout)))
         elif not failures:

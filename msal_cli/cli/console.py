@@ -64,10 +64,9 @@ def say_lines(lines: Iterable[Line]) -> None:
 
 def say_error(error: MsalError) -> None:
     """An error in words: ``msal: error: scan.ply: vertex 17: ... (E_NONFINITE)`` and its hint."""
-    from msal_cli.report.facts import file_name, reason
+    from msal_cli.report.facts import failure_text, file_name
 
-    code = "" if error.code == "E_USAGE" else error.code
-    words = reason(error.where, error.message, code)
+    words = failure_text(error, with_code=error.code != "E_USAGE")
     # Most messages about paths name the path themselves.
     if error.path and repr(error.path) not in error.message:
         words = f"{file_name(error.path)}: {words}"

@@ -10,7 +10,6 @@ from msal_cli.cli import console
 from msal_cli.cli.command import Request, grouped_command
 from msal_cli.cli.options import INPUTS, MESSAGES, STREAM, group, resolve_format
 from msal_cli.errors import UsageError
-from msal_cli.record_fields import as_data
 
 if TYPE_CHECKING:
     from msal_cli.job.records import InfoRecord
@@ -65,7 +64,7 @@ def command(request: Request) -> int:
     table = None
     if request.as_json:
         records = list(records)
-        console.put_json(InfoRecord.schema, records=[as_data(record) for record in records])
+        console.put_json(InfoRecord.schema, records=records)
     elif len(paths) > 1 and not request.verbose:
         table = InfoTable(paths, console.width(sys.stdout))
     n_printed = n_failed = 0

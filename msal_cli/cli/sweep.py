@@ -4,7 +4,7 @@ picture."""
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import chain, repeat
 from typing import TYPE_CHECKING
 
@@ -123,8 +123,8 @@ def command(request: Request) -> int:
             method=grid.method.name,
             fixed=fixed,
             nearest=None if nearest is None else nearest.command,
-            cells=[asdict(cell) for cell in cells if not cell.choice],
-            choices=[asdict(cell) for cell in cells if cell.choice],
+            cells=[cell for cell in cells if not cell.choice],
+            choices=[cell for cell in cells if cell.choice],
         )
     elif not request.quiet:
         console.put(_describe_nearest(nearest, cells))

@@ -43,8 +43,6 @@ BASELINE_FIGURES = (
 SLACK = 1e-6
 """What any figure may grow, in its own unit: rounding differs between machines."""
 
-_SIGNED = ("volume_change_percent", "area_change_percent")
-
 
 def describe_comparison(record: ComparisonRecord) -> list[Line]:
     """The lines on two files: their names, then one line per measure."""
@@ -206,14 +204,14 @@ def compare_with_baseline(
         if then is None:
             continue
         limit = then * (1.0 + tolerance) + SLACK
-        name = f"abs({path})" if path in _SIGNED else path
-        was = f"{then:.6g} in the baseline, tolerance {100.0 * tolerance:g} %"
+        name = f"abs({path})" if path.endswith("_change_percent") else path
+        value = f"{path} is not known" if now is None else f"{name} is {now:.6g}"
         result = GateResult(
             expression=f"{name} > {limit:.6g}",
             broken=now is None or now > limit,
             decided=now is not None,
             values={path: now},
-            reason=f"{path} is not known, {was}" if now is None else f"{name} is {now:.6g}, {was}",
+            reason=f"{value}, {then:.6g} in the baseline, tolerance {100.0 * tolerance:g} %",
         )
         results.append(result)
     return tuple(results)

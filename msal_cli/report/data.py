@@ -138,14 +138,8 @@ def known_values(records: Sequence[Any], path: str) -> list[Any]:
 # Plain data
 
 
-def plain_record(record: Any) -> dict[str, Any]:
-    """The reported fields of a record as strict JSON data."""
-    data = as_data(record)
-    return {item.name: plain(data[item.name]) for item in dataclasses.fields(type(record))}
-
-
 def plain(value: Any) -> Any:
-    """``value`` with nothing in it that strict JSON lacks.
+    """A record, or ``value``, as plain data with nothing in it that strict JSON lacks.
 
     A number that is not finite becomes None, text becomes ``portable``, a tuple a list, and a
     number of another library a number; TypeError for anything that is not data.
@@ -160,6 +154,8 @@ def plain(value: Any) -> Any:
         return {portable(str(key)): plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
         return [plain(inner) for inner in value]
+    if dataclasses.is_dataclass(value):
+        return plain(as_data(value))
     if hasattr(value, "item"):
         return plain(value.item())
     raise TypeError(f"a report cannot hold {type(value).__name__}")
@@ -170,14 +166,14 @@ def plain(value: Any) -> Any:
 
 def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The report as UTF-8; the order of keys is fixed."""
-    run_data, sums = (plain(dataclasses.asdict(part)) for part in (run, totals(records)))
     # Record by record: the plain data of ten thousand would take several times the text's memory.
-    empty = json_bytes({"schema": SCHEMA, **run_data, "totals": sums, "records": []})
+    head = {"schema": SCHEMA, **plain(run), "totals": plain(totals(records))}
+    empty = json_bytes({**head, "records": []})
     if not records:
         return empty
     end = b"[]\n}\n"
     inner = b",\n    ".join(
-        _indented(plain_record(record)).replace("\n", "\n    ").encode() for record in records
+        _indented(plain(record)).replace("\n", "\n    ").encode() for record in records
     )
     return empty.removesuffix(end) + b"[\n    " + inner + b"\n  ]\n}\n"
 
@@ -185,7 +181,7 @@ def render_json(run: Run, records: Sequence[MeshRecord]) -> bytes:
 def render_lines(run: Run, records: Sequence[MeshRecord]) -> bytes:
     """The records, one a line, in ASCII: some readers of lines also break at U+2028."""
     return b"".join(
-        json.dumps(plain_record(record), allow_nan=False, separators=(",", ":")).encode() + b"\n"
+        json.dumps(plain(record), allow_nan=False, separators=(",", ":")).encode() + b"\n"
         for record in records
     )
 
@@ -274,7 +270,7 @@ def render_csv(run: Run, records: Sequence[MeshRecord], *, has_all: bool = False
     import csv
     import io
 
-    rows = [dict(flatten(plain_record(record))) for record in records]
+    rows = [dict(flatten(plain(record))) for record in records]
     names = tuple(_all_columns(rows)) if has_all else COMMON_COLUMNS
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from msal_cli.errors import format_count
+from msal_cli.errors import MsalError, format_count
 from msal_cli.job.display_names import escape_for_display, figure
 from msal_cli.job.records import (
     DONE,
@@ -418,14 +418,11 @@ def file_name(name: str) -> str:
     return "standard input" if name == "-" else escape_for_display(name)
 
 
-def reason(where: str, message: str, code: str) -> str:
+def failure_text(failure: Failure | MsalError, *, with_code: bool = True) -> str:
     """Why something failed, in one line: ``vertex 17: position is not finite (E_NONFINITE)``."""
+    where, message = failure.where, failure.message
     place = "" if not where or message.startswith(f"{where} ") else f"{where}: "
-    return f"{place}{message}" + (f" ({code})" if code else "")
-
-
-def failure_text(failure: Failure, *, with_code: bool = True) -> str:
-    return reason(failure.where, failure.message, failure.code if with_code else "")
+    return f"{place}{message}" + (f" ({failure.code})" if with_code else "")
 
 
 def failure_lines(name: str, failure: Failure | None) -> list[Line]:

@@ -46,27 +46,24 @@ _WORDS = {PERCENT: "a percentage", RELATIVE: "a percentage", EDGES: "a length"}
 _WORDS |= {LENGTH: "a length", "area": "an area", "volume": "a volume"}
 
 SHORT_NAMES = {
-    "volume_change": ("volume.change_percent", "volume_change_percent"),
-    "area_change": ("area.change_percent", "area_change_percent"),
-    "mean_displacement": ("displacement.mean",),
-    "rms_displacement": ("displacement.rms",),
-    "p95_displacement": ("displacement.p95",),
-    "max_displacement": ("displacement.max",),
-    "moved_vertices": ("displacement.moved_vertices",),
-    "mean_angular_error_deg": ("reference.mean_angular_error_deg",),
-    "max_angular_error_deg": ("reference.max_angular_error_deg",),
-    "vertex_error_percent": ("reference.vertex_error_percent",),
-    "hausdorff": ("reference.hausdorff",),
-    "self_intersections": ("self_intersections.created",),
-    "fixed_border_vertices": ("tile_set.fixed_border_vertices",),
-    "noise": ("noise_estimate.file_units",),
-    "risk": ("choice.risk_edges",),
-    "seconds": ("seconds.total",),
+    "volume_change": "volume.change_percent",
+    "area_change": "area.change_percent",
+    "mean_displacement": "displacement.mean",
+    "rms_displacement": "displacement.rms",
+    "p95_displacement": "displacement.p95",
+    "max_displacement": "displacement.max",
+    "moved_vertices": "displacement.moved_vertices",
+    "mean_angular_error_deg": "reference.mean_angular_error_deg",
+    "max_angular_error_deg": "reference.max_angular_error_deg",
+    "vertex_error_percent": "reference.vertex_error_percent",
+    "hausdorff": "reference.hausdorff",
+    "self_intersections": "self_intersections.created",
+    "fixed_border_vertices": "tile_set.fixed_border_vertices",
+    "noise": "noise_estimate.file_units",
+    "risk": "choice.risk_edges",
+    "seconds": "seconds.total",
 }
-"""The fields behind a short name, of which the first known one counts.
-
-Of these, a kind of record has the ones that it has fields for.  What ends in ``_change`` is
-relative."""
+"""The fields behind short names, as far as a kind of record has them; ``_change`` is relative."""
 
 _LENGTHS = {"hausdorff", "seam_gap", "tile_gap", "largest_weld", "mean_edge_length", "file_units"}
 _STATISTICS = {"mean", "rms", "p95", "max"}
@@ -78,16 +75,16 @@ _AGAINST_INPUT = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """The value of a name: the first of these fields that is known, in its unit."""
+    """A field of a record, by its dotted path, under a name, and its unit."""
 
     name: str
-    fields: tuple[str, ...]
+    path: str
     unit: Unit
 
     def value_in(self, record: Any) -> Any:
         """The value in a record; None if it is not known there."""
-        values = (value_at(record, path) for path in self.fields)
-        return next((v for v in values if v is not None and v - v == 0.0), None)
+        value = value_at(record, self.path)
+        return value if value is not None and value - value == 0.0 else None
 
     def describe(self, record: Any) -> str:
         """The value with its unit: ``max_displacement is 0.0123 (0.62e)``."""
@@ -102,24 +99,22 @@ class Quantity:
         return f"{self.name} is {f'{value:,}' if isinstance(value, int) else f'{value:.6g}'}{end}"
 
     @property
-    def needs_reference(self) -> bool:
-        """Whether it is measured against a reference mesh, and against nothing else."""
-        return all(path.startswith("reference.") for path in self.fields)
+    def part(self) -> str:
+        """The part of the record that the field is in, such as ``reference``."""
+        return self.path.partition(".")[0]
 
     def why_unknown(self, record: Any) -> str:
         """Why there is no value in a record, in words."""
-        volume = getattr(record, "volume", None)
-        reference: Any = getattr(record, "reference", None)
-        why = ""
-        if volume is not None and not volume.valid and any("volume" in p for p in self.fields):
+        volume, why = record.volume, ""
+        if volume is not None and not volume.valid and "volume" in self.path:
             why = volume.reason or "the volume means nothing"
-        elif self.needs_reference and reference is None:
+        elif self.part == "reference" and record.reference is None:
             why = "nothing was measured against a reference"
-        elif self.needs_reference and reference.error is not None:
-            why = reference.error.message
-        elif any(path.startswith("self_intersections.") for path in self.fields):
+        elif self.part == "reference" and record.reference.error is not None:
+            why = record.reference.error.message
+        elif self.part == "self_intersections":
             why = "count them with --check self-intersections"
-        elif self.name == "tile_gap" or self.fields[0].startswith("tile_set."):
+        elif self.part in ("tile_gap", "tile_set"):
             why = "files are denoised as one with --tile-set"
         elif self.name == "despiked":
             why = "outliers were not looked for, as --despike does"
@@ -135,12 +130,12 @@ def quantities(kind: Hashable) -> Mapping[str, Quantity]:
         for part in parts
         if part in (bool, int, float)
     }
-    found = {}
-    for name, paths in SHORT_NAMES.items():
-        if there := tuple(path for path in paths if path in fields):
-            unit = RELATIVE if name.endswith("_change") else fields[there[0]]
-            found[name] = Quantity(name, there, unit)
-    return found | {name: Quantity(name, (name,), unit) for name, unit in fields.items()}
+    short = {
+        name: Quantity(name, path, RELATIVE if name.endswith("_change") else fields[path])
+        for name, path in SHORT_NAMES.items()
+        if path in fields
+    }
+    return short | {path: Quantity(path, path, unit) for path, unit in fields.items()}
 
 
 def _unit(path: str) -> Unit:
@@ -439,7 +434,7 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
     """
     for gate in gates:
         for name, quantity in gate.quantities.items():
-            if quantity.needs_reference and name not in gate.tested:
+            if quantity.part == "reference" and name not in gate.tested:
                 own = _AGAINST_INPUT.get(name)
                 instead = f", or write {own}: the angle to the input's normals" if own else ""
                 raise UsageError(
@@ -451,8 +446,8 @@ def refuse_without_reference(gates: Sequence[Gate], remedy: str) -> None:
 
 def need_intersections(gates: Sequence[Gate]) -> bool:
     """Whether any gate depends on ``self_intersections``, which are counted on demand only."""
-    paths = (path for gate in gates for item in gate.quantities.values() for path in item.fields)
-    return any(path.startswith("self_intersections.") for path in paths)
+    items = (item for gate in gates for item in gate.quantities.values())
+    return any(item.part == "self_intersections" for item in items)
 
 
 def evaluate_gates(gates: Sequence[Gate], record: Any) -> tuple[GateResult, ...]:

@@ -26,7 +26,7 @@ from msal_cli.report.comparison import (
     list_missing,
     read_comparisons,
 )
-from msal_cli.report.data import json_bytes, plain_record, render_json
+from msal_cli.report.data import json_bytes, plain, render_json
 from msal_cli.report.facts import worst_first
 from msal_cli.report.text import describe_info
 from tests.report.golden import FOLDER, outputs
@@ -161,8 +161,8 @@ def test_partners_are_found_by_path_or_by_its_end():
 
 def test_a_baseline_comes_back_from_one_pair_from_many_and_from_a_report():
     pair, bad = record(hausdorff=0.5), ComparisonRecord("a", "c", error=failed().error)
-    assert read_comparisons(json_bytes(plain_record(pair)), "x") == {"b": pair}
-    many = {"schema": pair.schema, "records": [plain_record(one) for one in (pair, bad)]}
+    assert read_comparisons(json_bytes(plain(pair)), "x") == {"b": pair}
+    many = {"schema": pair.schema, "records": [plain(one) for one in (pair, bad)]}
     assert read_comparisons(json_bytes(many), "x") == {"b": pair}
     reference = Reference("t.ply", hausdorff_edges=0.5)
     records = [written("a.ply", reference=reference), written("b.ply"), failed()]
