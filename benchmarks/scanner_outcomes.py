@@ -22,8 +22,8 @@ from benchmarks.scanner_cases import Case, Pair
 from benchmarks.scanner_settings import PeerSetting, run_peers
 from msal_cli import codecs, methods
 from msal_cli.analysis.measures import (
-    distances_to_surface,
     measure_surface_change,
+    nearest_on_surface,
     used_vertices,
     vertex_error_percent,
 )
@@ -90,7 +90,7 @@ def measure_errors(pair: Pair, result: Mesh) -> Errors:
         edge = pair.noisy.mean_edge_length
         angle = float(np.degrees(pair.true_surface.angles_of(result)).mean())
         vertex = None
-    distance = distances_to_surface(used_vertices(result), true).mean()
+    distance = nearest_on_surface(used_vertices(result), true)[1].mean()
     return Errors(angle, 100.0 * float(distance) / edge, vertex)
 
 

@@ -10,9 +10,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msal_cli.arrays import Floats, Ints, Longs
+from msal_cli.arrays import Flags, Floats, Ints, Longs
+from msal_cli.kernels import geometry
+from msal_cli.kernels.connectivity import component_labels
 from msal_cli.mesh import Defects, Mesh, PreparedMesh
 
 FLAT = 1e-9
@@ -47,9 +48,7 @@ def distance_statistics(lengths: Floats) -> DistanceStatistics:
 
 def displacement(before: Mesh, after: Mesh) -> DistanceStatistics:
     """How far the vertices that faces use are apart in two meshes with the same faces."""
-    from msal_cli.kernels.geometry import distances
-
-    lengths, is_used = distances(before.vertices, after.vertices), before.topology.has_ring
+    lengths, is_used = geometry.distances(before.vertices, after.vertices), before.topology.has_ring
     return distance_statistics(lengths if is_used.all() else lengths[is_used])
 
 
@@ -78,19 +77,16 @@ class SurfaceChange:
 
 def measure_surface_change(before: Mesh, after: Mesh) -> SurfaceChange:
     """The change between two meshes with the same faces."""
-    from msal_cli.kernels import geometry as core
-
-    figures = core.surface_figures(before.vertices, after.vertices, before.faces)
+    figures = geometry.surface_figures(before.vertices, after.vertices, before.faces)
+    angle = figures[geometry.ANGLES] / max(figures[geometry.COMPARED], 1.0)
     return SurfaceChange(
-        area_before=float(figures[core.DOUBLED_AREA_BEFORE] / 2.0),
-        area_after=float(figures[core.DOUBLED_AREA_AFTER] / 2.0),
-        volume_before=float(figures[core.SIXFOLD_VOLUME_BEFORE] / 6.0),
-        volume_after=float(figures[core.SIXFOLD_VOLUME_AFTER] / 6.0),
-        mean_angular_error_deg=float(
-            np.degrees(figures[core.ANGLES] / max(figures[core.COMPARED], 1.0))
-        ),
-        max_angular_error_deg=float(np.degrees(figures[core.LARGEST_ANGLE])),
-        flipped_faces=int(figures[core.FLIPPED]),
+        area_before=float(figures[geometry.DOUBLED_AREA_BEFORE] / 2.0),
+        area_after=float(figures[geometry.DOUBLED_AREA_AFTER] / 2.0),
+        volume_before=float(figures[geometry.SIXFOLD_VOLUME_BEFORE] / 6.0),
+        volume_after=float(figures[geometry.SIXFOLD_VOLUME_AFTER] / 6.0),
+        mean_angular_error_deg=float(np.degrees(angle)),
+        max_angular_error_deg=float(np.degrees(figures[geometry.LARGEST_ANGLE])),
+        flipped_faces=int(figures[geometry.FLIPPED]),
     )
 
 
@@ -142,8 +138,6 @@ def area_and_volume(mesh: Mesh) -> tuple[float, float]:
     of an open surface is the one seen from the mesh's local origin.  It is negative where the
     surface is inside out.
     """
-    from msal_cli.kernels import geometry
-
     return geometry.area_and_volume(mesh.vertices, mesh.faces)
 
 
@@ -170,8 +164,6 @@ def _flat_volume(area: float) -> float:
 
 def apply_umbrella(mesh: Mesh, values: Floats) -> Floats:
     """The umbrella (n, 3) of values (n, 3): the mean over the one-ring less the own value."""
-    from msal_cli.kernels import geometry
-
     return geometry.apply_umbrella(values, *mesh.topology.one_ring, mesh.topology.has_ring)
 
 
@@ -181,13 +173,11 @@ def share_over_rings(mesh: Mesh, heights: Floats, rings: int) -> Floats:
     Neighbours then share noise: on a regular triangle grid the correlation with a neighbour is
     0.57 after one average and 0.78 after two.  With no rings they are returned as they are.
     """
-    from msal_cli.kernels.geometry import ring_means
-
     if not rings:
         return heights
     counts = np.diff(mesh.topology.ring_start).astype(np.float64)
     for _ in range(rings):
-        means = ring_means(heights, *mesh.topology.one_ring)
+        means = geometry.ring_means(heights, *mesh.topology.one_ring)
         heights = (counts * means + heights) / (counts + 1.0)
     used = heights[mesh.topology.has_ring]
     return heights / math.sqrt(float((used * used).mean()))
@@ -213,10 +203,9 @@ def self_intersection_change(before: Mesh, after: Mesh) -> tuple[int, int, int]:
 
 def _pairs(mesh: Mesh) -> Longs:
     """A number for each pair of faces that intersect, the same for the same faces."""
-    from msal_cli.kernels.geometry import face_normals
     from msal_cli.kernels.intersections import intersecting_pairs
 
-    has_area = np.flatnonzero(face_normals(mesh.vertices, mesh.faces).any(axis=1))
+    has_area = np.flatnonzero(geometry.face_normals(mesh.vertices, mesh.faces).any(axis=1))
     pairs = has_area[intersecting_pairs(mesh.vertices, mesh.faces[has_area])]
     numbers: Longs = pairs[:, 0] * len(mesh.faces) + pairs[:, 1]
     return numbers
@@ -235,11 +224,6 @@ MAX_POINTS = 4_000_000
 
 SAMPLED_POINTS = 1_000_000
 """How many are measured of more: every fifth, sixth and so on, evenly spread over the file."""
-
-
-def distances_to_surface(points: Floats, surface: Mesh) -> Floats:
-    """Distances (n,) from points (n, 3) to the nearest point of ``surface``, file units."""
-    return nearest_on_surface(points, surface)[1]
 
 
 def nearest_on_surface(points: Floats, surface: Mesh) -> tuple[Ints, Floats]:
@@ -299,7 +283,7 @@ def surface_distances(
         step = sampling_step(points_of)
         vertices = used_vertices(points_of)[::step]
         centres = points_of.vertices[points_of.faces[::step]].mean(axis=1)
-        lengths = distances_to_surface(np.concatenate([vertices, centres]), surface)
+        _, lengths = nearest_on_surface(np.concatenate([vertices, centres]), surface)
         figures.append(distance_statistics(lengths[: len(vertices)]))
         largest = max(largest, float(lengths.max()))
     return figures[0], figures[1], largest
@@ -322,7 +306,7 @@ class Enclosure:
     """Which faces of a closed surface have their normals inwards."""
 
     # (m,) the faces of parts that are inside out; None if there are none
-    inward: NDArray[np.bool_] | None
+    inward: Flags | None
     n_turned: int  # n_turned, n_parts: how many parts are inside out, and how many there are
     n_parts: int
 
@@ -360,13 +344,11 @@ class Enclosure:
             volume_after=self.volume(after, change.volume_after),
         )
 
-    def outward_signs(self, mesh: Mesh) -> Floats | float:
-        """1 where normals point outwards and -1 where they point inwards, for each vertex (n,), or
-        one number for all."""
-        if self.inward is None or self.inward.all():
-            return 1.0 if self.inward is None else -1.0
+    def outward_signs(self, mesh: Mesh) -> Floats:
+        """1 where normals point outwards and -1 where they point inwards, for each vertex (n,)."""
         signs = np.ones(len(mesh.vertices))
-        signs[mesh.faces[self.inward]] = -1.0
+        if self.inward is not None:
+            signs[mesh.faces[self.inward]] = -1.0
         return signs
 
 
@@ -388,14 +370,11 @@ def enclosure_of(mesh: Mesh, defects: Defects, area: float, volume: float) -> En
 
 
 def _enclosure_by_part(mesh: Mesh) -> Enclosure:
-    from msal_cli.kernels.connectivity import component_labels
-    from msal_cli.kernels.geometry import face_normals_and_areas
-
     first = mesh.faces[:, 0]
     labels = component_labels(len(mesh.vertices), mesh.faces)
     numbers, part_of_face = np.unique(labels[first], return_inverse=True)
     n_parts = len(numbers)
-    normals, face_areas = face_normals_and_areas(mesh.vertices, mesh.faces)
+    normals, face_areas = geometry.face_normals_and_areas(mesh.vertices, mesh.faces)
     # A face and the origin span a third of area times height.
     heights = np.einsum("ij,ij->i", mesh.vertices[first], normals)
     areas = np.bincount(part_of_face, face_areas, n_parts)
@@ -546,11 +525,9 @@ def folded_faces(mesh: Mesh) -> int:
 
     Of more than ``MAX_SAMPLED`` faces every k-th one is counted, and the count is scaled.
     """
-    from msal_cli.kernels.geometry import face_normals
-
     step = max(len(mesh.faces) // MAX_SAMPLED, 1)
     faces = np.ascontiguousarray(mesh.faces[::step])
     # Most methods have computed these normals.
     around = mesh.vertex_normals("uniform", 1)[faces].sum(axis=1)
-    alike = np.einsum("ij,ij->i", face_normals(mesh.vertices, faces), around)
+    alike = np.einsum("ij,ij->i", geometry.face_normals(mesh.vertices, faces), around)
     return int(np.count_nonzero(alike < 0.0)) * step

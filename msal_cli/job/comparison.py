@@ -306,7 +306,7 @@ def deviations(before: Surface, after: Surface) -> Floats:
     if before.has_same_faces(after):
         return distances(before.vertices, after.vertices)
     reference = prepare_mesh(before)
-    return measures.distances_to_surface(after.vertices - reference.origin, reference.mesh)
+    return measures.nearest_on_surface(after.vertices - reference.origin, reference.mesh)[1]
 
 
 def build_heatmap(

@@ -216,7 +216,7 @@ def test_boxes_by_hand(parts, volume, turned):
     inward = np.zeros(sum(counts), bool) if found.inward is None else found.inward
     assert (inward == np.repeat(np.array(turned, dtype=bool), counts)).all()
     assert (found.n_turned, found.n_parts) == (sum(turned), len(turned))
-    signs = np.broadcast_to(found.outward_signs(ready.mesh), len(ready.mesh.vertices))
+    signs = found.outward_signs(ready.mesh)
     of_vertices = np.repeat(
         [1.0, *(-1.0 if is_turned else 1.0 for is_turned in turned)], [1] + [8] * len(turned)
     )

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from msal_cli.analysis import measures
-from msal_cli.analysis.measures import (
-    at_other_positions,
-    distances_to_surface,
-    nearest_on_surface,
-    surface_distances,
-)
+from msal_cli.analysis.measures import at_other_positions, nearest_on_surface, surface_distances
 from msal_cli.analysis.shared_borders import Border, count_unmatched, find_border, share_borders
 from msal_cli.codecs import open_mesh
 from msal_cli.job import room
@@ -55,8 +50,8 @@ def distances_to_triangles(points, corners):
 )
 def test_a_point_and_a_triangle(point, distance):
     surface = Mesh(TRIANGLE[0], np.array([[0, 1, 2]], dtype=np.int32))
-    got = distances_to_surface(np.array([point], dtype=float), surface)
-    assert got[0] == pytest.approx(distance, abs=1e-15)
+    got = nearest_on_surface(np.array([point], dtype=float), surface)
+    assert got[1][0] == pytest.approx(distance, abs=1e-15)
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1.0, 1e30])
@@ -80,8 +75,8 @@ def test_as_a_search_through_all_triangles(scale, count):
 def test_no_square_overflows_or_vanishes(scale):
     vertices, faces = torus()
     points = np.random.default_rng(2).uniform(-5.0, 5.0, (50, 3))
-    expected = distances_to_surface(points, Mesh(vertices, faces))
-    got = distances_to_surface(scale * points, Mesh(scale * vertices, faces))
+    _, expected = nearest_on_surface(points, Mesh(vertices, faces))
+    _, got = nearest_on_surface(scale * points, Mesh(scale * vertices, faces))
     assert got == pytest.approx(scale * expected, rel=1e-9, abs=0.0)
 
 

@@ -385,20 +385,18 @@ differ: shapes differ by 20 %."""
 class StepEvidence:
     """Steps in the differences between neighbours, whatever they come from."""
 
-    n_axes: int  # along how many axes of a grid there are steps, 0 to 3
+    n_axes: int = 0  # along how many axes of a grid there are steps, 0 to 3
     # (3,) unit vector across the steps; None where there are none, or along all axes
-    axis: Floats | None
-    step: float  # the widest, mean edges; of terraces their height.  0 for none
-    level: float  # standard deviation that such steps make, mean edges
-    facing_level: float  # the same by the directions that the surface faces
-    voxel_share: float  # share of the edges that marching cubes over voxels could have
-    is_turned: bool  # whether the grid is not along the axes of the file
-    along_gain: float  # by how much the axis explains better what is left over than the normals do
+    axis: Floats | None = None
+    step: float = 0.0  # the widest, mean edges; of terraces their height.  0 for none
+    level: float = 0.0  # standard deviation that such steps make, mean edges
+    facing_level: float = 0.0  # the same by the directions that the surface faces
+    voxel_share: float = 0.0  # share of the edges that marching cubes over voxels could have
+    is_turned: bool = False  # whether the grid is not along the axes of the file
+    # by how much the axis explains better what is left over than the normals do
+    along_gain: float = 0.0
     # what is left over where the surface is oblique to the steps, in squared steps / 12
-    roughness: float
-
-
-NO_STEPS = StepEvidence(0, None, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0)
+    roughness: float = 0.0
 
 
 def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvidence:
@@ -418,7 +416,7 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         if not all(steps):
             axis = _find_step_axis(differences, directions)
             if axis is None:
-                return NO_STEPS
+                return StepEvidence()
             frame = np.stack([axis, axis, axis])
             steps = [_step(np.abs(differences @ axis)), 0.0, 0.0]
     if all(steps):
@@ -432,13 +430,11 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         across = 2.0 * math.sqrt(float(((normals * steps) ** 2).sum(axis=1).mean()))
         return StepEvidence(
             n_axes=3,
-            axis=None,
             step=step,
             level=level,
             facing_level=level if is_even else ACROSS_SLICES * across,
             voxel_share=float((sums % 2.0 == 0.0).mean()),
             is_turned=is_turned,
-            along_gain=0.0,
             roughness=_roughness(survey, FOUR, (normals**2).max(axis=1), None, 0.5 * step),
         )
     best = int(np.argmax(steps))
@@ -451,7 +447,6 @@ def measure_steps(mesh: Mesh, survey: Survey, groups: Groups | None) -> StepEvid
         step=step,
         level=step / math.sqrt(12.0),
         facing_level=step / math.sqrt(12.0),
-        voxel_share=0.0,
         is_turned=is_turned,
         along_gain=gain,
         roughness=_roughness(survey, THREE, squares, squares, step),

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.analysis.noise_estimate.level import NoiseLevel, are_spikes, are_uneven
-from msal_cli.arrays import Floats, Longs
+from msal_cli.arrays import Flags, Floats, Longs
+from msal_cli.kernels.patch_fits import fit_patches, fit_scales
+from msal_cli.kernels.quantiles import chi_square, student
 
 if TYPE_CHECKING:
     from msal_cli.mesh import Mesh
@@ -121,8 +123,6 @@ class Survey:
 
 def take_survey(mesh: Mesh, places: Longs) -> Survey:
     """Look at some of the places (c,), evenly."""
-    from msal_cli.kernels.patch_fits import fit_scales
-
     at = np.arange(0, len(places), max(-(-len(places) // MAX_PLACES), 1))
     chosen = np.ascontiguousarray(places[at])
     normals = mesh.vertex_normals("uniform", 1)
@@ -251,19 +251,16 @@ class Fits:
     gaps: Floats
     ratios: Floats
 
-    def level(self, fit: int, share: float, among: NDArray[np.bool_] | None = None) -> float:
+    def level(self, fit: int, share: float, among: Flags | None = None) -> float:
         """Standard deviation by one fit at the flattest ``share`` of the places, file units;
         infinite where it has none."""
-        from msal_cli.kernels.quantiles import chi_square
-
         has = self.freedoms[:, fit] > 0
         if among is not None:
             has &= among
         if not has.any():
             return math.inf
         scaled = self.variances[has, fit] / chi_square(share)[self.freedoms[has, fit]]
-        rank = int(share * (len(scaled) - 1))
-        return math.sqrt(float(np.partition(scaled, rank)[rank]))
+        return math.sqrt(quantile(scaled, share))
 
 
 PLANE, NEAR, FAR, CUBIC = range(4)
@@ -278,16 +275,13 @@ class WhiteEstimate:
     places: Longs  # (c,) vertices around which the fits are
     middles: Floats  # (r, 3) positions of the regions' middles
     regions: Floats  # (r,) levels of the regions, file units
-    far: NDArray[np.bool_]  # (c,) whether a vertex is far out among its neighbours
+    far: Flags  # (c,) whether a vertex is far out among its neighbours
     fits: Fits  # what the fits leave over at the places
     edge: float  # mean edge length, file units
 
 
 def estimate_white(mesh: Mesh) -> WhiteEstimate:
     """The noise of a mesh as far as it is white."""
-    from msal_cli.kernels.patch_fits import fit_patches
-    from msal_cli.kernels.quantiles import student
-
     places = _choose_places(mesh)
     normals = mesh.vertex_normals("uniform", 1)
     fits = Fits(*fit_patches(places, mesh.vertices, normals, *mesh.topology.one_ring))
@@ -380,7 +374,7 @@ def _measure_regions(
     # Few places of a region have no spike.
     share = 0.5 if is_impulsive else FLATTEST
 
-    def compared(among: NDArray[np.bool_] | None) -> float:
+    def compared(among: Flags | None) -> float:
         coarse = fits.level(FAR, share, among)
         best = _least(math.inf, math.inf, coarse, fits.level(CUBIC, share, among))
         return _without_texture(best, coarse)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msal_cli.analysis.noise_estimate.fits import Survey
+from msal_cli.analysis.noise_estimate.fits import Survey, ring_rows
 from msal_cli.arrays import Flags, Floats, Floats32, Longs
 
 if TYPE_CHECKING:
@@ -160,15 +160,12 @@ def _dots(a: Floats32, b: Floats32) -> Floats32:
 
 def _collect_around(mesh: Mesh, vertex: int, normal: Floats, is_met: Flags) -> Longs:
     """Vertices within ``REACH`` of one, over edges, that face the same side."""
-    starts, ring = mesh.topology.one_ring
     normals = mesh.vertex_normals("uniform", 1)
     found = last = np.array([vertex])
     is_met[last] = True
     most = (REACH * mesh.mean_edge_length) ** 2
     while len(last) and len(found) < MAX_AROUND:
-        counts = starts[last + 1] - starts[last]
-        ends = np.cumsum(counts)
-        new = ring[np.repeat(starts[last] - (ends - counts), counts) + np.arange(ends[-1])]
+        _, new, _ = ring_rows(mesh, last)
         new = np.unique(new[~is_met[new]])
         offsets = mesh.vertices[new] - mesh.vertices[vertex]
         is_near = (offsets * offsets).sum(axis=1) < most
