@@ -211,11 +211,7 @@ class _Parser:
             at = getattr(error, "offset", None) or 1
             rest = self._text[at - 1 :]
             raise self._error(at, f"{rest!r} cannot be read" if rest else "it ends early") from None
-        whole = self._read(tree)
-        if whole.unit != TRUTH:
-            why = "it is a number, and a gate compares"
-            raise self._error(whole.at, why, "compare it, as in 'flipped_faces > 0'")
-        return whole
+        return self._truth(self._read(tree), "a gate compares")
 
     def _error(self, at: int, why: str, hint: str = _HINT) -> UsageError:
         return UsageError(f"the gate {self._text!r}, column {at}: {why}", hint=hint)
@@ -246,7 +242,7 @@ class _Parser:
             case ast.Name() | ast.Attribute():
                 return self._name(ast.unparse(node), at)
             case ast.UnaryOp(op=ast.Not(), operand=inner):
-                value = self._truth(self._read(inner), "not").value
+                value = self._truth(self._read(inner), "not joins comparisons").value
                 return _Meaning(TRUTH, _apply(operator.not_, value), at)
             case ast.UnaryOp(op=ast.UAdd(), operand=inner):
                 return self._read(inner)
@@ -255,7 +251,8 @@ class _Parser:
                 return _Meaning(part.unit, _apply(operator.neg, part.value), at)
             case ast.BoolOp(op=sign, values=parts):
                 word = _SIGNS[type(sign)]
-                values = [self._truth(self._read(part), word).value for part in parts]
+                why = f"{word} joins comparisons"
+                values = [self._truth(self._read(part), why).value for part in parts]
                 return _Meaning(TRUTH, _decide(values, deciding=word == "or"), at)
             case (
                 ast.BinOp(left=left, op=sign, right=right)
@@ -315,10 +312,10 @@ class _Parser:
             raise self._error(part.at, why, "join comparisons with and, or, not")
         return part
 
-    def _truth(self, part: _Meaning, sign: str) -> _Meaning:
+    def _truth(self, part: _Meaning, why: str) -> _Meaning:
         if part.unit != TRUTH:
-            why = f"this is a number, and {sign} joins comparisons"
-            raise self._error(part.at, why, "compare it, as in 'flipped_faces > 0'")
+            hint = "compare it, as in 'flipped_faces > 0'"
+            raise self._error(part.at, f"this is a number, and {why}", hint)
         return part
 
     def _compute(self, at: int, sign: str, left: _Meaning, right: _Meaning) -> _Meaning:

@@ -27,7 +27,8 @@ from string import Template
 from typing import Any, NamedTuple
 
 from msal_cli import codecs
-from msal_cli.codecs import colours, header
+from msal_cli.codecs import header
+from msal_cli.codecs.colours import colour_table, map_colours
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import format_count
 from msal_cli.job.display_names import escape_for_display
@@ -41,7 +42,7 @@ from msal_cli.storage import gzip_streams
 from msal_cli.view import pages, pictures
 from msal_cli.view.pages import asset, content_policy, escape, to_base64
 from msal_cli.view.panels import jpeg_bytes
-from msal_cli.view.rendering import Image, Style, shade
+from msal_cli.view.rendering import Image, shade
 from msal_cli.view.scene import encode_scene
 
 _log = logging.getLogger("msal")
@@ -274,6 +275,7 @@ def _json(data: Any) -> str:
 
 _SIZE = 240, 180
 _POSTER = 480, 320
+_BACKGROUND = 236, 238, 241
 _SHADES = 32
 _STANDARD_RANGE = 0.5
 # Below this, in mean edge lengths, nothing moved but the last digits.
@@ -365,38 +367,32 @@ def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> tuple[Pict
     scene = pictures.scene_of(before, after, (source, output), to_surface=False)
     assert scene.after is not None
     camera = pictures.camera_of(scene, pictures.View())
-    style = Style(background=(236, 238, 241))
 
-    def image(mesh: Mesh, painted: Image | None, kind: str, size: tuple[int, int] = _SIZE) -> Image:
-        return shade(
-            mesh.vertices, mesh.faces, camera, *size, painted, style=style, colours_are=kind
-        )
+    def image(mesh: Mesh, painted: Image | None, kind: str, size: tuple[int, int] = _SIZE) -> bytes:
+        place = (mesh.vertices, mesh.faces, camera, *size)
+        return jpeg_bytes(shade(*place, painted, background=_BACKGROUND, colours_are=kind))
 
-    deviation = None
-    if scene.deviation is not None and scene.is_signed:
-        moved = scene.deviation / scene.before.mean_edge_length
-        painted = colours.map_colours(moved, -reach, reach, "diverging")
-        deviation = jpeg_bytes(image(scene.after, painted, "map"))
+    # Known where the faces are the same.
+    moved, end = scene.deviation, reach * scene.before.mean_edge_length
+    painted = None if moved is None else map_colours(moved, -end, end, "diverging")
     shown = Pictures(
-        jpeg_bytes(image(scene.before, scene.painted(0), "paint")),
-        jpeg_bytes(image(scene.after, scene.painted(1), "paint")),
-        deviation,
+        image(scene.before, scene.painted(0), "paint"),
+        image(scene.after, scene.painted(1), "paint"),
+        None if painted is None else image(scene.after, painted, "map"),
     )
     if not key:
         return shown, ""
-    end = reach * scene.before.mean_edge_length
     data = encode_scene(
         scene.before,
         scene.after,
-        scene.deviation,
-        ends=(-end, end) if scene.is_signed else None,
+        moved,
+        ends=(-end, end),
         view=camera.axes,
         colours=scene.colours,
         max_faces=MAX_SCENE_FACES,
     )
-    poster = jpeg_bytes(image(scene.after, scene.painted(1), "paint", _POSTER))
-    name = f"{record.input}, after"
-    return shown, pages.embed_scene(key, data, picture=poster, description=name, starts="click")
+    poster = image(scene.after, scene.painted(1), "paint", _POSTER)
+    return shown, pages.embed_scene(key, data, picture=poster, description=f"{record.input}, after")
 
 
 def _surface(path: str, sha256: str | None, format: str | None) -> Surface | None:
@@ -428,7 +424,7 @@ def _reach(records: Sequence[MeshRecord]) -> float:
 
 def _draw_legend(reach: float) -> str:
     """The elements that say what the colours of deviations mean."""
-    shades = colours.colour_table("diverging")[:: 256 // _SHADES]
+    shades = colour_table("diverging")[:: 256 // _SHADES]
     size = 100 / len(shades)
     rects = [
         f'<rect x="{at * size:.3f}" width="{size + 0.2:.3f}" height="10" fill="rgb{tuple(shade)}"/>'

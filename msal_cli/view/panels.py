@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msal_cli.job.display_names import escape_for_display
-from msal_cli.view.rendering import LIGHT, Image
+from msal_cli.view.rendering import WHITE, Image
 
 if TYPE_CHECKING:
     from PIL import ImageFont
     from PIL.ImageDraw import ImageDraw
+
+TEXT, FAINT = (28, 30, 34), (96, 100, 108)
+"""Colours of titles and of the lines below."""
 
 Panel = tuple[Image, str, Sequence[str]]
 """An image (h, w, 3), its title, and the lines below it."""
@@ -66,25 +69,25 @@ def draw_panels(
         2 * words.margin + columns * cell[0] + (columns - 1) * words.gap,
         2 * words.margin + n_rows * cell[1] + (n_rows - 1) * 2 * words.gap + foot,
     )
-    sheet = Pictures.new("RGB", whole, LIGHT.background)
+    sheet = Pictures.new("RGB", whole, WHITE)
     draw = ImageDraw.Draw(sheet)
     room = whole[0] - 2 * words.margin
     for at, (image, title, lines) in enumerate(panels):
         left = words.margin + (at % columns) * (cell[0] + words.gap)
         y = words.margin + (at // columns) * (cell[1] + 2 * words.gap)
-        words.write(draw, (left, y), title, LIGHT.text, width, words.title)
+        words.write(draw, (left, y), title, TEXT, width, words.title)
         y += words.title_height
         across, down = (width - image.shape[1]) // 2, (height - image.shape[0]) // 2
         sheet.paste(Pictures.fromarray(image), (left + across, y + down))
         y += height + words.gap // 2
         for line in lines:
-            words.write(draw, (left, y), line, LIGHT.faint, width)
+            words.write(draw, (left, y), line, FAINT, width)
             y += words.line_height
         if legend is not None and at == len(panels) - 1:
             _draw_legend(draw, words, legend, (left, y), width)
     y = whole[1] - words.margin - len(footer) * words.line_height
     for line in footer:
-        words.write(draw, (words.margin, y), line, LIGHT.faint, room)
+        words.write(draw, (words.margin, y), line, FAINT, room)
         y += words.line_height
     return np.asarray(sheet)
 
@@ -122,7 +125,7 @@ def _draw_legend(
 ) -> None:
     left, y = place[0], place[1] + words.gap // 2
     for line in legend.lines:
-        words.write(draw, (left, y), line, LIGHT.faint, width)
+        words.write(draw, (left, y), line, FAINT, width)
         y += words.line_height
     # Words at the ends extend beyond the scale by half their width.
     ends = [word for _, *both in legend.ticks for word in both]
@@ -137,15 +140,15 @@ def _draw_legend(
         k = round((x - first) / max(1, last - 1 - first) * (len(legend.colours) - 1))
         red, green, blue = (int(part) for part in legend.colours[k])
         draw.line([(x, top), (x, bottom)], fill=(red, green, blue))
-    draw.rectangle([first - 1, top - 1, last, bottom + 1], outline=LIGHT.faint)
+    draw.rectangle([first - 1, top - 1, last, bottom + 1], outline=FAINT)
     each = (last - first) // max(1, len(legend.ticks) - 1) - 4
     for share, above, below in legend.ticks:
         x = round(first + share * (last - 1 - first))
-        draw.line([(x, top - 4), (x, top - 1)], fill=LIGHT.faint)
-        words.write(draw, (x, top - 6), above, LIGHT.text, each, anchor="ms")
+        draw.line([(x, top - 4), (x, top - 1)], fill=FAINT)
+        words.write(draw, (x, top - 6), above, TEXT, each, anchor="ms")
         if below:
-            draw.line([(x, bottom + 1), (x, bottom + 4)], fill=LIGHT.faint)
-            words.write(draw, (x, bottom + 7), below, LIGHT.text, each, anchor="ma")
+            draw.line([(x, bottom + 1), (x, bottom + 4)], fill=FAINT)
+            words.write(draw, (x, bottom + 7), below, TEXT, each, anchor="ma")
 
 
 # Words: the font that comes with Pillow, and what it cannot draw

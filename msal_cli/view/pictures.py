@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from msal_cli.analysis.measures import at_other_positions, distances_to_surface, measure_enclosure
+from msal_cli.analysis.measures import at_other_positions, measure_enclosure, nearest_on_surface
 from msal_cli.arrays import Floats
 from msal_cli.codecs.colours import colour_table, map_colours, vertex_colours
 from msal_cli.codecs.mesh_file import MeshFile, Surface, SurfaceColours
@@ -106,21 +106,21 @@ def scene_of(
     first = prepare_mesh(before, names[0])
     if after is None:
         return _with_colours(Scene(names, first.mesh), (before,), (first,))
-    if before.has_same_faces(after):
-        record = comparison.compare_meshes(before, after, *names, to_surface=False)
+    is_signed = before.has_same_faces(after)
+    is_measured = to_surface and not is_signed
+    record = comparison.compare_meshes(before, after, *names, to_surface=is_measured)
+    second, deviation = first, None
+    if is_signed:
         moved = at_other_positions(first, after.vertices)
-        step = moved.vertices - first.mesh.vertices
-        along = (step * first.mesh.vertex_normals()).sum(axis=1)
-        along *= measure_enclosure(first).outward_signs(first.mesh)
-        scene = Scene(names, first.mesh, moved, along, True, record)
-        return _with_colours(scene, (before, after), (first, first))
-    record = comparison.compare_meshes(before, after, *names, to_surface=to_surface)
-    second = prepare_mesh(after, names[1])
-    there = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
-    distances = None
-    if to_surface:
-        distances = distances_to_surface(there.vertices, first.mesh)
-    scene = Scene(names, first.mesh, there, distances, False, record)
+        steps = moved.vertices - first.mesh.vertices
+        deviation = (steps * first.mesh.vertex_normals()).sum(axis=1)
+        deviation *= measure_enclosure(first).outward_signs(first.mesh)
+    else:
+        second = prepare_mesh(after, names[1])
+        moved = second.mesh.with_vertices(second.mesh.vertices + (second.origin - first.origin))
+        if is_measured:
+            _, deviation = nearest_on_surface(moved.vertices, first.mesh)
+    scene = Scene(names, first.mesh, moved, deviation, is_signed, record)
     return _with_colours(scene, (before, after), (first, second))
 
 
@@ -233,9 +233,7 @@ def panel(
 ) -> Image:
     """(h, w, 3) uint8: one mesh, its vertices in ``colours`` (n, 3) uint8 or all of clay; see
     ``shading.shade``."""
-    tallness = min(
-        _MAX_TALLNESS, max(_MIN_TALLNESS, 1.0 / (camera.half_width / camera.half_height))
-    )
+    tallness = min(max(camera.half_height / camera.half_width, _MIN_TALLNESS), _MAX_TALLNESS)
     return shade(
         mesh.vertices,
         mesh.faces,

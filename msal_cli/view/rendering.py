@@ -258,23 +258,9 @@ def _nearest_axis(direction: Floats) -> Floats:
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
-
-@dataclass(frozen=True)
-class Style:
-    """Colours of a picture, (red, green, blue) in 0 to 255.
-
-    ``clay`` is the side of a surface that looks outwards, ``inside`` the other one, which open
-    scans show; ``text`` and ``faint`` are for titles and for the lines below.
-    """
-
-    background: Colour = (255, 255, 255)
-    clay: Colour = (196, 190, 182)
-    inside: Colour = (122, 138, 160)
-    text: Colour = (28, 30, 34)
-    faint: Colour = (96, 100, 108)
-
-
-LIGHT = Style()
+WHITE, CLAY, INSIDE = (255, 255, 255), (196, 190, 182), (122, 138, 160)
+"""Colours, (red, green, blue) in 0 to 255: behind the mesh, of the side of a surface that looks
+outwards, and of the other one, which open scans show."""
 
 _LAMPS = (
     ((-0.56, 0.60, 0.57), 1.00, 0.20),
@@ -318,7 +304,7 @@ def shade(
     height: int,
     colours: Image | None = None,
     *,
-    style: Style = LIGHT,
+    background: Colour = WHITE,
     crease_deg: float = CREASE_DEG,
     colours_are: str = "map",
 ) -> Image:
@@ -336,7 +322,7 @@ def shade(
     """
     vertices = np.ascontiguousarray(vertices, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int32)
-    clay, inside = (np.array(colour, dtype=np.float32) for colour in (style.clay, style.inside))
+    clay, inside = (np.array(colour, dtype=np.float32) for colour in (CLAY, INSIDE))
     if colours is None:
         if _is_inside_out(vertices, faces):
             clay, inside = inside, clay
@@ -363,7 +349,7 @@ def shade(
     open_sky = _open_sky(depth / np.float32(SAMPLES), covered)
     if colours_are == "map":
         open_sky = 0.5 + 0.5 * open_sky
-    behind = np.array(style.background, dtype=np.float32) * (1.0 - covered[..., None])
+    behind = np.array(background, dtype=np.float32) * (1.0 - covered[..., None])
     image = np.rint(lit * open_sky[..., None] + behind)
     result: Image = image.clip(0, 255).astype(np.uint8)
     return result

@@ -31,7 +31,7 @@ from msal_cli.methods import Method, find, names
 from msal_cli.view import pictures
 from msal_cli.view.panels import Panel, draw_panels
 from msal_cli.view.pictures import View
-from msal_cli.view.rendering import LIGHT, Camera, Image
+from msal_cli.view.rendering import WHITE, Camera, Image
 
 MAX_CELLS = 100
 
@@ -233,7 +233,7 @@ def sheet(on: Subject, wanted: Grid, done: Sequence[tuple[Cell, Image]], view: V
         error = measure_surface_change(on.reference, on.ready.mesh).mean_angular_error_deg
         words = f"normals of the input {error:.2f}\N{DEGREE SIGN}"
         sides.append((pictures.panel(on.reference, on.camera, view), "reference", [words]))
-    empty: Panel = (np.full_like(sides[0][0], LIGHT.background), "", [])
+    empty: Panel = (np.full_like(sides[0][0], WHITE), "", [])
     width = len([*wanted.axes.values()][-1])
     panels: list[Panel] = []
     for at in range(max(-(-len(cells) // width), len(sides))):

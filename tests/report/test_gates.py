@@ -110,7 +110,7 @@ def test_verdicts_by_hand(text, is_broken):
         ("__import__('os')", 12, "means nothing"),
         ("faces > 1\x1b[2J", 10, "means nothing"),
         ("1 > " + "0" * MAX_LENGTH, MAX_LENGTH, "longer"),
-        ("+faces", 2, "it is a number"),
+        ("+faces", 2, "this is a number"),
         # Units that do not go together.
         ("volume_change > 1", 1, ""),
         ("volume_change > 1e", 1, ""),
