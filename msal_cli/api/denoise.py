@@ -217,13 +217,9 @@ def denoise(
     ------
     UsageError
         for arguments that mean nothing or exclude each other, or have another name.
-    ContentError
-        for arrays that are no mesh: ``E_NONFINITE``, ``E_INDEX``, ``E_NO_FACES``, ``E_RANGE``, or
-        ``E_CONTENT`` for shapes and number types.
-    InputError
-        with ``E_PROPERTY`` where a mesh object has no array of a name.
-    UnsupportedError
-        for cells that are no polygons.
+    ContentError, InputError, UnsupportedError
+        for what is no mesh, has no array of a name, or has cells that are no polygons;
+        ``error.code`` says how (docs/formats.md lists the codes).
     ResourceError
         where there is not enough memory.
 

@@ -75,9 +75,7 @@ def estimate_noise(vertices: Any, faces: ArrayLike | None = None) -> NoiseEstima
 
     Parameters
     ----------
-    vertices : (n, 3) real numbers, in any unit of length; or a mesh object in place of vertices and
-        faces, as for ``denoise``.
-    faces : (m, 3) integers, the vertices of each triangle, counted from 0.
+    vertices, faces : a mesh, as for ``denoise``.
 
     Returns
     -------
@@ -112,9 +110,7 @@ def add_noise(
 
     Parameters
     ----------
-    vertices : (n, 3) real numbers, in any unit of length; or a mesh object in place of vertices and
-        faces, as for ``denoise``.
-    faces : (m, 3) integers, the vertices of each triangle, counted from 0.
+    vertices, faces : a mesh, as for ``denoise``.
     kind : ``gaussian-normal`` (along the vertex normals), ``gaussian`` (in each coordinate),
         ``uniform`` (in each coordinate, from -level to +level), ``mixed`` (that of Fig. 7 of Huang
         and Ascher, Inverse Problems 24 (2008): along the normals and as much across),
