@@ -43,8 +43,7 @@ from typing import Any, BinaryIO
 
 from msal_cli.batch.lock import FolderLock, Shard
 from msal_cli.errors import InputError, MsalError, OutputError
-from msal_cli.job.records import MeshRecord
-from msal_cli.record_fields import as_data, from_data
+from msal_cli.job.records import MeshRecord, as_data, from_data
 from msal_cli.storage import urls
 from msal_cli.storage.atomic import flush_folder, write_whole
 from msal_cli.storage.regular import open_own, open_regular

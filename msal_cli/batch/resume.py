@@ -20,10 +20,9 @@ from msal_cli.batch.lock import Shard
 from msal_cli.batch.manifest import FileStat, LogView, Manifest, ManifestEntry
 from msal_cli.batch.plan import Plan, identify_file, manifest_key
 from msal_cli.errors import OutputError, UsageError
-from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed
+from msal_cli.job.records import DONE, Failure, MeshRecord, MethodUsed, from_data
 from msal_cli.job.settings import Settings, Task, suffix
 from msal_cli.machine import iso_timestamp
-from msal_cli.record_fields import from_data
 from msal_cli.storage.atomic import write_whole
 from msal_cli.storage.regular import open_regular
 from msal_cli.storage.sidecars import are_in_place

@@ -10,8 +10,14 @@ from typing import Any
 
 from msal_cli.errors import FormatError, format_count
 from msal_cli.job.display_names import figure
-from msal_cli.job.records import SCHEMA, ComparisonRecord, GateResult, Reference, SurfaceDistance
-from msal_cli.record_fields import value_at
+from msal_cli.job.records import (
+    SCHEMA,
+    ComparisonRecord,
+    GateResult,
+    Reference,
+    SurfaceDistance,
+    value_at,
+)
 from msal_cli.report import facts
 from msal_cli.report.data import parse_json, read_json, read_record
 from msal_cli.report.facts import Fact, Line, file_name

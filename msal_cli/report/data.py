@@ -22,8 +22,17 @@ from typing import Any
 
 from msal_cli.errors import FormatError
 from msal_cli.job.display_names import portable, restore_name
-from msal_cli.job.records import DONE, SCHEMA, MeshRecord
-from msal_cli.record_fields import about, as_data, from_data, known, required, value_at
+from msal_cli.job.records import (
+    DONE,
+    SCHEMA,
+    MeshRecord,
+    about,
+    as_data,
+    from_data,
+    known,
+    required,
+    value_at,
+)
 
 Refusal = Callable[..., FormatError]
 """Makes an error of a file's name, a reason, and a place in the file."""

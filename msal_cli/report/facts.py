@@ -22,8 +22,8 @@ from msal_cli.job.records import (
     MeshRecord,
     NoiseEstimate,
     SelfIntersections,
+    value_at,
 )
-from msal_cli.record_fields import value_at
 from msal_cli.report.data import Run, Totals, flatten, known_values, plain
 
 Tone = Literal["plain", "good", "bad", "faint"]

@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 from msal_cli.errors import UsageError
-from msal_cli.job.records import ComparisonRecord, GateResult, MeshRecord
+from msal_cli.job.records import ComparisonRecord, GateResult, MeshRecord, value_at
 from msal_cli.job.settings import COMPARISONS, UNIT_PATTERN, in_file_units
-from msal_cli.record_fields import value_at
 from msal_cli.report.data import leaf_fields
 
 Value = float | bool | None

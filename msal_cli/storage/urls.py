@@ -7,10 +7,9 @@ a signed link) is refused.
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from msal_cli.errors import UsageError
-from msal_cli.record_fields import required
 
 _URL = re.compile(r"(?P<protocol>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
 _FILES = ("file", "local")
@@ -23,12 +22,15 @@ _ODD = {"": "%2F", ".": "%2E", "..": "%2E%2E"}
 _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])( *\.| *$)", re.IGNORECASE)
 
 
+_TAG = "entity tag, or what the store gives in its place; empty if it gives none"
+
+
 @dataclass(frozen=True, slots=True)
 class ObjectMark:
     """Size in bytes and entity tag of an object in a store; the tag is empty if none is given."""
 
-    size: int = required("bytes")
-    tag: str = required("entity tag, or what the store gives in its place; empty if it gives none")
+    size: int = field(metadata={"description": "bytes"})
+    tag: str = field(metadata={"description": _TAG})
 
 
 def is_url(text: str) -> bool:

@@ -18,7 +18,7 @@ from msal_cli.job.display_names import (
     restore_name,
     shorten_name,
 )
-from msal_cli.record_fields import as_data, from_data
+from msal_cli.job.records import as_data, from_data
 from tests.report.made import failed, gated
 
 
