@@ -17,7 +17,7 @@ import pytest
 from click.exceptions import Exit
 
 from benchmarks import scanner_cases
-from msal_cli.cli import config
+from msal_cli.cli import command as commands
 from msal_cli.cli.main import program
 from msal_cli.job import records
 from msal_cli.job.records import InfoRecord
@@ -95,7 +95,7 @@ def test_every_documented_command_parses(
     page: str, call: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The files of --config are not here.
-    monkeypatch.setattr(config, "read_config", lambda path, *given, **named: {})
+    monkeypatch.setattr(commands, "read_config", lambda path, *given, **named: {})
     if call and not call[0].startswith("-"):
         assert call[0] in all_commands(), f"{page}: msal {shlex.join(call)}"
         command, words = all_commands()[call[0]], call[1:]

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 from msal_cli.batch import interrupts
 from msal_cli.cli import console, options
-from msal_cli.cli.command import Request, grouped_command
-from msal_cli.cli.config import is_from_found_file, name_file
+from msal_cli.cli.command import Request, grouped_command, is_from_found_file, name_file
 from msal_cli.cli.options import STREAM, group
 from msal_cli.errors import MsalError, OutputError, ResourceError, UsageError
 from msal_cli.job.settings import (
