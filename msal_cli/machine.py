@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar
@@ -53,14 +54,13 @@ def in_background(task: Callable[[], Value]) -> Callable[[], Value]:
 
     Where the system gives no more threads the task runs at once.
     """
-    results: list[Value] = []
-    failures: list[BaseException] = []
+    future: Future[Value] = Future()
 
     def run() -> None:
         try:
-            results.append(task())
+            future.set_result(task())
         except BaseException as failure:
-            failures.append(failure)
+            future.set_exception(failure)
 
     # Where numpy keeps arrays is a matter of the context, which threads do not inherit.
     thread = threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True)
@@ -68,15 +68,7 @@ def in_background(task: Callable[[], Value]) -> Callable[[], Value]:
         thread.start()
     except RuntimeError:
         run()
-
-    def wait() -> Value:
-        if thread.ident is not None:
-            thread.join()
-        if failures:
-            raise failures[0]
-        return results[0]
-
-    return wait
+    return future.result
 
 
 # Every large kernel needs it, and a quota is not changed while a process runs.

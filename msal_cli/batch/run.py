@@ -98,13 +98,12 @@ def run(
     check_options(limits, jobs, retries, stop_after_failures)
     if limits != NO_LIMITS:
         denoise = functools.partial(denoise, limits=limits)
+    options = (jobs, limits, retries, stop_after_failures, engine, cancellation)
+    batch_run = _BatchRun(plan, settings, denoise, on_event or (lambda event: None), *options)
+    if dry_run:
+        return batch_run.dry_run()
     with ExitStack() as stack:
-        options = (jobs, limits, retries, stop_after_failures, engine, cancellation)
-        report = on_event or (lambda event: None)
-        batch_run = _BatchRun(plan, settings, denoise, report, *options, manifests or {})
-        if dry_run:
-            return batch_run.dry_run()
-        return batch_run.execute(stack, tuple(command))
+        return batch_run.execute(stack, manifests or {}, tuple(command))
 
 
 @dataclass()
@@ -119,7 +118,6 @@ class _BatchRun:
     stop_after_failures: int | None
     engine: EngineFactory | None
     cancellation: interrupts.Cancellation | None
-    opened: Mapping[str, Manifest]
 
     def __post_init__(self) -> None:
         self._cores = usable_cores()
@@ -148,14 +146,16 @@ class _BatchRun:
             else:
                 options = (self.settings, self.limits)
                 records = {
-                    index: foresee(self._unfinished_record(index), self.plan.tasks[index], *options)
+                    index: foresee(self._planned_record(index), self.plan.tasks[index], *options)
                     for index in todo
                 }
             for index, record in records.items():
                 self._emit_finished(index, record)
         return self._in_order()
 
-    def execute(self, stack: ExitStack, command: tuple[str, ...]) -> list[MeshRecord]:
+    def execute(
+        self, stack: ExitStack, opened: Mapping[str, Manifest], command: tuple[str, ...]
+    ) -> list[MeshRecord]:
         """What happened; ``stack`` releases locks and manifests, however this ends."""
         is_limited = (self.limits.timeout_s, self.limits.memory_bytes) != (None, None)
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
@@ -166,7 +166,7 @@ class _BatchRun:
                 sweep(folders)
                 todo = list(range(len(self.plan.tasks)))
                 if self._journal is not None:
-                    todo = self._journal.begin(stack, self.opened, command, self._emit_finished)
+                    todo = self._journal.begin(stack, opened, command, self._emit_finished)
             if self.plan.is_set and todo:
                 from msal_cli.batch.tile_set import SetRun
 
@@ -273,7 +273,9 @@ class _BatchRun:
                     record = replace(record, warnings=(*record.warnings, note))
                 finished[message.index] = record
             elif isinstance(message, Failed):
-                finished[message.index] = self._unfinished_record(message.index, message)
+                # It was lost outside of the pipeline.
+                start = start_record(self.plan.tasks[message.index].input, self.settings)
+                finished[message.index] = replace(start, error=message.failure)
             elif isinstance(message, Retried):
                 name = self.plan.tasks[message.index].input
                 _log.warning("%r: %s; it will be tried again", name, message.reason)
@@ -299,18 +301,13 @@ class _BatchRun:
         self.on_event(Finished(index, record))
 
     def _in_order(self) -> list[MeshRecord]:
-        n_tasks = len(self.plan.tasks)
-        return [
-            self._records.get(index) or self._unfinished_record(index) for index in range(n_tasks)
-        ]
+        indices = range(len(self.plan.tasks))
+        return [self._records.get(index) or self._planned_record(index) for index in indices]
 
-    def _unfinished_record(self, index: int, failed: Failed | None = None) -> MeshRecord:
-        """The record of a file that is not done yet, or was lost outside of the pipeline."""
+    def _planned_record(self, index: int) -> MeshRecord:
         task = self.plan.tasks[index]
-        record = start_record(task.input, self.settings)
-        if failed is not None:
-            return replace(record, error=failed.failure)
-        return replace(record, status="planned", output=task.output)
+        start = start_record(task.input, self.settings)
+        return replace(start, status="planned", output=task.output)
 
 
 def _warn_of_memory(record: MeshRecord, limits: Limits) -> MeshRecord:

@@ -361,12 +361,41 @@ class WorkerPool:
     # Starting and ending processes
 
     def _start(self, cores: int) -> WorkerProcess:
-        work = self._work
-        limit = self._limits.memory_bytes
-        assignment = Assignment(work.function, work.common, _log.getEffectiveLevel(), limit)
-        worker = start_worker(assignment, cores, self._inbox)
-        worker.deadline = time.monotonic() + _READY_WITHIN_S
+        """A new worker that computes with ``cores`` threads; ResourceError if the system cannot
+        start a process."""
+        environment = dict(os.environ)
+        # What the user has set stays.
+        for name in _THREAD_VARIABLES:
+            environment.setdefault(name, str(cores))
+        command = [sys.executable, "-P", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _BOOT]
+        # A group of its own keeps the terminal's Ctrl-C from the worker: the parent decides.
+        grouped: dict[str, Any] = {"process_group": 0}
+        if sys.platform == "win32":
+            grouped = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+        try:
+            process = subprocess.Popen(
+                [*command, json.dumps(sys.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env=environment,
+                **grouped,
+            )
+        except OSError as error:
+            raise ResourceError(
+                f"no worker can be started: {error.strerror}",
+                hint="there may not be enough memory, or too many processes",
+            ) from None
+        worker = WorkerProcess(process, process.pid, cores, time.monotonic() + _READY_WITHIN_S)
         self._workers.append(worker)
+        printing = threading.Thread(target=_read_output, args=(worker,), daemon=True)
+        answers = (worker, printing, self._inbox)
+        reading = threading.Thread(target=_read_messages, args=answers, daemon=True)
+        worker.readers += [printing, reading]
+        for thread in worker.readers:
+            thread.start()
+        work, level = self._work, _log.getEffectiveLevel()
+        worker.send(Assignment(work.function, work.common, level, self._limits.memory_bytes))
         return worker
 
     def _stop_workers(self) -> list[Message]:
@@ -472,44 +501,6 @@ Inbox = queue.SimpleQueue[tuple[WorkerProcess | None, tuple[Any, ...]]]
 """Messages of workers; those without a worker are from the parent to itself."""
 
 
-def start_worker(assignment: Assignment, cores: int, inbox: Inbox) -> WorkerProcess:
-    """A new worker that computes with ``cores`` threads and sends its messages to ``inbox``.
-
-    Raises ResourceError if the system cannot start a process.
-    """
-    environment = dict(os.environ)
-    # What the user has set stays.
-    for name in _THREAD_VARIABLES:
-        environment.setdefault(name, str(cores))
-    command = [sys.executable, "-P", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _BOOT]
-    # A group of its own keeps the terminal's Ctrl-C from the worker: the parent decides.
-    grouped: dict[str, Any] = {"process_group": 0}
-    if sys.platform == "win32":
-        grouped = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-    try:
-        process = subprocess.Popen(
-            [*command, json.dumps(sys.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment,
-            **grouped,
-        )
-    except OSError as error:
-        raise ResourceError(
-            f"no worker can be started: {error.strerror}",
-            hint="there may not be enough memory, or too many processes",
-        ) from None
-    worker = WorkerProcess(process, process.pid, cores)
-    printing = threading.Thread(target=_read_output, args=(worker,), daemon=True)
-    answers = threading.Thread(target=_read_messages, args=(worker, printing, inbox), daemon=True)
-    worker.readers += [printing, answers]
-    for thread in worker.readers:
-        thread.start()
-    worker.send(assignment)
-    return worker
-
-
 def _read_messages(worker: WorkerProcess, printing: threading.Thread, inbox: Inbox) -> None:
     try:
         while True:
@@ -557,21 +548,30 @@ def serve() -> None:
         os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)
     faulthandler.enable()
-    outgoing = _Outgoing(answers)
+    lock = threading.Lock()
+
+    def respond(*message: Any) -> None:
+        """Send a message to the parent; any thread may."""
+        try:
+            with lock:
+                send(answers, message)
+        except OSError:
+            os._exit(0)
+
     try:
         assignment: Assignment = pickle.load(orders)
         root = logging.getLogger()
-        root.addHandler(_ParentLog(outgoing))
+        root.addHandler(_ParentLog(respond))
         root.setLevel(logging.WARNING)
         logging.getLogger("msal").setLevel(assignment.log_level)
     except EOFError:
         return
     except BaseException:
-        outgoing.send("unusable", traceback.format_exc())
+        respond("unusable", traceback.format_exc())
         return
     limit = assignment.memory_bytes
     if limit is not None and not sys.platform.startswith("linux"):
-        threading.Thread(target=_watch_memory, args=(limit, outgoing), daemon=True).start()
+        threading.Thread(target=_watch_memory, args=(limit, respond), daemon=True).start()
     tasks: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
 
     def receive() -> None:
@@ -583,27 +583,12 @@ def serve() -> None:
             os._exit(0)
 
     threading.Thread(target=receive, daemon=True).start()
-    outgoing.send("ready", os.getpid())
+    respond("ready", os.getpid())
     while True:
-        _do(assignment, *tasks.get(), outgoing)
+        _do(assignment, *tasks.get(), respond)
 
 
-class _Outgoing:
-    """The way to the parent, for all threads."""
-
-    def __init__(self, pipe: IO[bytes]) -> None:
-        self._pipe = pipe
-        self._lock = threading.Lock()
-
-    def send(self, *message: Any) -> None:
-        try:
-            with self._lock:
-                send(self._pipe, message)
-        except OSError:
-            os._exit(0)
-
-
-def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> None:
+def _do(assignment: Assignment, index: int, task: Any, respond: Callable[..., None]) -> None:
     begun = time.monotonic()
     last = ("", 0.0)
 
@@ -613,18 +598,18 @@ def _do(assignment: Assignment, index: int, task: Any, outgoing: _Outgoing) -> N
         is_new = stage != last[0] and (not last[0] or now - begun >= _BETWEEN_PROGRESS_S)
         if is_new or done == total or now - last[1] >= _BETWEEN_PROGRESS_S:
             last = (stage, now)
-            outgoing.send("progress", index, stage, done, total)
+            respond("progress", index, stage, done, total)
 
     try:
         with limited_memory(assignment.memory_bytes):
             result = assignment.function(task, assignment.common, on_progress)
-        outgoing.send("returned", index, result, memory_bytes("VmRSS"))
+        respond("returned", index, result, memory_bytes("VmRSS"))
     except MemoryError:
-        outgoing.send("exhausted")
+        respond("exhausted")
     except BaseException as error:
         # SystemExit included: a library must not end the worker in silence.
         logging.getLogger("msal.batch").error("%s", traceback.format_exc())
-        outgoing.send("raised", index, f"{type(error).__name__}: {error}")
+        respond("raised", index, f"{type(error).__name__}: {error}")
 
 
 @contextlib.contextmanager
@@ -664,23 +649,23 @@ def limited_memory(limit: int | None) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
-def _watch_memory(limit: int, outgoing: _Outgoing) -> None:
+def _watch_memory(limit: int, respond: Callable[..., None]) -> None:
     """End this process once it has used too much, where the system cannot refuse memory."""
     while True:
         time.sleep(_BETWEEN_LOOKS_S)
         used = memory_bytes("VmRSS") or peak_bytes() or 0
         if used > limit:
-            outgoing.send("exhausted")
+            respond("exhausted")
             os._exit(1)
 
 
 class _ParentLog(logging.Handler):
-    def __init__(self, outgoing: _Outgoing) -> None:
+    def __init__(self, respond: Callable[..., None]) -> None:
         super().__init__()
-        self._outgoing = outgoing
+        self._respond = respond
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._outgoing.send("log", record.name, record.levelno, self.format(record))
+        self._respond("log", record.name, record.levelno, self.format(record))
 
 
 def denoise_in_worker(

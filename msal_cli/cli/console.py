@@ -220,31 +220,23 @@ def log_to_console(verbosity: int) -> Iterator[None]:
 
 
 class _ConsoleHandler(logging.Handler):
-    """Log records as lines on standard error."""
+    """Log records as lines on standard error; no name of a file breaks a line, reaches the terminal
+    or makes an entry of its own."""
 
     def __init__(self, verbosity: int) -> None:
         super().__init__(_LEVELS.get(verbosity, logging.DEBUG))
-        self._with_traces = verbosity > 0
-        time = "%(asctime)s " if verbosity > 1 else ""
-        self.setFormatter(_SafeFormatter(f"{time}msal: %(level)s: %(message)s"))
+        self._verbosity = verbosity
 
     def emit(self, record: logging.LogRecord) -> None:
-        text = self.format(record)
+        formatter = logging.Formatter()
+        text = f"msal: {record.levelname.lower()}: {_escape(record.getMessage())}"
+        if self._verbosity > 1:
+            text = f"{formatter.formatTime(record)} {text}"
+        if record.exc_info:
+            text += "\n" + _escape(formatter.formatException(record.exc_info))
         # The failure itself is reported with the file that it belongs to.
-        if self._with_traces or _TRACE not in text:
+        if self._verbosity > 0 or _TRACE not in text:
             say(text)
-
-
-class _SafeFormatter(logging.Formatter):
-    """No name of a file breaks a line, reaches the terminal or makes an entry of its own."""
-
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - Python's name
-        record.message = _escape(record.message)
-        record.level = record.levelname.lower()
-        return super().formatMessage(record)
-
-    def formatException(self, ei: Any) -> str:  # noqa: N802 - Python's name
-        return _escape(super().formatException(ei))
 
 
 def _escape(text: str) -> str:

@@ -273,9 +273,6 @@ class _Session:
         settings = build_settings(self._request, self._gates)
         if self._stream is not None:
             return self._run_stream(self._stream, settings)
-        return self._run_files(self._build_plan(settings), settings)
-
-    def _build_plan(self, settings: Settings) -> Plan:
         from msal_cli.batch.inputs import discover_inputs
 
         request, shard = self._request, None
@@ -283,12 +280,11 @@ class _Session:
             from msal_cli.batch.lock import parse_shard
 
             shard = parse_shard(request.shard)
-        found = discover_inputs(
-            request.inputs, request.include, request.exclude, output=request.output
-        )
+        patterns = request.include, request.exclude
+        found = discover_inputs(request.inputs, *patterns, output=request.output)
         # Everything is checked first, so that each shard refuses what a whole run would.
-        everything = plan_files(request, settings, found)
-        return everything if shard is None else everything.select_shard(shard)
+        plan = plan_files(request, settings, found)
+        return self._run_files(plan if shard is None else plan.select_shard(shard), settings)
 
     def _run_stream(self, stream: Stream, settings: Settings) -> int:
         from msal_cli.cli import progress

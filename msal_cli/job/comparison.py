@@ -7,6 +7,7 @@ becomes a record with an error.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -77,10 +78,8 @@ def inspect_file(
     the rest.
     """
     try:
-        if data is not None:
-            return _inspect(data, path, format, with_intersections)
-        with room_for_files((path,), format):
-            data = header.read_input(path, format)
+        with nullcontext() if data is not None else room_for_files((path,), format):
+            data = header.read_input(path, format) if data is None else data
             return _inspect(data, path, format, with_intersections)
     except Exception as error:
         return InfoRecord(input=path, error=Failure.of(to_known_error(error, path)))

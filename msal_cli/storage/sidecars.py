@@ -7,7 +7,7 @@ may carry the same file at once, because meshes of one folder share their materi
 import filecmp
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from msal_cli.errors import OutputError
@@ -117,7 +117,7 @@ def _relative(reference: str, folder: Path) -> Path | None:
     if not reference.strip() or "\0" in reference or _is_absolute(reference):
         return None
     literal = Path(reference)
-    if "\\" in reference and not _is_file(folder / literal):
+    if "\\" in reference and not os.path.isfile(folder / literal):
         return Path(*PureWindowsPath(reference).parts)
     return literal
 
@@ -135,7 +135,7 @@ def _carry(
             return f"{reference} is an absolute path and stays as it is"
         return "warning: a reference without a usable name is left alone"
     source, target = source_folder / relative, target_folder / relative
-    if not _is_file(source):
+    if not os.path.isfile(source):
         if source.exists():
             return f"warning: {reference} is not a regular file and is not copied"
         return f"warning: {reference} is missing beside the input"
@@ -163,13 +163,6 @@ def _carry(
     return f"copied {reference}"
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def _is_same(source: Path, target: Path) -> bool:
     return target.is_file() and filecmp.cmp(source, target, shallow=False)
 
@@ -187,9 +180,10 @@ def _copy(source: Path, target: Path) -> None:
     """Copy a file to a place that is free; a second run finds it taken and compares."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if not write_new(target, _pieces(source), sources=[source]) and not _is_same(
-            source, target
-        ):
+        with open_regular(source) as stream:
+            pieces = iter(lambda: stream.read(_PIECE), b"")
+            is_written = write_new(target, pieces, sources=[source])
+        if not is_written and not _is_same(source, target):
             raise OutputError(
                 f"there is another {target.name} beside the output than {source}, which the input "
                 "names",
@@ -204,12 +198,6 @@ def _copy(source: Path, target: Path) -> None:
             path=os.fspath(target),
             hint="check the permissions of the output folder, and of the file",
         ) from failure
-
-
-def _pieces(source: Path) -> Iterator[bytes]:
-    with open_regular(source) as stream:
-        while piece := stream.read(_PIECE):
-            yield piece
 
 
 def _textures(library: Path) -> list[str]:
