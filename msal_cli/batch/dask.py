@@ -117,8 +117,6 @@ class DaskEngine:
             time.sleep(_BETWEEN_CHECKS_S)
 
     def _submit(self, client: Any, index: int) -> Any:
-        """The future of a task."""
-
         # Sent by value, and all else as bytes: the scheduler need not have msal.
         def msal(version: str, payload: bytes) -> bytes:
             from msal_cli.batch.dask import denoise_in_child
@@ -175,7 +173,6 @@ def _read_answer(index: int, answer: Any) -> Returned | Failed | None:
 
 
 def not_installed() -> UsageError:
-    """The error for a Python without Dask distributed."""
     return UsageError("Dask is not installed", hint=install_hint("dask"))
 
 

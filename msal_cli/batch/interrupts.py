@@ -89,7 +89,7 @@ def end_on_signal() -> Iterator[None]:
 
 
 @contextmanager
-def catch_signals(on_signal: Callable[[int], None]) -> Iterator[None]:
+def catch_signals(on_signal: Callable[[int], None] = raise_for) -> Iterator[None]:
     """Call ``on_signal(number)`` at the first SIGINT, SIGTERM or the like; the second ends at once.
 
     Only signals that no other code handles are taken over, only in the main thread (Python offers

@@ -354,7 +354,6 @@ class Manifest:
         self._newest = max((entry.at for entry in self._entries.values()), default=0)
 
     def get(self, name: str) -> ManifestEntry | None:
-        """The entry of an output."""
         return self._entries.get(name)
 
     def append(self, lines: Iterable[Mapping[str, Any]]) -> None:

@@ -135,7 +135,7 @@ class _BatchRun:
     def dry_run(self) -> list[MeshRecord]:
         """What would happen, with nothing touched."""
         todo = list(range(len(self.plan.tasks)))
-        with interrupts.catch_signals(interrupts.raise_for):
+        with interrupts.catch_signals():
             if self._journal is not None:
                 self._journal.read()
                 todo = self._journal.find_outdated(self._emit_finished)[0]
@@ -161,7 +161,7 @@ class _BatchRun:
         is_alone = len(self.plan.tasks) == 1 and self.plan.shard is None
         is_single = is_alone and not (self.engine or is_limited or self.cancellation)
         try:
-            with interrupts.catch_signals(interrupts.raise_for):
+            with interrupts.catch_signals():
                 folders = {*output_folders(self.plan.tasks), *map(Path, self._local_folders())}
                 sweep(folders)
                 todo = list(range(len(self.plan.tasks)))
@@ -202,7 +202,7 @@ class _BatchRun:
         def clean() -> None:
             sweep(output_folders(self.plan.tasks), os.getpid())
 
-        with interrupts.catch_signals(interrupts.raise_for), interrupts.end_if_late(clean):
+        with interrupts.catch_signals(), interrupts.end_if_late(clean):
             yield
 
     def _run_in_process(self, todo: list[int]) -> None:
@@ -222,7 +222,7 @@ class _BatchRun:
 
         received: list[int] = []
         tasks = {index: self.plan.tasks[index] for index in todo}
-        with interrupts.catch_signals(interrupts.raise_for):
+        with interrupts.catch_signals():
             weights, light_bytes, budget_bytes = estimate_memory(tasks, self.settings, self.limits)
         work = Work(
             tasks,

@@ -29,8 +29,6 @@ _BYTES_PER_FACE = 24.0
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """Work on a task begins."""
-
     index: int
 
 
@@ -67,8 +65,6 @@ class Failed:
 
 @dataclass(frozen=True, slots=True)
 class Retried:
-    """A task was lost with its worker and will be tried again."""
-
     index: int
     reason: str
 
@@ -118,8 +114,6 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Work:
-    """What an engine is to do."""
-
     tasks: dict[int, Any]  # picklable values by their index in the plan
     # of a module, called in some process as ``function(task, common, on_progress)``
     function: Callable[..., Any]
@@ -176,7 +170,6 @@ class TaskQueue:
         self._light.clear()
 
     def weight(self, index: int) -> int:
-        """Bytes that a task is expected to need."""
         return self._weights.get(index, self._light_bytes)
 
     def retry(self, index: int) -> None:
@@ -199,7 +192,6 @@ class TaskQueue:
         return self.weight(self._heavy[0]) + self._light_bytes > self._budget
 
     def pop_exclusive(self) -> int:
-        """Take the task that must be alone."""
         return (self._heavy or self._retries).popleft()
 
     def pop(self, current: Iterable[int], idle_bytes: int) -> int | None:
@@ -211,7 +203,6 @@ class TaskQueue:
         return queue.popleft() if queue else None
 
     def may_start(self, current: Iterable[int], idle_bytes: int) -> bool:
-        """Whether there is a task for one more worker."""
         return self._beside(current, idle_bytes) is not None
 
     def _beside(self, current: Iterable[int], idle_bytes: int) -> collections.deque[int] | None:

@@ -99,8 +99,6 @@ _STACK_BYTES = 8 << 20
 
 
 class WorkerPool:
-    """Does many tasks in worker processes."""
-
     def __init__(self, work: Work) -> None:
         self._work = work
         self._limits = work.limits

@@ -156,7 +156,7 @@ def _write_heatmap(request: Request) -> None:
     with room_for_files(paths, request.format):
         before, after = (open_mesh_file(path, request.format) for path in paths)
         data, low, high = build_heatmap(before, after, request.before)
-        with interrupts.catch_signals(interrupts.raise_for):
+        with interrupts.catch_signals():
             atomic.write_whole(target, [data], sources=paths)
     console.say(f"{file_name(target)}: deviation, pale to dark for {low:g} to {high:.4g}")
 

@@ -87,7 +87,6 @@ def _say_error_words(words: str, hint: str) -> None:
 
 
 def say_written(path: str) -> None:
-    """That a file was written."""
     say(f"wrote {escape_for_display(path)}", "good")
 
 
@@ -175,7 +174,6 @@ def width(stream: TextIO | None) -> int:
 
 
 def is_terminal(stream: TextIO | None) -> bool:
-    """Whether ``stream`` is a terminal."""
     try:
         return stream is not None and stream.isatty()
     except ValueError:
@@ -280,7 +278,6 @@ def status_of_files(
 
 
 def status_of_error(error: MsalError) -> int:
-    """The status of a command that an error ended."""
     if error.code == "E_NOTHING_MATCHED":
         return NOTHING_MATCHED
     return USAGE if isinstance(error, UsageError) else FATAL

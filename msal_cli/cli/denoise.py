@@ -370,7 +370,7 @@ class _Session:
 
             needed = megabytes(memory_of_set(plan.tasks, settings))
             console.say(f"as one mesh they take up to {needed} of memory")
-        with interrupts.catch_signals(interrupts.raise_for):
+        with interrupts.catch_signals():
             return self._conclude(settings, records)
 
     def _report_partly(

@@ -42,11 +42,9 @@ class Msal(click.Group):
     """A group whose commands are modules of this folder, imported when they are needed."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The commands in the order in which help shows them."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of exactly that name."""
         if cmd_name not in COMMANDS:
             return None
         is_completion = cmd_name == "completion"
@@ -55,7 +53,6 @@ class Msal(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list of commands in the help."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 

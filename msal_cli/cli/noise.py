@@ -104,7 +104,7 @@ def command(request: Request) -> int:
     for source, path in targets:
         try:
             # A signal must not leave a temporary file.
-            with interrupts.catch_signals(interrupts.raise_for):
+            with interrupts.catch_signals():
                 description, warnings = _make_noisy_file(source, path, noise, format)
         except MsalError as error:
             if STREAM in (source, path):

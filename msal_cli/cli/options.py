@@ -80,7 +80,6 @@ def number(
 
 
 def parse_list(text: str) -> tuple[str, ...]:
-    """Words between commas."""
     return tuple(word.strip() for word in text.split(","))
 
 
@@ -176,7 +175,6 @@ def list_methods() -> tuple[str, ...]:
 def complete_method(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
-    """The methods that begin like this, for the shell."""
     return [name for name in list_methods() if name.startswith(incomplete)]
 
 

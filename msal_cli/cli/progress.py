@@ -66,7 +66,6 @@ class StageLine(Silent):
         self._bar = _make_bar(total=1, bar_format="{desc}", delay=_DELAY_S)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Show the stage; the steps of choosing and sweeps are counted."""
         text = f"{self._name}: {_stage_text(stage, done, total)}"
         self._bar.set_description_str(text, refresh=False)
         if time.monotonic() >= self._wakes:
@@ -83,7 +82,6 @@ class FileBar(Silent):
         self._shown = 0.0
 
     def on_event(self, event: Event) -> None:
-        """Show what happened to one file."""
         from msal_cli.batch.schedule import Finished, Started
 
         if isinstance(event, Started):
@@ -127,7 +125,6 @@ class Log(Silent):
                 self._say_files(event)
 
     def on_progress(self, stage: str, done: int, total: int) -> None:
-        """Say the stage of a mesh after a while."""
         if time.monotonic() >= self._said + _SILENT_S:
             self._said = time.monotonic()
             name = escape_for_display(self._name)

@@ -117,7 +117,7 @@ def write(
                 options = {"has_all": csv_columns == "all"}
             data = render(run, records, **options)
             # A signal must not leave a temporary file, which no later run would remove.
-            with interrupts.catch_signals(interrupts.raise_for):
+            with interrupts.catch_signals():
                 write_output(name, data)
         except OutputError as error:
             first = first or error

@@ -134,7 +134,7 @@ def denoise_stream(stream: Stream, settings: Settings, on_progress: OnProgress) 
             console.put_bytes(output)
             return replace(record, output=STREAM)
         # From here on there is something to clean up.
-        with interrupts.catch_signals(interrupts.raise_for):
+        with interrupts.catch_signals():
             # What the shell redirects to standard input may be a private file, too.
             write_output(target, output, sources=[0])
         return record

@@ -141,7 +141,7 @@ class _Watch:
 
         request = self._request
         with ExitStack() as stack:
-            with interrupts.catch_signals(interrupts.raise_for):
+            with interrupts.catch_signals():
                 # From the start to the end, so that no other run works on the folder meanwhile.
                 self._manifests[request.output] = open_folder(request.output, stack)
             inbox = Inbox(
@@ -155,7 +155,7 @@ class _Watch:
                 console.say(f"watching {request.folder}; Ctrl-C ends it")
             try:
                 while not self._is_given_up() and (files := self._wait(inbox)):
-                    with interrupts.catch_signals(interrupts.raise_for):
+                    with interrupts.catch_signals():
                         plans = list(self._plan(files))
                     for plan in plans:
                         if not self._is_given_up():

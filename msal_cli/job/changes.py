@@ -125,7 +125,6 @@ def volume_changed(before: float, after: float, area: float, objection: str) -> 
 
 
 def area_changed(before: float, after: float) -> records.Area:
-    """The record of an area."""
     return records.Area(before, after, 100.0 * (after - before) / before if before else None)
 
 

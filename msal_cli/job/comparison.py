@@ -55,13 +55,11 @@ def open_mesh_file(path: str, format: str | None = None) -> MeshFile:
 
 
 def surface_of(mesh_file: MeshFile) -> Surface:
-    """The surface in an open file."""
     names = ("vertices", "faces", "merged_vertices", "grid", "unit")
     return Surface(**{name: getattr(mesh_file, name) for name in names})
 
 
 def open_surface(path: str, format: str | None = None) -> Surface:
-    """The surface in the file at ``path``."""
     return surface_of(open_mesh_file(path, format))
 
 

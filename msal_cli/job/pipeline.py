@@ -156,7 +156,6 @@ class FileRun:
         self._record = replace(self._record, **values)
 
     def warn(self, *warnings: str) -> None:
-        """Add warnings to the record."""
         self.know(warnings=self._record.warnings + warnings)
 
     def _close_record(self, **values: Any) -> MeshRecord:

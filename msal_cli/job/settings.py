@@ -84,7 +84,6 @@ class Settings:
 
     @property
     def looks_for_outliers(self) -> bool:
-        """Whether outlier vertices are looked for."""
         return self.method in CHOOSING if self.despike is None else self.despike
 
 

@@ -63,7 +63,6 @@ def redact(text: str) -> str:
 
 
 def split(url: str) -> tuple[str, str]:
-    """Protocol and path."""
     protocol, _, path = url.partition("://")
     return protocol, path
 
