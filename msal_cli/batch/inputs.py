@@ -83,9 +83,7 @@ class _Selection:
 
     def _matches(self, relative: str) -> bool:
         """Whether the pattern, if there is one, matches ``relative`` or a folder that holds it."""
-        names = relative.split("/")
-        stops = range(len(names), 0, -1)
-        return not self._parts or any(_match(self._parts, names[:stop]) for stop in stops)
+        return not self._parts or _match_above(self._parts, relative.split("/"))
 
 
 def discover_inputs(
@@ -107,13 +105,13 @@ def discover_inputs(
     that it matches is searched.
 
     ``include`` and ``exclude`` are patterns on the relative path, the name, or a folder on the way
-    (see `Patterns`); a file is kept if some ``include`` (where there is any) and no
+    (see `parse_patterns`); a file is kept if some ``include`` (where there is any) and no
     ``exclude`` matches.
 
     Raises UsageError if an input does not exist or is neither file nor folder, or a folder cannot
     be listed, and NothingMatched if nothing is left.
     """
-    included, excluded = Patterns(include), Patterns(exclude)
+    included, excluded = parse_patterns(include), parse_patterns(exclude)
     output = None if output is None else urls.normalize_url(output)
     own_output = None if output is None or is_url(output) else str(resolve(Path(output)))
     inputs = [urls.normalize_url(text) for text in inputs]
@@ -141,8 +139,8 @@ def discover_inputs(
         kept = [
             file
             for file in found
-            if (not include or included.matches(file.relative))
-            and not excluded.matches(file.relative)
+            if (not included or is_matched(included, file.relative))
+            and not is_matched(excluded, file.relative)
         ]
         empty += [] if kept else [text]
         for file in kept:
@@ -285,7 +283,11 @@ def _ask_store(request: Callable[[], T]) -> T:
 
 
 def _list_tree(
-    root: Path, prefix: str, selection: _Selection, excluded: Patterns, own_output: str | None
+    root: Path,
+    prefix: str,
+    selection: _Selection,
+    excluded: Sequence[Sequence[str]],
+    own_output: str | None,
 ) -> Iterator[DiscoveredInput]:
     """The files below a folder that are taken, by name."""
     if selection.is_pattern and not root.is_dir():
@@ -311,7 +313,7 @@ def _list_tree(
             file_type = _file_type(entry)
             if file_type == "file":
                 below.append((path, name, False))
-            elif file_type == "special" or excluded.matches(prefix + name):
+            elif file_type == "special" or is_matched(excluded, prefix + name):
                 continue
             elif file_type == "linked folder":
                 # What it leads to within the searched folder is found where it is.
@@ -388,8 +390,8 @@ def has_magic(text: str) -> bool:
     return _MAGIC.search(text) is not None
 
 
-class Patterns:
-    """Several glob patterns, matched together.
+def parse_patterns(patterns: Iterable[str]) -> list[list[str]]:
+    """The parts of glob patterns, which are matched together by ``is_matched``.
 
     Relative paths are written with ``/``.  A pattern matches a file when it matches its whole
     relative path, its name alone, or a folder that holds it, so ``old`` and ``old/`` match all
@@ -399,27 +401,29 @@ class Patterns:
 
     Raises UsageError for an empty pattern.
     """
-
-    def __init__(self, patterns: Iterable[str]) -> None:
-        self._patterns = [_split(pattern) for pattern in patterns]
-
-    def matches(self, relative: str) -> bool:
-        """Whether a pattern matches ``relative``, its name or a folder that holds it."""
-        parts = relative.split("/")
-        return any(
-            _match(pattern, parts[:stop]) or _match(pattern, parts[stop - 1 : stop])
-            for pattern in self._patterns
-            for stop in range(len(parts), 0, -1)
-        )
+    parsed = []
+    for pattern in patterns:
+        parts = pattern.replace(os.sep, "/").rstrip("/").split("/")
+        while parts[:1] == ["."]:
+            del parts[0]
+        if parts in ([], [""]):
+            raise UsageError(f"the pattern {pattern!r} is empty")
+        parsed.append(parts)
+    return parsed
 
 
-def _split(pattern: str) -> list[str]:
-    parts = pattern.replace(os.sep, "/").rstrip("/").split("/")
-    while parts[:1] == ["."]:
-        del parts[0]
-    if parts in ([], [""]):
-        raise UsageError(f"the pattern {pattern!r} is empty")
-    return parts
+def is_matched(patterns: Sequence[Sequence[str]], relative: str) -> bool:
+    """Whether a pattern matches ``relative``, its name or a folder that holds it."""
+    parts = relative.split("/")
+    return any(
+        _match_above(pattern, parts) or any(_match(pattern, [part]) for part in parts)
+        for pattern in patterns
+    )
+
+
+def _match_above(pattern: Sequence[str], parts: Sequence[str]) -> bool:
+    """Whether a pattern matches a path, or a folder that holds it."""
+    return any(_match(pattern, parts[:stop]) for stop in range(len(parts), 0, -1))
 
 
 def _match(pattern: Sequence[str], parts: Sequence[str]) -> bool:

@@ -69,11 +69,6 @@ class Member:
     record: MeshRecord
     border: Border
 
-    @property
-    def n_vertices(self) -> int:
-        """Its vertices, of an STL the welded ones."""
-        return self.record.vertices or 0
-
 
 @dataclass(eq=False, kw_only=True)
 class JoinedMesh(Surface):
@@ -114,8 +109,7 @@ class SetRun:
         for index in range(len(self._tasks)):
             self._scan(index)
             self._arrays.clear()
-        shared = self._share()
-        for member, part in zip(self._members, self._describe(shared), strict=True):
+        for member, part in zip(self._members, self._describe()[1], strict=True):
             self._records[member.index] = replace(
                 member.record, status="planned", output=member.task.output, tile_set=part
             )
@@ -182,22 +176,20 @@ class SetRun:
         self._arrays.append(arrays)
         self._members.append(Member(index, task, record, border))
 
-    def _share(self) -> SharedBorders:
-        is_single = [member.record.precision == "float32" for member in self._members]
-        return share_borders([member.border for member in self._members], is_single)
-
     def _fixed_points(self, shared: SharedBorders) -> Flags | None:
         """(n,) border points that a file which failed may share; None if none has failed."""
         return ~shared.is_shared if self._records else None
 
-    def _describe(self, shared: SharedBorders) -> list[TileSetPart]:
-        """What each member shares with the others."""
+    def _describe(self) -> tuple[SharedBorders, list[TileSetPart]]:
+        """The borders that members share, and what records say of each."""
+        borders = [member.border for member in self._members]
+        is_single = [member.record.precision == "float32" for member in self._members]
+        shared = share_borders(borders, is_single)
         if not self._members:
-            return []
+            return shared, []
         lengths = np.array([member.record.mean_edge_length or 0.0 for member in self._members])
         n_triangles = np.array([member.record.triangles or 0 for member in self._members])
         edge = float(np.average(lengths, weights=n_triangles))
-        borders = [member.border for member in self._members]
         unmatched = count_unmatched(borders, shared, edge)
         neighbours, gaps = shared.neighbours(), shared.distances(shared.positions)
         is_shared, fixed = shared.is_shared, self._fixed_points(shared)
@@ -223,13 +215,14 @@ class SetRun:
                     **bounds,
                 )
             )
-        return parts
+        return shared, parts
 
     def _denoise_members(self) -> None:
         """Move the vertices of all files, and write each."""
-        shared = self._share()
-        parts = self._describe(shared)
-        starts = [0, *itertools.accumulate(member.n_vertices for member in self._members)]
+        shared, parts = self._describe()
+        # Of an STL the welded vertices.
+        counts = [member.record.vertices or 0 for member in self._members]
+        starts = [0, *itertools.accumulate(counts)]
         on_progress = self._progress_of(self._members[0].index)
         run = FileRun("the tile set", self._settings, on_progress)
         moved = run.move_vertices(*self._join(shared, starts))
@@ -255,7 +248,7 @@ class SetRun:
             first = shared.group[own]
             is_open = np.isnan(agreed[first]).any(axis=1)
             agreed[first[is_open]] = points[is_open]
-            share = member.n_vertices / starts[-1]
+            share = counts[place] / starts[-1]
             peak = joint.peak_memory_bytes or 0
             assert record.seconds and member.record.seconds and joint.seconds
             self._records[member.index] = replace(

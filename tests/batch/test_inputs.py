@@ -6,7 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from msal_cli.batch.inputs import NothingMatched, Patterns, _Selection, discover_inputs
+from msal_cli.batch.inputs import (
+    NothingMatched,
+    _Selection,
+    discover_inputs,
+    is_matched,
+    parse_patterns,
+)
 from msal_cli.errors import UsageError
 from msal_cli.storage.atomic import temporary_name
 from tests.files import make_files, posix
@@ -202,7 +208,7 @@ def test_what_is_found(tmp_path, files, pattern, options, expected):
     ],
 )
 def test_a_pattern_matches_what_a_shell_user_expects(pattern, path, expected):
-    assert Patterns([pattern]).matches(path) is expected
+    assert is_matched(parse_patterns([pattern]), path) is expected
 
 
 def test_the_pattern_of_an_input_matches_whole_paths_and_folders():
