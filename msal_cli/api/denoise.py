@@ -193,8 +193,9 @@ def denoise(
         that is not much worse either way.  For every choice, also without ``"auto"``.
     max_move : no vertex goes further: ``"0.3e"`` is in mean edge lengths, a number in the unit of
         the vertices, ``"0.1mm"`` a length where ``unit`` is given.  Less keeps closer to the input.
-    lock : vertices that stay where they are: a mask (n,), indices (k,), ``"boundary"``, or (of mesh
-        objects with such an array) ``"confidence < 0.2"``; several texts in a list add up.
+    lock : vertices that stay where they are: a mask (n,), indices (k,), ``"boundary"``,
+        ``"z < 0"``, or (of mesh objects with such an array) ``"confidence < 0.2"``; several texts
+        in a list add up.
     weights : (n,) trust in each scanned position, or the name of such an array of a mesh object:
         greater is pulled back more to where it was scanned, 0 not at all.  The largest is 1.  For
         methods with a pull to the data: msal, and those with a ``schedule`` other than plain.

@@ -32,6 +32,7 @@ from msal_cli.job.pipeline import FileRun, start_record
 from msal_cli.job.records import Failure, MeshRecord, Seconds, TileSetPart
 from msal_cli.job.room import find_scratch, open_mesh, to_known_error, use_scratch
 from msal_cli.job.settings import (
+    AXES,
     NO_LIMITS,
     Limits,
     Settings,
@@ -162,9 +163,9 @@ class SetRun:
                 border = find_border(
                     run.prepare_mesh(mesh_file), mesh_file.vertices, mesh_file.faces
                 )
-                # Those that --lock and --weights name.
+                # Those that --lock and --weights name; coordinates are in any file.
                 locks = map(parse_lock, self._settings.lock)
-                names = {lock.name for lock in locks if lock is not None}
+                names = {lock.name for lock in locks if lock and lock.name not in AXES}
                 if self._settings.weights is not None:
                     names.add(self._settings.weights)
                 properties = {name: mesh_file.vertex_property(name) for name in sorted(names)}

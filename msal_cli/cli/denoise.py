@@ -133,8 +133,8 @@ more:
     Longest move of a vertex, such as 0.3e; that is mean edge lengths, 0.05 is file units.
     [default: none]
 --lock EXPR ...
-    Vertices that stay, such as 'boundary'; 'confidence < 0.2' compares a PLY vertex property with
-    a number. Repeatable.
+    Vertices that stay, such as 'boundary' or 'z < 0'; 'confidence < 0.2' compares a PLY vertex
+    property with a number. Repeatable.
 more:
 --unit
 """,
@@ -307,11 +307,11 @@ class _Session:
     def _check_reports(self, paths: list[str]) -> None:
         """Refuse reports that would replace one of ``paths``, or another file of the run."""
         request = self._request
-        if request.reports or request.csv_columns:
+        if request.reports:
             from msal_cli.cli import report_files
 
             paths += [request.reference] if request.reference else []
-            report_files.check(request.reports, paths, request.csv_columns)
+            report_files.check(request.reports, paths)
 
     def _run_files(self, plan: Plan, settings: Settings) -> int:
         from msal_cli.batch.run import run

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from msal_cli.errors import UsageError
-from msal_cli.job.settings import METRES, SELF_INTERSECTIONS, parse_input_format
+from msal_cli.job.settings import AXES, METRES, SELF_INTERSECTIONS, is_mesh_name, parse_input_format
 from msal_cli.storage import urls
 
 STREAM = "-"
@@ -22,7 +22,6 @@ _MAX_JOBS = 4096
 _MAX_DIGITS = 15
 
 _NUMBER_AND_UNIT = r"(?ai)(\d{1,15}(?:\.\d{0,9})?|\.\d{1,9})\s*([a-z]*)"
-_AXES = ("x", "y", "z")
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _BYTES = {
     **{f"{letter}{end}": 1000**n for n, letter in enumerate("kmgt", 1) for end in ("", "b")},
@@ -119,10 +118,10 @@ def parse_percentage(text: str) -> float:
 def parse_direction(text: str) -> tuple[float, float, float]:
     """Three numbers between commas, or an axis such as ``z`` or ``-z``."""
     axis = text.lower().removeprefix("-").removeprefix("+")
-    if axis in _AXES:
+    if axis in AXES:
         sign = -1.0 if text.startswith("-") else 1.0
         # Not -0.0, which would be shown.
-        x, y, z = (sign * (axis == name) + 0.0 for name in _AXES)
+        x, y, z = (sign * (axis == name) + 0.0 for name in AXES)
         return x, y, z
     try:
         x, y, z = map(float, text.split(","))
@@ -377,13 +376,14 @@ _CONFLICTS: tuple[tuple[str, str, str, str], ...] = (
 
 _DASK_HINT = "give --scheduler tcp://HOST:8786; on this machine alone, leave --engine dask away"
 
-# A name that is of no use without the other, and a hint.
+# A name that is of no use without the other, words for that one, and a hint.
 _NEEDS = (
-    ("backup", "in_place", "other inputs are never replaced"),
-    ("no_backup", "in_place", "other inputs are never replaced"),
-    ("scheduler", "dask", "add --engine dask"),
-    ("dask", "scheduler", _DASK_HINT),
-    ("tolerance", "baseline", "name an earlier report with --baseline"),
+    ("backup", "in_place", "--in-place", "other inputs are never replaced"),
+    ("no_backup", "in_place", "--in-place", "other inputs are never replaced"),
+    ("scheduler", "dask", "--engine dask", "add --engine dask"),
+    ("dask", "scheduler", "--scheduler", _DASK_HINT),
+    ("tolerance", "baseline", "--baseline", "name an earlier report with --baseline"),
+    ("csv_columns", "csv_report", "a report in .csv", "name one, or leave --csv-columns away"),
 )
 
 # The parameters that ``find_given`` has by other names.
@@ -393,8 +393,8 @@ _PARAMETERS = {"automatic": "method", "adaptive": "method", "dask": "engine"}
 def find_given(context: click.Context) -> dict[str, str]:
     """The options of a command line that have another value than without them, as users write them.
 
-    Three values count as options of their own: ``automatic`` and ``adaptive`` for those words in
-    place of a method, and ``dask``.
+    Four values count as options of their own: ``automatic`` and ``adaptive`` for those words in
+    place of a method, ``dask``, and ``csv_report``.
     """
     given = {}
     # The default of the program counts, whatever a configuration file gives.
@@ -412,6 +412,9 @@ def find_given(context: click.Context) -> dict[str, str]:
         given["automatic" if method == "auto" else method] = f"--method {method}"
     if given.pop("engine", None):
         given["dask"] = "--engine dask"
+    reports = context.params.get("reports") or context.params.get("outputs") or ()
+    if any(name.lower().endswith(".csv") for name in reports):
+        given["csv_report"] = "a report in .csv"
     return given
 
 
@@ -435,7 +438,10 @@ def find_overruled(context: click.Context) -> set[str]:
         if winner in by_hand and loser in from_file
     }
     left = given.keys() - overruled
-    overruled |= {first for first, other, _ in _NEEDS if first in from_file and other not in left}
+    overruled |= {first for first, other, *_ in _NEEDS if first in from_file and other not in left}
+    if "output" in by_hand and output and is_mesh_name(output) and not os.path.isdir(output):
+        # Its suffix decides.
+        overruled |= from_file & {"to"}
     return {_PARAMETERS.get(name, name) for name in overruled}
 
 
@@ -445,7 +451,6 @@ def refuse_conflicts(given: Mapping[str, str]) -> None:
         if first in given and other in given:
             message = message or "{one} and {other} contradict each other"
             raise UsageError(message.format(one=given[first], other=given[other]), hint=hint)
-    for first, other, hint in _NEEDS:
+    for first, other, need, hint in _NEEDS:
         if first in given and other not in given:
-            need = "--engine dask" if other == "dask" else f"--{other.replace('_', '-')}"
             raise UsageError(f"{given[first]} needs {need}", hint=hint)

@@ -69,7 +69,7 @@ def command(request: Request) -> int:
     refuse_conflicts(find_given(request.context))
     outputs, quiet, csv_columns = request.outputs, request.quiet, request.csv_columns
     # Checked before a large folder is read.
-    report_files.check(outputs, (), csv_columns)
+    report_files.check(outputs, ())
     gates = parse_gates(request.fail_on, MeshRecord, request.unit)
     is_checked = request.check or bool(gates)
     run, found, remarks, paths = _summarize(request.runs, is_checked)

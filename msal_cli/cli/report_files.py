@@ -47,14 +47,10 @@ def _suffix(name: str) -> str:
     return os.path.splitext(name)[1].lower()
 
 
-def check(names: Sequence[str], taken: Iterable[str], csv_columns: str | None = None) -> None:
+def check(names: Sequence[str], taken: Iterable[str]) -> None:
     """Refuse reports that cannot be written, or that would replace one of the paths ``taken``,
-    another mesh or a file of msal's own; also an unknown suffix, a name given twice, a place that
-    cannot be written, and columns without a report in .csv.  UsageError."""
-    if csv_columns is not None and not any(name.lower().endswith(".csv") for name in names):
-        raise UsageError(
-            f"--csv-columns {csv_columns}: there is no report in .csv", hint="name one, or leave it"
-        )
+    another mesh or a file of msal's own; also an unknown suffix, a name given twice, and a place
+    that cannot be written.  UsageError."""
     taken = tuple(taken)
     seen: set[str] = set()
     for name in names:

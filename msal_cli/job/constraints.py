@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from msal_cli.errors import ContentError
-from msal_cli.job.settings import COMPARISONS, Lock, Settings, parse_length, parse_lock
+from msal_cli.job.settings import AXES, COMPARISONS, Lock, Settings, parse_length, parse_lock
 from msal_cli.kernels.geometry import distances
 
 if TYPE_CHECKING:
@@ -72,6 +72,8 @@ def build_constraints(
     for lock in map(parse_lock, settings.lock):
         if lock is None:
             held |= mesh.topology.boundary
+        elif lock.name in AXES:
+            flags.append(select_vertices(lock, mesh_file.vertices[:, AXES.index(lock.name)]))
         else:
             flags.append(select_vertices(lock, mesh_file.vertex_property(lock.name)))
     for file_pins in flags:
@@ -88,7 +90,7 @@ def _build_trust(ready: PreparedMesh, mesh_file: Surface, name: str) -> Floats:
 
     Of vertices that coincide the most trusted counts.
     """
-    if name in ("x", "y", "z"):
+    if name in AXES:
         raise ContentError(
             f"{name!r} is a coordinate, and says nothing about trust",
             hint="choose another property of the vertices, or denoise without weights",

@@ -199,6 +199,7 @@ def in_file_units(number: str, unit: str, file_unit: str | None) -> float:
 
 
 BOUNDARY = "boundary"
+AXES = ("x", "y", "z")
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LENGTH = re.compile(rf"(?a)\s*({_NUMBER})\s*(e|{UNIT_PATTERN})?\s*")
@@ -222,7 +223,7 @@ class Length:
 
 @dataclass(frozen=True)
 class Lock:
-    """A vertex property compared with a value, such as ``confidence < 0.2``."""
+    """A vertex property, or a coordinate, compared with a value, such as ``confidence < 0.2``."""
 
     name: str
     comparison: str

@@ -58,7 +58,8 @@ def test_the_command_line_wins(project):
         ('method = "msal"\nK = 0.3', ("--auto",), "method", "auto"),
         ("auto = true", ("-n", "2"), "method", "msal"),
         ('method = "adaptive"', ("-K", "0.3"), "method", "msal"),
-        ('backup = ".raw"', (), "method", "adaptive"),
+        ('backup = ".raw"\ncsv-columns = "all"', (), "method", "adaptive"),
+        ('to = "obj"', (), "to", None),
     ],
 )
 def test_what_contradicts_the_command_line_is_left_out(project, text, words, key, value):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from msal_cli import codecs, methods
+from msal_cli.codecs.conversion import convert
 from msal_cli.errors import UsageError
 from msal_cli.job import constraints
 from msal_cli.job.constraints import select_vertices
@@ -159,8 +160,8 @@ def test_the_boundary_is_locked_as_boundary_fixed_does():
     assert np.array_equal(locked, fixed)
     assert record.locked_vertices == record.boundary_edges > 0
     vertices, faces = noisy(grid)
-    data = to_ply(vertices, faces, q=np.arange(len(vertices)))
-    _, both = denoised(data, lock=("boundary", "q < 100000"))
+    glb, _ = convert(codecs.open_mesh(to_ply(vertices, faces), "a.ply"), vertices, "glb")
+    _, both = denoise_bytes(bytes(glb), "a.glb", settings(lock=("boundary", "x < 1e5")))
     assert both.locked_vertices == len(vertices) > record.locked_vertices
 
 
