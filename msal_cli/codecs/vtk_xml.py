@@ -51,7 +51,8 @@ class Coding:
                 f"arrays compressed by {self.compressor[:40]} are not read",
                 hint="write the file with zlib compression, or with none",
             )
-        order = {"LittleEndian": "<", "BigEndian": ">"}.get(root.attributes.get("byte_order", ""))
+        byte_order = root.attributes.get("byte_order", "LittleEndian")
+        order = {"LittleEndian": "<", "BigEndian": ">"}.get(byte_order)
         header = {"UInt32": "u4", "UInt64": "u8"}.get(root.attributes.get("header_type", "UInt32"))
         if order is None or header is None:
             raise errors.damaged("byte_order or header_type is wrong", "line 1")

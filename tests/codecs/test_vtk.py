@@ -226,9 +226,11 @@ class XmlWriter:
         packed = f' compressor="{COMPRESSORS[self.packed]}"' if self.packed else ""
         order = "LittleEndian" if self.order == "<" else "BigEndian"
         header = {"u4": "UInt32", "u8": "UInt64"}[self.header]
+        # What only arrays of bytes need may be left out.
+        types = f' byte_order="{order}" header_type="{header}"' * (self.mode != "ascii")
         head = (
-            f'<?xml version="1.0"?>\n<!-- kept -->\n<VTKFile type="{kind}" byte_order="{order}" '
-            f'header_type="{header}"{packed}>\n<{kind}>\n'
+            f'<?xml version="1.0"?>\n<!-- kept -->\n<VTKFile type="{kind}"{types}{packed}>\n'
+            f"<{kind}>\n"
         )
         tail = b""
         if self.appended:
