@@ -74,8 +74,9 @@ def manifest_key(task: Task) -> str:
 
 
 def output_folders(tasks: Iterable[Task]) -> set[Path]:
-    """The folders of this machine that tasks write to."""
-    return {Path(task.output).parent for task in tasks if not is_url(task.output)}
+    """The folders of this machine that tasks write to; ``-`` is standard output."""
+    files = (task.output for task in tasks if not is_url(task.output) and task.output != "-")
+    return {Path(file).parent for file in files}
 
 
 def build_plan(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from msal_cli.batch.inputs import DiscoveredInput
     from msal_cli.batch.plan import Plan
     from msal_cli.batch.schedule import EngineFactory, Event
-    from msal_cli.cli.streams import Stream
+    from msal_cli.batch.workers import Denoise
     from msal_cli.job.records import MeshRecord
     from msal_cli.report.data import Run
     from msal_cli.report.gates import Gate
@@ -250,7 +250,7 @@ class _Session:
         # For reports and manifests, without passwords.
         self._command = ("msal", *map(urls.redact, request.context.obj))
         self._started, self._begun = iso_timestamp(time.time_ns()), time.perf_counter()
-        self._stream: Stream | None = None
+        self._stream: Task | None = None
         if STREAM in (*request.inputs, request.output):
             from msal_cli.cli.streams import find_stream
 
@@ -270,12 +270,17 @@ class _Session:
 
     def run(self) -> int:
         """Check everything, then work; the exit status."""
-        settings = build_settings(self._request, self._gates)
-        if self._stream is not None:
-            return self._run_stream(self._stream, settings)
         from msal_cli.batch.inputs import discover_inputs
+        from msal_cli.batch.plan import Plan
+        from msal_cli.job.pipeline import denoise_file
 
         request, shard = self._request, None
+        settings = build_settings(request, self._gates)
+        if self._stream is not None:
+            from msal_cli.cli.streams import choose_format, denoise_stream
+
+            settings = replace(settings, to=choose_format(self._stream.output, settings.to))
+            return self._run_plan(Plan((self._stream,)), settings, denoise_stream)
         if request.shard is not None:
             from msal_cli.batch.lock import parse_shard
 
@@ -284,36 +289,10 @@ class _Session:
         found = discover_inputs(request.inputs, *patterns, output=request.output)
         # Everything is checked first, so that each shard refuses what a whole run would.
         plan = plan_files(request, settings, found)
-        return self._run_files(plan if shard is None else plan.select_shard(shard), settings)
+        plan = plan if shard is None else plan.select_shard(shard)
+        return self._run_plan(plan, settings, denoise_file)
 
-    def _run_stream(self, stream: Stream, settings: Settings) -> int:
-        from msal_cli.cli import progress
-        from msal_cli.cli.streams import choose_format, denoise_stream
-
-        request = self._request
-        self._references = _find_references(request, ["-"])
-        if stream.target != STREAM:
-            _refuse_found_target(request, stream.target)
-        self._check_reports([path for path in (stream.source, stream.target) if path != STREAM])
-        settings = replace(settings, to=choose_format(stream, settings.to))
-        bar = progress.bar([Task(*stream, stream.source)], quiet=request.quiet)
-        try:
-            record = denoise_stream(stream, settings, bar.on_progress)
-        finally:
-            bar.close()
-        log_record(record)
-        return self._conclude(settings, [record])
-
-    def _check_reports(self, paths: list[str]) -> None:
-        """Refuse reports that would replace one of ``paths``, or another file of the run."""
-        request = self._request
-        if request.reports:
-            from msal_cli.cli import report_files
-
-            paths += [request.reference] if request.reference else []
-            report_files.check(request.reports, paths)
-
-    def _run_files(self, plan: Plan, settings: Settings) -> int:
+    def _run_plan(self, plan: Plan, settings: Settings, denoise: Denoise) -> int:
         from msal_cli.batch.run import run
         from msal_cli.batch.schedule import Finished
         from msal_cli.cli import progress
@@ -328,9 +307,13 @@ class _Session:
         tasks = whole.tasks
         if not whole.folders():
             _refuse_found_target(request, tasks[0].output)
-        paths = [path for task in tasks for path in (task.input, task.output)]
-        paths += [task.input + task.backup for task in tasks if task.in_place and task.backup]
-        self._check_reports(paths)
+        if request.reports:
+            from msal_cli.cli import report_files
+
+            paths = [path for task in tasks for path in (task.input, task.output)]
+            paths += [task.backup_path for task in tasks if task.in_place and task.backup]
+            paths += [request.reference] if request.reference else []
+            report_files.check(request.reports, paths)
         self._references = _find_references(request, [task.relative for task in plan.tasks])
         finished: dict[int, MeshRecord] = {}
         _log.info("files: %s, method %s %s", len(plan.tasks), settings.method, settings.parameters)
@@ -356,6 +339,7 @@ class _Session:
                 retries=1 if request.retries is None else request.retries,
                 stop_after_failures=1 if request.fail_fast else request.max_failures,
                 command=self._command,
+                denoise=denoise,
                 engine=engine,
             )
         except (KeyboardInterrupt, OutputError, ResourceError):
@@ -474,12 +458,12 @@ class _Session:
 _ADDRESS = r"(?a)([a-z]+://)?(\[[0-9a-fA-F:]+\]|[^\s:/]+):\d+"
 
 
-def check_request(request: Request, stream: Stream | None) -> None:
+def check_request(request: Request, stream: Task | None) -> None:
     """Refuse options that do not go with each other, or with ``stream``; UsageError."""
     given = options.find_given(request.context)
     if stream is not None:
         given["stream"] = STREAM
-        if stream.target == STREAM:
+        if stream.output == STREAM:
             given["stdout"] = STREAM
     elif not {"output", "in_place"} & given.keys():
         raise UsageError(

@@ -135,7 +135,7 @@ def _find_targets(request: Request) -> list[tuple[str, str]]:
             raise UsageError(
                 "--include and --exclude are for files, not for standard input or output"
             )
-        return [(stream.source, stream.target)]
+        return [(stream.input, stream.output)]
     if output is None:
         raise UsageError("there is no output", hint="name a file or a folder with -o")
     found = discover_inputs(inputs, *patterns, output=output)

@@ -7,15 +7,14 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from msal_cli.batch import interrupts
 from msal_cli.cli import console
 from msal_cli.cli.options import STREAM
 from msal_cli.errors import InputError, MsalError, ResourceError, TooLargeError, UsageError
 from msal_cli.job.output import write_output
 from msal_cli.job.records import Failure
-from msal_cli.job.settings import is_mesh_name, output_name, refuse_unknown_format, suffix
+from msal_cli.job.settings import Task, is_mesh_name, output_name, refuse_unknown_format, suffix
 from msal_cli.storage.regular import largest_bytes
 from msal_cli.storage.urls import is_url
 
@@ -30,15 +29,8 @@ _PIECE = 1 << 20
 _LARGE_BYTES = 4 << 20
 
 
-class Stream(NamedTuple):
-    """Where one mesh comes from and goes to; ``-`` is a standard stream."""
-
-    source: str
-    target: str
-
-
-def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
-    """The stream that these inputs and this output, one of which is ``-``, ask for."""
+def find_stream(inputs: tuple[str, ...], output: str | None) -> Task:
+    """One mesh by these inputs and this output, of which one is ``-``, a standard stream."""
     if len(inputs) > 1:
         raise UsageError(
             "standard input and standard output hold one mesh, not several",
@@ -66,18 +58,18 @@ def find_stream(inputs: tuple[str, ...], output: str | None) -> Stream:
 
         refuse_unknown_format(output)
         refuse_target(output, "the output", [source] if source != STREAM else [], replaces="")
-    return Stream(source, output or STREAM)
+    return Task(source, output or STREAM, source)
 
 
-def choose_format(stream: Stream, to: str | None) -> str | None:
+def choose_format(target: str, to: str | None) -> str | None:
     """The format to convert to: that of ``--to``, else that of the output's suffix, if any."""
-    if stream.target == STREAM or not is_mesh_name(stream.target):
+    if target == STREAM or not is_mesh_name(target):
         return to
-    if to is not None and output_name(stream.target, to).lower() != stream.target.lower():
+    if to is not None and output_name(target, to).lower() != target.lower():
         raise UsageError(
-            f"--to {to} and the output {stream.target!r} say two formats", hint="give one of them"
+            f"--to {to} and the output {target!r} say two formats", hint="give one of them"
         )
-    return suffix(stream.target).lstrip(".")
+    return suffix(target).lstrip(".")
 
 
 def read_stream() -> Buffer:
@@ -115,15 +107,15 @@ def read_stream() -> Buffer:
     return bytes(data) if len(data) < _LARGE_BYTES else memoryview(data).toreadonly()
 
 
-def denoise_stream(stream: Stream, settings: Settings, on_progress: OnProgress) -> MeshRecord:
-    """Read, denoise and write one mesh; nothing is written unless all went well.
+def denoise_stream(task: Task, settings: Settings, on_progress: OnProgress) -> MeshRecord:
+    """As ``denoise_file`` for a mesh from or to a standard stream.
 
     BrokenPipeError if standard output is not read.
     """
     from msal_cli.codecs import header
     from msal_cli.job.pipeline import denoise_bytes, start_record
 
-    name, target = stream.source, None if stream.target == STREAM else stream.target
+    name, target = task.input, None if task.output == STREAM else task.output
     record = start_record(name, settings)
     try:
         data = read_stream() if name == STREAM else header.read_input(name, settings.format)
@@ -133,10 +125,8 @@ def denoise_stream(stream: Stream, settings: Settings, on_progress: OnProgress) 
         if target is None:
             console.put_bytes(output)
             return replace(record, output=STREAM)
-        # From here on there is something to clean up.
-        with interrupts.catch_signals():
-            # What the shell redirects to standard input may be a private file, too.
-            write_output(target, output, sources=[0])
+        # What the shell redirects to standard input may be a private file, too.
+        write_output(target, output, sources=[0])
         return record
     except UsageError:
         raise

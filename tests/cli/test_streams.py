@@ -8,8 +8,9 @@ import sys
 import pytest
 
 from msal_cli import machine
-from msal_cli.cli.streams import Stream, choose_format, find_stream, read_stream
+from msal_cli.cli.streams import choose_format, find_stream, read_stream
 from msal_cli.errors import InputError, ResourceError, TooLargeError, UsageError
+from msal_cli.job.settings import Task
 from msal_cli.storage import regular
 from tests.cli.scans import MSAL, closed_scan, msal, msal_on, process, record_of
 from tests.files import Terminal
@@ -87,7 +88,7 @@ def test_a_mesh_does_not_go_to_a_terminal_unasked(monkeypatch):
     monkeypatch.setattr(sys, "stdout", Terminal())
     with pytest.raises(UsageError, match="would go to the terminal"):
         find_stream(("-",), None)
-    assert find_stream(("-",), "-") == Stream("-", "-")
+    assert find_stream(("-",), "-") == Task("-", "-", "-")
 
 
 @pytest.mark.parametrize(
@@ -96,7 +97,7 @@ def test_a_mesh_does_not_go_to_a_terminal_unasked(monkeypatch):
     + [("o.PLY", "ply", "ply"), ("o.dat", None, None), ("o.dat", "stl", "stl")],
 )
 def test_the_format_of_the_target(target, to, format):
-    assert choose_format(Stream("-", target), to) == format
+    assert choose_format(target, to) == format
 
 
 def test_real_pipes(scan, tmp_path, denoised):
