@@ -1,7 +1,6 @@
 """Options that several commands share, the types of their values, what a shell completes, and which
 options contradict or need each other."""
 
-import importlib.util
 import math
 import os
 import re
@@ -39,10 +38,7 @@ class PathOrUrl(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path; UsageError for a URL with a secret in it."""
-        path = super().convert(value, param, ctx)
-        if "://" not in str(path):
-            return path
-        return urls.normalize_url(str(path))
+        return urls.normalize_url(str(super().convert(value, param, ctx)))
 
 
 PATH = PathOrUrl(readable=False, allow_dash=True)
@@ -161,20 +157,12 @@ def check_threads_variable() -> None:
         )
 
 
-def list_methods() -> tuple[str, ...]:
-    """The names of all methods: those of ``methods.names()``, found without importing any."""
-    import pkgutil
-
-    found = importlib.util.find_spec("msal_cli.methods")
-    folders = found.submodule_search_locations if found is not None else None
-    names = (module.name for module in pkgutil.iter_modules(folders))
-    return tuple(sorted(name for name in names if not name.startswith("_")))
-
-
 def complete_method(
     context: click.Context, parameter: click.Parameter, incomplete: str
 ) -> list[str]:
-    return [name for name in list_methods() if name.startswith(incomplete)]
+    from msal_cli import methods
+
+    return [name for name in methods.names() if name.startswith(incomplete)]
 
 
 # Options.
