@@ -123,7 +123,9 @@ class _BatchRun:
         self._cores = usable_cores()
         # What earlier runs did, and this one does; None for a file that has no manifest.
         self._journal: Journal | None = None
-        if self.plan.folders():
+        folders = self.plan.folders()
+        self._local_folders = [folder for folder in folders if not is_url(folder)]
+        if folders:
             from msal_cli.batch.resume import Journal
 
             self._journal = Journal(self.plan, self.settings, self._cores)
@@ -162,7 +164,7 @@ class _BatchRun:
         is_single = is_alone and not (self.engine or is_limited or self.cancellation)
         try:
             with interrupts.catch_signals():
-                folders = {*output_folders(self.plan.tasks), *map(Path, self._local_folders())}
+                folders = {*output_folders(self.plan.tasks), *map(Path, self._local_folders)}
                 sweep(folders)
                 todo = list(range(len(self.plan.tasks)))
                 if self._journal is not None:
@@ -189,9 +191,6 @@ class _BatchRun:
         if self._journal is not None:
             self._journal.end(interrupted=False)
         return self._in_order()
-
-    def _local_folders(self) -> list[str]:
-        return [folder for folder in self.plan.folders() if not is_url(folder)]
 
     # The work
 
@@ -230,7 +229,7 @@ class _BatchRun:
             (self.denoise, self.settings),
             jobs=self.jobs or self._cores,
             cores=self._cores,
-            folders=tuple(self._local_folders()),
+            folders=tuple(self._local_folders),
             on_death=lambda pid, index: sweep(output_folders([tasks[index]]), pid),
             on_loss=lambda index: self._journal.roll_back(index) if self._journal else "",
             limits=self.limits,

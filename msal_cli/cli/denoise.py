@@ -305,8 +305,14 @@ class _Session:
             engine = partial(DaskEngine, scheduler=request.scheduler)
         whole = plan.whole or plan
         tasks = whole.tasks
-        if not whole.folders():
-            _refuse_found_target(request, tasks[0].output)
+        # A msal.toml that was found may be another person's.
+        is_found = not whole.folders() and is_from_found_file(request.context, "output")
+        if is_found and os.path.lexists(tasks[0].output):
+            raise UsageError(
+                f"msal.toml names the output {tasks[0].output!r}, which is there already",
+                hint="name it on the command line, or give --config msal.toml if you trust that "
+                "file",
+            )
         if request.reports:
             from msal_cli.cli import report_files
 
@@ -484,16 +490,6 @@ def check_request(request: Request, stream: Task | None) -> None:
 
         if importlib.util.find_spec("distributed") is None:
             raise not_installed()
-
-
-def _refuse_found_target(request: Request, target: str) -> None:
-    """Refuse an output file that a msal.toml names which was found, and may be another person's, if
-    it is there already."""
-    if is_from_found_file(request.context, "output") and os.path.lexists(target):
-        raise UsageError(
-            f"msal.toml names the output {target!r}, which is there already",
-            hint="name it on the command line, or give --config msal.toml if you trust that file",
-        )
 
 
 def _find_references(request: Request, names: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +79,9 @@ def denoise_file(
     """
     run = FileRun(task.input, settings, on_progress)
     try:
-        with run.room(task, limits):
+        # The mark is older than the bytes: an object that changes in between is done again.
+        run.know(input_object=task.input_mark)
+        with room.room_for_task(task, settings, limits):
             data = run.read(task)
             made = run.denoise(data, task.output)
             return run.write(task, data, made)
@@ -180,13 +182,6 @@ class FileRun:
         return self._close_record(status="failed", error=failure, **dict.fromkeys(_OF_OUTPUT))
 
     # The way of a file
-
-    def room(self, task: Task, limits: Limits) -> AbstractContextManager[None]:
-        """Memory, or files for what does not fit, unless a file is beyond the limits."""
-        with self.stage("read"):
-            # The mark is older than the bytes: an object that changes in between is done again.
-            self.know(input_object=task.input_mark)
-            return room.room_for_task(task, self._settings, limits)
 
     def read(self, task: Task) -> Buffer:
         """The bytes of the input, unless its header shows that it is no mesh."""
