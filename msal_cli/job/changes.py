@@ -203,9 +203,9 @@ def method_warnings(
     """
     from msal_cli.analysis.noise_estimate import SURE
 
-    if displacement.mean_edges is None or displacement.mean_edges < _MIN_MOVE_EDGES:
+    if displacement.mean_edges < _MIN_MOVE_EDGES:
         return ()
-    if noise.negligible and (noise.high_edges is None or noise.high_edges < SURE):
+    if noise.negligible and noise.high_edges < SURE:
         return (
             f"no noise to speak of, and {method.name} moved vertices by "
             f"{displacement.mean_edges:.2g} e: --min-noise auto leaves such meshes as they are, "

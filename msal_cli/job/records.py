@@ -147,40 +147,39 @@ class NoiseReading:
 
 @dataclass(frozen=True, slots=True)
 class NoiseEstimate:
-    """Estimated standard deviation of the noise along its direction, and what is behind it.
-
-    Records of earlier versions have the first two fields only, or none from ``kind`` on.
-    """
+    """Estimated standard deviation of the noise along its direction, and what is behind it."""
 
     mean_edges: float = required("standard deviation along its direction, mean edge lengths")
     file_units: float = required("the same in file units")
-    low_edges: float | None = known("lower end of an interval for it, mean edge lengths")
-    high_edges: float | None = known("upper end of the interval, mean edge lengths")
-    rms_edges: float | None = known("root mean square with single spikes, mean edge lengths")
-    tail: float | None = known(
+    low_edges: float = required("lower end of an interval for it, mean edge lengths")
+    high_edges: float = required("upper end of the interval, mean edge lengths")
+    rms_edges: float = required("root mean square with single spikes, mean edge lengths")
+    tail: float = required(
         "share of the vertices, 0 to 1, that stand out from the others around them as one in 100 "
         "does with Gaussian noise; 0.02 and more is impulsive noise"
     )
-    negligible: bool | None = known("whether there is no noise to speak of")
-    lowest_edges: float | None = known("level of the least noisy region, mean edge lengths")
-    highest_edges: float | None = known("level of the most noisy region, mean edge lengths")
-    regions: int | None = known("number of regions that were distinguished")
-    uneven: bool | None = known("whether the noise is not the same everywhere")
-    kind: str | None = known(
+    negligible: bool = required("whether there is no noise to speak of")
+    lowest_edges: float = required("level of the least noisy region, mean edge lengths")
+    highest_edges: float = required("level of the most noisy region, mean edge lengths")
+    regions: int = required("number of regions that were distinguished")
+    uneven: bool = required("whether the noise is not the same everywhere")
+    kind: str = required(
         "none, white (independent at each vertex, along the normals), isotropic, correlated "
         "(neighbours share it), view (along an axis), quantised (depths in steps), uneven (by "
         "region), outliers, impulsive, staircase (terraces of voxels), or unknown"
     )
-    rings: int | None = known("over how many rings neighbours share it, 0 (not at all) to 4")
-    direction: str | None = known("normals, isotropic or axis")
-    axis: tuple[float, float, float] | None = known("its unit vector, up to the sign")
-    step_edges: float | None = known("step of depths or terraces, mean edge lengths")
-    outliers: float | None = known("share of the vertices that lie far off, 0 to 1")
-    confidence: float | None = known("how sure the kind is, 0 to 1; below 0.5 a guess")
-    basis: str | None = known("what the kind rests on, in words")
-    words: str | None = known("what the noise is like, in words; empty for none")
-    unsure: bool | None = known("whether neither noise nor texture has a probability of 0.9")
-    readings: tuple[NoiseReading, ...] = known("the explanations, the most probable first", ())
+    rings: int = required("over how many rings neighbours share it, 0 (not at all) to 4")
+    direction: str = required("normals, isotropic or axis")
+    axis: tuple[float, float, float] | None = required(
+        "its unit vector, up to the sign; null if the noise is along none"
+    )
+    step_edges: float = required("step of depths or terraces, mean edge lengths")
+    outliers: float = required("share of the vertices that lie far off, 0 to 1")
+    confidence: float = required("how sure the kind is, 0 to 1; below 0.5 a guess")
+    basis: str = required("what the kind rests on, in words")
+    words: str = required("what the noise is like, in words; empty for none")
+    unsure: bool = required("whether neither noise nor texture has a probability of 0.9")
+    readings: tuple[NoiseReading, ...] = required("the explanations, the most probable first")
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,10 +213,9 @@ class ChoiceMade:
     runners_up: tuple[RunnerUp, ...] = required("at most three next best, best first")
     wishes: dict[str, Any] = required("what was wished for: all with --auto, else what was given")
     repeat: tuple[str, ...] = required("options of msal denoise that do the same without --auto")
-    among: str = known(
+    among: str = required(
         "what was chosen among: family, AL and MSAL with their schedules, by default; all, all "
-        "methods and their mixtures, with --auto",
-        "all",
+        "methods and their mixtures, with --auto"
     )
     auto_seconds: float | None = known(
         "seconds of one core that --auto is expected to take, where it is expected to come much "

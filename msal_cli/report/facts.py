@@ -482,25 +482,22 @@ def self_intersections_text(pairs: SelfIntersections) -> str:
 def noise_texts(noise: NoiseEstimate, record: MeshRecord | InfoRecord) -> list[str]:
     """The level of a mesh's noise and what it is like, then how it was estimated."""
     level = f"{noise.mean_edges:.3g} mean edge lengths"
-    texts = [f"{noise.file_units:.3g} in file units"]
-    if noise.low_edges is not None and noise.high_edges is not None:
-        texts[0] = f"{noise.low_edges:.2g} to {noise.high_edges:.2g}; {texts[0]}"
-    if noise.unsure and not isinstance(record, MeshRecord):
+    interval = f"{noise.low_edges:.2g} to {noise.high_edges:.2g}"
+    texts = [f"{interval}; {noise.file_units:.3g} in file units"]
+    if noise.unsure and isinstance(record, InfoRecord):
         texts.append(f"unsure: {readings_text(noise)}")
     if noise.negligible:
         is_wanted = isinstance(record, MeshRecord) and is_filtered(record)
         words = "hardly any, filtered all the same" if is_wanted else "none to speak of"
         return [f"{level}: {words}", *texts]
-    if noise.words and noise.confidence is not None:
+    if noise.words:
         texts.append(f"{100.0 * noise.confidence:.0f} % sure: {noise.basis}")
-    is_uneven = noise.uneven and noise.kind != "uneven"
-    if is_uneven and noise.lowest_edges is not None and noise.highest_edges is not None:
+    if noise.uneven and noise.kind != "uneven":
         texts.append(f"uneven: {noise.lowest_edges:.2g} to {noise.highest_edges:.2g} by region")
-    tail, rms = noise.tail, noise.rms_edges
-    if tail is not None and rms is not None and tail >= IMPULSIVE_TAIL:
+    if noise.tail >= IMPULSIVE_TAIL:
         texts.append(
-            f"impulsive: {100.0 * tail:.1f} % of the vertices stand out; with them "
-            f"{rms:.3g} mean edge lengths"
+            f"impulsive: {100.0 * noise.tail:.1f} % of the vertices stand out; with them "
+            f"{noise.rms_edges:.3g} mean edge lengths"
         )
     return [", ".join(filter(None, (level, noise.words))), *texts]
 

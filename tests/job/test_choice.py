@@ -1,6 +1,7 @@
 """What is settled for one mesh under --auto: its parameters, clean files and warnings."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,11 @@ from msal_cli.errors import UsageError
 from msal_cli.job import choice as automatic
 from msal_cli.job import pipeline
 from msal_cli.job.changes import method_warnings
-from msal_cli.job.records import Displacement, NoiseEstimate
+from msal_cli.job.records import Displacement
 from msal_cli.job.settings import AUTO, Settings, Task, forecast, resolve_parameters
 from msal_cli.mesh import Mesh
 from tests.cli.scans import msal, record_of, torus_scan
+from tests.report.golden import NOISE
 from tests.shapes import noisy, torus
 
 
@@ -152,7 +154,7 @@ def test_noise_beyond_what_the_method_is_made_for(tmp_path, words, is_too_much):
 @pytest.mark.parametrize(("unsure", "count"), [(False, 1), (True, 0)])
 def test_no_advice_where_noise_may_be_texture(unsure, count):
     found = methods.find("msal")
-    noise = NoiseEstimate(0.3, 0.1, 0.0, 0.4, negligible=False, unsure=unsure)
+    noise = replace(NOISE, mean_edges=0.3, high_edges=0.4, unsure=unsure)
     moved = Displacement(*[0.1] * 8, moved_vertices=100)
     assert len(method_warnings(found, found.validate({}), noise, moved, False)) == count
 

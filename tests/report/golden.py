@@ -27,8 +27,14 @@ NOISE = records.NoiseEstimate(
     negligible=False,
     lowest_edges=0.05,
     highest_edges=0.2,
+    regions=3,
     uneven=True,
     kind="white",
+    rings=0,
+    direction="normals",
+    axis=None,
+    step_edges=0.0,
+    outliers=0.0,
     confidence=0.8,
     basis="the spectrum",
     words="noise along the normals",
@@ -76,7 +82,9 @@ RECORDS = [
     written("turned.ply", inside_out=True),
     records.MeshRecord("rest.ply", "planned", "out/rest.ply"),
 ]
-HARDLY = records.NoiseEstimate(0.001, 0.0002, negligible=True)
+HARDLY = dataclasses.replace(
+    NOISE, mean_edges=0.001, file_units=0.0002, low_edges=0.0, negligible=True, unsure=False
+)
 OPEN = records.Volume(None, None, None, None, False, "not orientable")
 GATE = gated().gates[0]
 PLANNED = records.Planned(2_000, 10, 8.0)
