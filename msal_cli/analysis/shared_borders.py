@@ -4,21 +4,16 @@ A border point is a place at the end of an edge with one face.  Vertices of one 
 are one point already, as they are when the mesh is denoised by itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from msal_cli.arrays import Flags, Floats, Ints, Longs
 from msal_cli.kernels.connectivity import boundary_curves
 from msal_cli.kernels.nearest_triangles import find_nearest_triangles
 from msal_cli.kernels.welding import first_alike
-
-if TYPE_CHECKING:
-    from msal_cli.arrays import Flags, Floats, Ints, Longs
-    from msal_cli.mesh import PreparedMesh
+from msal_cli.mesh import PreparedMesh
 
 NEAR_EDGES = 0.25
 """Distance in mean edge lengths below which a border point lies at the border of another file."""

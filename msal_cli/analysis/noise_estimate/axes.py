@@ -10,13 +10,10 @@ makes it.  Both are needed: the coordinates of a regular grid come in steps too,
 no fit leaves anything.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,9 +26,7 @@ from msal_cli.analysis.noise_estimate.fits import (
     ring_rows,
 )
 from msal_cli.arrays import Floats
-
-if TYPE_CHECKING:
-    from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh
 
 MAX_GROUPS = 24
 """Groups of places with alike normals."""

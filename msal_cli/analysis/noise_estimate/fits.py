@@ -7,12 +7,9 @@ is what the fit with the least leaves over at the flattest fifth of some thousan
 right for having looked there.  The survey looks at some hundred places over one to six rings.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +18,7 @@ from msal_cli.analysis.noise_estimate.level import NoiseLevel, are_spikes, are_u
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels.patch_fits import fit_patches, fit_scales
 from msal_cli.kernels.quantiles import chi_square, student
-
-if TYPE_CHECKING:
-    from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh
 
 _NORMAL = {
     0.05: -1.6448536,

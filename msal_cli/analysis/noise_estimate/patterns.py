@@ -12,15 +12,12 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msal_cli.analysis.noise_estimate.fits import Survey, ring_rows
 from msal_cli.arrays import Flags, Floats, Floats32, Longs
-
-if TYPE_CHECKING:
-    from msal_cli.mesh import Mesh
+from msal_cli.mesh import Mesh
 
 PLACES, FIRST_PLACES = 24, 6
 """Places that are looked at, and the first of them, after which it is clear for most noise; fewer
