@@ -22,23 +22,21 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from string import Template
 from typing import Any, NamedTuple
 
-from msal_cli import codecs
 from msal_cli.codecs import header
 from msal_cli.codecs.colours import colour_table, map_colours
 from msal_cli.codecs.mesh_file import Surface
 from msal_cli.errors import format_count
 from msal_cli.job.display_names import escape_for_display
 from msal_cli.job.records import WITH_OUTPUT, MeshRecord
+from msal_cli.job.room import open_mesh
 from msal_cli.job.settings import DEFAULT_BACKUP
 from msal_cli.mesh import Mesh
 from msal_cli.report import facts
 from msal_cli.report.data import Run, Totals, known_values, plain, totals
 from msal_cli.report.facts import Fact, Tone
-from msal_cli.storage import gzip_streams
 from msal_cli.view import pages, pictures
 from msal_cli.view.pages import asset, content_policy, escape, to_base64
 from msal_cli.view.panels import jpeg_bytes
@@ -52,29 +50,28 @@ _MAX_PROBLEMS = 200
 
 
 class Pictures(NamedTuple):
-    """JPEGs of one mesh from one place: before, after, and where it moved (None: not known)."""
+    """JPEGs of one mesh from one place: before, after, and where it moved (None: not known); and
+    ``pages.embed_scene`` of one that can be turned."""
 
     before: bytes
     after: bytes
     deviation: bytes | None = None
+    scene: str = ""
 
 
-@dataclass(frozen=True)
-class Gallery:
-    """Pictures and scenes by the number of the record, as far as there are any.
+class Gallery(NamedTuple):
+    """Pictures by the path of the output, as far as there are any.
 
-    ``scenes`` are elements of ``pages.embed_scene``;
     ``legend`` are elements that say what the colours of all deviations mean.
     ``remarks`` say in words what was left out, and why.
     """
 
-    pictures: Mapping[int, Pictures] = field(default_factory=dict)
-    scenes: Mapping[int, str] = field(default_factory=dict)
+    pictures: Mapping[str, Pictures]
     legend: str = ""
     remarks: tuple[str, ...] = ()
 
 
-EMPTY_GALLERY = Gallery()
+EMPTY_GALLERY = Gallery({})
 
 Column = dict[str, str]
 Row = dict[str, Any]
@@ -82,18 +79,20 @@ Row = dict[str, Any]
 
 def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GALLERY) -> bytes:
     """The page as UTF-8."""
-    numbers = {id(record): at for at, record in enumerate(records)}
     worst = facts.worst_first(records)
-    order = [numbers[id(record)] for record in worst]
     columns, data = build_table(worst)
+    shown = [gallery.pictures.get(record.output or "") for record in worst]
     images = [
-        [None if image is None else to_base64(image) for image in gallery.pictures[at]]
-        if at in gallery.pictures
-        else None
-        for at in order
+        parts and [None if image is None else to_base64(image) for image in parts[:3]]
+        for parts in shown
     ]
-    scripts = ([pages.viewer_script()] if gallery.scenes else []) + [asset(__file__, "report.js")]
-    styles = ([pages.viewer_style()] if gallery.scenes else []) + [asset(__file__, "report.css")]
+    scenes = [
+        (record, parts.scene)
+        for record, parts in zip(worst, shown, strict=True)
+        if parts and parts.scene
+    ]
+    scripts = ([pages.viewer_script()] if scenes else []) + [asset(__file__, "report.js")]
+    styles = ([pages.viewer_style()] if scenes else []) + [asset(__file__, "report.css")]
     sums = totals(records)
     page = Template(asset(__file__, "report.html")).substitute(
         policy=content_policy(scripts, styles),
@@ -107,7 +106,7 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
             for fact in facts.total_facts(records, sums)
         ),
         problems=_problems(worst),
-        scenes=_scenes([(records[at], gallery.scenes[at]) for at in order if at in gallery.scenes]),
+        scenes=_scenes(scenes),
         columns=_json(columns),
         heads="".join(
             f'<th scope="col"{" class=figure" if column["kind"] == "figure" else ""}>'
@@ -303,11 +302,9 @@ def build_gallery(
     denoised in place.  ``on_file`` is called before each file with the number of those done
     and of all.
     """
-    numbers = {id(record): at for at, record in enumerate(records)}
     reach = _reach(records)
     end = time.monotonic() + MAX_SECONDS
-    images: dict[int, Pictures] = {}
-    scenes: dict[int, str] = {}
+    images: dict[str, Pictures] = {}
     n_left = n_bytes = 0
     is_decimated = False
     # Both meshes may be found again on this machine's disks.
@@ -324,21 +321,18 @@ def build_gallery(
         if is_over or (record.triangles or record.faces or 0) > MAX_FACES:
             n_left += 1
             continue
-        at = numbers[id(record)]
-        key = f"scene{at}" if len(scenes) < MAX_SCENES else ""
+        # The worst ones can be turned.
+        key = f"scene{len(images)}" if len(images) < MAX_SCENES else ""
         try:
             drawn = _draw(record, backup, reach, key)
         except Exception:
             # A picture is an extra: whatever keeps it from being made keeps back no report.
             _log.info("%s: no picture", record.input, exc_info=True)
             continue
-        if drawn is None:
-            continue
-        images[at], scene = drawn
-        n_bytes += sum(len(part or b"") for part in images[at])
-        if scene:
-            scenes[at] = scene
-            is_decimated |= (record.triangles or 0) > MAX_SCENE_FACES
+        if drawn is not None:
+            images[str(record.output)] = drawn
+            n_bytes += sum(len(image or b"") for image in drawn[:3])
+            is_decimated |= bool(key) and (record.triangles or 0) > MAX_SCENE_FACES
     remarks = []
     if n_left:
         remarks.append(
@@ -351,10 +345,10 @@ def build_gallery(
             f"In 3D, meshes of more than {MAX_SCENE_FACES:,} faces are decimated; the figures "
             "are those of the full meshes."
         )
-    return Gallery(images, scenes, _draw_legend(reach), tuple(remarks))
+    return Gallery(images, _draw_legend(reach), tuple(remarks))
 
 
-def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> tuple[Pictures, str] | None:
+def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> Pictures | None:
     """Three pictures from one place, and a scene if it has a ``key``; None where a file is not
     what the record says.  Colours reach to ``reach`` mean edge lengths."""
     output = str(record.output)
@@ -381,7 +375,7 @@ def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> tuple[Pict
         None if painted is None else image(scene.after, painted, "map"),
     )
     if not key:
-        return shown, ""
+        return shown
     data = encode_scene(
         scene.before,
         scene.after,
@@ -392,7 +386,8 @@ def _draw(record: MeshRecord, backup: str, reach: float, key: str) -> tuple[Pict
         max_faces=MAX_SCENE_FACES,
     )
     poster = image(scene.after, scene.painted(1), "paint", _POSTER)
-    return shown, pages.embed_scene(key, data, picture=poster, description=f"{record.input}, after")
+    scene_of = pages.embed_scene(key, data, picture=poster, description=f"{record.input}, after")
+    return shown._replace(scene=scene_of)
 
 
 def _surface(path: str, sha256: str | None, format: str | None) -> Surface | None:
@@ -402,8 +397,7 @@ def _surface(path: str, sha256: str | None, format: str | None) -> Surface | Non
     data = header.read_input(path, format)
     if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
         return None
-    plain, _ = gzip_streams.expand(data, path)
-    return pictures.coloured_surface_of(codecs.open_mesh(plain, path, format), path)
+    return pictures.coloured_surface_of(open_mesh(data, path, format)[0], path)
 
 
 def _reach(records: Sequence[MeshRecord]) -> float:

@@ -25,7 +25,9 @@ def page(records, gallery=as_html.EMPTY_GALLERY):
 
 
 def test_nothing_is_loaded_or_run_but_what_is_there():
-    text, reader = page([gated()], Gallery(scenes={0: "<div></div>"}))
+    text, reader = page(
+        [gated()], Gallery({"out/scan.ply": Pictures(b"", b"", scene="<div></div>")})
+    )
     assert_self_contained(reader)
     assert "http" not in text.partition("<script>")[0].replace("http-equiv", "")
 
@@ -50,10 +52,8 @@ def test_any_records_make_a_page(records):
 
 def test_pictures_stand_in_the_order_of_the_rows():
     records = [written("good"), failed("bad"), gated("gate")]
-    gallery = Gallery(
-        pictures={0: Pictures(b"a", b"b"), 2: Pictures(b"c", b"d", b"e")}, legend="<p>moved</p>"
-    )
-    _, reader = page(records, gallery)
+    pictures = {"out/good": Pictures(b"a", b"b"), "out/gate": Pictures(b"c", b"d", b"e")}
+    _, reader = page(records, Gallery(pictures, "<p>moved</p>"))
     coded = [base64.b64encode(one).decode() for one in (b"c", b"d", b"e", b"a", b"b")]
     assert json.loads(reader.ids["pictures"]) == [None, coded[:3], [*coded[3:], None]]
 
@@ -80,14 +80,15 @@ def records(tmp_path_factory):
 
 
 def shown(records, found):
-    return sorted(records[at].input.rpartition("/")[2] for at in found.pictures)
+    assert found.pictures.keys() <= {one.output for one in records}
+    return sorted(name.rpartition("/")[2] for name in found.pictures)
 
 
 def test_every_file_that_was_written_is_shown(records):
     found = as_html.build_gallery(records)
     assert shown(records, found) == ["a.ply", "b.ply"]
-    assert set(found.scenes) == set(found.pictures)
     for one in found.pictures.values():
+        assert one.scene
         images = [Image.open(io.BytesIO(data)) for data in (one.before, one.after, one.deviation)]
         assert {image.format for image in images} == {"JPEG"} and len({i.size for i in images}) == 1
         assert one.before != one.after != one.deviation
@@ -118,9 +119,9 @@ def test_the_bounds_are_kept_and_said(records, monkeypatch):
     found = built(MAX_PICTURE_BYTES=0)
     assert len(found.pictures) == 1 and found.remarks[0].startswith("1 file without")
     found = built(MAX_SCENES=1)
-    (at,) = found.scenes
-    worst = max(found.pictures, key=lambda at: records[at].displacement.max_edges)
-    assert at == worst
+    (name,) = (name for name, one in found.pictures.items() if one.scene)
+    written = [one for one in records if one.output in found.pictures]
+    assert name == max(written, key=lambda one: one.displacement.max_edges).output
     found = built(MAX_SCENE_FACES=100)
     assert "decimated" in found.remarks[0]
 

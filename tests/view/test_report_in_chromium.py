@@ -38,11 +38,11 @@ def path(tmp_path_factory):
     drawn = scene.encode_scene(Mesh(noisy(vertices, level=0.1), faces), Mesh(vertices, faces))
     at = len(HOSTILE_NAMES)
     views = Pictures(jpeg("red"), jpeg("green"), jpeg("blue"))
-    gallery = Gallery(
-        pictures=dict.fromkeys(range(at, len(every)), views),
-        scenes={at: pages.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])},
-        legend="<p>moved</p>",
-    )
+    turned = pages.embed_scene("scene0", drawn, picture=b"", description=HOSTILE_NAMES[5])
+    shown = {one.output: views for one in every[at:]} | {
+        every[at].output: views._replace(scene=turned)
+    }
+    gallery = Gallery(shown, "<p>moved</p>")
     page = tmp_path_factory.mktemp("report") / "run.html"
     page.write_bytes(as_html.render(RUN, every, gallery))
     return page
