@@ -97,19 +97,19 @@ class AddedNoise:
             raise UsageError(
                 f"there is no noise {self.kind!r}", hint=f"known are: {', '.join(KINDS)}"
             )
-        _require(0.0 <= self.level < math.inf, "level", self.level, "a number from 0")
-        _require(self.seed >= 0, "seed", self.seed, "a number from 0")
-        _require(0.0 <= self.fraction <= 1.0, "fraction", self.fraction, "a number from 0 to 1")
-        _require(
-            self.rings is None or 0 <= self.rings <= MAX_RINGS,
-            "number of rings (--rings)",
-            self.rings,
-            f"a number from 0 to {MAX_RINGS}",
-        )
-        length = math.hypot(*self.direction)
-        _require(0.0 < length < math.inf, "direction", self.direction, "a vector with a length")
-        _require(0.0 < self.step < math.inf, "step", self.step, "a number above 0")
-        _require(0.0 <= self.border <= 1.0, "border", self.border, "a number from 0 to 1")
+        rings, length = self.rings, math.hypot(*self.direction)
+        for name, is_met, expected in (
+            ("level", 0.0 <= self.level < math.inf, "a number from 0"),
+            ("seed", self.seed >= 0, "a number from 0"),
+            ("fraction", 0.0 <= self.fraction <= 1.0, "a number from 0 to 1"),
+            ("rings", rings is None or 0 <= rings <= MAX_RINGS, f"from 0 to {MAX_RINGS}"),
+            ("direction", 0.0 < length < math.inf, "a vector with a length"),
+            ("step", 0.0 < self.step < math.inf, "a number above 0"),
+            ("border", 0.0 <= self.border <= 1.0, "a number from 0 to 1"),
+        ):
+            if not is_met:
+                value = getattr(self, name)
+                raise UsageError(f"{name} of the noise is {value!r}, and must be {expected}")
 
     def describe(self) -> str:
         """The settings that the kind uses, such as "rings 2, direction (0, 0, 1)"."""
@@ -125,11 +125,6 @@ class AddedNoise:
         if self.rings is not None:
             return self.rings
         return 2 if self.kind == "correlated" else 0
-
-
-def _require(is_met: bool, name: str, value: object, expected: str) -> None:
-    if not is_met:
-        raise UsageError(f"the noise's {name} is {value!r}, and must be {expected}")
 
 
 def add_noise(mesh: Mesh, noise: AddedNoise) -> Floats:

@@ -25,9 +25,8 @@ def page(records, gallery=as_html.EMPTY_GALLERY):
 
 
 def test_nothing_is_loaded_or_run_but_what_is_there():
-    text, reader = page(
-        [gated()], Gallery({"out/scan.ply": Pictures(b"", b"", scene="<div></div>")})
-    )
+    turned = Pictures(b"", b"", scene="<div></div>")
+    text, reader = page([gated()], Gallery({gated().output: turned}))
     assert_self_contained(reader)
     assert "http" not in text.partition("<script>")[0].replace("http-equiv", "")
 
