@@ -257,7 +257,8 @@ def denoise(
             mesh.properties[_TRUST] = values
             given["weights"] = _TRUST
         # By the steps that files take.
-        job = FileRun(mesh.name, parse_arguments(denoise, given))
+        _, settings = _parse(denoise, given)
+        job = FileRun(mesh.name, settings)
         positions = job.move_vertices(mesh)
         n_faces = len(mesh.faces)
         job.know(
@@ -272,9 +273,11 @@ def denoise(
         return mesh.to_result(result.vertices) if faces is None else result
 
 
-def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> Settings:
-    """The settings for the arguments of a function of the API; UsageError also for a parameter that
-    is given twice, and for a keyword that neither ``function`` nor any method has."""
+def _parse(
+    function: Callable[..., Any], given: Mapping[str, Any]
+) -> tuple[tuple[Gate, ...], Settings]:
+    """The gates and the settings for the arguments of a function of the API; UsageError also for a
+    parameter that is given twice, and for a keyword that neither it nor any method has."""
     parameters, more = given["parameters"] or {}, given["more"]
     own = inspect.signature(function).parameters
     known = {name.casefold(): name for name in (*own, *MethodParameters.__annotations__)}
@@ -282,17 +285,18 @@ def parse_arguments(function: Callable[..., Any], given: Mapping[str, Any]) -> S
         if name not in known.values():
             close = difflib.get_close_matches(name.casefold(), known, n=1)
             likely = 'method="auto"' if name == "auto" else known[close[0]] if close else ""
+            pages = f"help(msal_cli.{function.__name__}), and msal_cli.list_methods()"
             raise UsageError(
                 f"{function.__name__} has no argument {name!r}",
-                hint=f"did you mean {likely}?"
-                if likely
-                else f"see help(msal_cli.{function.__name__}), and msal_cli.list_methods() for "
-                "the parameters of methods",
+                hint=f"did you mean {likely}?" if likely else f"see {pages} for other parameters",
             )
     if twice := sorted(parameters.keys() & more.keys()):
         raise UsageError(f"{twice[0]} is given twice", hint="give it once")
     assignments = [(name, name, value) for name, value in {**parameters, **more}.items()]
-    return parse({**given, "parameters": assignments})
+    gates = parse_gates(to_texts(given.get("fail_on", ())), MeshRecord, given["unit"])
+    refuse_without_reference(gates, "measure it with msal_cli.compare")
+    is_checked = given.get("intersections") or need_intersections(gates)
+    return gates, parse({**given, "parameters": assignments, "intersections": is_checked})
 
 
 def _as_mask(lock: Any, n: int) -> mesh_objects.Array:
@@ -504,16 +508,6 @@ def denoise_folder(
             command=("msal_cli.denoise_folder", *sources),
         )
         return _iterate_records(work, gates)
-
-
-def _parse(
-    function: Callable[..., Any], given: Mapping[str, Any]
-) -> tuple[tuple[Gate, ...], Settings]:
-    """The gates and the settings of a call; gates may need intersections to be counted."""
-    gates = parse_gates(to_texts(given["fail_on"]), MeshRecord, given["unit"])
-    refuse_without_reference(gates, "measure it with msal_cli.compare")
-    is_checked = given["intersections"] or need_intersections(gates)
-    return gates, parse_arguments(function, {**given, "intersections": is_checked})
 
 
 def _iterate_records(
