@@ -3,7 +3,6 @@
 Medians are found without the masked arrays that numpy's own imports.
 """
 
-import functools
 import math
 
 import numpy as np
@@ -61,28 +60,6 @@ def clusters(values: NDArray[np.float64], count: int) -> NDArray[np.intp]:
         if np.array_equal(previous, bounds):
             break
     return np.searchsorted(bounds, values, side="left")
-
-
-MAX_FREEDOMS = 40
-
-_NORMAL = {0.2: -0.8416212, 0.5: 0.0}
-_FEW_FREEDOMS = {
-    0.2: (0.0641848, 0.4462871, 1.0051740, 1.6487766),
-    0.5: (0.4549364, 1.3862944, 2.3659739, 3.3566940),
-}
-"""Quantiles of the normal distribution, and of chi square with 1 to 4 degrees of freedom."""
-
-
-@functools.cache
-def chi_square(share: float) -> Floats:
-    """Quantiles of chi square over its degrees of freedom, by those, from 0 (which has none) to
-    ``MAX_FREEDOMS``; ``share`` is 0.2 or 0.5.  Right within 0.6 %."""
-    freedoms = np.arange(1.0, MAX_FREEDOMS + 1.0)
-    # Wilson and Hilferty 1931, which does for five and more.
-    scale = 2.0 / (9.0 * freedoms)
-    ratios = (1.0 - scale + _NORMAL[share] * np.sqrt(scale)) ** 3
-    ratios[:4] = np.array(_FEW_FREEDOMS[share]) / freedoms[:4]
-    return np.concatenate([[np.nan], ratios])
 
 
 def student(freedoms: Floats) -> Floats:

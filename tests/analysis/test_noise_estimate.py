@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import special
 
 from benchmarks import ground_truth
 from benchmarks.ground_truth import add_plain_noise
@@ -18,7 +19,7 @@ from msal_cli.analysis.noise_estimate import (
     estimate_regions,
 )
 from msal_cli.analysis.noise_estimate.evidence import gather_evidence
-from msal_cli.analysis.noise_estimate.fits import estimate_white
+from msal_cli.analysis.noise_estimate.fits import MAX_FREEDOMS, chi_square_table, estimate_white
 from msal_cli.mesh import prepare_mesh
 from tests.shapes import grid, noisy, torus
 
@@ -31,6 +32,14 @@ def clean():
 def read_as(noise, probability, level=0.08):
     readings = (Reading(NOISE, level, probability), Reading(TEXTURE, 0.0, 1.0 - probability))
     return dataclasses.replace(noise, readings=readings)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_chi_square(share):
+    freedoms = np.arange(1, MAX_FREEDOMS + 1)
+    exact = 2.0 * special.gammaincinv(freedoms / 2.0, share) / freedoms
+    assert chi_square_table(share)[1:] == pytest.approx(exact, rel=0.006)
+    assert chi_square_table(share)[1:5] == pytest.approx(exact[:4], rel=1e-5)
 
 
 @pytest.mark.parametrize(

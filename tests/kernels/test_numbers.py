@@ -20,18 +20,8 @@ def test_equal_values_are_the_lowest_cluster(count):
     assert quantiles.clusters(np.array([0.3]), count).tolist() == [0]
 
 
-FREEDOMS = np.arange(1, quantiles.MAX_FREEDOMS + 1)
-
-
-@pytest.mark.parametrize("share", [0.2, 0.5])
-def test_chi_square(share):
-    exact = 2.0 * special.gammaincinv(FREEDOMS / 2.0, share) / FREEDOMS
-    assert quantiles.chi_square(share)[1:] == pytest.approx(exact, rel=0.006)
-    assert quantiles.chi_square(share)[1:5] == pytest.approx(exact[:4], rel=1e-5)
-
-
 def test_student():
-    freedoms = FREEDOMS[4:].astype(float)
+    freedoms = np.arange(5.0, 41.0)
     exact = special.stdtrit(freedoms, 0.995)
     assert quantiles.student(freedoms) == pytest.approx(exact, rel=0.01)
 

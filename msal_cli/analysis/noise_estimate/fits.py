@@ -7,6 +7,7 @@ is what the fit with the least leaves over at the flattest fifth of some thousan
 right for having looked there.  The survey looks at some hundred places over one to six rings.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from msal_cli.analysis.noise_estimate.level import NoiseLevel, are_spikes, are_uneven
 from msal_cli.arrays import Flags, Floats, Longs
 from msal_cli.kernels.patch_fits import fit_patches, fit_scales
-from msal_cli.kernels.quantiles import chi_square, student
+from msal_cli.kernels.quantiles import student
 from msal_cli.mesh import Mesh
 
 _NORMAL = {
@@ -30,6 +31,14 @@ _NORMAL = {
     0.5: 0.0,
 }
 """Quantiles of the normal distribution."""
+
+MAX_FREEDOMS = 40
+
+_FEW_FREEDOMS = {
+    0.2: (0.0641848, 0.4462871, 1.0051740, 1.6487766),
+    0.5: (0.4549364, 1.3862944, 2.3659739, 3.3566940),
+}
+"""Quantiles of chi square with 1 to 4 degrees of freedom."""
 
 
 def quantile(values: Floats, share: float) -> float:
@@ -56,6 +65,15 @@ def chi_square_quantile(freedoms: Floats, share: float) -> Floats:
     """
     scale = 2.0 / (9.0 * np.maximum(freedoms, 1.0))
     ratios: Floats = np.maximum(1.0 - scale + _NORMAL[share] * np.sqrt(scale), 0.05) ** 3
+    return ratios
+
+
+@functools.cache
+def chi_square_table(share: float) -> Floats:
+    """The same for whole degrees of freedom up to ``MAX_FREEDOMS``; ``share`` is 0.2 or 0.5.  Right
+    within 0.6 % from one on."""
+    ratios = chi_square_quantile(np.arange(MAX_FREEDOMS + 1.0), share)
+    ratios[1:5] = np.array(_FEW_FREEDOMS[share]) / np.arange(1.0, 5.0)
     return ratios
 
 
@@ -254,7 +272,7 @@ class Fits:
             has &= among
         if not has.any():
             return math.inf
-        scaled = self.variances[has, fit] / chi_square(share)[self.freedoms[has, fit]]
+        scaled = self.variances[has, fit] / chi_square_table(share)[self.freedoms[has, fit]]
         return math.sqrt(quantile(scaled, share))
 
 
