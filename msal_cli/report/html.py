@@ -8,9 +8,8 @@ records name is shown: a file that is gone, or that is no longer the one that wa
 out without a word.  Time, the size of files and the number of faces are bounded, the worst files
 come first, and what the bounds cost is said on the page.
 
-A content security policy lets the browser run only the scripts and the styles that were written
-here, and load nothing.  What comes from outside, names of files mostly, is escaped in two places:
-``escape`` for elements, ``_json`` for the data of the table.
+What comes from outside, names of files mostly, is escaped in two places: ``escape`` for elements,
+``_json`` for the data of the table.
 """
 
 import hashlib
@@ -38,7 +37,7 @@ from msal_cli.report import facts
 from msal_cli.report.data import Run, Totals, known_values, plain, totals
 from msal_cli.report.facts import Fact, Tone
 from msal_cli.view import pages, pictures
-from msal_cli.view.pages import asset, content_policy, escape, to_base64
+from msal_cli.view.pages import asset, escape, to_base64
 from msal_cli.view.panels import jpeg_bytes
 from msal_cli.view.rendering import Image, shade
 from msal_cli.view.scene import encode_scene
@@ -94,12 +93,7 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
     scripts = ([pages.viewer_script()] if scenes else []) + [asset(__file__, "report.js")]
     styles = ([pages.viewer_style()] if scenes else []) + [asset(__file__, "report.css")]
     sums = totals(records)
-    page = Template(asset(__file__, "report.html")).substitute(
-        policy=content_policy(scripts, styles),
-        version=escape(run.version),
-        title=f"msal: {format_count(len(records), 'file')}",
-        styles="".join(f"<style>{style}</style>" for style in styles),
-        verdict=_verdict(run, sums),
+    content = Template(asset(__file__, "report.html")).substitute(
         totals=_totals(run, sums),
         notes="".join(
             f'<p class="note">{escape(fact.word.capitalize())}: {escape(fact.text)}</p>'
@@ -119,9 +113,9 @@ def render(run: Run, records: Sequence[MeshRecord], gallery: Gallery = EMPTY_GAL
         settings=_settings(run),
         rows=_json(data),
         pictures=_json(images) if gallery.pictures else "null",
-        scripts="".join(f"<script>{script}</script>" for script in scripts),
     )
-    return page.encode("utf-8")
+    title, verdict = f"msal: {format_count(sums.files, 'file')}", _verdict(run, sums)
+    return pages.build_page(title, content, scripts, styles, verdict=verdict, version=run.version)
 
 
 # The table of all files, as data for the page's script
@@ -177,7 +171,8 @@ def _verdict(run: Run, sums: Totals) -> str:
     if run.interrupted and not sums.planned:
         chips.append(("warn", "interrupted"))
     chips = chips or [("good", "all well" if sums.files else "nothing done")]
-    return "".join(f'<span class="chip {kind}">{escape(text)}</span>' for kind, text in chips)
+    parts = (f'<span class="chip {kind}">{escape(text)}</span>' for kind, text in chips)
+    return f'<div class="verdict">{"".join(parts)}</div>'
 
 
 def _totals(run: Run, sums: Totals) -> str:

@@ -57,8 +57,6 @@ def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, s
         view=pictures.camera_of(scene, view).axes,
         colours=colours,
     )
-    code = viewer_script() + f"{{\n{asset(__file__, 'theme.js')}}}\n"
-    looks = viewer_style() + asset(__file__, "page.css")
     description = " and ".join(titles)
     if scene.deviation is not None:
         description += f", and the {pictures.deviation_name(scene).lower()}"
@@ -71,11 +69,7 @@ def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, s
     rows = [(name, pictures.counts_text(scene, at)) for at, name in enumerate(names)]
     rows += facts or [("mean edge", figure(scene.before.mean_edge_length, ".6g"))]
     notes = [*_notes(scene, view, drawn), f"Made by: {command}"]
-    page = Template(asset(__file__, "page.html")).substitute(
-        policy=content_policy([code], [looks]),
-        version=escape(__version__),
-        title=escape(" \N{RIGHTWARDS ARROW} ".join(titles)),
-        style=looks,
+    content = Template(asset(__file__, "page.html")).substitute(
         scene=embed_scene(
             "scene",
             drawn,
@@ -99,9 +93,11 @@ def page_of(scene: Scene, view: View, command: str, facts: Sequence[tuple[str, s
             for is_there, name, text in keys
             if is_there
         ),
-        script=code,
     )
-    return page.encode("utf-8")
+    title = " \N{RIGHTWARDS ARROW} ".join(titles)
+    return build_page(
+        title, content, [viewer_script()], [viewer_style(), asset(__file__, "page.css")]
+    )
 
 
 def _notes(scene: Scene, view: View, drawn: EncodedScene) -> Iterator[str]:
@@ -127,6 +123,43 @@ def _notes(scene: Scene, view: View, drawn: EncodedScene) -> Iterator[str]:
 
 
 # Parts of pages
+
+
+def build_page(
+    title: str,
+    content: str,
+    scripts: Sequence[str],
+    styles: Sequence[str],
+    *,
+    verdict: str = "",
+    version: str = __version__,
+) -> bytes:
+    """A page as UTF-8, with a button for light and dark.
+
+    ``content`` and ``verdict``, which stands beside the title, are elements; ``version`` is that of
+    the msal which made what is shown.
+    """
+    scripts = [*scripts, asset(__file__, "theme.js")]
+    styles = [asset(__file__, "frame.css"), *styles]
+    # Only these scripts and styles run, and pictures in the page are shown; nothing is loaded.
+    policy = (
+        "default-src 'none'",
+        f"script-src {_hashes(scripts)}",
+        f"style-src {_hashes(styles)}",
+        "img-src data:",
+        "base-uri 'none'",
+        "form-action 'none'",
+    )
+    page = Template(asset(__file__, "frame.html")).substitute(
+        policy=html.escape("; ".join(policy)),
+        version=escape(version),
+        title=escape(title),
+        styles="".join(f"<style>{style}</style>" for style in styles),
+        verdict=verdict,
+        content=content,
+        scripts="".join(f"<script>{script}</script>" for script in scripts),
+    )
+    return page.encode("utf-8")
 
 
 def viewer_script() -> str:
@@ -195,23 +228,6 @@ def to_base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-def content_policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
-    """A content security policy, escaped: it allows these inline scripts and styles, pictures in
-    the page, and no other.
-
-    Each is the whole text between the tags.
-    """
-    policy = (
-        "default-src 'none'",
-        f"script-src {_hashes(scripts)}",
-        f"style-src {_hashes(styles)}",
-        "img-src data:",
-        "base-uri 'none'",
-        "form-action 'none'",
-    )
-    return html.escape("; ".join(policy))
-
-
 def _hashes(texts: Iterable[str]) -> str:
     hashes = (to_base64(hashlib.sha256(text.encode()).digest()) for text in texts)
-    return " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
+    return " ".join(f"'sha256-{digest}'" for digest in hashes)

@@ -219,13 +219,4 @@
       ...histogram("Largest displacement", "mean edge lengths", "Max move", "edges"),
       ...histogram("Time for a file", "seconds", "Time", "s"),
     );
-
-  // --- light and dark; without the button the page follows the system
-
-  at("theme").hidden = false;
-  at("theme").addEventListener("click", () => {
-    const root = document.documentElement;
-    const isDark = (root.dataset.theme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")) === "dark";
-    root.dataset.theme = isDark ? "light" : "dark";
-  });
 })();

@@ -22,7 +22,6 @@ class Viewer {
     this.drawing = new Drawing(this.canvas, scene, this.camera.start);
     for (const mesh of scene.meshes) mesh.positions = mesh.normals = mesh.corners = mesh.colours = null;
     this.listen();
-    if (box.dataset.show === "deviation") this.map(true);
     if (box.dataset.shading === "flat") this.flat(true);
     this.resize();
   }
